@@ -34,7 +34,7 @@ traces: $(VENV)/.installed-dev
 
 # These modules need torch, pipecat, livekit or wyoming, which .venv does not have: docs/decisions/0016-api-reference.md.
 UNDOCUMENTED := $(addprefix lipservo_client.,pipecat_face livekit_face wyoming_face) \
-	$(addprefix lipservo_lab.bench.agents.,agent_figures day_agent) \
+	$(addprefix lipservo_lab.bench.agents.,pipecat_agent livekit_agent openai_agent wyoming_agent day_agent) \
 	lipservo_lab.learning.adaptation.voice_learning \
 	$(addprefix lipservo_lab.learning.recognition.,network_training torch_network training_run)
 SITE := site
@@ -84,7 +84,7 @@ clean:
 
 $(VENV)/.installed: pyproject.toml client/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard,say]' --editable ./client
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard,fit,say]' --editable ./client
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml client/pyproject.toml lab/pyproject.toml

@@ -279,9 +279,11 @@ def check_servo_memories(calibration: Calibration, memories: Sequence[ServoMemor
     """Raise CalibrationError, naming servo and register, if a memory has changed since calibration.
 
     memories: of the calibrated servos, in their order; a servo that did not answer is None and is
-    skipped. A calibration made without servos passes.
+    skipped; empty: these servos store nothing. A calibration made without servos passes.
     """
-    measured = calibration.origin.servo_memories or memories
+    measured = calibration.origin.servo_memories
+    if not measured or not memories:
+        return
     other = []
     for name, was, now in zip(calibration.servo_names, measured, memories, strict=True):
         if was is None or now is None:

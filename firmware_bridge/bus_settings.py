@@ -90,6 +90,11 @@ class BusServo(Strict):
         return getattr(self, "model", None)
 
     @property
+    def ticks_per_deg(self) -> float | None:
+        """Steps of the servo's position register per degree; None: it has no such register."""
+        return None
+
+    @property
     def pulse(self) -> JointPulse | None:
         """Pulse and range of a hobby servo; None for a servo of any other kind."""
         return None

@@ -11,7 +11,7 @@ from firmware_bridge.process import logs
 from firmware_bridge.process.runtime_folder import NEEDS_LINUX, RUNS_FACES, ControlError
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.terminal.output import complain
-from lipsync.errors import UserError
+from lipsync.errors import EXTRA_OF, UserError
 
 #: What pydantic says of a value, and what we say.
 _IN_OUR_WORDS = {
@@ -33,7 +33,7 @@ def main() -> None:
             # Names of files need not be UTF-8, and neither need a terminal be.
             stream.reconfigure(errors="backslashreplace")
     logs.set_up()
-    arguments = _with_ports_joined(_with_default_microphone(sys.argv[1:] or ["--help"]))
+    arguments = _with_ports_joined(_with_default_devices(sys.argv[1:] or ["--help"]))
     try:
         status = _run(arguments)
     except typer.Exit as end:
@@ -46,9 +46,13 @@ def main() -> None:
         complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
         status = 1
     except ModuleNotFoundError as error:
-        if RUNS_FACES or error.name not in ("fcntl", "termios", "tty"):
+        library = (error.name or "").partition(".")[0]
+        if library in EXTRA_OF:
+            complain(f"this needs {library}: `pip install '{EXTRA_OF[library]}'`")
+        elif not RUNS_FACES and library in ("fcntl", "termios", "tty"):
+            complain(NEEDS_LINUX)
+        else:
             raise
-        complain(NEEDS_LINUX)
         status = 1
     except typer.Abort:
         complain("the input ended before all questions were answered; no file was written")
@@ -106,13 +110,16 @@ def _usage_line(error: typer.TyperException) -> str:
     return f"{message.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"
 
 
-def _with_default_microphone(arguments: list[str]) -> list[str]:
-    """Return the arguments with `default` after a bare `--mic`; options of typer need a value."""
+def _with_default_devices(arguments: list[str]) -> list[str]:
+    """Return the arguments with `default` after a bare `--mic` or `--play`.
+
+    Options of typer need a value.
+    """
     completed: list[str] = []
     following = [*arguments[1:], "-"]
     for argument, after in zip(arguments, following, strict=True):
         completed.append(argument)
-        if argument == "--mic" and after.startswith("-"):
+        if argument in ("--mic", "--play") and after.startswith("-"):
             completed.append("default")
     return completed
 

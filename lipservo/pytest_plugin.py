@@ -1,6 +1,7 @@
-"""pytest fixture `simulated_face`: a running face without servos, for tests of its clients.
+"""pytest fixtures `simulated_face` and `shared_simulated_face`: a running face without servos.
 
-pytest finds it by itself wherever lipservo is installed. docs/simulator.md has a recipe for CI.
+For tests of its clients; pytest finds them by itself wherever lipservo is installed.
+docs/simulator.md has a recipe for CI.
 """
 
 import json
@@ -12,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,7 +29,7 @@ _PATIENCE_S: Final = 120.0
 
 
 class SimulatedFace:
-    """A `lipservo daemon` with simulated servos, running for one test.
+    """A `lipservo daemon` with simulated servos and a silent loudspeaker, running for tests.
 
     Attributes
     ----------
@@ -65,8 +67,17 @@ class SimulatedFace:
 
         return connect(self.url, self.token)
 
+    def clip(self, duration_s: float | None = None) -> tuple[bytes, int]:
+        """Return recorded speech, at most `duration_s` of it, and its rate: arguments of `play`."""
+        import soundfile
+
+        with (resources.files("lipservo.clips") / "welcome.flac").open("rb") as file:
+            samples, rate_hz = soundfile.read(file, dtype="int16")
+        n = None if duration_s is None else round(duration_s * rate_hz)
+        return samples[:n].astype("<i2").tobytes(), rate_hz
+
     def play(self, samples: bytes, rate_hz: int) -> None:
-        """Let the face speak a sound, and return when the sound would have been played.
+        """Let the face speak a sound, and return when it was played.
 
         Parameters
         ----------
@@ -75,15 +86,9 @@ class SimulatedFace:
         rate_hz : int
             Samples per second, 8,000 to 96,000.
         """
-        duration_s = len(samples) / 2 / rate_hz
-        with self.connect() as face, face.stream(rate_hz, playback="client") as speech:
+        with self.connect() as face, face.stream(rate_hz) as speech:
             speech.write(samples)
-            began_s = time.monotonic()
-            played_s = 0.0
-            while played_s < duration_s:
-                time.sleep(_POLL_S)
-                played_s = min(time.monotonic() - began_s, duration_s)
-                speech.report_played(played_s)
+            speech.wait()
 
     def encoders_deg(self) -> dict[str, float]:
         """Return each servo's position by its encoder, in degrees of its joint, by name.
@@ -160,31 +165,45 @@ class SimulatedFace:
         self._is_over.set()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def simulated_face_config() -> str:
     """Return the face of `simulated_face`, a shipped name or a YAML file; can be overridden."""
     return "face_sim"
 
 
 @pytest.fixture
-def simulated_face(
-    simulated_face_config: str, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[SimulatedFace]:
+def simulated_face(simulated_face_config: str) -> Iterator[SimulatedFace]:
     """Yield a running face that only this test finds, whichever other faces run beside it.
 
     Servos that its YAML has at a port are simulated behind pseudo-terminals: none moves.
     """
+    with _started(simulated_face_config) as face:
+        yield face
+
+
+@pytest.fixture(scope="session")
+def shared_simulated_face(simulated_face_config: str) -> Iterator[SimulatedFace]:
+    """Yield one running face for all tests of a session, which connect to it and never end it."""
+    with _started(simulated_face_config) as face:
+        yield face
+
+
+@contextmanager
+def _started(config: str) -> Iterator[SimulatedFace]:
     # Here, since pytest loads this module for every test of every project.
     from lipservo.runtime.servos.assembly import load_settings
     from lipservo.runtime.servos.sim_process import servo_port
 
-    in_memory = load_settings(simulated_face_config)[0].capabilities.in_memory
+    in_memory = load_settings(config)[0].capabilities.in_memory
     folder = Path(tempfile.mkdtemp(prefix="lipservo-"))  # short: a socket's address has 107 bytes
-    monkeypatch.setenv("LIPSERVO_RUNTIME", str(folder))
-    monkeypatch.setenv("LIPSERVO_STATE", str(folder / "state"))
     try:
-        with servo_port(None, None if in_memory else "pty", simulated_face_config) as port:
-            arguments = ["--config", simulated_face_config, "--listen", "127.0.0.1:0"]
+        with (
+            pytest.MonkeyPatch.context() as environment,
+            servo_port(None, None if in_memory else "pty", config) as port,
+        ):
+            environment.setenv("LIPSERVO_RUNTIME", str(folder))
+            environment.setenv("LIPSERVO_STATE", str(folder / "state"))
+            arguments = ["--config", config, "--listen", "127.0.0.1:0", "--play", "silent"]
             arguments += [] if port is None else ["--port", port]
             with _daemon([*arguments, "--trace", str(folder / "trace.jsonl")]) as process:
                 face = SimulatedFace(process, folder)

@@ -2,12 +2,11 @@
 
 A viseme covers several phonemes; its row in alphabets.yaml has the one phone that moves the mouth
 in their place, and the reason. Phonemes of any language are given in IPA (ipa.yaml), or in a
-spelling that is turned into IPA letter by letter: X-SAMPA, and misaki, the phoneme alphabet of
-Kokoro. docs/text.md shows the tables.
+spelling that is turned into IPA letter by letter: X-SAMPA, misaki, the phoneme alphabet of Kokoro,
+and that of VOICEVOX for Japanese. docs/text.md shows the tables.
 """
 
 import re
-import unicodedata
 from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.resources import files
@@ -15,6 +14,7 @@ from types import MappingProxyType
 from typing import Final
 
 import yaml
+from lipservo_client.alphabet import PAUSES, arpabet_phone, is_pause, without_place
 
 from lipsync.errors import UserError, shown
 from lipsync.ipa import phones_of_ipa
@@ -26,9 +26,7 @@ ARPABET: Final = "arpabet"
 IPA: Final = "ipa"
 X_SAMPA: Final = "x-sampa"
 #: Other letters for IPA's.
-_SPELLINGS: Final = (X_SAMPA, "misaki")
-#: Pauses by name, and Piper's marks of beginning and end; punctuation is a pause as well.
-_PAUSES: Final = frozenset((SILENCE, "sil", "sp", "pau", "", "^", "$", "_"))
+_SPELLINGS: Final = (X_SAMPA, "misaki", "voicevox")
 
 #: Marks of X-SAMPA that stand for no letter: `_h`, aspirated.
 _MARK: Final = re.compile(r"_[^_\\]\\?")
@@ -52,7 +50,7 @@ def _tables() -> Mapping[str, Mapping[str, tuple[str, ...]]]:
 @cache
 def viseme_sets() -> Mapping[str, Mapping[str, tuple[str, str]]]:
     """Return, by name of the viseme set, a table from viseme label to (phone, reason for it)."""
-    sets = {name: rows for name, rows in _tables().items() if name not in _SPELLINGS}
+    sets = {name: rows for name, rows in _tables().items() if name not in (IPA, *_SPELLINGS)}
     return MappingProxyType(
         {
             name: {label: (row[0], row[1]) for label, row in rows.items()}
@@ -66,23 +64,25 @@ def alphabets() -> tuple[str, ...]:
     return (ARPABET, IPA, *_SPELLINGS, *viseme_sets())
 
 
-def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
-    """Return our inventory's phones for one `label` of an `alphabet` ("": ARPAbet).
+def phones_of(label: str, alphabet: str = ARPABET, *, guesses: bool = True) -> tuple[str, ...]:
+    """Return our inventory's phones for one `label` of an `alphabet` ("": ARPAbet, in any case).
 
-    Empty for a label that is only a mark, such as a length mark: the phone before it goes on. An
-    IPA letter that ipa.yaml lacks is guessed. Raises AlphabetError for an unknown alphabet or
-    label.
+    Empty for a label that is only a mark, such as a length mark: the phone before it goes on.
+    guesses: an IPA letter that ipa.yaml lacks becomes the most similar that it has; else it is
+    refused. Raises AlphabetError for an unknown alphabet or label.
     """
     if alphabet in ("", ARPABET):
-        phone = label.rstrip("012") or label
-        if phone not in VISEME_OF:
+        if is_pause(label):
+            return (SILENCE,)
+        phone = arpabet_phone(label)
+        if phone is None:
             raise AlphabetError(
-                f"{shown(label)} is no phoneme; use ARPAbet in upper case, SIL for silence, or "
-                f"name the alphabet: {', '.join(alphabets())}"
+                f"{shown(label)} is no phoneme of ARPAbet; write SIL for silence, or name the "
+                f"alphabet: {', '.join(alphabets())}"
             )
         return (phone,)
     if alphabet in (IPA, *_SPELLINGS):
-        return _spelled(label, alphabet)
+        return _spelled(label, alphabet, guesses=guesses)
     visemes = viseme_sets().get(alphabet)
     if visemes is None:
         raise AlphabetError(
@@ -135,20 +135,23 @@ def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) 
     return [SpokenUnit(each, bounds[n], bounds[n + 1]) for n, each in enumerate(phones)]
 
 
-def _spelled(label: str, alphabet: str) -> tuple[str, ...]:
-    if label in _PAUSES:
-        return (SILENCE,)
+def _spelled(label: str, alphabet: str, *, guesses: bool) -> tuple[str, ...]:
     # Vowels of X-SAMPA are punctuation.
-    if alphabet != X_SAMPA and all(unicodedata.category(sign).startswith("P") for sign in label):
+    if label.lower() in PAUSES or (alphabet != X_SAMPA and is_pause(label)):
         return (SILENCE,)
-    if alphabet != IPA:
-        return phones_of_ipa(_as_ipa(label, alphabet)).phones
-    arpabet = label.rstrip("012")
-    return (arpabet,) if arpabet in VISEME_OF else phones_of_ipa(label).phones
+    if alphabet == IPA:
+        label = without_place(label)
+        label = _tables()[IPA].get(label, (label,))[0]
+        if (arpabet := label.rstrip("012")) in VISEME_OF:
+            return (arpabet,)
+    found = phones_of_ipa(label if alphabet == IPA else _as_ipa(label, alphabet))
+    if found.is_guess and not guesses:
+        raise AlphabetError(f"{shown(label)} is no phoneme of {alphabet}; mend it")
+    return found.phones
 
 
 def _as_ipa(label: str, alphabet: str) -> str:
-    """Return a label of X-SAMPA or misaki (`alphabet`) in IPA; letters not in its table are kept.
+    """Return a label in IPA; letters that the table of its `alphabet` lacks are kept.
 
     The longest symbols are replaced first.
     """

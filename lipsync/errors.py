@@ -6,6 +6,7 @@ tests/project/test_dependencies.py compares them.
 
 import reprlib
 from importlib.util import find_spec
+from pathlib import Path
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
@@ -37,6 +38,9 @@ EXTRA_OF = {
     "PIL": "lipservo[film]",
     "av": "lipservo[film]",
     "cv2": "lipservo[dots]",
+    "scipy": "lipservo[fit]",
+    "sklearn": "lipservo[fit]",
+    "threadpoolctl": "lipservo[fit]",
     "mediapipe": "lipservo[video]",
     "matplotlib": "lipservo[plots]",
     "rustypot": "lipservo-lab[bench]",
@@ -62,6 +66,18 @@ EXTRA_OF = {
 
 class MissingExtraError(UserError):
     """Error for a library, needed by a command, that is not installed; one line names its extra."""
+
+
+def check_inputs(*paths: Path | None) -> None:
+    """Raise UserError for a file that cannot be read; None and folders are accepted."""
+    for path in paths:
+        if path is None or path.is_dir():
+            continue
+        try:
+            path.open("rb").close()
+        except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
+            reason = getattr(error, "strerror", None) or error
+            raise UserError(f"{path}: cannot be read: {reason}") from error
 
 
 def check_extra(library: str, purpose: str) -> None:

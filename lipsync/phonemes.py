@@ -130,7 +130,8 @@ class PhonemeUpdate:
     have begun before `replace_from_s`: it is then the phoneme that continues at that time, with its
     true start. The sound was heard until `heard_until_s`; no phoneme before `final_until_s` changes
     again. posteriors: of the frames heard since the last update, from which the events were
-    decided; None where no frame was heard, or the phonemes are known beforehand.
+    decided; None where no frame was heard, or the phonemes are known beforehand. evidence: the
+    same, also where the phonemes were decided by a text.
     """
 
     replace_from_s: float
@@ -138,6 +139,7 @@ class PhonemeUpdate:
     final_until_s: float
     events: tuple[PhonemeEvent, ...]
     posteriors: FramePosteriors | None = field(default=None, compare=False, repr=False)
+    evidence: FramePosteriors | None = field(default=None, compare=False, repr=False)
 
 
 class PhonemeScript(Protocol):

@@ -9,9 +9,10 @@ Loads SciPy; the live path never does.
 
 import json
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import qmc
@@ -293,6 +294,145 @@ class CapturedPose:
     markers_mm: Array
 
 
+#: How a line begins; what begins otherwise is no pose cut short.
+_LINE_HEAD = '{"pose": '
+#: Goals are written with four digits.
+_SAME_DEG = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class KeptPoses:
+    """Captured poses in a file, a JSON line each; the latest line of a pose counts.
+
+    path: None: nothing is kept. first: the number of the plan's first pose in the file, for poses
+    that are taken after those of another plan.
+    """
+
+    path: Path | None = None
+    first: int = 0
+
+    def read(self, plan: PosePlan, marker_names: tuple[str, ...]) -> list[CapturedPose]:
+        """Return the poses of `plan` in the file; remove an unfinished last line from the file.
+
+        No file: empty list. The file ends, for this plan, at the first pose beyond it, since a plan
+        is extended by what its poses show. Raises CalibrationError for a file of another plan or a
+        damaged one.
+        """
+        poses: dict[int, CapturedPose] = {}
+        for number, line in self._lines():
+            try:
+                index = int(str(line["pose"])) - self.first
+                if index >= len(plan):
+                    break
+                if index >= 0:
+                    poses[index] = _pose(line, index, plan, marker_names)
+            except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+                raise self._foreign(number) from error
+        return list(poses.values())
+
+    def add(self, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]) -> None:
+        """Append a pose of `plan`. Raises CalibrationError where the file cannot be written."""
+        if self.path is None:
+            return
+        points = [
+            [float(f"{v:.4f}") if np.isfinite(v) else None for v in place]
+            for place in pose.markers_mm
+        ]
+        line = {
+            "pose": self.first + pose.index,
+            "servos": plan.servo_names,
+            "markers": marker_names,
+            "goals_deg": [float(f"{v:.4f}") for v in plan.goals_deg[pose.index]],
+            "reached_deg": [float(f"{v:.4f}") for v in pose.reached_deg],
+            "markers_mm": points,
+        }
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise CalibrationError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+    def after(self, n_planned: int, plan: PosePlan) -> "KeptPoses":
+        """Return the place in the file of a plan whose poses are taken after `n_planned` others.
+
+        Poses of an earlier plan in that place, as of another fit, stay; new ones come after them.
+        """
+        taken = {int(line["pose"]): line for _, line in self._lines()}
+        first = n_planned
+        while not all(
+            row + first not in taken or _has_goals(taken[row + first], plan.goals_deg[row])
+            for row in range(len(plan))
+        ):
+            first += len(plan)
+        return replace(self, first=first)
+
+    def markers_mm(self) -> Mapping[int, Mapping[str, Array]]:
+        """Return the markers (3,) mm of every pose in the file, by its number and their names.
+
+        A marker that was not seen is NaN. Raises CalibrationError for a damaged file.
+        """
+        found: dict[int, Mapping[str, Array]] = {}
+        for number, line in self._lines():
+            try:
+                places = (np.array(place, dtype=np.float64) for place in line["markers_mm"])
+                found[int(line["pose"])] = dict(zip(line["markers"], places, strict=True))
+            except (ValueError, KeyError, TypeError) as error:
+                raise self._foreign(number) from error
+        return found
+
+    def _lines(self) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Yield number and content of each line, after an unfinished last one was removed."""
+        if self.path is None or not self.path.exists():
+            return
+        try:
+            lines = self.path.read_text(encoding="utf-8").split("\n")
+        except (OSError, UnicodeDecodeError) as error:
+            raise CalibrationError(
+                f"{self.path}: not readable as kept poses; name another file"
+            ) from error
+        if lines[-1]:  # cut short while writing, or a file of somebody else's
+            if not lines[-1].startswith(_LINE_HEAD[: len(lines[-1])]):
+                raise self._foreign(len(lines))
+            write_whole(self.path, "".join(line + "\n" for line in lines[:-1]))
+        for number, line in enumerate(lines[:-1], start=1):
+            try:
+                content = json.loads(line)
+                int(str(content["pose"]))
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
+                raise self._foreign(number) from error
+            yield number, content
+
+    def _foreign(self, number: int) -> CalibrationError:
+        return CalibrationError(
+            f"{self.path}, line {number}: not a pose of this face and plan; "
+            "name another file or remove this one"
+        )
+
+
+def _has_goals(line: Mapping[str, Any], goals_deg: Array) -> bool:
+    kept_deg = np.array(line["goals_deg"], dtype=np.float64)
+    return kept_deg.shape == goals_deg.shape and np.allclose(kept_deg, goals_deg, atol=_SAME_DEG)
+
+
+def _pose(
+    line: Mapping[str, Any], index: int, plan: PosePlan, marker_names: tuple[str, ...]
+) -> CapturedPose:
+    if line["servos"] != list(plan.servo_names) or line["markers"] != list(marker_names):
+        raise ValueError("another face")
+    if not _has_goals(line, plan.goals_deg[index]):
+        raise ValueError("another plan")
+    points = np.array(line["markers_mm"], dtype=np.float64)  # null becomes NaN
+    if points.shape != (len(marker_names), 3):
+        raise ValueError("wrong number of markers")
+    return CapturedPose(index, np.array(line["reached_deg"], dtype=np.float64), points)
+
+
+#: Nothing is kept.
+NOT_KEPT = KeptPoses()
+
+
 def capture_poses(
     plan: PosePlan,
     marker_names: tuple[str, ...],
@@ -310,9 +450,10 @@ def capture_poses(
     called with a pose's row and reached angles before it is measured; progress is called with the
     number of poses done. Raises CalibrationError for a `keep` of another plan.
     """
-    poses = [] if keep is None else read_kept(keep, plan, marker_names)
+    kept = KeptPoses(keep)
+    poses = kept.read(plan, marker_names)
     on = Robot(move, measure, arrived, progress)
-    return gather(plan, marker_names, take_poses(plan, marker_names, on, poses, keep))
+    return gather(plan, marker_names, take_poses(plan, marker_names, on, poses, kept))
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,14 +478,14 @@ def take_poses(
     marker_names: tuple[str, ...],
     on: Robot,
     poses: list[CapturedPose],
-    keep: Path | None,
+    kept: KeptPoses = NOT_KEPT,
     pressing: Collection[int] = (),
 ) -> list[CapturedPose]:
     """Return `poses` and those of the plan missing from `poses`, which robot `on` moves to now.
 
-    The robot is at neutral afterwards. keep: file to which each new pose is appended; None: no
-    file. pressing: rows of poses that close the lips farther and farther; once a servo is strained
-    in one of these, the remaining ones are left out.
+    The robot is at neutral afterwards. kept: the file to which each new pose is added. pressing:
+    rows of poses that close the lips farther and farther; once a servo is strained in one of these,
+    the remaining ones are left out.
     """
     poses = list(poses)
     done = {pose.index for pose in poses}
@@ -353,8 +494,7 @@ def take_poses(
         for index in range(len(plan)):
             if index not in done and index not in left_out:
                 poses.append(take_pose(plan, index, on))
-                if keep is not None:
-                    keep_pose(keep, poses[-1], plan, marker_names)
+                kept.add(poses[-1], plan, marker_names)
                 if index in pressing and on.strained() is not None:
                     left_out = set(pressing)
             on.progress(len(poses))
@@ -401,88 +541,3 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
         rows=tuple(rows),
         ladders=ladders_of(plan)[rows],
     )
-
-
-#: How `keep_pose` begins a line; what begins otherwise is no pose cut short.
-_LINE_HEAD = '{"pose": '
-
-
-def read_kept(
-    keep: Path, plan: PosePlan, marker_names: tuple[str, ...], *, goes_on: bool = False
-) -> list[CapturedPose]:
-    """Return the poses in the file `keep`; remove an unfinished last line from the file.
-
-    No file: empty list. goes_on: stop at the first pose beyond the plan, because the plan will be
-    extended; that pose and all later lines are ignored. Raises CalibrationError for a file of
-    another plan or a damaged one.
-    """
-    if not keep.exists():
-        return []
-    poses: dict[int, CapturedPose] = {}
-    try:
-        lines = keep.read_text(encoding="utf-8").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{keep}: not readable as kept poses; name another file") from error
-    for number, line in enumerate(lines[:-1]):
-        try:
-            content = json.loads(line)
-            if goes_on and int(str(content["pose"])) >= len(plan):
-                break
-            pose = _kept_pose(content, plan, marker_names)
-            poses[pose.index] = pose
-        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-            raise CalibrationError(
-                f"{keep}, line {number + 1}: not a pose of this face and plan; "
-                "name another file or remove this one"
-            ) from error
-    if lines[-1]:  # cut short while writing, or a file of somebody else's
-        if not lines[-1].startswith(_LINE_HEAD[: len(lines[-1])]):
-            raise CalibrationError(
-                f"{keep}, line {len(lines)}: not a pose of this face and plan; "
-                "name another file or remove this one"
-            )
-        write_whole(keep, "".join(line + "\n" for line in lines[:-1]))
-    return list(poses.values())
-
-
-def _kept_pose(
-    line: dict[str, object], plan: PosePlan, marker_names: tuple[str, ...]
-) -> CapturedPose:
-    if line["servos"] != list(plan.servo_names) or line["markers"] != list(marker_names):
-        raise ValueError("another face")
-    index = int(str(line["pose"]))
-    goals_deg = np.array(line["goals_deg"], dtype=np.float64)
-    if not np.allclose(goals_deg, plan.goals_deg[index], atol=1e-3):
-        raise ValueError("another plan")
-    points = np.array(line["markers_mm"], dtype=np.float64)  # null becomes NaN
-    if points.shape != (len(marker_names), 3):
-        raise ValueError("wrong number of markers")
-    return CapturedPose(index, np.array(line["reached_deg"], dtype=np.float64), points)
-
-
-def keep_pose(
-    keep: Path, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]
-) -> None:
-    """Append a pose of `plan` to the file `keep` as a JSON line; the latest line of a pose counts.
-
-    Raises CalibrationError where the file cannot be written.
-    """
-
-    def plain(points: Array) -> list[list[float | None]]:
-        return [[float(f"{v:.4f}") if np.isfinite(v) else None for v in p] for p in points]
-
-    line = {
-        "pose": pose.index,
-        "servos": plan.servo_names,
-        "markers": marker_names,
-        "goals_deg": [float(f"{v:.4f}") for v in plan.goals_deg[pose.index]],
-        "reached_deg": [float(f"{v:.4f}") for v in pose.reached_deg],
-        "markers_mm": plain(pose.markers_mm),
-    }
-    try:
-        with keep.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise CalibrationError(f"{keep}: cannot be written: {error.strerror}") from error

@@ -1,8 +1,8 @@
 """Range files of LeRobot, which contain the recorded range of each servo in ticks.
 
-A file contains, for each joint, `id, drive_mode, homing_offset, range_min, range_max` in ticks
-(4,096 per turn). Joint degrees need the tick of the neutral besides: without it, the middle of the
-range is taken.
+A file contains, for each joint, `id, drive_mode, homing_offset, range_min, range_max` in ticks,
+which are the steps of the servo's own position register: the model of the servo says how many there
+are, and how many make a degree.
 """
 
 import json
@@ -13,13 +13,15 @@ from pathlib import Path
 from calibration.calibration import CalibrationError
 from lipsync.errors import shown
 
-TICKS_A_TURN = 4096
+#: Of Feetech; Dynamixels have one less.
+_HIGHEST_ID = 253
+_WHOLE = 0.99
 _KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedRange:
-    """One joint's recorded range, in encoder ticks, 4,096 per turn, as LeRobot writes them."""
+    """One joint's recorded range, in steps of its servo, as LeRobot writes them."""
 
     name: str
     servo_id: int
@@ -28,17 +30,13 @@ class RecordedRange:
     least_tick: int
     most_tick: int
 
-    def limits_deg(self, neutral_tick: int | None = None) -> tuple[float, float]:
-        """Return both ends of the range in joint degrees from neutral, ascending.
+    def span_deg(self, ticks_per_deg: float) -> float:
+        """Return the width of the range in degrees, of a servo with so many ticks per degree."""
+        return (self.most_tick - self.least_tick) / ticks_per_deg
 
-        neutral_tick: the encoder's value at neutral; None: the middle of the range. A reversed
-        drive changes both signs, so the ends change places.
-        """
-        neutral = (self.least_tick + self.most_tick) / 2 if neutral_tick is None else neutral_tick
-        ends = [
-            (tick - neutral) * 360.0 / TICKS_A_TURN for tick in (self.least_tick, self.most_tick)
-        ]
-        return (-ends[1], -ends[0]) if self.reversed else (ends[0], ends[1])
+    def is_whole(self, n_positions: int) -> bool:
+        """Return whether the range is all positions of its servo: it was not recorded by hand."""
+        return self.most_tick - self.least_tick >= _WHOLE * (n_positions - 1)
 
 
 def read_ranges(path: Path) -> Mapping[str, RecordedRange]:
@@ -81,11 +79,13 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
         if isinstance(value, bool) or not isinstance(value, int):
             raise CalibrationError(f"{place}.{key} is {shown(value)}, expected a whole number")
         values[key] = value
-    if not 0 <= values["range_min"] < values["range_max"] < TICKS_A_TURN:
+    if not 0 <= values["range_min"] < values["range_max"]:
         raise CalibrationError(
-            f"{place}: needs 0 <= range_min < range_max <= {TICKS_A_TURN - 1}, got "
-            f"{values['range_min']} and {values['range_max']}; record the range again"
+            f"{place}: needs 0 <= range_min < range_max, got {values['range_min']} and "
+            f"{values['range_max']}; record the range again"
         )
+    if not 0 <= values["id"] <= _HIGHEST_ID:
+        raise CalibrationError(f"{place}.id is {values['id']}; servos have 0 to {_HIGHEST_ID}")
     return RecordedRange(
         name,
         values["id"],
@@ -97,19 +97,24 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
 
 
 def check_within_recorded(
-    ranges: Mapping[str, RecordedRange], limits_deg: Mapping[str, tuple[float, float]]
+    ranges: Mapping[str, RecordedRange],
+    limits_deg: Mapping[str, tuple[float, float]],
+    ticks_per_deg: Mapping[str, float | None],
 ) -> None:
     """Raise CalibrationError for a joint without a recorded range, or with limits wider than it.
 
-    limits_deg: of the face, by joint. Only widths are compared: the face's YAML defines the
-    neutral.
+    limits_deg: of the face, by joint. ticks_per_deg: of its servo, None where that has no ticks.
+    Only widths are compared: the face's YAML defines the neutral.
     """
     for name, (low, high) in limits_deg.items():
         if name not in ranges:
             raise CalibrationError(f"servo {name!r} is not in the range file; record its range")
-        least, most = ranges[name].limits_deg()
-        if high - low > most - least:
+        per_deg = ticks_per_deg[name]
+        if per_deg is None:
+            raise CalibrationError(f"servo {name!r} has no ticks; no range file is of it")
+        span_deg = ranges[name].span_deg(per_deg)
+        if high - low > span_deg:
             raise CalibrationError(
                 f"servo {name!r}: its limits span {high - low:.0f} deg, its recorded range "
-                f"{most - least:.0f}; narrow min_deg and max_deg in the face YAML"
+                f"{span_deg:.0f}; narrow min_deg and max_deg in the face YAML"
             )

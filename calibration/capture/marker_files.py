@@ -12,9 +12,12 @@ import csv
 import io
 import json
 import math
+import os.path
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +29,10 @@ from lipsync.errors import check_extra, shown
 from lipsync.output_file import write_whole
 
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+#: Channels that stand beside the points and are no places (The C3D File Format, POINT:ANGLES ...).
+_NO_PLACES = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+#: The second byte of every C3D file.
+_C3D_KEY = b"\x50"
 _AXIS = re.compile(r"^([+-]?)([xyz])$")
 
 
@@ -72,34 +79,73 @@ def read_c3d(path: Path) -> dict[str, Array]:
     Returns
     -------
     dict[str, Array]
-        (3,) mm by label; NaN for one never seen.
+        (3,) mm by label; NaN for one never seen: its residual is negative, or all its coordinates
+        are 0, as systems write what they have lost. Angles, forces and points without a label are
+        left out.
 
     Raises
     ------
     CalibrationError
-        The file is no C3D file, or its unit is unknown.
+        The file is no C3D file, its unit is unknown, or two of its points have one label.
     MissingExtraError
         ezc3d is not installed.
     """
+    _check_is_c3d(path)
     check_extra("ezc3d", f"{path}: reading C3D")
     import ezc3d
 
     try:
         content = ezc3d.c3d(str(path))
-        labels = [str(label) for label in content["parameters"]["POINT"]["LABELS"]["value"]]
-        unit = str(content["parameters"]["POINT"]["UNITS"]["value"][0]).strip()
+        about = content["parameters"]["POINT"]
+        labels = _c3d_texts(about, "LABELS")
+        others = {each for kind in _NO_PLACES for each in _c3d_texts(about, kind)}
+        unit = next((str(each).strip() for each in about["UNITS"]["value"]), "")
         points = np.asarray(content["data"]["points"], dtype=np.float64)[:3]
+        residuals = np.asarray(content["data"]["meta_points"]["residuals"], dtype=np.float64)[0]
     except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
         raise CalibrationError(f"{path}: not readable as C3D") from error
     if unit not in _MM_PER_UNIT:
-        raise CalibrationError(f"{path}: unit {unit!r}, expected {', '.join(_MM_PER_UNIT)}")
-    seen = np.asarray(np.isfinite(points).all(axis=0), dtype=np.bool_).reshape(points.shape[1:])
-    return {
-        label: _MM_PER_UNIT[unit] * np.median(points[:, i, seen[i]], axis=1)
-        if seen[i].any()
-        else np.full(3, np.nan)
-        for i, label in enumerate(labels)
-    }
+        raise CalibrationError(
+            f"{path}: unit {unit!r} (POINT:UNITS), expected {', '.join(_MM_PER_UNIT)}; export it "
+            "with its unit"
+        )
+    named = [(i, label) for i, label in enumerate(labels) if label and label not in others]
+    twice = [label for label, n in Counter(label for _, label in named).items() if n > 1]
+    if twice:
+        raise CalibrationError(
+            f"{path}: {len(twice)} labels are those of several points, as {shown(twice[0])}; give "
+            "each point its own"
+        )
+    lost = ~np.isfinite(points).all(axis=0) | (residuals < 0.0) | (points == 0.0).all(axis=0)
+    places = {}
+    for i, label in named:
+        seen = points[:, i, ~lost[i]] if i < points.shape[1] else points[:, :0, 0]
+        middle = np.median(seen, axis=1) if seen.size else np.full(3, np.nan)
+        places[label] = _MM_PER_UNIT[unit] * middle
+    return places
+
+
+def _check_is_c3d(path: Path) -> None:
+    """Raise CalibrationError for a file that does not begin as C3D does: ezc3d may hang on it."""
+    if not os.path.isfile(path):  # of a name that is too long Path raises
+        raise CalibrationError(f"{str(path)[:200]!r}: no such file")
+    try:
+        with path.open("rb") as file:
+            is_c3d = file.read(2)[1:] == _C3D_KEY
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    if not is_c3d:
+        raise CalibrationError(f"{path}: not readable as C3D")
+
+
+def _c3d_texts(about: Mapping[str, Any], name: str) -> list[str]:
+    """Return a list of texts of the group POINT; that of more than 255 goes on in NAME2, NAME3."""
+    parts = (about[each]["value"] for n in range(1, 10) if (each := _part(name, n)) in about)
+    return [str(text).strip() for part in parts for text in part]
+
+
+def _part(name: str, n: int) -> str:
+    return name if n == 1 else f"{name}{n}"
 
 
 def _axes_matrix(axes: str) -> Array:

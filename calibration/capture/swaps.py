@@ -8,18 +8,18 @@ are exchanged.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import (
+    NOT_KEPT,
     Capture,
     CapturedPose,
+    KeptPoses,
     PosePlan,
     Robot,
     gather,
-    keep_pose,
     take_pose,
 )
 from calibration.capture.straight_lines import straight_lines
@@ -203,7 +203,7 @@ def put_right(
     marker_names: tuple[str, ...],
     on: Robot,
     poses: list[CapturedPose],
-    keep: Path | None = None,
+    kept: KeptPoses = NOT_KEPT,
     report: Callable[[str], None] = lambda _: None,
     expected_mm: Array | None = None,
 ) -> list[CapturedPose]:
@@ -217,8 +217,8 @@ def put_right(
         The capture's plan, its markers' names, and the robot to move.
     poses : list[CapturedPose]
         All captured poses.
-    keep : Path | None
-        File to which the corrected poses are added; None: no file.
+    kept : KeptPoses
+        File to which the corrected poses are added.
     report : Callable[[str], None]
         Called with a line for each such pose.
     expected_mm : Array | None
@@ -253,8 +253,7 @@ def put_right(
             pose = replace(pose, markers_mm=exchanged(one, swaps)[0])
             report(f"pose {index + 1}: the tracker exchanged {pairs} {_LOOKS} times: named anew")
         again[index] = pose
-        if keep is not None:
-            keep_pose(keep, pose, plan, marker_names)
+        kept.add(pose, plan, marker_names)
     if found:
         on.move(np.zeros(len(plan.servo_names)))
     return list(again.values())

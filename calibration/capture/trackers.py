@@ -1,4 +1,4 @@
-"""Sources of markers while a robot holds a pose: a file or folder being filled, or the keyboard.
+"""Sources of markers while a robot holds a pose: a file or folder that is being filled.
 
 A tracker gets the number of every pose (`arrived`) and then returns its markers (`measure`). It
 waits by a function that the caller passes, so that the servos are held meanwhile.
@@ -7,6 +7,7 @@ waits by a function that the caller passes, so that the servos are held meanwhil
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -21,8 +22,6 @@ from lipsync.output_file import write_whole
 Wait = Callable[[float], None]
 #: A line for a person.
 Say = Callable[[str], None]
-#: A question to a person, and the answer.
-Ask = Callable[[str], str]
 
 #: The readings of one pose: pose, marker, place (3,) in mm.
 ReadPose = Callable[[int], list[tuple[int, str, Array]]]
@@ -34,6 +33,10 @@ _QUIET_S = 0.5
 PATIENCE_S = 300.0
 #: What tells another program which pose stands, beside the file or in the folder.
 POSE_FILE = "pose.json"
+#: A pose that was read twice is the same within the digits in which it is kept; a tracker's noise
+#: is ten times as much.
+_SAME_MM = 0.05
+_NOTHING_KEPT: Mapping[int, Mapping[str, Array]] = MappingProxyType({})
 
 
 class Tracker(Protocol):
@@ -81,12 +84,16 @@ class FileTracker:
         *,
         axes: str = "x y z",
         read: ReadPose | None = None,
+        kept: Mapping[int, Mapping[str, Array]] = _NOTHING_KEPT,
     ) -> None:
         """Wait until pose 0, the neutral, is recorded. Raises CalibrationError after 300 s.
 
+        Also raised if the poses recorded in `path` are not those of `kept`.
+
         wait: lets seconds pass, servos held; say: called with lines for the user; axes: of C3D
         files, to left, up, forward. read: function that returns the readings of one pose; None:
-        `path` is read as file or folder.
+        `path` is read as file or folder. kept: markers (3,) mm of the poses that an interrupted
+        capture kept, by their numbers from 0 and the markers' names.
         """
         self._path = path
         self._servo_names = servo_names
@@ -94,8 +101,9 @@ class FileTracker:
         self._axes, self._read = axes, read
         self._names: tuple[str, ...] = ()
         self._pose = 0
-        self._requested: set[int] = set()
+        self._requested = {number + 1 for number in kept}
         try:
+            self._check_of_this_capture(kept)
             if not self._readings(0):
                 self._announce(0, np.zeros(len(servo_names)))
             self._names = tuple(self._wait_for(0))
@@ -111,8 +119,9 @@ class FileTracker:
     def arrived(self, pose: int, reached_deg: Array) -> None:
         """Announce a pose to the recorder in `pose.json`, and to the user.
 
-        Raises CalibrationError where the pose was recorded before this capture. A pose that the
-        robot holds a second time is not announced again.
+        A pose that the robot holds a second time, or that was recorded just before a capture was
+        interrupted, is not announced again. Raises CalibrationError where the file contains poses
+        that this capture never asked for.
 
         Parameters
         ----------
@@ -125,12 +134,13 @@ class FileTracker:
             self._pose = pose + 1
             return
         self._requested.add(pose + 1)
-        if self._readings(pose + 1):
-            raise CalibrationError(
-                f"{self._path}: pose {pose + 1} is there already, from an earlier capture; "
-                "name a new file, or go on with the --keep of that capture"
-            )
-        self._announce(pose + 1, reached_deg)
+        if not self._readings(pose + 1):
+            self._announce(pose + 1, reached_deg)
+            return
+        if self._readings(pose + 2):
+            raise self._of_another_capture(f"pose {pose + 1} is there already")
+        self._pose = pose + 1
+        self._say(f"pose {pose + 1} is in {self._path} already, and is read from there")
 
     def measure(self) -> Array:
         """Wait until the pose is recorded; return its markers. Raises CalibrationError after 300 s.
@@ -146,6 +156,27 @@ class FileTracker:
     def close(self) -> None:
         """Delete `pose.json`, which contains the pose that the robot holds."""
         self._pose_file.unlink(missing_ok=True)
+
+    def _check_of_this_capture(self, kept: Mapping[int, Mapping[str, Array]]) -> None:
+        """Raise CalibrationError if the last kept pose is recorded otherwise in the file."""
+        if not kept:
+            return
+        last = max(kept)
+        recorded = self._readings(last + 1)
+        apart_mm = [
+            float(np.linalg.norm(recorded[name] - place_mm))
+            for name, place_mm in kept[last].items()
+            if name in recorded and np.isfinite(place_mm).all()
+        ]
+        # Two names may have been put right since, and what was read anew has another median.
+        if apart_mm and np.median(apart_mm) > _SAME_MM:
+            raise self._of_another_capture(f"pose {last + 1} is not as it was captured")
+
+    def _of_another_capture(self, why: str) -> CalibrationError:
+        return CalibrationError(
+            f"{self._path}: {why}: of another capture; name a new file, or the --keep and -o of "
+            "that capture to go on with it"
+        )
 
     @property
     def _pose_file(self) -> Path:
@@ -200,54 +231,6 @@ class FileTracker:
         """Return whether the file is CSV and its last line is still being written."""
         is_csv = self._path.suffix.lower() == ".csv"
         return is_csv and not self._path.read_bytes().endswith(b"\n")
-
-
-class TypedTracker:
-    """A tracker whose markers a person measures and types: three numbers each, empty if hidden."""
-
-    def __init__(self, marker_names: tuple[str, ...], ask: Ask) -> None:
-        self._names = marker_names
-        self._ask = ask
-        self._pose = 0
-
-    @property
-    def marker_names(self) -> tuple[str, ...]:
-        """The names of the markers, as passed to the constructor."""
-        return self._names
-
-    def arrived(self, pose: int, _reached_deg: Array) -> None:
-        """Store the number of the pose that the robot holds, for the questions.
-
-        Parameters
-        ----------
-        pose : int
-            Counted from 0.
-        _reached_deg : Array
-            (n_servos,), not used.
-        """
-        self._pose = pose + 1
-
-    def measure(self) -> Array:
-        """Ask for each marker until the answer is three numbers or empty; return the markers.
-
-        Returns
-        -------
-        Array
-            (n_markers, 3) mm, NaN for an empty answer.
-        """
-        return np.array([self._typed(name) for name in self._names])
-
-    def _typed(self, name: str) -> Array:
-        while True:
-            words = self._ask(f"pose {self._pose}, {name}: x y z in mm").replace(",", " ").split()
-            if not words:
-                return np.full(3, np.nan)
-            try:
-                place_mm = np.array([float(word) for word in words])
-            except ValueError:
-                continue
-            if place_mm.shape == (3,) and np.isfinite(place_mm).all():
-                return place_mm
 
 
 class SeenByComputation:

@@ -136,10 +136,11 @@ _DEEPEST = 20
 PREVIOUS_SUFFIX = ".previous"
 
 
-def save_calibration(calibration: Calibration, path: Path) -> None:
+def save_calibration(calibration: Calibration, path: Path, *, keeps_previous: bool = True) -> None:
     """Write a calibration whole or not at all, and keep an existing file as `.previous`.
 
-    Equal calibrations give equal bytes. Raises OutputError if the file cannot be written, and
+    keeps_previous: False where the file there is an unfinished form of the same calibration. Equal
+    calibrations give equal bytes. Raises OutputError if the file cannot be written, and
     CalibrationError for a calibration that could not be read again, with NaN for instance.
     """
     text = calibration_text(calibration)
@@ -149,7 +150,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         raise CalibrationError(
             f"nothing is written, for it could not be used: {error}; look at the markers"
         ) from error
-    if path.exists():
+    if keeps_previous and path.exists():
         write_whole(path.with_name(path.name + PREVIOUS_SUFFIX), path.read_bytes())
     write_whole(path, text)
 

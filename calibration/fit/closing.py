@@ -23,7 +23,7 @@ from lipsync.arrays import Array
 
 #: Shapes in which lips are closed, millimetres of a step, and how far above the gap that is
 #: believed to be the closed one ladders begin.
-_N_SHAPES, _STEP_MM, _BEGIN_MM = 3, 0.4, 2.4
+N_SHAPES, _STEP_MM, _BEGIN_MM = 3, 0.4, 2.4
 #: Steps that come first, and that are added for as long as neither contact nor limits were seen.
 FIRST_STEPS, MORE_STEPS, MOST_STEPS = 10, 4, 26
 #: What a degree costs against a millimetre, so that joints that do little stay where they are.
@@ -73,7 +73,7 @@ def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> li
     list[Ladder]
         Ladders of goals in degrees.
     """
-    n_shapes = min(_N_SHAPES, len(np.unique(from_rest, axis=0)))
+    n_shapes = min(N_SHAPES, len(np.unique(from_rest, axis=0)))
     shapes = KMeans(n_shapes, n_init=2, random_state=0).fit(from_rest).cluster_centers_
     begin_mm = float(retargeting.closed_mm[0]) + _BEGIN_MM
     return [

@@ -6,9 +6,9 @@ face is known best where speech needs it. At the end the first poses are taken a
 what slipped, tore or was moved meanwhile. Loads scikit-learn; the live path never does.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -17,10 +17,12 @@ from threadpoolctl import threadpool_limits
 
 from calibration.calibration import CouplingRule
 from calibration.capture.capture import (
+    NOT_KEPT,
     STALL_DEG,
     Arrived,
     Capture,
     CapturedPose,
+    KeptPoses,
     Measure,
     Move,
     PosePlan,
@@ -31,7 +33,6 @@ from calibration.capture.capture import (
     plan_poses,
     plan_rows,
     reached_from,
-    read_kept,
     take_poses,
     usual_poses,
 )
@@ -48,12 +49,13 @@ from calibration.fit.closing import (
     FIRST_STEPS,
     MORE_STEPS,
     MOST_STEPS,
+    N_SHAPES,
     Ladder,
     plan_ladders,
     see_ladders,
 )
 from calibration.fit.measured import MeasuredFit, mouth_of, retargeting_of, split_frames
-from calibration.fit.measured_grade import graded, graded_poses
+from calibration.fit.measured_grade import N_GRADED, graded, graded_poses
 from calibration.fit.retargeting import Retargeting, correspond, gap_heights_mm, widest_pose_deg
 from calibration.fit.robot_face import RobotFace, fit_robot_face
 from calibration.mouth_servos import JointRange, MouthServos
@@ -74,13 +76,10 @@ _FRAMES = 400
 class _Take(Protocol):
     """A function that captures the poses missing from a plan and returns the whole capture.
 
-    pressing: rows of poses that close the lips farther and farther; goes_on: the plan will be
-    extended later.
+    pressing: rows of poses that close the lips farther and farther.
     """
 
-    def __call__(
-        self, plan: PosePlan, pressing: Sequence[int] = (), *, goes_on: bool
-    ) -> Capture: ...
+    def __call__(self, plan: PosePlan, pressing: Sequence[int] = ()) -> Capture: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +92,15 @@ class _Learnt:
     face: RobotFace
     retargeting: Retargeting
     from_rest: Array
+
+
+def machine_poses(n_wanted: int, n_servos: int) -> int:
+    """Return how many poses a machine takes: `n_wanted`, or more if the joints need more.
+
+    So many that every joint is alone from both sides and that poses of speech, closing steps and
+    repeats follow.
+    """
+    return max(n_wanted, math.ceil(usual_poses(n_servos) / (1.0 - _SPEECH_SHARE)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +130,11 @@ class Procedure:
         """Return the plan of the poses that fill the joints' ranges, without those of speech."""
         n_poses = self.n_poses - self.n_of_speech
         return plan_poses(self.joints, n_poses, rules=self.rules, seed=self.seed)
+
+    @property
+    def n_usual_more(self) -> int:
+        """How many poses usually follow the `n_poses`: closing steps, repeats, those to grade."""
+        return N_SHAPES * FIRST_STEPS + len(first_part(self.range_plan())) + N_GRADED
 
     def whole_range_plan(self) -> PosePlan:
         """Return a plan of all `n_poses` poses in the joints' ranges, for a capture by files.
@@ -201,7 +214,7 @@ class Procedure:
         move: Move,
         measure: Measure,
         *,
-        keep: Path | None = None,
+        kept: KeptPoses = NOT_KEPT,
         arrived: Arrived = lambda *_: None,
         progress: Callable[[int], None] = lambda _: None,
         strained: Callable[[], str | None] = lambda: None,
@@ -210,7 +223,7 @@ class Procedure:
         """Capture range, speech and ladders, and repeat the first poses; return the capture.
 
         Ladders are poses that close the lips step by step. move, measure, arrived, progress,
-        strained: as in `Robot`. keep: file of poses, from which an interrupted capture is resumed.
+        strained: as in `Robot`. kept: file of poses, from which an interrupted capture is resumed.
         Axes and size are checked by the first pose. Beyond `n_poses`, a joint that may be dead is
         captured again alone, and the first part of the plan at the end; a pose in which the tracker
         exchanged two names is captured again. report is called with a line for each. Once a servo
@@ -219,16 +232,16 @@ class Procedure:
         on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []
 
-        def take(plan: PosePlan, pressing: Sequence[int] = (), *, goes_on: bool) -> Capture:
-            kept = poses if keep is None else read_kept(keep, plan, marker_names, goes_on=goes_on)
-            poses[:] = take_poses(plan, marker_names, on, kept, keep, pressing)
-            poses[:] = put_right(plan, marker_names, on, poses, keep, report)
+        def take(plan: PosePlan, pressing: Sequence[int] = ()) -> Capture:
+            before = poses if kept.path is None else kept.read(plan, marker_names)
+            poses[:] = take_poses(plan, marker_names, on, before, kept, pressing)
+            poses[:] = put_right(plan, marker_names, on, poses, kept, report)
             return gather(plan, marker_names, poses)
 
         plan = self.range_plan()
-        take(plan_rows(plan, [0]), goes_on=True)
+        take(plan_rows(plan, [0]))
         check_frame(marker_names, poses[0].markers_mm, self.model, accept=self.accept)
-        captured = take(plan, goes_on=True)
+        captured = take(plan)
         doubtful = doubtful_joints(captured)
         for _ in range(MOST_FRAMES):
             if not doubtful:
@@ -237,16 +250,16 @@ class Procedure:
             extras = extra_poses(self.joints, doubtful, rules=self.rules)
             report(f"the markers hardly tell yet what {names} does: {len(extras)} poses more")
             plan = joined(plan, extras)
-            captured = take(plan, goes_on=True)
+            captured = take(plan)
             doubtful = doubtful_joints(captured, doubtful)
         if not self.n_of_speech:
             return captured
         checked = check_capture(captured, self.model, self.positive, accept=self.accept)
         pressing = range(len(plan), len(plan) + self._n_closed(self.n_of_speech))
         plan = joined(plan, self.speech_plan(checked, self.n_of_speech))
-        captured = take(plan, pressing, goes_on=True)
+        captured = take(plan, pressing)
         plan = self._with_ladders(plan, captured, checked.still, take)
-        return take(joined(plan, first_part(self.range_plan())), goes_on=False)
+        return take(joined(plan, first_part(self.range_plan())))
 
     def _with_ladders(
         self, plan: PosePlan, captured: Capture, still: Sequence[int], take: "_Take"
@@ -268,7 +281,7 @@ class Procedure:
             for number, ladder in enumerate(ladders):
                 if len(ladder.goals_deg) > done:
                     plan = joined(plan, self._steps(ladder, number + 1, slice(done, until)))
-            captured = take(plan, range(n_before, len(plan)), goes_on=True)
+            captured = take(plan, range(n_before, len(plan)))
             done = until
             seen = see_ladders(captured, learnt.face.free_mm, learnt.face.noise_mm)
             if seen is None or seen.meet or all(len(each.goals_deg) <= done for each in ladders):
@@ -283,13 +296,25 @@ class Procedure:
 
 
 def take_grade(
-    fit: MeasuredFit, servos: MouthServos, marker_names: tuple[str, ...], on: Robot
+    fit: MeasuredFit,
+    servos: MouthServos,
+    marker_names: tuple[str, ...],
+    on: Robot,
+    kept: KeptPoses = NOT_KEPT,
+    n_captured: int = 0,
 ) -> MeasuredFit:
-    """Move robot `on` to ten poses of speech, measure them, and return the fit with its grade."""
+    """Move robot `on` to ten poses of speech, measure them, and return the fit with its grade.
+
+    kept: file of poses, in which these come after the `n_captured` poses of the capture; `arrived`
+    of the robot gets their numbers there.
+    """
     posed = graded_poses(fit, servos)
     plan = posed.plan
-    poses = take_poses(plan, marker_names, on, [], None)
-    poses = put_right(plan, marker_names, on, poses, expected_mm=posed.targets_mm)
+    kept = kept.after(n_captured, plan)
+    before = kept.read(plan, marker_names)
+    on = replace(on, arrived=_numbered(on.arrived, kept.first))
+    poses = take_poses(plan, marker_names, on, before, kept)
+    poses = put_right(plan, marker_names, on, poses, kept, expected_mm=posed.targets_mm)
     seen = gather(plan, marker_names, poses)
     stood = [
         p.index for p in poses if np.abs(p.reached_deg - plan.goals_deg[p.index]).max() <= STALL_DEG
@@ -297,6 +322,10 @@ def take_grade(
     rows = np.array(sorted(stood), dtype=np.int64)
     calibration, lines = graded(fit.calibration, posed, seen, rows)
     return replace(fit, calibration=calibration, warnings=(*fit.warnings, *lines))
+
+
+def _numbered(arrived: Arrived, first: int) -> Arrived:
+    return lambda row, reached_deg: arrived(first + row, reached_deg)
 
 
 def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:

@@ -6,17 +6,11 @@ face, which is learnt without the lips of poses in contact. Dots beside the lips
 and an open neutral are thereby handled alike. Loads scikit-learn; the live path never does.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.base import clone
-from sklearn.linear_model import Ridge
 from sklearn.model_selection import KFold
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer
 
 from calibration.capture.capture import Capture
 from calibration.fit.closing import SeenLadders, begins, see_ladders
@@ -238,48 +232,19 @@ _FIRST_SHARE, _CONTACT_ROUNDS, _LEAST_IN_CONTACT = 0.12, 4, 3
 _ROUNDS = 2
 
 
-class Learnt(Protocol):
-    """The interface of a fitted regression from poses to markers."""
-
-    def predict(self, inputs: Array) -> Array:
-        """Return markers of poses, (n, n_markers, 3) mm from their mean positions.
-
-        Parameters
-        ----------
-        inputs : Array
-            (n, n_servos), -1 to 1 of each joint's range.
-        """
-
-
-class Learner(Protocol):
-    """The interface of a regression that learns markers from poses."""
-
-    def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
-        """Return the regression, which predicts markers in mm, fitted to markers of poses.
-
-        Parameters
-        ----------
-        inputs : Array
-            (n, n_servos), -1 to 1 of each joint's range.
-        from_centre_mm : Array
-            (n, n_markers, 3) mm.
-        """
-
-
 @dataclass(frozen=True, slots=True)
 class RobotFace:
     """A learnt face: markers by pose. backlash_deg: (n_servos,), the whole width of the backlash.
 
-    kind: the regression that cross-validation chose; left_out_rms_mm: its error on poses left out,
-    in each axis, the tracker's noise included; noise_mm: rms residual of the fit. contact: None
+    left_out_rms_mm: the error on poses left out of the fit, in each axis, the tracker's noise
+    included; noise_mm: rms residual of the fit. contact: None
     where lips were not found to stop each other. ladders: evidence from poses that close the lips
     step by step; None where none were captured.
     """
 
     servo_names: tuple[str, ...]
     marker_names: tuple[str, ...]
-    kind: str
-    learnt: Learnt
+    process: SkinProcess
     centre_mm: Array
     middle_deg: Array
     half_range_deg: Array
@@ -304,8 +269,7 @@ class RobotFace:
             (n, n_markers, 3) mm.
         """
         inputs = (output_deg - self.middle_deg) / self.half_range_deg
-        warm = np.ones((len(inputs), 1))
-        return np.asarray(self.centre_mm + self.learnt.predict(np.hstack([inputs, warm])))
+        return np.asarray(self.centre_mm + self.process.predict(inputs))
 
     def markers_mm(self, output_deg: Array) -> Array:
         """Return the markers of poses, with lips that stop each other if they were found to.
@@ -329,14 +293,13 @@ class RobotFace:
 def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> RobotFace:
     """Return the face learnt from a capture; points that the tracker lost are left out of the fit.
 
-    Backlash is estimated from the side that each pose was reached from, together with the face. The
-    progress of the capture is an input like a joint, so that zeros may drift as servos warm; the
-    face is that of the end. mouth: features with the lip gaps, for finding whether lips stop each
-    other; None: not examined. The kind of regression is chosen by cross-validation over poses.
+    Backlash is estimated from the side that each pose was reached from, together with the face.
+    mouth: features with the lip gaps, for finding whether lips stop each other; None: not examined.
     """
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
     half_range_deg = np.maximum((high - low) / 2, 1e-6)
-    poses = _with_time(capture, (high + low) / 2, half_range_deg)
+    side = np.asarray(capture.from_below, dtype=np.float64)
+    poses = Poses(capture.goals_deg, side, (high + low) / 2, half_range_deg)
     centre_mm = np.nanmean(capture.markers_mm, axis=0)
     seen_mm = capture.markers_mm - centre_mm
     apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
@@ -357,15 +320,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
             if found is not None:
                 filled, known, closed_mm = found
     inputs = poses.inputs(learning.hyperparameters.backlash_deg)
-    together = (learning.hyperparameters,) * 3
-    learners = _learners(together, learning.by_axis(filled), apart_mm2)
-    left_out = {
-        kind: _left_out_rms_mm(learner, inputs, filled, known, gaps)
-        for kind, learner in learners.items()
-    }
-    # What is looked at is the lips' gap as much as the shape.
-    kind = min(left_out, key=lambda each: float(np.hypot(*left_out[each])))
-    learnt = learners[kind].fit(inputs, filled)
+    learnt = learning.learnt(inputs, filled)
     missed_mm = filled - learnt.predict(inputs)
     contact = None
     if closed_mm is not None:
@@ -381,28 +336,16 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     return RobotFace(
         servo_names=capture.servo_names,
         marker_names=capture.marker_names,
-        kind=kind,
-        learnt=learnt,
+        process=learnt,
         centre_mm=centre_mm,
-        middle_deg=poses.middle_deg[:-1],
+        middle_deg=poses.middle_deg,
         half_range_deg=half_range_deg,
-        backlash_deg=learning.hyperparameters.backlash_deg[:-1],
-        left_out_rms_mm=left_out[kind][0],
+        backlash_deg=learning.hyperparameters.backlash_deg,
+        left_out_rms_mm=_left_out_rms_mm(learning, inputs, filled, known),
         noise_mm=float(np.sqrt(np.mean(missed_mm[known] ** 2))),
         contact=contact,
         gaps=gaps,
         ladders=ladders,
-    )
-
-
-def _with_time(capture: Capture, middle_deg: Array, half_range_deg: Array) -> Poses:
-    """Return a capture's poses with time, -1 to 1, as an additional last joint without backlash."""
-    time = np.linspace(-1.0, 1.0, len(capture))[:, None]
-    return Poses(
-        np.hstack([capture.goals_deg, time]),
-        np.hstack([capture.from_below, np.zeros_like(time)]),
-        np.append(middle_deg, 0.0),
-        np.append(half_range_deg, 1.0),
     )
 
 
@@ -430,17 +373,10 @@ class _Learning:
                 filled = np.where(known, filled, self.expected(filled))
         return filled
 
-    def by_axis(self, filled: Array) -> tuple[Hyperparameters, ...]:
-        """Return hyperparameters fitted to each axis of `filled` alone, all with one backlash."""
-        return tuple(
-            fit_hyperparameters(
-                self._free,
-                filled[self._opened, :, axis : axis + 1],
-                self._apart_mm2,
-                self.hyperparameters,
-            )
-            for axis in range(3)
-        )
+    def learnt(self, inputs: Array, from_centre_mm: Array) -> SkinProcess:
+        """Return the process fitted at `inputs` (n, n_servos) to markers (n, n_markers, 3) mm."""
+        assert self.hyperparameters is not None
+        return fit_process(self.hyperparameters, inputs, from_centre_mm, self._apart_mm2)
 
     def at(self, filled: Array, goals_deg: Array) -> Array:
         """Predict markers at goals (m, n_servos) in degrees; return (m, n_markers, 3) mm.
@@ -451,20 +387,15 @@ class _Learning:
         """
         assert self.hyperparameters is not None
         of = self._poses
-        warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])
-        process = fit_process(
-            self.hyperparameters,
-            self._free.inputs(self.hyperparameters.backlash_deg),
-            filled[self._opened],
-            self._apart_mm2,
-        )
-        return process.predict((warm - of.middle_deg) / of.half_range_deg)
+        inputs = self._free.inputs(self.hyperparameters.backlash_deg)
+        process = self.learnt(inputs, filled[self._opened])
+        return process.predict((goals_deg - of.middle_deg) / of.half_range_deg)
 
     def expected(self, filled: Array) -> Array:
         """Return markers, (n, n_markers, 3), at all captured poses, learnt from all of `filled`."""
         assert self.hyperparameters is not None
         inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
-        return fit_process(self.hyperparameters, inputs, filled, self._apart_mm2).predict(inputs)
+        return self.learnt(inputs, filled).predict(inputs)
 
 
 def _free_of_contact(
@@ -516,84 +447,13 @@ def _free_of_contact(
     return filled, open_known, closed_mm
 
 
-@dataclass(frozen=True, slots=True)
-class _Process:
-    """A learner: the Gaussian process of skin_process.py, with hyperparameters of each axis.
-
-    A joint's effects across, up and forward may have little in common: a jaw moves nothing across.
-    """
-
-    by_axis: tuple[Hyperparameters, ...]
-    apart_mm2: Array
-
-    def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
-        return _ThreeProcesses(
-            tuple(
-                fit_process(own, inputs, from_centre_mm[..., axis : axis + 1], self.apart_mm2)
-                for axis, own in enumerate(self.by_axis)
-            )
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class _ThreeProcesses:
-    """Three fitted Gaussian processes, one for each axis."""
-
-    processes: tuple[SkinProcess, ...]
-
-    def predict(self, inputs: Array) -> Array:
-        return np.concatenate([process.predict(inputs) for process in self.processes], axis=2)
-
-
-class _Ridge:
-    """scikit-learn's ridge regression, which predicts each coordinate of each marker by itself."""
-
-    def __init__(self, regressor: Ridge) -> None:
-        self._regressor = regressor
-
-    def fit(self, inputs: Array, from_centre_mm: Array) -> "_Ridge":
-        fitted = clone(self._regressor).fit(inputs, from_centre_mm.reshape(len(inputs), -1))
-        return _Ridge(fitted)
-
-    def predict(self, inputs: Array) -> Array:
-        return np.asarray(self._regressor.predict(inputs)).reshape(len(inputs), -1, 3)
-
-
-def _learners(
-    together: tuple[Hyperparameters, ...], by_axis: tuple[Hyperparameters, ...], apart_mm2: Array
-) -> Mapping[str, Learner]:
-    """Return learners by name: Gaussian processes, axes `together` or `by_axis`, and two ridges."""
-    return {
-        "gaussian process": _Process(together, apart_mm2),
-        "gaussian process, axis by axis": _Process(by_axis, apart_mm2),
-        "ridge, straight": _Ridge(Ridge(0.03)),
-        "ridge, own squares": _Ridge(make_pipeline(FunctionTransformer(_own_squares), Ridge(0.1))),
-    }
-
-
-def _own_squares(inputs: Array) -> Array:
-    """Return inputs (n, k) with their halved squares appended, (n, 2 k): each joint bends alone."""
-    return np.hstack([inputs, 0.5 * inputs**2])
-
-
 def _left_out_rms_mm(
-    learner: Learner,
-    inputs: Array,
-    from_centre_mm: Array,
-    seen: NDArray[np.bool_],
-    gaps: tuple[tuple[int, int], ...],
-) -> tuple[float, float]:
-    """Return a learner's cross-validated rms errors in mm: in each axis, and of the middle lip gap.
-
-    Only points that the tracker saw, `seen`, count; the gap's error is 0 without gaps.
-    """
-    predicted = np.empty_like(from_centre_mm)
+    learning: _Learning, inputs: Array, from_centre_mm: Array, seen: NDArray[np.bool_]
+) -> float:
+    """Return the cross-validated rms error in each axis, in mm, of the points that were `seen`."""
+    off_mm = np.full_like(from_centre_mm, np.nan)
     folds = KFold(min(_FOLDS, len(inputs)), shuffle=True, random_state=0)
     for rows, left_out in folds.split(inputs):
-        predicted[left_out] = learner.fit(inputs[rows], from_centre_mm[rows]).predict(
-            inputs[left_out]
-        )
-    off_mm = np.where(seen, predicted - from_centre_mm, np.nan)
-    shape_mm = float(np.sqrt(np.nanmean(off_mm**2)))
-    gap_mm2 = gap_heights_mm(off_mm, gaps[:1]) ** 2 if gaps else np.full(1, np.nan)
-    return shape_mm, float(np.sqrt(np.nanmean(gap_mm2))) if np.isfinite(gap_mm2).any() else 0.0
+        learnt = learning.learnt(inputs[rows], from_centre_mm[rows])
+        off_mm[left_out] = learnt.predict(inputs[left_out]) - from_centre_mm[left_out]
+    return float(np.sqrt(np.mean(off_mm[seen] ** 2)))

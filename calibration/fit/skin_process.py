@@ -101,17 +101,6 @@ class Hyperparameters:
     width_mm: float
     own: float
 
-    def logarithms(self) -> Array:
-        """Return the logarithms of reaches, curvature, noise, width and own part, for the search.
-
-        Returns
-        -------
-        Array
-            (n_inputs + 4,).
-        """
-        others = [self.curvature, self.noise_mm2, self.width_mm, self.own]
-        return np.asarray(np.log(np.maximum(np.concatenate([self.reach_mm2, others]), 1e-8)))
-
     def joints(self, one: Array, other: Array) -> Array:
         """Return the covariance K of two sets of poses.
 
@@ -207,7 +196,6 @@ def fit_hyperparameters(
     poses: Poses,
     from_centre_mm: Array,
     apart_mm2: Array,
-    begin: Hyperparameters | None = None,
 ) -> Hyperparameters:
     """Return the likeliest hyperparameters of a capture, the backlash included.
 
@@ -219,8 +207,6 @@ def fit_hyperparameters(
         (n, n_markers, axes) mm, without NaN.
     apart_mm2 : Array
         (n_markers, n_markers) mm^2, squared distances along the skin.
-    begin : Hyperparameters | None
-        Start of the search, with its backlash kept; None: usual values.
 
     Returns
     -------
@@ -237,9 +223,6 @@ def fit_hyperparameters(
     )
     # Below nothing too: what noise gives a gear without play is as often less as more.
     bounds: list[tuple[float, float | None]] = [(-_MOST_BELOW_DEG, None)] * n_servos
-    if begin is not None:
-        first = np.concatenate([begin.backlash_deg, begin.logarithms()])
-        bounds = [(degrees, degrees) for degrees in begin.backlash_deg.tolist()]
     bounds += [(-20.0, 20.0)] * (n_servos + 4)
     found = minimize(
         likelihood,
@@ -249,8 +232,6 @@ def fit_hyperparameters(
         bounds=bounds,
         options={"maxiter": _MOST_STEPS},
     )
-    if begin is not None:
-        return _unpacked(found.x, n_servos)
     found.x[:n_servos] = _believed_deg(found.x, likelihood, n_servos)
     return _unpacked(found.x, n_servos)
 

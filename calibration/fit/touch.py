@@ -6,6 +6,7 @@ markers, contact is where the dots of both lips come no nearer; without markers 
 servos begin to draw more current than the skin alone requires.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,8 @@ _N_SHAPES, _LEVELS_MM = 3, np.linspace(2.0, -2.2, 15)
 _ROUNDS = 4
 #: Contact may have moved by so much; farther, and the face must be measured anew.
 _MOST_OFF_MM, _STEP_MM = 1.2, 0.05
+#: A person sees the lips of all shapes meet within so much: two steps of a ladder, and a half.
+_AGREE_MM = 1.0
 #: That there is contact is known; where it is must explain so much, in square standard errors.
 _SURE_AGAIN = 15.0
 #: A rise of the current must explain so much more than a straight line (an F value).
@@ -84,7 +87,7 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
         )
         for off in offs
     ]
-    return _moved(calibration, closure, float(offs[int(np.argmin(costs))]))
+    return _moved(calibration, closure, _inside(offs, int(np.argmin(costs))))
 
 
 def touched_by_current(
@@ -131,7 +134,65 @@ def touched_by_current(
             "the servos' current does not rise where the lips close: give --tracker, or measure "
             "the face anew with `lipservo calibrate measure`"
         )
-    return _moved(calibration, closure, float(offs[best]))
+    return _moved(calibration, closure, _inside(offs, best))
+
+
+def touched_by_eye(
+    calibration: Calibration, plan: PosePlan, touching_rows: Sequence[int]
+) -> tuple[Calibration, float]:
+    """Return the calibration with contact moved to where a person saw the lips meet.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Calibration with a model of how the robot's lips close.
+    plan : PosePlan
+        Plan of ladders, from `touch_plan`.
+    touching_rows : Sequence[int]
+        For each ladder the row of the plan at which lips just touched.
+
+    Returns
+    -------
+    tuple[Calibration, float]
+        The calibration, and by how many mm lips close farther than before until they meet.
+
+    Raises
+    ------
+    CalibrationError
+        The ladders disagree by more than a millimetre, or contact is too far from where it was.
+    """
+    closure, of = _closure_of(calibration), ladders_of(plan)
+    open_mm = closure.open_mm(plan.goals_deg)[:, 0]
+    later_mm = []
+    for row in touching_rows:
+        # They met between this step and the one before.
+        before = row - 1 if row and of[row - 1] == of[row] else row
+        later_mm.append(-float(open_mm[row] + open_mm[before]) / 2)
+    if np.ptp(later_mm) > _AGREE_MM:
+        raise CalibrationError(
+            f"the lips were seen to meet {np.ptp(later_mm):.1f} mm apart in {len(touching_rows)} "
+            "shapes; look again, from the side, at the middle of the lips"
+        )
+    found_mm = float(np.median(later_mm))
+    if abs(found_mm) > _MOST_OFF_MM:
+        raise _too_far(found_mm)
+    return _moved(calibration, closure, found_mm)
+
+
+def _inside(offs_mm: Array, best: int) -> float:
+    """Return the best of offsets that were tried; CalibrationError for the first and the last."""
+    if best in (0, len(offs_mm) - 1):
+        raise _too_far(float(offs_mm[best]))
+    return float(offs_mm[best])
+
+
+def _too_far(off_mm: float) -> CalibrationError:
+    how = "later" if off_mm > 0.0 else "earlier"
+    return CalibrationError(
+        f"the lips meet {abs(off_mm):.1f} mm {how} than the calibration says, or more: too far to "
+        "correct. Is a horn a tooth off, or a rod bent? Put it right, or measure the face anew "
+        "with `lipservo calibrate measure`"
+    )
 
 
 def _closes_mm(calibration: Calibration, seen: Capture, rows: Indices) -> Array:

@@ -13,7 +13,7 @@ from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES, VISEME_OF
 
 #: A turn smaller than this is not made up for: goals would chatter by the whole backlash at every
-#: rounding. About four steps of the encoder (360/4096 degrees).
+#: rounding. About four steps of a Dynamixel X.
 _TURN_DEG = 0.35
 
 

@@ -13,8 +13,8 @@ from lipsync.arrays import Array
 #: Whole lag in slow motion, dead time of bus and servo within it, and top speed: drawn from these.
 #: The bar of the benchmark asks for 40 to 90 ms; an XL330-M288-T makes 618 deg/s without load.
 LAG_S, DEAD_TIME_S, TOP_SPEED_DEG_S = (0.040, 0.090), (0.010, 0.030), (250.0, 500.0)
-#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications: 4,096 steps a turn.
-_ENCODER_STEP_DEG = 360.0 / 4096.0
+#: Of the simulated encoders, which are of no model.
+_ENCODER_STEP_DEG = 0.09
 #: Steps of the simulation within one sample.
 _SUBSTEPS = 10
 

@@ -154,12 +154,9 @@ class AsyncSpeech:
         return self._heard.result()
 
     async def __aenter__(self) -> Self:
-        try:
-            await self._wire.send("start", stream=self.stream, **self._start)
-            async with asyncio.timeout(PATIENCE_S):
-                self.delay_ms = await self._ready
-        except TimeoutError as error:
-            raise FaceError("not_answering", "the face does not answer") from error
+        await self._wire.send("start", stream=self.stream, **self._start)
+        async with _patience("start", PATIENCE_S):
+            self.delay_ms = await self._ready
         return self
 
     async def __aexit__(self, kind: type[BaseException] | None, *rest: object) -> None:
@@ -217,9 +214,7 @@ class AsyncSpeech:
         loop = asyncio.get_running_loop()
         while not self.is_over and self.n_sent - self.n_played > _AHEAD_S * self.rate_hz:
             self._moved.clear()
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._patience_s(loop.time())):
-                    await self._moved.wait()
+            await _happened(self._moved, self._patience_s(loop.time()))
         return not self.is_over
 
     def _patience_s(self, now_s: float) -> float:
@@ -299,6 +294,7 @@ class AsyncFace:
         self._control: Wire | None = None
         self._connecting = asyncio.Lock()
         self._reconnecting: asyncio.Task[None] | None = None
+        self._wanted, self._tried = asyncio.Event(), asyncio.Event()
         self._pending: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self._spoken: dict[int, asyncio.Future[Event]] = {}
 
@@ -382,6 +378,13 @@ class AsyncFace:
         """Connect in the background, trying until a face answers; instead of `async with`."""
         self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
 
+    async def try_now(self) -> None:
+        """Let a lost connection be tried now, not after the pause; return once it was tried."""
+        if self._connection is None and self._reconnecting is not None:
+            self._tried.clear()
+            self._wanted.set()
+            await _happened(self._tried, PATIENCE_S)
+
     def events(self) -> Events:
         """Return an iterator over the face's events from now on, until this client disconnects."""
         events = Events()
@@ -414,14 +417,15 @@ class AsyncFace:
         """Change a setting of the running face, such as `strength`. Raises FaceError."""
         return await self._ask("set", name=name, value=value)
 
-    async def say(self, text: str, *, wait: bool = False) -> dict[str, Any]:
+    async def say(self, text: str, *, wait: bool = False, **voice: str | int) -> dict[str, Any]:
         """Speak a text with the face's own voice. Raises FaceError.
 
+        voice: `language`, `voice`, `rate_wpm` and `pitch`, where it is to be another than usual.
         Returns `stream`, its id in the field `speaking` of the status, and `duration_s` of what is
         synthesised; `is_whole`: whether that is all of it. wait: return after it was played or
         dropped, and also `finished` (it was played whole) and `played_s`.
         """
-        return await self._let_speak("say", wait=wait, text=text)
+        return await self._let_speak("say", wait=wait, text=text, **voice)
 
     async def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
         """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
@@ -486,7 +490,8 @@ class AsyncFace:
     async def _reconnect(self) -> None:
         wait_s, reason = _FIRST_WAIT_S, "not_answering"
         while self._connection is None:
-            await asyncio.sleep(wait_s * random.uniform(0.5, 1.0))
+            await _happened(self._wanted, wait_s * random.uniform(0.5, 1.0))
+            self._wanted.clear()
             wait_s = min(2.0 * wait_s, _LONGEST_WAIT_S)
             try:
                 await self._connect()
@@ -494,6 +499,7 @@ class AsyncFace:
                 if error.code not in (reason, "disconnected", "shutting_down"):
                     reason = error.code
                     self._hand_on_loss(error)
+            self._tried.set()
         self._hand_on({"type": "reconnected", "code": "", "message": f"{self._url}: is back"})
 
     def _take(self, event: Event) -> None:
@@ -556,6 +562,13 @@ def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
         waiting.exception()  # nobody need wait for it
     else:
         waiting.set_result(answer)
+
+
+async def _happened(event: asyncio.Event, limit_s: float) -> None:
+    """Wait for an event, at most `limit_s`."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(limit_s):
+            await event.wait()
 
 
 @contextlib.asynccontextmanager

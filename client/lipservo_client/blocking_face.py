@@ -156,14 +156,15 @@ class Face:
         """Change a setting of the running face, such as `strength`. Raises FaceError."""
         return self.wait_for(self._face.set(name, value))
 
-    def say(self, text: str, *, wait: bool = False) -> dict[str, Any]:
+    def say(self, text: str, *, wait: bool = False, **voice: str | int) -> dict[str, Any]:
         """Speak a text with the face's own voice. Raises FaceError.
 
+        voice: `language`, `voice`, `rate_wpm` and `pitch`, where it is to be another than usual.
         Returns `stream`, `duration_s` of what is synthesised, and `is_whole`: that is all of it.
         wait: return after it was played or dropped, and also `finished` (it was played whole) and
         `played_s`.
         """
-        return self.wait_for(self._face.say(text, wait=wait))
+        return self.wait_for(self._face.say(text, wait=wait, **voice))
 
     def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
         """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.

@@ -8,32 +8,54 @@ import logging
 import time
 from collections.abc import Coroutine
 from contextlib import suppress
+from contextvars import copy_context
+from dataclasses import dataclass
 from typing import Any, Final, Self
 
 from livekit import rtc
+from livekit.agents import AgentSession, ConversationItemAddedEvent
 from livekit.agents.types import NOT_GIVEN, USERDATA_TIMED_TRANSCRIPT
 from livekit.agents.utils import is_given
+from livekit.agents.voice import SpeechHandle
 from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import FaceError, SpeechUnits, mono_pcm
+from lipservo_client.heard import SpokenWords
+from lipservo_client.protocol import FaceError, mono_pcm
 
 _LOG: Final = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class _Turn:
+    """What a speech handle says until its text is remembered: one segment of sound, or several.
+
+    n_samples: of its sound; n_played: how many of them were heard. has_words: some words came with
+    the sound. is_cut: not all of it was heard.
+    """
+
+    handle: SpeechHandle | None
+    n_samples: int = 0
+    n_played: int = 0
+    has_words: bool = False
+    is_cut: bool = False
 
 
 class LiveKitFace(AudioOutput):
     """An audio output that plays an `AgentSession`'s speech on a face; it can pause.
 
-    It reports to the session how much was played. Enter the face before the session starts. While
-    no face answers, or another client speaks through it, segments end at once as interrupted, with
-    nothing played, and a warning is logged; a face that comes back is used from the next segment
-    on.
+    The session remembers the words that people heard. Enter the face before the session starts.
+    While no face answers, or another client speaks through it, nothing is heard: the turn ends as
+    interrupted, and a warning is logged; a face that comes back is used from the next segment on.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
         super().__init__(label="lipservo", capabilities=AudioOutputCapabilities(pause=True))
         self._face = AsyncFace(url, token)
         self._speech: AsyncSpeech | None = None
+        self._turn = _Turn(None)
+        self._words = SpokenWords(1)
+        self._session: AgentSession[Any] | None = None
         # Nothing more of the segment is wanted, until it is flushed.
         self._is_cut = False
         self._is_paused = False
@@ -62,24 +84,45 @@ class LiveKitFace(AudioOutput):
         if self._is_cut:
             return
         try:
-            speech = self._speech
-            if speech is None:
-                if self._last is not None:
-                    await asyncio.wait([self._last])
-                speech = self._face.stream(frame.sample_rate)
-                await speech.__aenter__()
-                self._speech = speech
-                self._begin(self._tell_end(speech))
-                if self._is_paused:
-                    await self._face.pause()
-            for units in _frame_units(frame):
-                await speech.tell(units)
+            speech = self._speech or await self._begun(frame.sample_rate)
+            for text, start in _frame_words(frame):
+                self._turn.has_words = True
+                self._words.add(text, start)
+                if word := text.strip():
+                    await speech.tell(text if start is None else ("words", [(word, start)]))
+            self._words.extend(frame.samples_per_channel)
             self._is_cut = not await speech.write(mono_pcm(frame.data, frame.num_channels))
         except FaceError as error:
             _LOG.warning("not said: %s", error)
             self._is_cut = True
             if self._speech is None:  # it never began: nothing follows its end
-                self.on_playback_finished(playback_position=0.0, interrupted=True)
+                self._end(self._turn, self._words, 0, is_whole=False)
+
+    async def _begun(self, rate_hz: int) -> AsyncSpeech:
+        """Return a new stream for a segment. Raises FaceError."""
+        self._take_context()
+        self._words = SpokenWords(rate_hz)
+        if self._last is not None:
+            await asyncio.wait([self._last])
+        await self._face.try_now()
+        speech = self._face.stream(rate_hz)
+        await speech.__aenter__()
+        self._speech = speech
+        self._begin(self._tell_end(speech, self._turn, self._words))
+        if self._is_paused:
+            await self._face.pause()
+        return speech
+
+    def _take_context(self) -> None:
+        """Find whose segment begins: LiveKit sends its frames in a context that holds both."""
+        values = list(copy_context().values())
+        handle = next((each for each in values if isinstance(each, SpeechHandle)), None)
+        if handle is None or handle is not self._turn.handle:
+            self._turn = _Turn(handle)
+        for session in (getattr(each, "session", None) for each in values):
+            if isinstance(session, AgentSession) and session is not self._session:
+                self._session = session
+                session.on("conversation_item_added", self._correct)
 
     def flush(self) -> None:
         """Mark the current segment of the agent's speech as complete; it is played to its end."""
@@ -112,11 +155,37 @@ class LiveKitFace(AudioOutput):
     def _is_saying(self) -> bool:
         return self._face.is_connected and self._pending_playback_count > 0
 
-    async def _tell_end(self, speech: AsyncSpeech) -> None:
+    async def _tell_end(self, speech: AsyncSpeech, turn: _Turn, words: SpokenWords) -> None:
         with suppress(FaceError):
             await speech.heard()
-        played_s, is_whole = speech.n_played / speech.rate_hz, speech.was_heard
-        self.on_playback_finished(playback_position=played_s, interrupted=not is_whole)
+        self._end(turn, words, speech.n_played, is_whole=speech.was_heard)
+
+    def _end(self, turn: _Turn, words: SpokenWords, n_played: int, *, is_whole: bool) -> None:
+        """Tell the session that a segment is over, and which of its words were heard."""
+        turn.n_samples += words.n_samples
+        turn.n_played += n_played
+        is_known = not is_whole and (turn.has_words or n_played == 0)
+        if not is_whole:
+            turn.is_cut = True
+            if turn.handle is not None:
+                # Of a turn that is not interrupted LiveKit remembers all, whatever was heard.
+                turn.handle.interrupt(force=True)
+        self.on_playback_finished(
+            playback_position=n_played / words.rate_hz,
+            interrupted=not is_whole,
+            synchronized_transcript="".join(words.heard(n_played)) if is_known else None,
+        )
+
+    def _correct(self, event: ConversationItemAddedEvent) -> None:
+        """Cut what the session remembers of a turn to what was heard, if no words came with it."""
+        item, turn = event.item, self._turn
+        if item.type != "message" or item.role != "assistant":
+            return
+        if item.interrupted and turn.is_cut and not turn.has_words:
+            words = SpokenWords(self._words.rate_hz, turn.n_samples)
+            words.add(item.raw_text_content or "")
+            item.content = list(words.heard(turn.n_played))
+        self._turn = _Turn(turn.handle)
 
     async def _follow(self) -> None:
         async for event in self._face.events():
@@ -142,16 +211,11 @@ class LiveKitFace(AudioOutput):
         self._last = self._begin(done())
 
 
-def _frame_units(frame: rtc.AudioFrame) -> list[SpeechUnits]:
-    """Return the words, with times, or the texts that the synthesiser sent with a frame's sound."""
-    units: list[SpeechUnits] = []
+def _frame_words(frame: rtc.AudioFrame) -> list[tuple[str, int | None]]:
+    """Return the texts that the synthesiser sent with a frame's sound, with samples if known."""
+    words: list[tuple[str, int | None]] = []
     for word in frame.userdata.get(USERDATA_TIMED_TRANSCRIPT, ()):
-        if not word.strip():
-            continue
-        start_s = getattr(word, "start_time", NOT_GIVEN)
-        if is_given(start_s):
-            start = max(0, round(start_s * frame.sample_rate))
-            units.append(("words", [(str(word).strip(), start)]))
-        else:
-            units.append(str(word))
-    return units
+        start_s = getattr(word, "start_time", NOT_GIVEN) if word.strip() else NOT_GIVEN
+        start = max(0, round(start_s * frame.sample_rate)) if is_given(start_s) else None
+        words.append((str(word), start))
+    return words

@@ -8,20 +8,20 @@ import asyncio
 from collections import deque
 from collections.abc import Coroutine
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from pipecat.frames import frames
-from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
+from pipecat.processors.frame_processor import FrameCallback, FrameDirection, FrameProcessor
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
+from lipservo_client.heard import SpokenWords
 from lipservo_client.protocol import Event, FaceError, Played, error_of, mono_pcm
 
-#: A face keeps 64 marks of a stream; beyond these, positions tell what was heard.
-_MOST_MARKS: Final = 48
 #: Sentences that are announced before any of their sound came; the oldest are left out.
 _MOST_UNTOLD: Final = 64
-#: Between two questions for the position while frames wait for a moment within the sound.
+#: Between two questions for the position while frames wait for their sound.
 _ASKING_S: Final = 0.05
 #: An interruption holds the pipeline up no longer.
 _INTERRUPTING_S: Final = 1.0
@@ -30,6 +30,8 @@ _INTERRUPTING_S: Final = 1.0
 _SETTLING_PASSES: Final = 64
 #: Between two reports of what a transport has played.
 _REPORT_S: Final = 0.1
+#: In the metadata of a context's first sound: the time in ns from which Pipecat times its words.
+_TIMED_FROM: Final = "lipservo_timed_from_ns"
 
 
 class _FaceProcessor(FrameProcessor):
@@ -73,12 +75,16 @@ class _Unheard:
     """A frame in the order of speech; it waits until sample `n` of its stream was played.
 
     Frames of sound are dropped then, others pushed on. speech: None: the frame follows no speech.
-    is_timed: n lies within the sound, as for a word; otherwise behind all sound before the frame.
+    words, piece: of a spoken text, the words of its stream, and its number among them. is_timed: n
+    is where a word begins, and it waits until it counts as heard; otherwise n is behind all sound
+    before the frame.
     """
 
     speech: AsyncSpeech | None
     n: int
     frame: frames.Frame
+    words: SpokenWords
+    piece: int | None = None
     is_timed: bool = False
 
     @property
@@ -88,7 +94,11 @@ class _Unheard:
     @property
     def is_heard(self) -> bool:
         speech = self.speech
-        return speech is None or speech.n_played >= self.n or speech.was_heard
+        if speech is None or speech.was_heard:
+            return True
+        if self.is_timed:
+            return self._heard_text(speech) == str(self.frame.text)
+        return speech.n_played >= self.n
 
     @property
     def may_go_on(self) -> bool:
@@ -103,6 +113,26 @@ class _Unheard:
     def is_lost(self) -> bool:
         """Whether the frame's sound will never be played, because the stream was cut off."""
         return self.speech is not None and self.speech.is_over and not self.is_heard
+
+    def as_heard(self) -> frames.Frame | None:
+        """Return the frame, of a spoken text the words that were heard; None for sound or none."""
+        if self.is_sound:
+            return None
+        if self.speech is None or self.is_heard:
+            return self.frame
+        if not isinstance(self.frame, frames.TextFrame):
+            return self.frame if self.speech.is_over else None
+        if not (text := self._heard_text(self.speech)).strip():
+            return None
+        heard = copy(self.frame)
+        heard.text, heard.raw_text = text, None
+        return heard
+
+    def _heard_text(self, speech: AsyncSpeech) -> str:
+        if self.piece is None:
+            return ""
+        is_complete = speech.is_complete
+        return self.words.part(self.piece, speech.n_played, is_complete=is_complete)
 
 
 class PipecatFace(_FaceProcessor):
@@ -120,11 +150,15 @@ class PipecatFace(_FaceProcessor):
         self._n = 0
         self._line: list[_Unheard] = []
         self._releasing = asyncio.Lock()
-        self._marks: set[str] = set()
+        self._words = SpokenWords(1)
+        #: The sample behind the last sentence: the next one's sound begins there.
+        self._n_spoken = 0
         #: Of a TTS context: the sample, and the time in ns, from which its words are timed. As
         #: Pipecat has it, that is when its sound came, or the last word before if that is later.
         self._contexts: dict[str | None, tuple[int, int]] = {}
         self._last_word_ns = 0
+        self._open_contexts: set[str | None] = set()
+        self._has_loudspeaker = True
         #: Sentences whose sound has not begun; and whether the service announces its sentences, so
         #: that the same words come again as they were said.
         self._untold: list[str] = []
@@ -135,6 +169,33 @@ class PipecatFace(_FaceProcessor):
         self._is_cut = False
         self._transport_until_s = 0.0
         self.last_played: Played | None = None
+
+    async def queue_frame(
+        self,
+        frame: frames.Frame,
+        direction: FrameDirection = FrameDirection.DOWNSTREAM,
+        callback: FrameCallback | None = None,
+    ) -> None:
+        """Queue a frame; note when its sound left the service, which is when words are timed from.
+
+        A frame may wait here for long, until the face takes more sound.
+        """
+        if isinstance(frame, frames.InterruptionFrame):
+            self._last_word_ns = 0
+            self._open_contexts.clear()
+        elif direction == FrameDirection.DOWNSTREAM:
+            self._note_time(frame)
+        await super().queue_frame(frame, direction, callback)
+
+    def _note_time(self, frame: frames.Frame) -> None:
+        if isinstance(frame, frames.TTSAudioRawFrame):
+            if frame.context_id not in self._open_contexts:
+                self._open_contexts.add(frame.context_id)
+                frame.metadata[_TIMED_FROM] = max(self._last_word_ns, self.get_clock().get_time())
+        elif isinstance(frame, frames.TTSStoppedFrame):
+            self._open_contexts.discard(frame.context_id)
+        elif isinstance(frame, frames.TTSTextFrame) and frame.pts:
+            self._last_word_ns = max(self._last_word_ns, frame.pts)
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
         """Send sound to the face; push every other frame once the sound before that was played."""
@@ -159,7 +220,10 @@ class PipecatFace(_FaceProcessor):
         self._wait_in_line(frame)
         if isinstance(frame, frames.TTSStoppedFrame):
             self._is_complete, self._is_cut = True, False
-        await self._mark()
+            if self._speech is not None:
+                # Or the face waits for what its last block lacks, and that for the end.
+                with suppress(FaceError):
+                    await self._speech.mark("said")
         # An interruption cancels this task; what was heard goes on nevertheless.
         await asyncio.shield(self._release())
 
@@ -169,25 +233,29 @@ class PipecatFace(_FaceProcessor):
         self._is_complete = False
         if self._is_cut:
             return
-        is_transports = not self._face.is_connected or now_s < self._transport_until_s
-        if self._speech is None and is_transports:
+        is_faces = self._face.is_connected and self._has_loudspeaker
+        if self._speech is None and (now_s < self._transport_until_s or not is_faces):
             self._transport_until_s = max(now_s, self._transport_until_s) + seconds
             await self.push_frame(frame)
             return
         pcm = mono_pcm(frame.audio, frame.num_channels)
         try:
             speech = await self._stream(frame.sample_rate)
-            from_ns = max(self._last_word_ns, self.get_clock().get_time())
-            self._contexts.setdefault(frame.context_id, (self._n, from_ns))
+            if _TIMED_FROM in frame.metadata:
+                self._contexts[frame.context_id] = (self._n, frame.metadata[_TIMED_FROM])
             self._n += len(pcm) // 2
-            self._line.append(_Unheard(speech, self._n, frame))
+            self._words.extend(len(pcm) // 2)
+            self._line.append(_Unheard(speech, self._n, frame, self._words))
             untold, self._untold = self._untold, []
             for text in untold:
                 await speech.tell(text)
             self._is_cut = not await speech.write(pcm)
         except FaceError as error:
-            self._is_cut = True
             await self._complain(error)
+            if error.code == "no_loudspeaker":
+                self._speech, self._has_loudspeaker = None, False
+                return await self._say(frame)
+            self._is_cut = True
         if self._is_cut:
             await asyncio.shield(self._release())
 
@@ -199,9 +267,9 @@ class PipecatFace(_FaceProcessor):
             speech = None
         if speech is None:
             speech = self._face.stream(rate_hz)
-            self._speech, self._n = speech, 0
+            self._speech, self._n, self._n_spoken = speech, 0, 0
+            self._words = SpokenWords(rate_hz)
             self._contexts.clear()
-            self._marks.clear()
             await speech.__aenter__()
         return speech
 
@@ -228,9 +296,8 @@ class PipecatFace(_FaceProcessor):
         """
         speech = self._speech
         context = self._contexts.get(getattr(frame, "context_id", None))
-        if not (isinstance(frame, frames.TextFrame) and frame.pts) or context is None:
-            return None
-        if speech is None:
+        is_word = isinstance(frame, frames.TextFrame) and frame.pts and frame.text.strip()
+        if speech is None or context is None or not is_word:
             return None
         since_s = 1e-9 * (frame.pts - context[1])
         return max(0, int(context[0] + round(since_s * speech.rate_hz)))
@@ -239,28 +306,21 @@ class PipecatFace(_FaceProcessor):
         """Queue a frame until its sound was played: at its time, or behind all sound so far."""
         speech = self._speech or (self._line[-1].speech if self._line else None)
         n = self._sample_of(frame)
+        words, piece = self._words, None
         if n is not None:
-            self._last_word_ns = max(self._last_word_ns, frame.pts)
             place = len(self._line)
             while place and self._line[place - 1].speech is speech and self._line[place - 1].n > n:
                 place -= 1
-            self._line.insert(place, _Unheard(speech, n, frame, is_timed=True))
+            piece = words.add(frame.text, n)
+            self._line.insert(place, _Unheard(speech, n, frame, words, piece, is_timed=True))
             return
         n = self._n if speech is self._speech else self._line[-1].n
         for each in self._line:
             each.n = min(each.n, n) if each.speech is speech else each.n
-        self._line.append(_Unheard(speech, n, frame))
-
-    async def _mark(self) -> None:
-        """Request a mark for all samples sent until now, if frames wait for them."""
-        speech, name = self._speech, str(self._n)
-        is_awaited = any(not each.is_sound for each in self._line)
-        if speech is None or speech.is_over or not is_awaited:
-            return
-        if name not in self._marks and len(self._marks) < _MOST_MARKS:
-            self._marks.add(name)
-            with suppress(FaceError):
-                await speech.mark(name)
+        if isinstance(frame, frames.TTSTextFrame) and self._speech is not None:
+            piece = words.add(frame.text, self._n_spoken, n)
+            self._n_spoken = n
+        self._line.append(_Unheard(speech, n, frame, words, piece))
 
     async def _release(self) -> None:
         """Push the waiting frames whose sound was played; drop text that will never be spoken."""
@@ -269,10 +329,8 @@ class PipecatFace(_FaceProcessor):
             if self._is_complete and all(each.is_heard for each in self._line if each.is_sound):
                 await self._end()
             while self._line and (self._line[0].may_go_on or self._line[0].is_lost):
-                first = self._line.pop(0)
-                is_text = isinstance(first.frame, frames.TextFrame)
-                if not first.is_sound and not (is_text and first.is_lost):
-                    await self.push_frame(first.frame)
+                if (heard := self._line.pop(0).as_heard()) is not None:
+                    await self.push_frame(heard)
             if speech is not None and speech.is_over:
                 self._is_cut = not (speech.was_heard or self._is_complete)
                 await self._end()
@@ -306,11 +364,12 @@ class PipecatFace(_FaceProcessor):
             line, self._line = self._line, []
             again: list[_Unheard] = []
             for each in line:
-                if each.is_heard and not each.is_sound:
-                    await self.push_frame(each.frame)
-                elif not (each.is_heard or each.frame.interruptible or everything):
+                is_kept = each.is_heard or isinstance(each.frame, frames.TextFrame)
+                if not (each.is_heard or each.frame.interruptible or everything):
                     (again if is_cut else self._line).append(each)
-            self._is_cut, self._transport_until_s, self._last_word_ns = False, 0.0, 0
+                elif is_kept and (heard := each.as_heard()) is not None:
+                    await self.push_frame(heard)
+            self._is_cut, self._transport_until_s = False, 0.0
             self._untold.clear()
             self._speech = None if is_cut else self._speech
         for _ in range(_SETTLING_PASSES):
@@ -325,21 +384,19 @@ class PipecatFace(_FaceProcessor):
 
     async def _hear(self, event: Event) -> None:
         if event["type"] == "disconnected":
+            self._has_loudspeaker = True  # the next may have one
             await self._complain(error_of(event))
         if self._speech is not None and event.get("stream") == self._speech.stream:
             if event["type"] == "started":
                 await self._tell_speaking(True)
             elif event["type"] == "position" and self._is_speaking:
                 await self.broadcast_frame(frames.BotSpeakingFrame)
-            elif event["type"] == "mark":
-                self._marks.discard(str(event["name"]))
-                await self._mark()
         await self._release()
 
     async def _ask_positions(self) -> None:
         while True:
             await asyncio.sleep(_ASKING_S)
-            if any(each.is_timed for each in self._line) and self._face.is_connected:
+            if self._face.is_connected and any(not each.is_sound for each in self._line):
                 with suppress(FaceError):
                     await self._face.wire.send("position")
 

@@ -1,4 +1,4 @@
-"""Timings in the messages of speech synthesisers, as units that a face understands.
+"""Timings in the messages of speech synthesisers and aligners, as units that a face understands.
 
 A message as its vendor documents it, parsed from JSON, becomes words, phonemes or visemes with
 times in seconds. A table lists the keys, and envelopes are searched, so that an event, a whole
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, Literal, NamedTuple
 
+from lipservo_client.alphabet import VendorError, alphabet_of
 from lipservo_client.blendshapes import DEFAULT_RATE_HZ, mouth_rows
 from lipservo_client.protocol import SpeechUnits
 
@@ -30,11 +31,9 @@ _LONGEST_S: Final = 24 * 3600.0
 _DEEPEST: Final = 12
 #: Times are rounded to so many digits, the 100 ns of Azure: 0.3 s and 0.05 s more are 0.35 s.
 _DIGITS: Final = 7
+#: Vendors round, and overlap words; what is farther back is of another piece of sound.
+_DISORDER_S: Final = 0.05
 _MS, _TICK_S = 1e-3, 1e-7
-
-
-class VendorError(ValueError):
-    """An error: a vendor's message cannot be used; the text has, in one line, place and remedy."""
 
 
 class TimedUnit(NamedTuple):
@@ -49,20 +48,25 @@ class TimedUnit(NamedTuple):
 class VendorUnits:
     """Units of one kind in the order in which they are spoken, with starts that never decrease.
 
-    alphabet: of their labels, as a face knows it: `ipa` (ARPAbet too), `misaki`, or the vendor of
-    the visemes, `azure`, `polly`, `ovr`, `inworld`; None: for words, and for visemes written as
-    phonemes.
+    alphabet: of their labels, as a face knows it: `arpabet`, `ipa`, `misaki`, `voicevox`, or that
+    of the visemes, `azure`, `polly`, `ovr`, `inworld`, `rhubarb`; None: for words, and for visemes
+    written as phonemes. untimed: words that stand in the message without a time.
     """
 
     kind: Kind
     units: tuple[TimedUnit, ...]
     alphabet: str | None = None
+    untimed: tuple[str, ...] = ()
 
     def stream_units(self, rate_hz: int) -> SpeechUnits:
-        """Return the units with times in samples, for a stream's `tell`, beside `alphabet`."""
+        """Return the units with times in samples, for a stream's `tell`, beside `alphabet`.
+
+        One that reaches into the next ends where that begins.
+        """
+        starts_s = (*(each.start_s for each in self.units[1:]), _LONGEST_S)
         return _PLURAL[self.kind], [
-            (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz))
-            for each in self.units
+            (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz, next_s))
+            for each, next_s in zip(self.units, starts_s, strict=True)
         ]
 
 
@@ -116,38 +120,38 @@ _SHAPES: Final = (
     # Kokoro's tokens (github.com/hexgrad/kokoro), in misaki's letters
     _Shape("word", "text", "startts", "endts"),
     _Shape("phoneme", "phonemes", "startts", "endts", alphabet="misaki"),
+    # github.com/DanielSWolf/rhubarb-lip-sync; rows without a type, unlike Polly's
+    _Shape("viseme", "value", "start", "end", type="none", alphabet="rhubarb"),
+    # moras of an audio query of VOICEVOX (voicevox.github.io/voicevox_engine/api)
+    _Shape("phoneme", "consonant", lasts="consonantlength", alphabet="voicevox"),
+    _Shape("phoneme", "vowel", lasts="vowellength", alphabet="voicevox"),
     # Cartesia (docs.cartesia.ai/api-reference/tts/websocket), Piper's alignments
     # (github.com/OHF-Voice/piper1-gpl), ours, and whatever else is as plain
-    _Shape("phoneme", "phoneme phonemes symbol phones", _START, _END, _DURATION),
+    _Shape("phoneme", "phoneme phonemes symbol phones phone", _START, _END, _DURATION),
     _Shape("viseme", "viseme visemes", _START, _END, _DURATION),
     _Shape("word", "word words", _START, _END, _DURATION),
 )
-#: Frames of weights (Azure's viseme type FacialExpression), of which `_mouths` makes visemes.
-_BLENDSHAPES: Final = "blendshapes"
-_MOUTHS: Final = _Shape("viseme", "visemes", _START, _END)
+_PLAIN_WORD: Final = _SHAPES[-1]
 #: Of Azure's boundaries: no words.
 _UNSAID: Final = ("punctuation", "sentence")
 
 
-def vendor_units(message: object, from_s: float = 0.0) -> tuple[VendorUnits, ...]:
+def vendor_units(
+    message: object, from_s: float = 0.0, alphabet: str = ""
+) -> tuple[VendorUnits, ...]:
     """Return all timed units in a message, the most precise kind first: phonemes, visemes, words.
 
-    message: parsed JSON of a vendor, or a list of several. from_s: added to its times, where these
-    are counted from the beginning of a piece of sound and not of the stream. Raises VendorError for
-    a message without times, or a malformed one.
+    () for a message without times, as every stream has. message: parsed JSON of a vendor, or a list
+    of several, whose characters are joined to words over their borders. from_s: added to its times,
+    where these are counted from the beginning of a piece of sound and not of the stream. alphabet:
+    of phonemes beside which the message names none; "": ARPAbet if all of them are, else IPA.
+    Raises VendorError for a malformed message.
     """
     found = _Found(from_s)
     for node, here in _nodes(message, _Here()):
         for shape in _SHAPES:
             found.take(shape, node, here)
-        if isinstance(frames := node.get(_BLENDSHAPES), list) and frames:
-            found.take(_MOUTHS, _mouths(frames, node, here), here)
-    units = found.units()
-    if not units:
-        raise VendorError(
-            "no times of words, phonemes or visemes; docs/text.md shows what each vendor sends"
-        )
-    return units
+    return found.units(alphabet)
 
 
 _Node = Mapping[str, object]
@@ -155,11 +159,16 @@ _Node = Mapping[str, object]
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """The path of an object in a message, with sample rate and alphabet of those around it."""
+    """The path of an object in a message, and what those around it say of it.
+
+    start: where its word begins; speed: by which its durations are divided (VOICEVOX).
+    """
 
     place: str = ""
     rate_hz: object = None
     alphabet: str = ""
+    start: object = None
+    speed: object = 1.0
     depth: int = 0
 
     def inside(self, node: _Node, step: str) -> "_Here":
@@ -169,7 +178,8 @@ class _Here:
             raise VendorError(f"{place}: nested deeper than any vendor's message")
         rate_hz = node.get("samplerate", node.get("sampleratehz", self.rate_hz))
         alphabet = str(node.get("alphabet", self.alphabet))[:40]
-        return _Here(place, rate_hz, alphabet, self.depth + 1)
+        start, speed = node.get("start", self.start), node.get("speedscale", self.speed)
+        return _Here(place, rate_hz, alphabet, start, speed, self.depth + 1)
 
 
 def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
@@ -182,13 +192,16 @@ def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
         if isinstance(time := node.get("time"), dict):
             node |= {_key(key): each for key, each in time.items()}
         yield node, here.inside(node, "")
+        if "accentphrases" in node:
+            silence = {"vowel": "pau", "vowellength": node.get("prephonemelength", 0.0)}
+            yield silence, here.inside(node, ".prePhonemeLength")
         for key, each in value.items():
-            if _key(key) == "normalizedalignment" and node.get("alignment"):
-                continue  # the same once more
-            inner = here.inside(node, f".{key}")
-            if _key(key) == _BLENDSHAPES:
+            if node.get(_SAME_AS.get(_key(key), "")):
                 continue
-            if isinstance(each, list) and each and all(isinstance(row, list) for row in each):
+            inner = here.inside(node, f".{key}")
+            if _key(key) == "blendshapes" and isinstance(each, list):
+                yield _mouths(each, node, inner), inner
+            elif isinstance(each, list) and each and all(isinstance(row, list) for row in each):
                 yield _tier(_key(key), each, inner.place), inner
             else:
                 yield from _nodes(each, inner)
@@ -198,10 +211,15 @@ def _key(key: object) -> str:
     return str(key).replace("_", "").lower()
 
 
+#: A key whose value is once more what stands beside it under another: ElevenLabs, WhisperX.
+_SAME_AS: Final = {"normalizedalignment": "alignment", "wordsegments": "segments"}
+
+
 def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
     """Return frames of blendshapes as visemes, which are the phones that look most like them.
 
-    node: the object that contains the frames, with their rate.
+    node: the object that contains the frames (Azure's viseme type FacialExpression), with their
+    rate.
     """
     rate_hz, first = node.get("fps", DEFAULT_RATE_HZ), node.get("frameindex", 0)
     if not isinstance(rate_hz, int | float) or not 10 <= rate_hz <= 1000:
@@ -236,6 +254,8 @@ class _Found:
 
     from_s: float
     _of: dict[tuple[Kind, str], list[TimedUnit]] = field(default_factory=dict)
+    _characters: list[TimedUnit] = field(default_factory=list)
+    _untimed: list[str] = field(default_factory=list)
 
     def take(self, shape: _Shape, node: _Node, here: _Here) -> None:
         """Add the units of the object `node`, if it has the shape's keys. Raises VendorError."""
@@ -245,17 +265,27 @@ class _Found:
             lasts, unit_s = node[_SAMPLES], 1.0 / _rate(here)
         is_timed = lasts is not None or (times[0] is not None and (shape.end or not shape.lasts))
         is_type = shape.type in ("", str(node.get("type")).lower())
+        if shape is _PLAIN_WORD and isinstance(label, str) and times == [None, None] == [lasts] * 2:
+            self._untimed.append(label.strip()[:40])
         if label is None or not (is_timed and is_type and _is_spoken(node)):
             return
+        if isinstance(label, list) and any(isinstance(each, dict | list) for each in label):
+            return  # units of their own, further in
+        if shape.alphabet == "voicevox":
+            unit_s /= max(0.01, _seconds(here.speed, 1.0, here.place))
         columns = [each if isinstance(each, list) else [each] for each in (label, *times, lasts)]
         n = len(columns[0])
         lengths = [len(each) for each in columns if each != [None]]
         if any(length != n for length in lengths):
             raise VendorError(f"{here.place or 'message'}: lists of {lengths} values, not as many")
         kind: Kind = "word" if shape.kind == "character" else shape.kind
-        alphabet = {"word": "", "phoneme": here.alphabet or "ipa", "viseme": here.alphabet}[kind]
-        rows = self._of.setdefault((kind, shape.alphabet or alphabet), [])
+        alphabet = {"word": "", "phoneme": here.alphabet, "viseme": here.alphabet}[kind]
+        rows = self._characters
+        if shape.kind != "character":
+            rows = self._of.setdefault((kind, shape.alphabet or alphabet), [])
         reached_s = (rows[-1].end_s or rows[-1].start_s) if rows else self.from_s
+        if times[0] is None and not isinstance(here.start, list | None):
+            reached_s = max(reached_s, self.from_s + _seconds(here.start, 1.0, here.place))
         found: list[TimedUnit] = []
         of_each = zip(*(each if len(each) == n else each * n for each in columns), strict=True)
         for number, (name, *values) in enumerate(of_each):
@@ -266,9 +296,7 @@ class _Found:
                 start_s, end_s = self._times(values, unit_s, reached_s, place)
                 found.append(TimedUnit(text, start_s, end_s))
                 reached_s = start_s if end_s is None else end_s
-        rows += _words(found) if shape.kind == "character" else found
-        if len(rows) > MOST_UNITS:
-            raise VendorError(f"more than {MOST_UNITS} {kind}s; send them in pieces")
+        rows += found
 
     def _times(
         self, values: list[object], unit_s: float, reached_s: float, place: str
@@ -294,36 +322,49 @@ class _Found:
             )
         return round(start_s, _DIGITS), round(end_s, _DIGITS)
 
-    def units(self) -> tuple[VendorUnits, ...]:
-        """Return the units by kind, phonemes first; each is cut off at the start of the next."""
+    def units(self, given: str) -> tuple[VendorUnits, ...]:
+        """Return the units by kind, phonemes first.
+
+        given: alphabet of phonemes that name none; "": as their labels are written.
+        """
         order: tuple[Kind, ...] = ("phoneme", "viseme", "word")
+        self._of.setdefault(("word", ""), []).extend(_words(self._characters))
         found = sorted(self._of.items(), key=lambda item: order.index(item[0][0]))
-        return tuple(
-            VendorUnits(kind, _without_overlap(rows, kind), alphabet or None)
-            for (kind, alphabet), rows in found
-            if rows
-        )
+        units = []
+        for (kind, alphabet), rows in found:
+            if rows and kind == "phoneme":
+                alphabet = alphabet or given or alphabet_of(rows)
+            untimed = self._untimed if kind == "word" else ()
+            units += [VendorUnits(kind, _in_order(rows, kind), alphabet or None, tuple(untimed))]
+        return tuple(each for each in units if each.units)
 
 
-def _without_overlap(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]:
-    """Return units that end where the next one starts at the latest.
+def _in_order(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]:
+    """Return units of one kind whose starts do not decrease.
 
-    Where the end is None, a phoneme or viseme ends at the next start, and a word keeps None. Raises
-    VendorError for starts that decrease.
+    Where the end is None, a phoneme or viseme ends at the next start, and a word keeps None.
+    Visemes and words end where the next one starts at the latest: their vendors let them overlap.
+    Starts that decrease by less than 50 ms are sorted; raises VendorError for others.
     """
-    cut = []
+    if len(rows) > MOST_UNITS:
+        raise VendorError(f"more than {MOST_UNITS} {kind}s; send them in pieces")
     for number, (unit, following) in enumerate(pairwise(rows)):
-        if following.start_s < unit.start_s:
+        if following.start_s < unit.start_s - _DISORDER_S:
             raise VendorError(
                 f"{kind} {number + 2} begins at {following.start_s:.3f} s, before the one before "
                 f"it at {unit.start_s:.3f} s; put them in order of time, pieces of a stream each "
                 "from where its sound begins"
             )
+    rows = sorted(rows, key=lambda unit: unit.start_s)
+    cut = []
+    for unit, following in pairwise(rows):
         end_s = unit.end_s
         if end_s is None and kind != "word":
             end_s = following.start_s
-        cut.append(unit._replace(end_s=None if end_s is None else min(end_s, following.start_s)))
-    return (*cut, rows[-1])
+        if end_s is not None and kind != "phoneme":
+            end_s = min(end_s, following.start_s)
+        cut.append(unit._replace(end_s=end_s))
+    return (*cut, *rows[-1:])
 
 
 def _words(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
@@ -342,8 +383,8 @@ def _words(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
         yield word
 
 
-def _sample(time_s: float | None, rate_hz: int) -> int | None:
-    return None if time_s is None else round(time_s * rate_hz)
+def _sample(time_s: float | None, rate_hz: int, latest_s: float) -> int | None:
+    return None if time_s is None else round(min(time_s, latest_s) * rate_hz)
 
 
 def _first(node: _Node, keys: str) -> object:

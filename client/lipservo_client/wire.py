@@ -51,7 +51,7 @@ class Wire:
         except ConnectionClosed as error:
             raise _gone(error) from error
         except TimeoutError as error:
-            raise FaceError("not_answering", "the face takes nothing any more") from error
+            raise FaceError("not_answering", f"nothing taken in {PATIENCE_S:g} s") from error
 
     async def _read(self) -> None:
         try:

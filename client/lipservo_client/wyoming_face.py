@@ -4,12 +4,14 @@ Sound only. Wyoming has no tokens: every client that reaches the port speaks thr
 Needs the extra `wyoming`.
 """
 
+import asyncio
 import logging
 from asyncio import StreamReader, StreamWriter
 from functools import partial
 from typing import Final
 
 from wyoming.audio import AudioChunk, AudioChunkConverter, AudioFormat, AudioStart, AudioStop
+from wyoming.error import Error
 from wyoming.event import Event
 from wyoming.info import Attribution, Describe, Info, SndProgram
 from wyoming.server import AsyncEventHandler, AsyncTcpServer
@@ -21,64 +23,117 @@ from lipservo_client.protocol import FaceError
 _LOG: Final = logging.getLogger(__name__)
 _ABOUT: Final = Attribution(name="lipservo", url="")
 _FORMAT: Final = AudioFormat(rate=22_050, width=2, channels=1)
+#: A satellite that sends nothing for so long within an announcement has ended it: as if it had
+#: sent this.
+_SILENT_S: Final = 5.0
+_STOP: Final = b'{"type": "audio-stop"}\n'
 
 
 class _Handler(AsyncEventHandler):
-    """A Wyoming client's connection: `audio-start`, `-chunk` and `-stop`, answered by `played`."""
+    """A Wyoming client's connection: `audio-start`, `-chunk` and `-stop` are an announcement.
+
+    It is answered by `played` once all of it was heard, else by `error`. turn: held by the
+    connection whose announcement is spoken; the others wait, and read no further.
+    """
 
     def __init__(
-        self, url: str, token: str | None, reader: StreamReader, writer: StreamWriter
+        self,
+        url: str,
+        token: str | None,
+        turn: asyncio.Lock,
+        reader: StreamReader,
+        writer: StreamWriter,
     ) -> None:
         super().__init__(reader, writer)
         self._face = AsyncFace(url, token)
+        self._turn = turn
+        self._has_turn = self._is_entered = self._is_open = False
         self._speech: AsyncSpeech | None = None
-        self._is_entered = self._is_refused = False
+        self._error: FaceError | None = None
         self._convert = AudioChunkConverter(width=2, channels=1)
+        self._silence: asyncio.TimerHandle | None = None
 
     async def handle_event(self, event: Event) -> bool:
-        """Handle an event; return False, which disconnects, if it cannot be read.
-
-        Errors of the face are logged, once until the next `audio-start`; the sound is not played.
-        """
+        """Handle an event; return False, which disconnects, if it cannot be read."""
+        if self._silence is not None:
+            self._silence.cancel()
         try:
             await self._handle(event)
-        except FaceError as error:
-            if not self._is_refused:
-                _LOG.warning("not said: %s", error)
-            self._speech, self._is_refused = None, True
-            if AudioStop.is_type(event.type):
-                await self.write_event(Played().event())
         except (KeyError, TypeError, ValueError) as error:
             _LOG.warning("an event of a client cannot be read: %s", error)
             return False
+        if self._is_open:
+            loop = asyncio.get_running_loop()
+            self._silence = loop.call_later(_SILENT_S, self.reader.feed_data, _STOP)
         return True
 
     async def disconnect(self) -> None:
         """Disconnect from the face, which cuts off unfinished speech."""
-        await self._face.__aexit__()
+        if self._silence is not None:
+            self._silence.cancel()
+        try:
+            await self._face.__aexit__()
+        finally:
+            self._give_turn()
+            self.writer.close()
 
     async def _handle(self, event: Event) -> None:
         if Describe.is_type(event.type):
             await self.write_event(_info().event())
         elif AudioStart.is_type(event.type):
-            self._is_refused = False
-        elif AudioChunk.is_type(event.type) and not self._is_refused:
+            await self._end()
+            self._is_open = True
+        elif AudioChunk.is_type(event.type):
             await self._say(self._convert.convert(AudioChunk.from_event(event)))
         elif AudioStop.is_type(event.type):
-            speech, self._speech = self._speech, None
-            if speech is not None:
-                await speech.wait()
-            await self.write_event(Played().event())
+            await self._end()
 
     async def _say(self, chunk: AudioChunk) -> None:
-        if self._speech is None:
-            if not self._is_entered:
-                await self._face.__aenter__()
-                self._is_entered = True
-            speech = self._face.stream(chunk.rate)
-            await speech.__aenter__()
-            self._speech = speech
-        await self._speech.write(chunk.audio)
+        self._is_open = True
+        if self._error is not None:
+            return
+        try:
+            speech = self._speech or await self._begun(chunk.rate)
+            await speech.write(chunk.audio)
+        except FaceError as error:
+            self._error = error
+
+    async def _begun(self, rate_hz: int) -> AsyncSpeech:
+        """Return the stream of an announcement, in its turn. Raises FaceError."""
+        await self._turn.acquire()
+        self._has_turn = True
+        await (self._face.try_now() if self._is_entered else self._face.__aenter__())
+        self._is_entered = True
+        speech = self._face.stream(rate_hz)
+        await speech.__aenter__()
+        self._speech = speech
+        return speech
+
+    async def _end(self) -> None:
+        """End the announcement that is open, and answer it once it was heard or cannot be."""
+        if not self._is_open:
+            return
+        speech, self._speech = self._speech, None
+        error, self._error, self._is_open = self._error, None, False
+        try:
+            if error is None and speech is not None and not (await speech.wait()).finished:
+                error = FaceError("interrupted", "the face was silenced")
+        except FaceError as lost:
+            error = lost
+        if error is not None and speech is not None and speech.n_played:
+            cut_off = f"{error}: cut off after {speech.n_played / speech.rate_hz:.1f} s"
+            error = FaceError(error.code, cut_off)
+        self._give_turn()
+        if error is None:
+            await self.write_event(Played().event())
+        else:
+            _LOG.warning("not said: %s", error)
+            await self.write_event(Error(str(error), error.code).event())
+
+    def _give_turn(self) -> None:
+        if self._has_turn:
+            self._has_turn = False
+            self._turn.release()
 
 
 async def serve_wyoming(host: str, port: int, url: str, token: str | None) -> None:
@@ -86,7 +141,7 @@ async def serve_wyoming(host: str, port: int, url: str, token: str | None) -> No
 
     url, token: of the face, as for `lipservo.connect`. Raises OSError if the address is in use.
     """
-    await AsyncTcpServer(host, port).run(partial(_Handler, url, token))
+    await AsyncTcpServer(host, port).run(partial(_Handler, url, token, asyncio.Lock()))
 
 
 def _info() -> Info:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import yaml
 
@@ -29,10 +29,6 @@ CAPABILITIES: Final = BusCapabilities(
     memory=True,
     set_up=True,
 )
-#: goal_position, present_position and the position limits.
-PULSES_PER_TURN: Final = 4096
-PULSES_PER_DEG: Final = PULSES_PER_TURN / 360.0
-CENTER_PULSE: Final = 2048
 #: profile_velocity: 0.229 rev/min.
 VELOCITY_UNIT_DEG_S: Final = 0.229 * 6.0
 #: bus_watchdog.
@@ -85,7 +81,10 @@ class IndirectBlock:
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:
-    """One servo model: its registers, factory settings, and the limits of its motor."""
+    """One servo model: its registers, factory settings, and the limits of its motor.
+
+    n_positions: values of the position registers, over `reach_deg` degrees.
+    """
 
     name: str
     model_number: int
@@ -97,9 +96,18 @@ class ServoModel:
     nominal_voltage_v: float
     no_load_rpm: float
     stall_a: float
+    n_positions: int
+    reach_deg: float
 
-    center_pulse: ClassVar[int] = CENTER_PULSE
-    pulses_per_deg: ClassVar[float] = PULSES_PER_DEG
+    @property
+    def center_pulse(self) -> int:
+        """The position register's value at servo angle 0."""
+        return self.n_positions // 2
+
+    @property
+    def pulses_per_deg(self) -> float:
+        """Steps of the position registers per degree."""
+        return self.n_positions / self.reach_deg
 
     @property
     def measures_current(self) -> bool:
@@ -178,4 +186,5 @@ def _model(name: str, raw: Mapping[str, Any]) -> ServoModel:
         nominal_voltage_v=power["voltage_v"],
         no_load_rpm=power["no_load_rpm"],
         stall_a=power["stall_a"],
+        **raw.get("position", tables["position"]),
     )

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from firmware_bridge.bus import Array
-from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN
 from firmware_bridge.dynamixel.mounting import MountedServo, ServoIdentity
 from firmware_bridge.dynamixel.wire.codec import CommonFrame, Status
 from firmware_bridge.dynamixel.wire.line import FACTORY_RETURN_DELAY_S
@@ -23,7 +22,9 @@ class PresentState:
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         ids = [servo.joint.servo_id for servo in servos]
         hottest = [float(servo.model.defaults["temperature_limit"]) for servo in servos]
-        self.cache = ServoStateCache(ids, PULSES_PER_TURN - 1.0, hottest, FACTORY_RETURN_DELAY_S)
+        # Of a chain with models of several scales the least: limits are read before anything moves.
+        highest = min(servo.model.n_positions for servo in servos) - 1.0
+        self.cache = ServoStateCache(ids, highest, hottest, FACTORY_RETURN_DELAY_S)
         units = [s.model.current_unit_ma for s in servos]
         stalls = [s.model.stall_a * 1e3 for s in servos]
         # Models without a current sensor count load in 0.1 %.

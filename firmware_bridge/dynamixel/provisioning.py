@@ -8,9 +8,6 @@ from typing import Final
 
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import (
-    CENTER_PULSE,
-    PULSES_PER_DEG,
-    PULSES_PER_TURN,
     ServoModel,
     baud_rates,
     model_by_number,
@@ -44,7 +41,7 @@ _TRIES: Final = 3
 def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
     """Return the EEPROM values, by register name, that a mounted servo should have."""
     low, high = servo.pulse_range()
-    margin = round(SERVO_LIMIT_MARGIN_DEG * PULSES_PER_DEG)
+    margin = round(SERVO_LIMIT_MARGIN_DEG * servo.model.pulses_per_deg)
     code = next(code for code, rate in baud_rates().items() if rate == baud_rate)
     cap = servo.current_cap
     return {
@@ -54,7 +51,7 @@ def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
         "drive_mode": 0,
         "operating_mode": 3 if cap is None else 5,
         "homing_offset": 0,
-        "max_position_limit": min(high + margin, PULSES_PER_TURN - 1),
+        "max_position_limit": min(high + margin, servo.model.n_positions - 1),
         "min_position_limit": max(low - margin, 0),
         "startup_configuration": 0,
         "shutdown": servo.model.defaults["shutdown"],
@@ -242,5 +239,6 @@ def lone_servo(
     with unhurried_line(port, rate) as line:
         place = read_settings(line, servo_id, model, ["present_position"])["present_position"]
     joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, 60.0)
-    servo = MountedServo(joint, model, 1, (place - CENTER_PULSE) / PULSES_PER_DEG)
+    offset_deg = (place - model.center_pulse) / model.pulses_per_deg
+    servo = MountedServo(joint, model, 1, offset_deg)
     return DynamixelBus([servo], SameAdapter(port, rate)), joint, place

@@ -67,6 +67,11 @@ class DynamixelServo(BusServo, _Keys):
         return servo_models()[self.model]
 
     @property
+    def ticks_per_deg(self) -> float:
+        """Steps of the position register per degree."""
+        return self.facts.pulses_per_deg
+
+    @property
     def bounds(self) -> Mapping[str, float | None]:
         """The factory limits of temperature (degC) and voltage (V) of the servo's model."""
         defaults = self.facts.defaults

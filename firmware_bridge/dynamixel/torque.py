@@ -195,7 +195,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
             return "does not take its bus watchdog"
         if not write_verified(line, servo_id, _GOAL, struct.pack("<i", place)):
             return "does not take the place where it stands as its goal"
-        cache.goals[index] = cache.pulses[index] = place
+        cache.pulses[index] = place
         cache.set_one("tripped", index, False)
         taken = self._soft_start.apply_soft_limits(line, index)
         return "" if taken else "does not take its slow start"
@@ -210,7 +210,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         place = self._place_now(line, servo_id)
         if place is None or not self._watchdogs.start(line, servo_id):
             return False
-        cache.goals[index] = cache.pulses[index] = place
+        cache.pulses[index] = place
         cache.set_one("tripped", index, False)
         return write_verified(line, servo_id, _GOAL, struct.pack("<i", place))
 

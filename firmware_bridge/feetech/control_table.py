@@ -111,6 +111,11 @@ class ServoModel:
     stall_a: float
 
     @property
+    def n_positions(self) -> int:
+        """How many values the position registers have."""
+        return self.dialect.n_positions
+
+    @property
     def center_pulse(self) -> int:
         """The position register's value at servo angle 0."""
         return self.dialect.center

@@ -1,12 +1,15 @@
 """The YAML settings of Feetech servos and their port."""
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import model_validator
 
 from firmware_bridge.bus_settings import BusServo, BusSettings, Strict, within
 from firmware_bridge.feetech.control_table import ServoModel, servo_models
+
+#: Of an SCS, which reaches 150 to either side.
+_FARTHEST_NEUTRAL_DEG: Final = 90.0
 
 
 class FeetechSettings(BusSettings):
@@ -32,6 +35,11 @@ class FeetechServo(BusServo, _Keys):
         return servo_models()[self.model]
 
     @property
+    def ticks_per_deg(self) -> float:
+        """Steps of the position register per degree."""
+        return self.facts.pulses_per_deg
+
+    @property
     def bounds(self) -> Mapping[str, float | None]:
         """Temperature (degC) and voltage (V) limits of the servo's model, in its widest variant."""
         facts = self.facts
@@ -43,4 +51,10 @@ class FeetechServo(BusServo, _Keys):
 
     @model_validator(mode="after")
     def _the_servo_can_do_it(self) -> Self:
+        if self.facts.dialect.name == "scs" and abs(self.zero_offset_deg) > _FARTHEST_NEUTRAL_DEG:
+            raise ValueError(
+                f"zero_offset_deg {self.zero_offset_deg:g} puts neutral near the end of an "
+                f"{self.model}'s way, as `new-face --ranges` of 0.3.0 wrote by mistake; write the "
+                "face anew, or turn the horn"
+            )
         return self.within_reach(self.facts.dialect.reach_deg / 2, self.facts.fastest_deg_s)

@@ -13,7 +13,6 @@ from typing import Annotated, Any, Final, Literal
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.bus_settings import within
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.dynamixel.control_table import CENTER_PULSE, PULSES_PER_DEG
 from firmware_bridge.feetech.bus import FeetechBus
 from firmware_bridge.feetech.codec import BROADCAST_ID, Instruction, packet, packets_in
 from firmware_bridge.feetech.control_table import (
@@ -30,7 +29,14 @@ from firmware_bridge.feetech.mounting import MountedServo, mounted_servos
 from firmware_bridge.feetech.provisioning import wanted_settings
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.simulation_request import DueFaults, SimulationRequest, TimedFault
-from firmware_bridge.simulator.motors import UNBOUNDED, Course, Environment, Motors
+from firmware_bridge.simulator.motors import (
+    CENTER_PULSE,
+    PULSES_PER_DEG,
+    UNBOUNDED,
+    Course,
+    Environment,
+    Motors,
+)
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
 
 #: Not simulated here but in a ping, which lipservo never sends and others do.

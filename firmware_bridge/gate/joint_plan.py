@@ -67,6 +67,7 @@ class JointPlan:
         self._planned_deg: Array | None = None
         self._n_steps = 0
         self._n_held_back = np.zeros(len(max_speed_deg_s), dtype=np.int64)
+        self._is_held_back = self._n_held_back > 0
         # From rest to full speed; an acceleration without limit needs no time.
         self._rising_s = self._speed_deg_s / self._acceleration_deg_s2
         self._rises = bool(self._rising_s.any())
@@ -104,8 +105,14 @@ class JointPlan:
         self._smooth.sent(before_deg, smooth_deg, self._period_s)
         self._planned_deg = smooth_deg
         self._n_steps += 1
-        self._n_held_back += np.abs(window.positions_deg[0] - smooth_deg) > _NOTED_DEG
+        self._is_held_back = np.abs(window.positions_deg[0] - smooth_deg) > _NOTED_DEG
+        self._n_held_back += self._is_held_back
         return smooth_deg
+
+    def stay(self) -> None:
+        """Count a step of joints at rest, whose window and goals are those of the step before."""
+        self._n_steps += 1
+        self._n_held_back += self._is_held_back
 
     @property
     def held_back_share(self) -> Array:

@@ -57,9 +57,10 @@ class MaestroKind(BusKind):
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - a servo that is missing cannot be told from one that is there
         """Return the bus at its command port; without a port, one that is simulated in memory."""
-        from firmware_bridge.maestro.controller import MaestroController
+        from firmware_bridge.maestro.controller import MaestroController, check_channels
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
 
+        check_channels(wiring)
         settings, can = wiring.settings, self.capabilities(wiring.settings)
         if settings.port is None:
             from firmware_bridge.simulator.bus import SimulatedBus

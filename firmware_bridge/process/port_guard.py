@@ -33,6 +33,8 @@ _LOG: Final = logging.getLogger(__name__)
 _WAIT: Final = 'trap "" HUP INT QUIT TERM; read -r _ || exec "$@"'
 #: Silent servos are asked again for so long.
 _SILENT_S: Final = 1.0
+#: A tty's, and a URL's.
+_TAKEN: Final = (errno.EAGAIN, errno.EBUSY, errno.EADDRINUSE)
 #: A port is free so long after its holder has died; later it is another's.
 _DYING_S: Final = 2.0
 _END_S: Final = 1.0
@@ -85,7 +87,7 @@ def let_go(face: str, settings: "BusSettings", servos: Mapping[int, str]) -> Non
         try:
             port, is_taken = opener(), False
         except PortError as error:
-            is_taken = getattr(error.__cause__, "errno", 0) in (errno.EAGAIN, errno.EBUSY)
+            is_taken = getattr(error.__cause__, "errno", 0) in _TAKEN
             raise
         return port
 

@@ -213,6 +213,7 @@ class HalfDuplex:
         deadline_s = wire_end_s + self.latency.slack_s + extra_wait_s
         clock.sleep_until(due_s)
         heard = transport.read(deadline_s)
+        late = 0
         while True:
             if len(heard) == reply_size and not self.echoes and not heard.startswith(request):
                 stream, ended = heard, False
@@ -231,7 +232,9 @@ class HalfDuplex:
             if stream and not extra_wait_s:
                 rest_s = max(wire_end_s, clock.now()) + self.latency.rest_slack_s
                 deadline_s = min(deadline_s, rest_s)
-            more = transport.read(deadline_s)
+            # What waits when we come late is heard; a line that never falls silent is left.
+            late += clock.now() > deadline_s
+            more = transport.read(deadline_s) if late <= 1 else b""
             if not more:
                 self._heard = stream
                 self._quiet_s = max(wire_end_s, clock.now())

@@ -21,13 +21,17 @@ _DOCTOR: Final = "`lipservo doctor` shows every difference between the servos an
 class PositionServo(Protocol):
     """The properties of a servo model that are needed to mount it.
 
-    center_pulse, pulses_per_deg: of the position registers. current_unit_ma: of the register of the
-    current; None: the model does not measure it.
+    n_positions, center_pulse, pulses_per_deg: of the position registers. current_unit_ma: of the
+    register of the current; None: the model does not measure it.
     """
 
     @property
     def name(self) -> str:
         """The model's name in the YAML."""
+
+    @property
+    def n_positions(self) -> int:
+        """How many values the position registers have."""
 
     @property
     def center_pulse(self) -> int:

@@ -1,38 +1,48 @@
-"""A serial port, opened by pyserial for this process alone; reads sleep in the kernel."""
+"""A serial port, opened by pyserial for this process alone; a tty's reads sleep in the kernel."""
 
 import contextlib
 import errno
 import fcntl
 import os
 import select
+import socket
+import sys
 import termios
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import serial
+from serial.serialposix import Serial as Tty
 
 from firmware_bridge.clock import Clock, MonotonicClock
 from firmware_bridge.errors import PortError, PortGone
 
 #: More than the longest reply of 252 servos.
 _CHUNK: Final = 16_384
+#: Where the kernel cannot wake us, bytes are looked for so often.
+_LOOKS_EACH_S: Final = 0.0005
 
 
-class SerialTransport:
-    """A `Transport` over a tty: USB adapter or pseudo-terminal. Use `open_port` to make one."""
+class PyserialTransport:
+    """A `Transport` through pyserial's calls: the handler of a URL, a mock, a fake in memory."""
 
-    def __init__(self, handle: serial.Serial, clock: Clock) -> None:
+    def __init__(
+        self,
+        handle: Any,
+        port: str,
+        baud_rate: int,
+        clock: Clock,
+        lock: socket.socket | None = None,
+    ) -> None:
         """Use `handle`, an open port; from now on used by this transport alone.
 
-        clock: for deadlines.
+        clock: for deadlines. lock: closed with the port; None: the port has its own.
         """
         self._handle = handle
-        self._fd: int = handle.fileno()
-        self._port = handle.port
+        self._lock = lock
+        self._port = port
         self._clock = clock
-        self._baud_rate: int = handle.baudrate
-        self._poll = select.poll()
-        self._poll.register(self._fd, select.POLLIN)
+        self._baud_rate = baud_rate
 
     @property
     def clock(self) -> Clock:
@@ -53,6 +63,50 @@ class SerialTransport:
         except (OSError, termios.error) as error:
             raise self._gone(error) from error
         self._baud_rate = baud_rate
+
+    def write(self, data: bytes) -> None:
+        """Write all bytes."""
+        try:
+            self._handle.write(data)
+        except OSError as error:
+            raise self._gone(error) from error
+
+    def read(self, deadline_s: float) -> bytes:
+        """Return the bytes that come until `deadline_s`; b"": none came."""
+        while not (data := self.discard_input()) and self._clock.now() < deadline_s:
+            self._clock.sleep_until(min(deadline_s, self._clock.now() + _LOOKS_EACH_S))
+        return data
+
+    def discard_input(self) -> bytes:
+        """Return and remove the bytes that have arrived, without waiting; b"": none."""
+        try:
+            data = bytes(self._handle.read(self._handle.in_waiting))
+            # The handlers of URLs count one byte, or give one, however many wait.
+            while data and "://" in self._port and (more := self._handle.read(_CHUNK)):
+                data += more
+        except OSError as error:
+            raise self._gone(error) from error
+        return data
+
+    def close(self) -> None:
+        """Close the port, so that others can open it again."""
+        with contextlib.suppress(OSError):
+            self._handle.close()
+        if self._lock is not None:
+            self._lock.close()
+
+    def _gone(self, error: Exception) -> PortGone:
+        return PortGone(f"{self._port}: gone ({error}); plug the adapter in again")
+
+
+class SerialTransport(PyserialTransport):
+    """The same over a tty, by its descriptor: USB adapter or pseudo-terminal."""
+
+    def __init__(self, handle: Tty, clock: Clock) -> None:
+        super().__init__(handle, str(handle.port), handle.baudrate, clock)
+        self._fd: int = handle.fileno()
+        self._poll = select.poll()
+        self._poll.register(self._fd, select.POLLIN)
 
     def write(self, data: bytes) -> None:
         """Write all bytes to the kernel; wait only while its buffer is full."""
@@ -100,50 +154,76 @@ class SerialTransport:
         """Unlock and close the port, so that others can open it again."""
         if self._fd >= 0:
             self._fd = -1
-            release(self._handle.fileno())
+            release(self._handle)
             with contextlib.suppress(OSError):
                 self._handle.close()
 
-    def _gone(self, error: Exception) -> PortGone:
-        return PortGone(f"{self._port}: gone ({error}); plug the adapter in again")
 
+def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> PyserialTransport:
+    """Open a serial port for this process alone, or a URL of pyserial's (`socket://host:5000`).
 
-def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> SerialTransport:
-    """Open a serial port for this process alone. Raises PortError with the remedy.
-
-    clock: for deadlines; None: the computer's monotonic clock.
+    clock: for deadlines; None: the computer's monotonic clock. Raises PortError with the remedy.
     """
+    clock = clock or MonotonicClock()
     try:
+        if "://" in port:
+            return _open_url(port, baud_rate, clock)
         handle = serial.Serial(port, baud_rate, timeout=0, exclusive=True)
     except ValueError as error:
-        raise PortError(_no_such_rate(port, baud_rate)) from error
+        unknown = f"{port}: {error}; pyserial knows socket://, rfc2217://, loop:// and spy://"
+        raise PortError(unknown if "://" in port else _no_such_rate(port, baud_rate)) from error
     except termios.error as error:
         raise PortError(f"{port}: is not a serial port") from error
     except OSError as error:
         raise PortError(explain(port, error)) from error
+    if type(handle) is not Tty:  # a test has put another in the place of serial.Serial
+        return PyserialTransport(handle, port, baud_rate, clock)
     try:
-        claim(handle.fileno())
+        claim(handle)
         _ask_for_low_latency(handle, port)
-        return SerialTransport(handle, clock or MonotonicClock())
+        return SerialTransport(handle, clock)
     except OSError as error:
         handle.close()
         raise PortError(explain(port, error)) from error
 
 
-def claim(fd: int) -> None:
-    """Lock the port of `fd` for this process. Raises OSError when another process holds the lock.
+def _open_url(url: str, baud_rate: int, clock: Clock) -> PyserialTransport:
+    """Open a URL; what is behind a socket is locked among this computer's processes.
+
+    The lock is a name in Linux's abstract namespace: the kernel frees it when its process dies.
+    """
+    scheme, _, address = url.partition("://")
+    with contextlib.ExitStack() as undo:
+        lock = None
+        if scheme in {"socket", "rfc2217"} and sys.platform == "linux":
+            lock = undo.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            lock.bind(f"\0lipservo {address.partition('?')[0].rstrip('/')}")
+        handle = serial.serial_for_url(url, baud_rate, timeout=0, exclusive=True)
+        if scheme == "socket":  # pyserial leaves on what holds a request back for an answer's sake
+            with socket.socket(fileno=os.dup(handle.fileno())) as wire:
+                wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        undo.pop_all()
+    return PyserialTransport(handle, url, baud_rate, clock, lock)
+
+
+def claim(handle: Any) -> None:
+    """Lock the port for this process. Raises OSError when another process holds the lock.
 
     A file lock keeps out programs that also lock, even root's; the terminal's exclusive flag, set
-    as well, keeps out all but root's.
+    as well, keeps out all but root's. What is no tty has neither.
     """
+    if type(handle) is not Tty:
+        return
+    fd = handle.fileno()
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     fcntl.ioctl(fd, termios.TIOCEXCL)
 
 
-def release(fd: int) -> None:
+def release(handle: Any) -> None:
     """Clear the exclusive flag that `claim` sets; a port that is gone is ignored."""
-    with contextlib.suppress(OSError):
-        fcntl.ioctl(fd, termios.TIOCNXCL)
+    if type(handle) is Tty:
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(handle.fileno(), termios.TIOCNXCL)
 
 
 def latency_timer_ms(port: str) -> int | None:
@@ -180,7 +260,7 @@ class SameAdapter:
         self._baud_rate = baud_rate
         self._identity: str | None = None
 
-    def __call__(self) -> SerialTransport:
+    def __call__(self) -> PyserialTransport:
         """Open and return the port.
 
         Raises PortError, also if the adapter is another one than at the first call, or one without
@@ -198,7 +278,7 @@ class SameAdapter:
         return transport
 
 
-def _ask_for_low_latency(handle: serial.Serial, port: str) -> None:
+def _ask_for_low_latency(handle: Tty, port: str) -> None:
     """Set FTDI adapters not to collect bytes for 16 ms, which is their default.
 
     Best effort: other adapters need nothing, and without permission the udev rule does it.
@@ -217,6 +297,10 @@ def _no_such_rate(port: str, baud_rate: int) -> str:
 
 def explain(port: str, error: OSError) -> str:
     """Return the message why `port` could not be opened, from `error`, with the remedy."""
+    if "://" in port:
+        in_use = error.errno == errno.EADDRINUSE
+        why = "used by another program of this computer" if in_use else f"cannot be opened: {error}"
+        return f"{port}: {why}"
     if error.errno is None:  # pyserial found no settings to change
         return f"{port}: is not a serial port"
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):

@@ -6,13 +6,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from firmware_bridge.bus import Array
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, ServoModel, baud_rates
+from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import wanted_settings
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Frame, FrameParser, Instruction
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.simulator.faults import Fault, FaultInjector
-from firmware_bridge.simulator.motors import Environment, Motors
+from firmware_bridge.simulator.motors import PULSES_PER_DEG, Environment, Motors
 from firmware_bridge.simulator.servo import SimulatedServo
 from firmware_bridge.simulator.wire import Wire, WireRules
 

@@ -124,10 +124,6 @@ class RegisterMemory:
 REVERSED, TIMED_PROFILE, TORQUE_BY_GOAL = 0x01, 0x04, 0x08
 #: Operating modes: position in one turn, position over many turns, the same with limited current.
 POSITION, EXTENDED_POSITION, CURRENT_BASED_POSITION = 3, 4, 5
-#: Position control ignores a larger homing offset:
-#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#homing-offset20
-_LARGEST_OFFSET_IN_ONE_TURN: Final = 1024
-_TURN: Final = 4096
 _WATCHDOG_TRIPPED: Final = -1
 _DRIVE_MODE, _TORQUE = register("drive_mode").address, register("torque_enable").address
 #: realtime_tick .. present_temperature
@@ -146,8 +142,8 @@ SHAPING: Final = frozenset(
 class Drive:
     """Registers and motor of one simulated servo, number `index` of `motors`.
 
-    The manual does not say about which position reverse mode mirrors; here it is 2048, so that one
-    turn stays one turn.
+    The manual does not say about which position reverse mode mirrors; here it is the middle, so
+    that one turn stays one turn.
     """
 
     def __init__(self, model: ServoModel, index: int, motors: Motors) -> None:
@@ -159,6 +155,7 @@ class Drive:
         )  # silence after which the watchdog trips; infinity while off
         self._memory = self.table.bytes
         self._model = model
+        self._turn = model.n_positions
         self._stall_ma = model.stall_a * 1e3
         self._has_current = "goal_current" in model.registers
         self._n_revolutions = 0
@@ -197,11 +194,13 @@ class Drive:
         table, motors, i = self.table, self.motors, self.index
         drive_mode = table["drive_mode"]
         offset = table["homing_offset"]
-        if table["operating_mode"] == POSITION and abs(offset) > _LARGEST_OFFSET_IN_ONE_TURN:
+        # Position control ignores an offset of more than 90 degrees:
+        # https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#homing-offset20
+        if table["operating_mode"] == POSITION and abs(offset) > self._turn // 4:
             offset = 0
         reversed_ = bool(drive_mode & REVERSED)
         self._sign = -1.0 if reversed_ else 1.0
-        self._zero = float(offset + (_TURN if reversed_ else 0) - _TURN * self._n_revolutions)
+        self._zero = float(offset + (reversed_ - self._n_revolutions) * self._turn)
         motors.sign[i], motors.zero[i] = self._sign, self._zero
         timed = bool(drive_mode & TIMED_PROFILE)
         profile = Profile(timed, table["profile_velocity"], table["profile_acceleration"])
@@ -223,9 +222,9 @@ class Drive:
         return min(1.0, units * (self._model.current_unit_ma or 0.0) / self._stall_ma)
 
     def count_one_turn(self) -> None:
-        """Forget whole turns: the position is from 0 to 4095 again, plus the homing offset."""
+        """Forget whole turns: the position is within the first again, plus the homing offset."""
         counted = float(self.motors.position[self.index]) * self._sign
-        self._n_revolutions = math.floor(counted / _TURN) + (self._sign < 0)
+        self._n_revolutions = math.floor(counted / self._turn) + (self._sign < 0)
         self.settle()
 
     def pursue(self, goal: int) -> None:

@@ -10,9 +10,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG
-from firmware_bridge.simulator.motors import ENCODER_ERROR, SHOCK_ERROR, Motors
+from firmware_bridge.simulator.motors import (
+    CENTER_PULSE,
+    ENCODER_ERROR,
+    PULSES_PER_DEG,
+    SHOCK_ERROR,
+    Motors,
+)
 from firmware_bridge.simulator.servo import SimulatedServo
+
+_LAST: Final = 2 * CENTER_PULSE - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +64,7 @@ _SERVO_KINDS: Final = {
     "load": _Kind(Amount(_SHARE, 0.0, 1.0, needed=True), lasts=True),
     "id_change": _Kind(Amount("the new id", 0, 252, whole=True, needed=True)),
     "return_delay_drift": _Kind(Amount("register value, else 250", 1, 254, whole=True)),
-    "limits_drift": _Kind(Amount("the new max_position_limit, else 4095", 1, 4095, whole=True)),
+    "limits_drift": _Kind(Amount(f"max_position_limit, else {_LAST}", 1, _LAST, whole=True)),
     "pushed": _Kind(Amount("degrees", -360.0, 360.0, needed=True)),
 }
 #: What happens to a status packet on its way, by chance.
@@ -208,7 +215,7 @@ class FaultInjector:
         elif kind == "return_delay_drift":
             servo["return_delay_time"] = int(fault.amount) or 250
         elif kind == "limits_drift":
-            servo["max_position_limit"] = int(fault.amount) or 4095
+            servo["max_position_limit"] = int(fault.amount) or _LAST
         elif kind == "answers_stop":
             servo["status_return_level"] = 0
         elif kind == "watchdog_trip":

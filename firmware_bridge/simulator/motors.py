@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, VELOCITY_UNIT_DEG_S
+from firmware_bridge.dynamixel.control_table import VELOCITY_UNIT_DEG_S, servo_models
 
+#: The simulation's own unit of a shaft's place is the pulse of this model, whatever the register of
+#: a servo counts.
+_UNIT: Final = servo_models()["XL330-M288"]
+PULSES_PER_DEG: Final = _UNIT.pulses_per_deg
+CENTER_PULSE: Final = _UNIT.center_pulse
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-acceleration108 and the next entry
 VELOCITY_UNIT: Final = VELOCITY_UNIT_DEG_S * PULSES_PER_DEG
 ACCELERATION_UNIT: Final = 214.577 * 6.0 * PULSES_PER_DEG / 60.0
@@ -147,9 +152,9 @@ class MotorModel(Protocol):
 class Motors:
     """All motors of a chain; positions in pulses, speeds in pulses a second. Arrays are (n,).
 
-    Positions are the shafts' own, counter-clockwise, with 2048 in the middle of the first turn. A
-    register shows `sign` x position + `zero`: equal, unless the servo is reversed, has a homing
-    offset, or counts another turn.
+    Positions are the shafts' own, counter-clockwise, `CENTER_PULSE` in the middle of the first
+    turn. A register shows `sign` x position + `zero`: equal, unless the servo is reversed, has a
+    homing offset, or counts another turn.
     Set goal, torque, course, load and jam, call `advance`, and read the other arrays.
     """
 
@@ -164,7 +169,7 @@ class Motors:
             self.supply_v[:] = environment.supply_v
         self.sign = np.ones(n)
         self.zero = np.zeros(n)
-        self.position = np.full(n, 2048.0)
+        self.position = np.full(n, float(CENTER_PULSE))
         self.velocity = np.zeros(n)
         self.trajectory = self.position.copy()
         self.trajectory_velocity = np.zeros(n)

@@ -1,1 +1,1 @@
-"""Access control for clients that connect to a face over TCP: one policy, and its token."""
+"""Access over TCP: the policy for clients, its token, and requests to faces of other computers."""

@@ -29,7 +29,8 @@ from lipservo.agents.listener import (
     STREAM_PATH,
     AgentSettings,
     Handshake,
-    Speak,
+    PlayFile,
+    SayText,
     handshake,
     request_of,
     url_of,
@@ -41,6 +42,8 @@ from lipsync.audio.playout import Playout
 
 #: Between two looks at what the playout tells.
 _POLL_S: Final = 0.01
+#: So often at the end; the loop that plays needs one tick for it, if it still runs.
+_LAST_POLLS: Final = 30
 #: What a client that hangs may cost at the end, or when it is sent away.
 _CLOSING_S: Final = 1.0
 #: The thread is given up after this; it dies with the process.
@@ -81,8 +84,8 @@ class AgentServer:
         control_path: Path,
         delay_ms: Callable[[], float],
         settings: AgentSettings | None = None,
-        say: Speak | None = None,
-        play: Speak | None = None,
+        say: SayText | None = None,
+        play: PlayFile | None = None,
     ) -> None:
         """Prepare the server; entering its `with` block starts it.
 
@@ -166,8 +169,13 @@ class AgentServer:
         self._started.set()
         telling = self._loop.create_task(self._tell())
         await self._stopping.wait()
-        telling.cancel()
         self._streams.end_all()
+        # How much of its speech was heard, each client is told before it is hung up.
+        for _ in range(_LAST_POLLS):
+            await asyncio.sleep(_POLL_S)
+            if not self._streams.playing:
+                break
+        telling.cancel()
         await _close(server)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
@@ -212,7 +220,7 @@ class AgentServer:
             for each in (self._hear(connection, session, outbox), outbox.overflowed.wait())
         ]
         try:
-            # Not the end of sending: who has gone may have sent more, its `end` for one.
+            # Not the end of sending: who has gone may have sent more, for example its `end`.
             await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._n_clients -= is_client

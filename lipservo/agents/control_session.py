@@ -19,7 +19,7 @@ from typing import Any, Final
 from firmware_bridge.process.control_client import ask, change_setting, send_stop, start_face
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Refusal
-from lipservo.agents.listener import Speak
+from lipservo.agents.listener import PlayFile, SayText, Utterance
 from lipservo.agents.messages import (
     AskStatus,
     Command,
@@ -60,8 +60,8 @@ class Commands:
     """
 
     control_path: Path
-    say: Speak | None
-    play: Speak | None
+    say: SayText | None
+    play: PlayFile | None
     statuses: Executor
     changes: Executor
     speaking: Executor
@@ -174,23 +174,24 @@ class ControlSession:
             case StartFace():
                 return await _called(commands.changes, partial(start_face, path))
             case Say():
-                return await self._speak(given, commands.say, given.text)
+                return await self._speak(
+                    given, commands.say and partial(commands.say, given), "say"
+                )
             case Play():
-                return await self._speak(given, commands.play, given.file)
+                play = commands.play and partial(commands.play, given)
+                return await self._speak(given, play, given.file)
             case Stop():
                 raise AssertionError("a stop is sent before")
 
     async def _speak(
-        self, given: Say | Play, speak: Speak | None, what: str
+        self, given: Say | Play, speak: Callable[[str], Utterance] | None, name: str
     ) -> Mapping[str, object]:
         if speak is None:
             raise MessageError("not_available", f"not available: this face has no {given.type}")
-        own = self._streams.open_own(
-            self._outbox, given.id, what if given.type == "play" else "say"
-        )
+        own = self._streams.open_own(self._outbox, given.id, name)
         loop = asyncio.get_running_loop()
         try:
-            spoken = await loop.run_in_executor(self._commands.speaking, speak, what, own.stream_id)
+            spoken = await loop.run_in_executor(self._commands.speaking, speak, own.stream_id)
         except ValueError as error:
             self._streams.forget(own)
             if isinstance(error, MessageError):

@@ -19,6 +19,7 @@ from lipservo_client.local_token import is_loopback, tcp_sockets
 
 from lipservo.access.admission import Policy, Refusal, Request, merged_headers, refusal
 from lipservo.access.doorway import BACKLOG
+from lipservo.agents.messages import Play, Say
 from lipsync.errors import UserError, shown
 
 #: Of what is sent, the kernel holds so much for a client that does not read; by itself megabytes.
@@ -50,7 +51,8 @@ class Utterance(Protocol):
 
 #: Says a text, or plays a file, under a name. Called in a thread of its own. A ValueError is told
 #: to the client as it stands.
-Speak = Callable[[str, str], Utterance]
+SayText = Callable[[Say, str], Utterance]
+PlayFile = Callable[[Play, str], Utterance]
 
 
 @dataclass(frozen=True, slots=True)

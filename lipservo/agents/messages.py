@@ -11,12 +11,13 @@ import base64
 import binascii
 import json
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from lipsync.alphabets import ARPABET, in_inventory
 from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
@@ -29,6 +30,8 @@ from lipsync.spoken_text import (
     UnitKind,
 )
 from lipsync.text_to_speech.pronunciation import DEFAULT_LANGUAGE
+from lipsync.text_to_speech.spoken_form import spoken_form
+from lipsync.text_to_speech.synthesis import FASTEST_WPM, HIGHEST_PITCH, SLOWEST_WPM
 
 #: The version of docs/agents.md that this face speaks; a client of another is told so.
 PROTOCOL: Final = 2
@@ -51,16 +54,30 @@ _REPLACEABLE: Final = frozenset({"position", "phoneme"})
 Event = Mapping[str, object]
 
 
+#: What an error event may say, and what happened: docs/agents.md, "Errors".
+_OfMessages = Literal["bad_json", "unknown_type", "bad_message", "bad_protocol", "bad_audio"]
+_OfStreams = Literal["no_stream", "stream_open", "bad_text", "busy", "no_loudspeaker", "stalled"]
+_OfBounds = Literal["too_many_streams", "too_many_marks", "too_many_requests", "buffer_full"]
+_OfControl = Literal["refused", "unauthorized", "not_answering", "unexpected_binary"]
+ErrorCode = Literal[_OfMessages, _OfStreams, _OfBounds, _OfControl, "not_available", "internal"]
+
+
 class MessageError(ValueError):
     """A client's mistake, which is sent to it: a code of docs/agents.md and a one-line message."""
 
-    def __init__(self, code: str, message: str) -> None:
+    def __init__(self, code: ErrorCode, message: str) -> None:
         super().__init__(message)
-        self.code = code
+        self.code: ErrorCode = code
+
+
+#: Of every message: who reads one of a newer program ignores the fields that it does not know.
+OPEN: Final[dict[str, JsonValue]] = {"additionalProperties": True}
 
 
 class _Message(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(
+        strict=True, frozen=True, extra="ignore", allow_inf_nan=False, json_schema_extra=OPEN
+    )
 
 
 _Kind = TypeVar("_Kind", bound=_Message)
@@ -264,10 +281,18 @@ class Set(_Command):
 
 
 class Say(_Command):
-    """Speak a text with the face's own voice; `started`, then `finished` or `dropped` follow."""
+    """Speak a text with the face's own voice; `started`, then `finished` or `dropped` follow.
+
+    language, voice: of the synthesiser's; rate_wpm: words a minute; pitch: 50 as the voice was
+    made. What is left out is as in the face's YAML.
+    """
 
     type: Literal["say"]
     text: Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)]
+    language: Language | None = None
+    voice: Annotated[str, Field(max_length=200)] | None = None
+    rate_wpm: Annotated[int, Field(ge=SLOWEST_WPM, le=FASTEST_WPM)] | None = None
+    pitch: Annotated[int, Field(ge=0, le=HIGHEST_PITCH)] | None = None
 
 
 class Play(_Command):
@@ -375,12 +400,25 @@ def spoken_text_of(message: SpeechUnits, sample_rate_hz: int) -> SpokenText:
         SpokenUnit(each.label, each.start_sample, each.end_sample) for each in message.units
     )
     if isinstance(message, Words):
-        return SpokenText("word", units, sample_rate_hz)
+        return SpokenText("word", _spoken_words(units, message.language), sample_rate_hz)
     kind: UnitKind = "phoneme" if isinstance(message, Phonemes) else "viseme"
     spoken = in_inventory(kind, units, message.alphabet, sample_rate_hz)
     if kind == "viseme" and not spoken.is_timed:
         raise SpokenTextError("visemes without a start_sample move no mouth")
     return spoken
+
+
+def _spoken_words(units: Sequence[SpokenUnit], language: str) -> tuple[SpokenUnit, ...]:
+    """Return words as they are spoken, without marks; a smiley that has a time is no word.
+
+    Words without times are looked up together, since a mark may begin in one and end in another.
+    """
+    if not all(each.start_sample is not None for each in units):
+        return tuple(units)
+    labels = (spoken_form(each.label, language)[:LONGEST_LABEL] for each in units)
+    return tuple(
+        replace(unit, label=label) for unit, label in zip(units, labels, strict=True) if label
+    )
 
 
 class PcmDecoder:
@@ -415,11 +453,11 @@ class PcmDecoder:
 
 
 def decode_base64(text: str) -> bytes:
-    """Return the bytes that a base64 text encodes; raise ValueError if it is not base64."""
+    """Return the bytes that a base64 text encodes; raise MessageError if it is not base64."""
     try:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise ValueError("data: not base64") from error
+        raise MessageError("bad_audio", "data: not base64") from error
 
 
 class Outbox:
@@ -447,7 +485,7 @@ class Outbox:
         self._events.append(event)
         self._filled.set()
 
-    def error(self, code: str, message: str, **about: object) -> None:
+    def error(self, code: ErrorCode, message: str, **about: object) -> None:
         """Queue an error event: a code of docs/agents.md, a message and further fields `about`."""
         self.put({"type": "error", "code": code, "message": message, **about})
 

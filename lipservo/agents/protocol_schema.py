@@ -11,7 +11,9 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter
 from pydantic.json_schema import models_json_schema
 
 from lipservo.agents.listener import CONTROL_PATH, STREAM_PATH
-from lipservo.agents.messages import COMMANDS, PROTOCOL, STREAM_MESSAGES, Playback
+from lipservo.agents.messages import COMMANDS, OPEN, PROTOCOL, STREAM_MESSAGES, ErrorCode, Playback
+from lipsync.audio.playout_stream import MoverReason as Reason
+from lipsync.recognition.text_decoder import MovedBy as Mover
 
 Id = int | float | str | None
 
@@ -19,7 +21,8 @@ Id = int | float | str | None
 class _Sent(BaseModel):
     """A message from the face to a client. time_s: seconds on the face's monotonic clock."""
 
-    model_config = ConfigDict(extra="forbid")
+    # Tests hold what the face sends against these fields and no others.
+    model_config = ConfigDict(extra="forbid", json_schema_extra=OPEN)
 
 
 class Greeting(_Sent):
@@ -82,6 +85,34 @@ class Place(_OfStream):
     waiting_s: float
 
 
+class MovedBy(_OfStream):
+    """Something else moves the mouth than before. moved_by: what; reason: why nothing better does.
+
+    told: the sender sent it, and the sound agrees. not_told: nothing more precise is known of this
+    sound. not_said: the units or the text that were sent are not what is heard.
+    """
+
+    type: Literal["moved_by"]
+    moved_by: Mover
+    reason: Reason
+
+
+class UnitsShifted(_OfStream):
+    """Units with times are heard so much later than sent, ms (negative: earlier), and shown then.
+
+    Sent again where that changes by 30 ms.
+    """
+
+    type: Literal["units_shifted"]
+    shifted_ms: float
+
+
+class TextDropped(_OfStream):
+    """The text that was sent is not what is heard: the mouth moves by the sound."""
+
+    type: Literal["text_dropped"]
+
+
 class Dropped(_OfStream):
     """A stream was cut off by `interrupt`, `clear` or the face.
 
@@ -125,7 +156,7 @@ class Failure(_Sent):
     """
 
     type: Literal["error"]
-    code: str
+    code: ErrorCode
     message: str
     stream: str | None = None
     id: Id = None
@@ -155,7 +186,17 @@ class OwnSpeech(_Sent):
 
 
 STREAM_EVENTS = (
-    Greeting | Ready | Progress | Reached | Place | Dropped | NothingInterrupted | Recognised
+    Greeting
+    | Ready
+    | Progress
+    | Reached
+    | Place
+    | Dropped
+    | NothingInterrupted
+    | Recognised
+    | MovedBy
+    | UnitsShifted
+    | TextDropped
 ) | Failure
 CONTROL_EVENTS = Result | Failure | OwnSpeech
 #: By path: what the face may send there.

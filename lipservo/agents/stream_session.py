@@ -98,7 +98,7 @@ class StreamSession:
             case Start():
                 self._begin(parsed)
             case Audio():
-                await self._take_text(parsed.data)
+                await self._take_audio(decode_base64(parsed.data))
             case End():
                 self._end()
             case Mark():
@@ -145,13 +145,6 @@ class StreamSession:
     def _cut(self) -> None:
         self._ignores_rest = self._ignores_rest or self._open is not None
         self._open = None
-
-    async def _take_text(self, data: str) -> None:
-        try:
-            decoded = decode_base64(data)
-        except ValueError as error:
-            raise MessageError("bad_audio", str(error)) from error
-        await self._take_audio(decoded)
 
     async def _take_audio(self, data: bytes) -> None:
         stream = self._open

@@ -99,6 +99,10 @@ class AgentStream:
         if event.kind == "mark":
             self.n_marks -= 1
             self._put("mark", name=event.name)
+        elif event.kind == "moved_by":
+            self._put("moved_by", moved_by=event.name, reason=event.reason)
+        elif event.kind == "units_shifted":
+            self._put("units_shifted", shifted_ms=round(event.shifted_s * 1e3, 1))
         elif event.kind in ("interrupted", "cleared"):
             n_dropped = event.n_dropped
             self._put(event.kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)

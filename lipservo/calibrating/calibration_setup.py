@@ -3,15 +3,17 @@
 import datetime
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
+import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from calibration.calibration import CalibrationError
-from calibration.capture.capture import least_poses
-from calibration.fit.procedure import Procedure
+from calibration.capture.capture import LEAD_IN_DEG
+from calibration.fit.procedure import Procedure, machine_poses
 from calibration.mouth_servos import JointRange, MouthServos
+from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.clock import MonotonicClock
 from lipservo.runtime.servos.assembly import mouth_rules
 from lipservo.runtime.servos.held_face import SPEED_DEG_S, HeldFace
@@ -23,8 +25,9 @@ from lipsync.arrays import Array
 #: Neutral, each of ten joints alone from both sides, and as many again spread over the range and
 #: over speech: docs/benchmarks.md has the errors for this number.
 N_POSES = 60
-#: What a person has the patience to measure by hand, at five markers each.
-_N_TYPED_POSES = 24
+#: Seconds until servos are still after a move, and that a joint chirps.
+_SETTLES_S: Final = 0.4
+CHIRPS_S: Final = 14.0
 #: What is seen from the side alone.
 _FORWARD_WORDS = ("protrudes", "retracts")
 
@@ -78,10 +81,38 @@ class CalibrationSetup:
             rules=mouth_rules(self.settings),
         )
 
+    def for_machine(self) -> "CalibrationSetup":
+        """Return the setup with as many poses as a machine takes for this face's joints."""
+        return replace(self, n_poses=machine_poses(self.n_poses, len(self.servos.joints)))
+
     @property
-    def n_typed_poses(self) -> int:
-        """Number of poses to capture when a person types the position of each marker."""
-        return max(_N_TYPED_POSES, least_poses(len(self.servos.joints)))
+    def reckoned_poses(self) -> int:
+        """How many poses `measure` takes if no joint is in doubt and lips meet early."""
+        return self.n_poses + self.procedure().n_usual_more
+
+    @property
+    def reckoned_s(self) -> float:
+        """Seconds that the servos need for these poses, and for chirps, without the tracker's."""
+        plan = self.procedure().range_plan()
+        ways_deg = np.abs(np.diff(plan.goals_deg, axis=0)).max(axis=1)
+        pose_s = (float(ways_deg.mean()) + LEAD_IN_DEG) / self.speed_deg_s + 2 * _SETTLES_S
+        chirps_s = CHIRPS_S * len(self.servos.joints) if self.lags and self.has_place else 0.0
+        return pose_s * self.reckoned_poses + chirps_s
+
+    @property
+    def has_place(self) -> bool:
+        """Whether every servo of the mouth reports its position; else goals count as positions."""
+        return all(can.place for can in self._mouth_buses)
+
+    @property
+    def has_load(self) -> bool:
+        """Whether every servo of the mouth reports its load."""
+        return all(can.load for can in self._mouth_buses)
+
+    @property
+    def _mouth_buses(self) -> list[BusCapabilities]:
+        alone = self.settings.alone.values()
+        return [one.capabilities for one in alone if one.mouth_servos]
 
     def _word(self, positive: str) -> str:
         """Return `positive`, what a positive angle does; empty if the tracker cannot see that."""
@@ -106,22 +137,8 @@ def today() -> str:
     return datetime.date.today().isoformat()
 
 
-def check_places(settings: FaceSettings) -> None:
-    """Raise CalibrationError if any of the mouth's servos cannot report their positions."""
-    for one in settings.alone.values():
-        if one.mouth_servos and not one.capabilities.place:
-            raise CalibrationError(
-                f"{settings.name}: servos on a {one.bus.kind} bus cannot say where they stand, "
-                "which this way of calibrating measures"
-            )
-
-
 def held_servos(setup: CalibrationSetup) -> HeldFace:
-    """Return the face's own servos, which a `with` block moves to neutral and holds to its end.
-
-    Raises CalibrationError if they cannot report their positions.
-    """
-    check_places(setup.settings)
+    """Return the face's own servos, which a `with` block moves to neutral and holds to its end."""
     clock = MonotonicClock()
     return HeldFace(setup.settings, clock, speed_deg_s=setup.speed_deg_s, config=setup.config)
 

@@ -12,6 +12,7 @@ from calibration.capture.capture import Move
 from calibration.fit.guided import (
     KEYS,
     GuidedSession,
+    LandmarkPose,
     fit_guided,
     keep_poses,
     kept_poses,
@@ -21,7 +22,8 @@ from calibration.fit.guided import (
 from calibration.mouth_servos import JointRange
 from calibration.simulated.practice_robot import markers_of_face
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, today
-from lipservo.calibrating.measured_calibration import CalibrationResult, with_lags
+from lipservo.calibrating.hand_poses import HAND_POSES, ROUNDED, WIDEST
+from lipservo.calibrating.measured_calibration import CalibrationResult, Save, with_lags
 from lipservo.runtime.servos.assembly import servo_memories
 from lipservo.terminal.keys import read_key
 from lipservo.terminal.output import MESSAGES
@@ -33,10 +35,11 @@ from lipsync.arrays import Array
 Drawn = Callable[[Array], Array]
 
 
-def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
+def calibrate_by_eye(setup: CalibrationSetup, save: Save = lambda _: None) -> CalibrationResult:
     """Let a person make poses by keys, on the face's servos or simulated ones; fit a calibration.
 
-    Raises CalibrationError for too few poses.
+    save: called with the calibration before the servos' lags are measured. Raises CalibrationError
+    for too few poses.
     """
     model, joints = setup.model, setup.servos.joints
     if setup.settings.capabilities.in_memory:
@@ -56,7 +59,27 @@ def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
             model, joints, robot.lead, lambda: robot.hold_while(read_key), MESSAGES, keep=setup.keep
         )
         result = fit_by_eye(setup, made_deg).with_memories(memories)
+        save(result)
         return with_lags(setup, robot, result) if setup.lags else result
+
+
+def hand_poses_by_keys(setup: CalibrationSetup) -> dict[str, Array]:
+    """Let a person make the hand poses by keys, for servos that report no position.
+
+    Returns (n_servos,) degrees by the name of the pose.
+    """
+    model = setup.model
+    frames = {pose.name: pose.coefficients for pose in landmark_poses(model)}
+    shown = {WIDEST: frames["open"], ROUNDED: frames["narrow"]}
+    poses = [
+        LandmarkPose(pose.name, pose.instruction, shown.get(pose.name, model.rest))
+        for pose in HAND_POSES
+    ]
+    with held_servos(setup) as robot:
+        return guide(
+            model, setup.servos.joints, robot.lead, lambda: robot.hold_while(read_key), MESSAGES,
+            keep=setup.keep, poses=poses,
+        )  # fmt: skip
 
 
 def fit_by_eye(setup: CalibrationSetup, made_deg: Mapping[str, Array]) -> CalibrationResult:
@@ -87,8 +110,9 @@ def guide(
     *,
     keep: Path | None = None,
     drawn: Drawn | None = None,
+    poses: Sequence[LandmarkPose] = (),
 ) -> dict[str, Array]:
-    """Let a person make the landmark poses (open, wide, narrow, ...) by keys, and return them.
+    """Let a person make poses by keys (the landmark poses: open, wide, ...), and return them.
 
     The robot is in neutral afterwards. Every finished pose is written to `keep` at once; a later
     session continues from that file.
@@ -107,6 +131,8 @@ def guide(
         Where poses are shown; computes the simulated robot's markers to show (None: not shown).
     keep : Path | None
         File of the poses; None: they are not written.
+    poses : Sequence[LandmarkPose]
+        Other poses to be made; empty: the landmark poses.
 
     Returns
     -------
@@ -115,7 +141,7 @@ def guide(
     """
     names = [joint.name for joint in joints]
     kept = {} if keep is None else kept_poses(names, keep)
-    session = start_session(joints, landmark_poses(model), kept)
+    session = start_session(joints, poses or landmark_poses(model), kept)
     try:
         while not session.done:
             move(session.positions_deg)

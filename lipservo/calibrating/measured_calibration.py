@@ -19,9 +19,9 @@ from calibration.calibration import (
     check_calibration,
     check_servo_memories,
 )
-from calibration.capture.capture import Capture, Robot
+from calibration.capture.capture import Capture, KeptPoses, Robot
 from calibration.capture.sanity import is_flat
-from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker, TypedTracker
+from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker
 from calibration.fit.jaw import fit_jaw, jaw_agreement, jaw_markers
 from calibration.fit.learnt_face import fit_calibration
 from calibration.fit.measured import MeasuredFit, fit_measured
@@ -45,7 +45,6 @@ from lipservo.calibrating.calibration_setup import (
 )
 from lipservo.runtime.servos.assembly import servo_memories, simulated_wire
 from lipservo.runtime.servos.held_face import HeldFace, Here
-from lipservo.terminal.keys import read_line
 from lipservo.terminal.output import MESSAGES
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
@@ -76,14 +75,19 @@ class CalibrationResult:
         """
         return backlash_of(self.calibration)
 
-    def graded_by(self, setup: CalibrationSetup, on: Robot) -> "CalibrationResult":
+    def graded_by(
+        self, setup: CalibrationSetup, on: Robot, n_captured: int = 0
+    ) -> "CalibrationResult":
         """Return the result with a grade, measured on the robot `on` in ten poses of speech.
 
-        Unchanged if `fit` is None. setup: the face's servos.
+        Unchanged if `fit` is None. setup: the face's servos, and the file of captured poses, in
+        which those to grade by come after `n_captured` others.
         """
         if self.fit is None:
             return self
-        fit = take_grade(self.fit, setup.servos, self.fit.face.marker_names, on)
+        kept = KeptPoses(setup.keep)
+        names = self.fit.face.marker_names
+        fit = take_grade(self.fit, setup.servos, names, on, kept, n_captured)
         found = fit.calibration
         calibration = replace(self.calibration, grade=found.grade, coverage=found.coverage)
         return CalibrationResult(calibration, fit, fit.warnings)
@@ -199,9 +203,7 @@ def typed_lags(
     """
     names = list(setup.servos.names)
     check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
-    n = len(names)
-    unknown = Following(np.zeros(n), np.zeros(n), np.full(n, np.inf), np.full(n, np.inf))
-    following = calibration.following or unknown
+    following = calibration.following or _unknown_following(len(names))
     lag_s, seen = following.lag_s.copy(), set()
     for each in typed:
         name, _, number = each.partition("=")
@@ -225,17 +227,51 @@ def typed_lags(
 def _measured_following(
     setup: CalibrationSetup, face: HeldFace, calibration: Calibration
 ) -> Following:
+    """Return how the servos follow; as before for those without an encoder.
+
+    A line names these, and how to type their lags.
+    """
     joints = setup.servos.joints
-    with progress_bar(setup, "chirps", len(joints)) as done:
-        return identify(
-            face.drive, joints, backlash_of(calibration), rate_hz=face.rate_hz, progress=done
+    measured = np.flatnonzero(face.has_place)
+    if len(measured) < len(joints):
+        blind = [joint.name for joint, has in zip(joints, face.has_place, strict=True) if not has]
+        _say(
+            f"how late {', '.join(blind)} follow cannot be measured, for want of encoders; film "
+            f"one and type it: `lipservo calibrate lags FILE --lag-ms {blind[0]}=60`"
         )
+    known = calibration.following or _unknown_following(len(joints))
+    if not len(measured):
+        return known
+
+    def drive(goals_deg: Array, rate_hz: float) -> Array:
+        whole_deg = np.zeros((len(goals_deg), len(joints)))
+        whole_deg[:, measured] = goals_deg
+        return face.drive(whole_deg, rate_hz)[:, measured]
+
+    own = [joints[index] for index in measured]
+    with progress_bar(setup, "chirps", len(own)) as done:
+        found = identify(
+            drive, own, known.backlash_deg[measured], rate_hz=face.rate_hz, progress=done
+        )
+    whole = replace(
+        known,
+        lag_s=known.lag_s.copy(),
+        top_speed_deg_s=known.top_speed_deg_s.copy(),
+        bandwidth_hz=known.bandwidth_hz.copy(),
+    )
+    whole.lag_s[measured] = found.lag_s
+    whole.top_speed_deg_s[measured] = found.top_speed_deg_s
+    whole.bandwidth_hz[measured] = found.bandwidth_hz
+    return whole
 
 
-#: What a person who types is asked for: the least that says how open and how wide a mouth is, and
-#: the chin.
-TYPED_MARKERS = ("inner_lip_13", "inner_lip_14", "outer_lip_61", "outer_lip_291", "outer_lip_17")
-TYPED = "typed"
+def _unknown_following(n_servos: int) -> Following:
+    unknown = np.full(n_servos, np.inf)
+    return Following(np.zeros(n_servos), np.zeros(n_servos), unknown, unknown)
+
+
+#: Called with a calibration that is usable though not yet whole.
+Save = Callable[[CalibrationResult], object]
 #: Share of its current cap from which a servo counts as pressing: what it measures is noisy.
 _STRAINED = 0.9
 
@@ -245,8 +281,12 @@ def calibrate_on_servos(
     make_tracker: Callable[[HeldFace], Tracker],
     passed: Callable[[Array], object] = lambda _: None,
     seed: int = 0,
+    save: Save = lambda _: None,
 ) -> CalibrationResult:
     """Capture poses on the face's servos, fit and grade a calibration, then measure the lags.
+
+    Interrupted at any moment, it goes on where it was when it is called again, by the poses in
+    `setup.keep`.
 
     Parameters
     ----------
@@ -258,6 +298,8 @@ def calibrate_on_servos(
         Called with the encoders' positions after every move, (n_servos,) degrees.
     seed : int
         Seed of the plan of poses.
+    save : Save
+        Called with the calibration after the fit, and again with its grade.
 
     Returns
     -------
@@ -294,10 +336,10 @@ def calibrate_on_servos(
             on = Robot(move, measure, arrived, strained=strained)
             capture = capture_face(setup, tracker.marker_names, on, seed=seed)
             result = fit_capture(setup, capture).with_memories(memories)
-            # Poses to grade by go on where the numbers of the others end.
-            n_taken = capture.n_planned
-            later = Robot(move, measure, lambda pose, deg: arrived(n_taken + pose, deg))
-            return result.graded_by(setup, later)
+            save(result)
+            result = result.graded_by(setup, Robot(move, measure, arrived), capture.n_planned)
+            save(result)
+            return result
 
         try:
             result = face.work(taken)
@@ -307,8 +349,18 @@ def calibrate_on_servos(
         return with_lags(setup, face, result) if setup.lags else result
 
 
-def calibrate_on_computed_skin(setup: CalibrationSetup) -> CalibrationResult:
-    """Calibrate as a rehearsal: the face's servos move; markers are computed from encoders."""
+def calibrate_on_computed_skin(
+    setup: CalibrationSetup, save: Save = lambda _: None
+) -> CalibrationResult:
+    """Calibrate as a rehearsal: the face's servos move; markers are computed from their positions.
+
+    save: as for `calibrate_on_servos`.
+    """
+    return calibrate_on_servos(setup, lambda _: computed_tracker(setup), save=save)
+
+
+def computed_tracker(setup: CalibrationSetup) -> Tracker:
+    """Return a tracker of the simulated face, whose markers are computed from servos' positions."""
     markers_of = markers_of_face(setup.model.markers_mm(setup.model.rest[None])[0], setup.servos)
     noise = np.random.default_rng(0)
 
@@ -316,26 +368,20 @@ def calibrate_on_computed_skin(setup: CalibrationSetup) -> CalibrationResult:
         exact_mm = markers_of(reached_deg[None])[0]
         return np.asarray(exact_mm + noise.normal(0.0, SENSOR_NOISE_MM, exact_mm.shape))
 
-    return calibrate_on_servos(setup, lambda _: SeenByComputation(MARKERS_47.names, look))
+    return SeenByComputation(MARKERS_47.names, look)
 
 
 def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[HeldFace], Tracker]:
     """Return a function that, called with the held servos, makes the source of marker positions.
 
-    source: `typed`, or the path of a file or folder that another program fills. axes: those of C3D
-    files that point left, up and forward, as `x z -y`. Raises CalibrationError for other sources.
+    source: the path of a file or folder that another program fills. axes: those of C3D files that
+    point left, up and forward, as `x z -y`. Raises CalibrationError for other sources.
     """
-    if source == TYPED:
-        return lambda face: TypedTracker(
-            TYPED_MARKERS, lambda question: face.hold_while(lambda: read_line(question))
-        )
     path = Path(source)
     if not path.is_dir() and path.suffix.lower() not in (".csv", ".json"):
-        raise CalibrationError(
-            f"--tracker {source}: expected `typed`, a .csv or .json file, or a folder"
-        )
-    names = setup.servos.names
-    return lambda face: FileTracker(path, names, face.hold, _say, axes=axes)
+        raise CalibrationError(f"--tracker {source}: expected a .csv or .json file, or a folder")
+    names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
+    return lambda face: FileTracker(path, names, face.hold, _say, axes=axes, kept=kept)
 
 
 def capture_face(
@@ -345,12 +391,21 @@ def capture_face(
 
     seed: of the plan of poses.
     """
+    n_wanted, setup = setup.n_poses, setup.for_machine()
+    n_joints = len(setup.servos.joints)
+    more = ""
+    if setup.n_poses != n_wanted:
+        more = f": {n_joints} joints need more than {n_wanted}"
+    _say(
+        f"about {setup.reckoned_poses} poses{more}; {setup.reckoned_s / 60.0:.0f} minutes and what "
+        "the tracker needs"
+    )
     with progress_bar(setup, "poses", setup.n_poses) as done:
         return setup.procedure(seed).capture(
             marker_names,
             on.move,
             on.measure,
-            keep=setup.keep,
+            kept=KeptPoses(setup.keep),
             arrived=on.arrived,
             progress=done,
             strained=on.strained,
@@ -408,13 +463,21 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
 
 
 def practise_in_memory(
-    setup: CalibrationSetup, seed: int, family: RobotFamily | None = None
+    setup: CalibrationSetup,
+    seed: int,
+    family: RobotFamily | None = None,
+    save: Save = lambda _: None,
 ) -> CalibrationResult:
-    """Calibrate a simulated robot drawn by `seed`, in memory; `family` as `practice_robot`."""
+    """Calibrate a simulated robot drawn by `seed`, in memory; `family` as `practice_robot`.
+
+    save: as for `calibrate_on_servos`.
+    """
     robot = _drawn_robot(setup, seed, family)
     on = Robot(robot.move, robot.measure)
     capture = capture_face(setup, MARKERS_47.names, on, seed=seed)
-    result = fit_capture(setup, capture).graded_by(setup, on)
+    result = fit_capture(setup, capture)
+    save(result)
+    result = result.graded_by(setup, on, capture.n_planned)
     if not setup.lags:
         return result
     joints = setup.servos.joints
@@ -423,15 +486,18 @@ def practise_in_memory(
 
 
 def practise_over_wire(
-    setup: CalibrationSetup, seed: int, family: RobotFamily | None = None
+    setup: CalibrationSetup,
+    seed: int,
+    family: RobotFamily | None = None,
+    save: Save = lambda _: None,
 ) -> CalibrationResult:
     """Calibrate the face's servos with markers of a simulated robot's skin, drawn by `seed`.
 
-    family: as for `practice_robot`.
+    family: as for `practice_robot`; save: as for `calibrate_on_servos`.
     """
     robot = _drawn_robot(setup, seed, family)
     tracker = SeenByComputation(MARKERS_47.names, lambda _: robot.measure())
-    return calibrate_on_servos(setup, lambda _: tracker, robot.move, seed)
+    return calibrate_on_servos(setup, lambda _: tracker, robot.move, seed, save)
 
 
 def _drawn_robot(setup: CalibrationSetup, seed: int, family: RobotFamily | None) -> SimulatedRobot:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -16,7 +16,12 @@ from calibration.fit.guided import (
     start_session,
 )
 from calibration.simulated.practice_robot import markers_of_face
-from lipservo.calibrating.calibration_setup import CalibrationSetup, Watch, held_servos
+from lipservo.calibrating.calibration_setup import (
+    CHIRPS_S,
+    CalibrationSetup,
+    Watch,
+    held_servos,
+)
 from lipservo.calibrating.guided_calibration import fit_by_eye
 from lipservo.calibrating.measured_calibration import CalibrationResult, with_lags
 from lipservo.runtime.servos.assembly import servo_memories
@@ -26,10 +31,6 @@ from lipservo.terminal.view import lip_loops_mm
 from lipsync.arrays import Array
 from lipsync.markers import INNER_LIP, OUTER_LIP
 
-#: Poses that `measure` takes beyond those that are planned, roughly: closing steps, the first ones
-#: again, and those to grade by. Seconds that a joint chirps.
-_MORE_POSES: Final = 80
-_CHIRP_S: Final = 14.0
 _S_A_MINUTE: Final = 60.0
 
 
@@ -39,10 +40,14 @@ class PageWatch:
     def __init__(self, page: PageLine, setup: CalibrationSetup) -> None:
         self._page = page
         self._names = setup.servos.names
-        self._n_poses = setup.n_poses + _MORE_POSES
-        self._chirps_s = _CHIRP_S * len(self._names) if setup.lags else 0.0
+        self._setup = setup
+        self._chirps_s = CHIRPS_S * len(self._names) if setup.lags and setup.has_place else 0.0
         self._began_s = time.monotonic()
         self.watch = Watch(self.progress, self.arrived, self.seen)
+
+    @cached_property
+    def _reckoned_poses(self) -> int:
+        return self._setup.for_machine().reckoned_poses
 
     def progress(self, what: str, done: int, total: int) -> None:
         """Send the page how many of the `total` poses or chirps (`what`) are done; minutes left."""
@@ -50,10 +55,10 @@ class PageWatch:
         if not done:
             self._began_s, spent_s = time.monotonic(), 0.0
         if what == "poses":
-            total = max(self._n_poses, done + 1)
+            total = max(self._reckoned_poses, done + 1)
             left_s = spent_s / done * (total - done) + self._chirps_s if done else None
         else:
-            left_s = (total - done) * _CHIRP_S
+            left_s = (total - done) * CHIRPS_S
         left_min = None if left_s is None else round(left_s / _S_A_MINUTE, 2)
         self._page.tell("progress", what=what, done=done, total=total, left_min=left_min)
 

@@ -43,9 +43,8 @@ def report_lines(
     lines = [f"{written}: {_summary(calibration)}"]
     lips = calibration.learnt_lips
     if lips is not None:
-        kind = "" if fit is None else f"{fit.face.kind}; "
         lines.append(
-            f"learnt face: {kind}poses left out {lips.left_out_rms_mm:.2f} mm off in each axis, of "
+            f"learnt face: poses left out {lips.left_out_rms_mm:.2f} mm off in each axis, of "
             f"which the tracker's noise is about {lips.noise_mm:.2f}"
         )
         lines.append(_closing_line(calibration, lips))
@@ -59,7 +58,8 @@ def report_lines(
     lines += _worst_markers(calibration.errors.each_marker_rms_mm)
     if with_servos:
         lines += following_lines(calibration)
-    if calibration.touch is not None:
+    # Hobby servos have no model here, and no current that could be limited.
+    if calibration.touch is not None and any(calibration.origin.servo_models):
         lines.append(
             "so that lips which meet are not pressed hard, give the mouth's servos max_current_ma: "
             f"{calibration.touch.current_cap_ma:.0f} in the YAML, then run `lipservo setup-servos`"

@@ -6,18 +6,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calibration.calibration import Calibration, CalibrationError, check_servo_memories
-from calibration.capture.capture import CapturedPose, PosePlan, Robot, gather, take_poses
-from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker
-from calibration.fit.touch import touch_plan, touched_by_current, touched_by_markers
-from calibration.simulated.practice_robot import markers_of_face
-from calibration.simulated.robot import SENSOR_NOISE_MM
+from calibration.capture.capture import (
+    CapturedPose,
+    PosePlan,
+    Robot,
+    gather,
+    ladders_of,
+    take_poses,
+)
+from calibration.capture.trackers import FileTracker, Tracker
+from calibration.fit.touch import touch_plan, touched_by_current, touched_by_eye, touched_by_markers
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, progress_bar
-from lipservo.calibrating.measured_calibration import strained_servo
+from lipservo.calibrating.measured_calibration import computed_tracker, strained_servo
 from lipservo.calibrating.plan_poses import check_face
 from lipservo.runtime.servos.assembly import servo_memories
 from lipservo.runtime.servos.held_face import HeldFace
+from lipservo.terminal.output import MESSAGES
 from lipsync.arrays import Array
-from lipsync.markers import MARKERS_47
 
 
 @dataclass(slots=True)
@@ -63,14 +68,7 @@ def touch_computed(setup: CalibrationSetup, calibration: Calibration) -> tuple[C
 
     Returns the new calibration, and how many mm later its lips meet than before.
     """
-    markers_of = markers_of_face(setup.model.markers_mm(setup.model.rest[None])[0], setup.servos)
-    noise = np.random.default_rng(0)
-
-    def look(reached_deg: Array) -> Array:
-        exact_mm = markers_of(reached_deg[None])[0]
-        return np.asarray(exact_mm + noise.normal(0.0, SENSOR_NOISE_MM, exact_mm.shape))
-
-    return touch_by_markers(setup, calibration, lambda _: SeenByComputation(MARKERS_47.names, look))
+    return touch_by_markers(setup, calibration, lambda _: computed_tracker(setup))
 
 
 def touch_by_current(
@@ -81,10 +79,6 @@ def touch_by_current(
     Returns the new calibration, and how many mm later its lips meet than before. Raises
     CalibrationError for servos that measure no current, or if one reaches its `max_current_ma`.
     """
-    if not setup.settings.capabilities.load:
-        raise CalibrationError(
-            f"{setup.settings.name}: its servos do not say what they draw; give --tracker"
-        )
     plan = _plan(setup, calibration)
     with held_servos(setup) as face:
         efforts = _Efforts(face)
@@ -92,6 +86,38 @@ def touch_by_current(
     if len(poses) < len(plan):
         raise CalibrationError("a servo drew its max_current_ma before all steps were taken")
     return touched_by_current(calibration, plan, np.array(efforts.seen))
+
+
+def touch_by_eye(
+    setup: CalibrationSetup, calibration: Calibration, read_key: Callable[[], str]
+) -> tuple[Calibration, float]:
+    """Close the lips step by step until a person presses Enter, and set where they touched.
+
+    Any other key goes on by a step; `q` gives up. Returns the new calibration, and how many mm
+    later its lips meet than before. Raises CalibrationError where lips touched nowhere.
+    """
+    plan = _plan(setup, calibration)
+    of, touching_rows = ladders_of(plan), []
+    MESSAGES.print("any key: close by a step; Enter: now the lips just meet; q: give up")
+    with held_servos(setup) as face:
+        for shape, number in enumerate(np.unique(of), start=1):
+            rows = np.flatnonzero(of == number)
+            face.move(plan.start_deg[rows[0]])
+            for row in rows.tolist():
+                face.move(plan.goals_deg[row])
+                MESSAGES.print(f"shape {shape}, step {row - rows[0] + 1} of {len(rows)}: meet?")
+                key = face.hold_while(read_key)
+                if key == "q":
+                    raise CalibrationError("given up; the calibration stays as it is")
+                if key in ("\r", "\n"):
+                    touching_rows.append(row)
+                    break
+    if len(touching_rows) < shape:
+        raise CalibrationError(
+            "the lips did not meet in every shape; measure the face anew with `lipservo calibrate "
+            "measure`"
+        )
+    return touched_by_eye(calibration, plan, touching_rows)
 
 
 def _plan(setup: CalibrationSetup, calibration: Calibration) -> PosePlan:
@@ -112,4 +138,4 @@ def _taken(
             done,
             lambda: strained_servo(setup, face.effort),
         )
-        return take_poses(plan, tracker.marker_names, on, [], None, range(len(plan)))
+        return take_poses(plan, tracker.marker_names, on, [], pressing=range(len(plan)))

@@ -163,12 +163,13 @@ def speed_line(found: WithinSpeeds) -> str:
         return (
             f"speeds: no more than {found.beyond:.0%} of speech asks a joint for too much{closures}"
         )
-    kept = (
-        "no strength keeps within"
-        if found.strength is None
-        else (f"a strength of {found.strength:g} keeps within")
-    )
+    kept = ""
+    if found.strength is not None:
+        kept = f"; a strength of {found.strength:g} keeps within"
+    elif reached is None or reached < 1.0 - _WITHIN_SHARE:
+        # Where all closures are met the plan, which begins motions earlier, keeps within.
+        kept = "; no strength keeps within"
     return (
         f"speeds: {found.beyond:.0%} of speech asks a joint for more than its max_speed_deg_s, "
-        f"most often {found.slowest} ({found.slowest_beyond:.0%}){closures}; {kept}"
+        f"most often {found.slowest} ({found.slowest_beyond:.0%}){closures}{kept}"
     )

@@ -17,10 +17,20 @@ from lipservo.settings.motion_names import (
     MeasuredEngine,
     Strategy,
 )
+from lipsync.audio.channels import checked_channel
 from lipsync.errors import UserError
+from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.plugins import RECOGNIZERS, PluginError
 
 DEFAULT_FACE = "face_sim"
+
+
+def _channel(text: str) -> str:
+    try:
+        return text and checked_channel(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
 
 # ---- which face ----
 
@@ -34,7 +44,7 @@ Model = Annotated[
 Port = Annotated[
     str | None,
     typer.Option(
-        help="Serial port of the servos, /dev/ttyUSB0 for one; default: the face's. "
+        help="Serial port of the servos, such as /dev/ttyUSB0; default: the face's. "
         "Of several buses NAME=PORT, once for each.",
         show_default=False,
     ),
@@ -63,11 +73,28 @@ FaceName = Annotated[
 Control = Annotated[
     Path | None, typer.Option(help="Socket that the face listens on.", show_default=False)
 ]
+On = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="KIOSKS.yaml",
+        help="The faces of other computers that this file lists.",
+        show_default=False,
+    ),
+]
 
 # ---- what it hears ----
 
 Wav = Annotated[
     Path | None, typer.Option(help="Sound file: WAV, FLAC, OGG, any rate.", show_default=False)
+]
+Channel = Annotated[
+    str,
+    typer.Option(
+        metavar="left|right|mix|N",
+        help="Channel that is heard; default: the face's, or mix.",
+        show_default=False,
+        callback=_channel,
+    ),
 ]
 Mic = Annotated[
     str | None,
@@ -80,7 +107,14 @@ Mic = Annotated[
 
 # ---- what it says ----
 
-Play = Annotated[bool, typer.Option("--play", help="Play the sound, delayed to match the lips.")]
+Play = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[DEVICE]",
+        help="Play the sound, delayed to match the lips; silent: into nothing, without a device.",
+        show_default=False,
+    ),
+]
 Output = Annotated[
     str | None,
     typer.Option(
@@ -92,18 +126,12 @@ Output = Annotated[
 Phonemes = Annotated[
     Path | None,
     typer.Option(
-        help="Phonemes and their times, in place of recognition: TextGrid, speech marks.",
+        help="Phonemes or words with times, in place of recognition: TextGrid, MFA, speech marks.",
         show_default=False,
     ),
 ]
-LabelledPhonemes = Annotated[
-    Path | None,
-    typer.Option(
-        "--phonemes",
-        help="TextGrid with a tier `phones`, instead of the recogniser.",
-        show_default=False,
-    ),
-]
+Tier = Annotated[str, typer.Option(help="Tier of that file; `words`: no phonemes.")]
+Alphabet = Annotated[str, typer.Option(help="Alphabet of its labels: arpabet, ipa, x-sampa, ...")]
 SpokenText = Annotated[
     str,
     typer.Option(
@@ -149,8 +177,6 @@ Through = Annotated[
         show_default=False,
     ),
 ]
-Language = Annotated[str, typer.Option(help="As espeak-ng names it: en-us, en-gb, de, fr-fr.")]
-
 # ---- who watches ----
 
 Dashboard = Annotated[
@@ -321,3 +347,15 @@ def port_of(given: str | None, of_the_face: str | None) -> str:
     if port is None:
         raise UserError("no port: give --port, or write `port:` under `bus:` in the face's YAML")
     return port
+
+
+def label_file(path: Path | None, tier: str, alphabet: str) -> LabelFile | None:
+    """Return the label file that a user names with its tier and alphabet; None: no file.
+
+    Raises UserError for a tier or an alphabet without a file.
+    """
+    if path is not None:
+        return LabelFile(path, tier, alphabet)
+    if tier or alphabet:
+        raise UserError("--tier and --alphabet go with a file of labels; name it")
+    return None

@@ -287,10 +287,13 @@ class FaceLink:
         mood = {"affect_valence": valence, "affect_arousal": arousal, "affect_tau_s": tau_s}
         return await self.change(with_expiry(mood, time.monotonic()))
 
-    async def say(self, text: str) -> Answer:
-        """Let the face speak a text in its own voice; return its answer once it is accepted."""
+    async def say(self, text: str, **voice: str | int) -> Answer:
+        """Let the face speak a text in its own voice; return its answer once it is accepted.
+
+        voice: language, voice, rate_wpm and pitch, where they differ from the face's YAML.
+        """
         async with self._speech_side() as face:
-            return await face.say(text)
+            return await face.say(text, wait=False, **voice)
 
     async def play(self, file: str) -> Answer:
         """Play a sound file or performance of the face's folder; return the face's answer."""

@@ -2,7 +2,7 @@
 
 `/api/twin` sends a snapshot in a hundred bytes, little-endian, which static/frame.js reads: u32
 number; f32 time_s; u8 state, 255 unknown; u8 phoneme, 255 none; u8 flags; i8 arousal * 127;
-f32 coefficients[n_components]; i16 expression[9], angles in 0.01 degrees, others in 0.0001; i16
+f32 coefficients[n_components]; i16 expression[10], angles in 0.01 degrees, others in 0.0001; i16
 goals[n_servos] and i16 encoders[n_servos] in 0.01 degrees; u8 n_peaks; u8 peaks[n_peaks]. -32768
 of an i16: not known. `/api/state` sends a snapshot as a JSON array; its first message names the
 array's fields.

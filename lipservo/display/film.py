@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lipsync.audio.file import read_sound
+from lipsync.audio.file import CheckedSound, Samples, checked_sound, log_once, sound_chunks
 from lipsync.errors import UserError, check_extra
 from lipsync.face.frame import Frame
 from lipsync.output_file import written_whole
@@ -46,6 +45,11 @@ class Display(Protocol):
 
     def draw(self, frame: Frame) -> Picture:
         """Return the frame's picture, (height, width, 3), red, green, blue."""
+
+
+def named_file(speech: str) -> Path | None:
+    """Return the file that is named as what is said; None: it is a text."""
+    return Path(speech) if Path(speech).suffix and " " not in speech else None
 
 
 def check_film(path: Path) -> None:
@@ -97,7 +101,7 @@ def write_film(
     check_film(out)
     import av
 
-    samples = None if sound is None else _stereo(*read_sound(sound))
+    checked = None if sound is None else checked_sound(sound)
     n = 0
     with written_whole(out) as partial, _explained(out, av.FFmpegError):
         kind = {"mkv": "matroska"}.get(out.suffix.lower()[1:], out.suffix.lower()[1:])
@@ -108,7 +112,9 @@ def write_film(
             video.width, video.height = size
             video.pix_fmt = "yuv420p"
             video.time_base = Fraction(1, rate_hz)
-            voice = None if samples is None else _Voice(file, samples)
+            voice = None
+            if sound is not None and checked is not None:
+                voice = _Voice(file, _sound_of_film(sound, checked))
             for n, picture in enumerate(pictures, start=1):
                 if voice is not None:
                     voice.encode_until(n / rate_hz)
@@ -133,23 +139,31 @@ def open_film(*given: Any, **how: Any) -> Any:
 
 
 class _Voice:
-    """The sound track of an open film, encoded in step with its pictures."""
+    """The sound track of an open film, read and encoded in step with its pictures."""
 
-    def __init__(self, file: Any, samples: NDArray[np.float32]) -> None:
-        self._file, self._samples = file, samples
+    def __init__(self, file: Any, pieces: Iterator[Samples]) -> None:
+        self._file, self._pieces = file, pieces
+        self._held = np.zeros(0, np.float32)
         self._stream = file.add_stream("aac", rate=_SOUND_RATE_HZ, layout="stereo")
         self._stream.bit_rate = _SOUND_BITS_PER_S
         self._next = 0
 
     def encode_until(self, time_s: float) -> None:
         """Encode the next samples in blocks, up to at least `time_s` or the sound's end."""
-        until = min(round(time_s * _SOUND_RATE_HZ), self._samples.shape[1])
+        until = round(time_s * _SOUND_RATE_HZ)
         while self._next < until:
-            block = self._samples[:, self._next : self._next + _SAMPLES_A_FRAME]
-            self._encode(np.ascontiguousarray(block))
-            self._next += block.shape[1]
+            while len(self._held) < _SAMPLES_A_FRAME:
+                piece = next(self._pieces, None)
+                if piece is None:
+                    break
+                self._held = np.concatenate([self._held, piece])
+            block, self._held = np.split(self._held, [_SAMPLES_A_FRAME])
+            if not len(block):
+                return
+            self._encode(np.stack([block, block]))
+            self._next += len(block)
 
-    def _encode(self, block: NDArray[np.float32]) -> None:
+    def _encode(self, block: Samples) -> None:
         import av
 
         sound = av.AudioFrame.from_ndarray(block, format="fltp", layout="stereo")
@@ -166,13 +180,15 @@ def _options(kind: str) -> dict[str, str]:
     return {} if kind == "matroska" else {"movflags": "faststart"}
 
 
-def _stereo(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float32]:
+def _sound_of_film(sound: Path, checked: CheckedSound) -> Iterator[Samples]:
+    """Yield a sound at the film's rate in pieces of a second: never all of it is held."""
     import soxr
 
-    at_rate = samples
-    if rate_hz != _SOUND_RATE_HZ:
-        at_rate = soxr.resample(samples, rate_hz, _SOUND_RATE_HZ)
-    return np.broadcast_to(np.clip(at_rate, -1.0, 1.0), (2, len(at_rate))).astype(np.float32)
+    log_once(checked.warning)
+    resampler = soxr.ResampleStream(checked.sample_rate_hz, _SOUND_RATE_HZ, 1, dtype="float32")
+    for chunk in sound_chunks(sound, mix=checked.mix):
+        yield np.clip(resampler.resample_chunk(chunk), -1.0, 1.0)
+    yield np.clip(resampler.resample_chunk(np.zeros(0, np.float32), last=True), -1.0, 1.0)
 
 
 @contextmanager

@@ -17,11 +17,12 @@ from lipservo.display.robot_display import RobotDisplay
 from lipservo.display.shipped_faces import twin_face
 from lipservo.runtime.motion_options import ChosenMotion, motion_options
 from lipservo.runtime.servos.assembly import assemble_face, load_settings
-from lipservo.settings.motion_names import STRATEGIES
+from lipservo.settings.motion_names import ON_STAGE, STRATEGIES
 from lipservo.terminal.output import Advance
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel, load_face
 from lipsync.offline.performance import SUFFIX
+from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.video.face_detection import Picture
 from lipsync.video.face_tracker import open_tracker
 
@@ -44,9 +45,10 @@ class FilmRequest:
     landmarker: Path | None = None
     beside: str | None = None
     trace: Path | None = None
-    script: Path | None = None
+    script: LabelFile | None = None
     text: str = ""
     still_head: bool = False
+    channel: str = ""
 
 
 def make_film(request: FilmRequest, chosen: ChosenMotion, advance: Advance) -> dict[str, float]:
@@ -143,13 +145,16 @@ def _display(request: FilmRequest) -> Display:
 
 def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
     settings, folder = load_settings(request.config)
+    # A robot is filmed as it would move.
+    stage = 0.0 if request.face in ("robot", "beside") else ON_STAGE
     return SpeechRequest(
-        motion_options(chosen, settings.motion, folder),
+        motion_options(chosen, settings.motion, folder, stage),
         request.config,
         request.model,
         request.script,
         request.text,
         None if request.still_head else _HEAD,
+        request.channel or settings.sound.channel,
     )
 
 

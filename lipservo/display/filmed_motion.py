@@ -9,8 +9,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import soundfile
 
+from lipservo.display.film import named_file
 from lipservo.rendering.line_expression import line_expression
-from lipservo.rendering.spoken_sound import SpokenSound
+from lipservo.rendering.spoken_sound import SpokenSound, labels_of
 from lipservo.runtime.motion_options import MotionOptions
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.sound import speaker_of
@@ -22,6 +23,7 @@ from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
 from lipsync.face.model import load_face
 from lipsync.offline.line_methods import Line
 from lipsync.offline.performance import RATE_HZ, SUFFIX, Performance, read_performance, sound_file
+from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.text_to_speech.synthesis import SynthesizedSpeech, Voice
 from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 from lipsync.textgrid import write_tiers
@@ -47,17 +49,19 @@ class FilmedMotion:
 class SpeechRequest:
     """What is known of the words of a sound, and the options by which it becomes motion.
 
-    config, model: the face's YAML and face model, None: the default one. script: a TextGrid;
+    config, model: the face's YAML and face model, None: the default one. script: labels;
     text: the words of the sound; with neither the recogniser finds the phonemes. head: name of
-    the face by whose expression head and eyes move; None: they are still.
+    the face by whose expression head and eyes move; None: they are still. channel: the one that
+    moves the mouth; all are in the film.
     """
 
     motion: MotionOptions
     config: str
     model: Path | None
-    script: Path | None = None
+    script: LabelFile | None = None
     text: str = ""
     head: str | None = None
+    channel: str = ""
 
 
 @contextmanager
@@ -75,11 +79,12 @@ def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[Filmed
             yield FilmedMotion(_performed(performance, rate_hz), sound)
             return
         if not _is_file(path):
-            if path.suffix and " " not in speech:
+            if named_file(speech) is not None:
                 raise UserError(f"{speech}: no such file; name a sound, or give a text in quotes")
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="lipservo-")))
             path, script = _spoken(speech, request.config, folder)
-            request = replace(request, script=script, text="" if script else speech)
+            labels = None if script is None else LabelFile(script, "phones")
+            request = replace(request, script=labels, text="" if script else speech)
         yield FilmedMotion(_heard(path, request, rate_hz), path)
 
 
@@ -124,20 +129,22 @@ def _performed(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
 
 
 def _heard(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...]:
+    labels = labels_of(path, request.script)
     spoken = SpokenSound(
-        path, request.script, request.motion, request.config, request.model, request.text
+        path, labels, request.motion, request.config, request.model, request.text, request.channel
     )
     times_s = _times_s(spoken.duration_s, rate_hz)
-    found = spoken.frames(times_s)
+    found = tuple(spoken.frames(times_s))
     if request.head is None:
-        return tuple(found)
+        return found
     n_known = int(np.ceil(spoken.duration_s * RATE_HZ)) + 1
-    line = Line(tuple(spoken.events()), read_speech(path))
+    line = Line(tuple(spoken.events()), read_speech(path, request.channel))
     known_s = np.arange(n_known) / RATE_HZ
     tracks = {
         name: np.interp(times_s, known_s, values)
         for name, values in line_expression(request.head, line, n_known).items()
     }
+    tracks["lip_tuck"] = np.array([frame.expression.lip_tuck or 0.0 for frame in found])
     return _frames(times_s, np.stack([frame.coefficients for frame in found]), tracks)
 
 

@@ -5,6 +5,7 @@ film needs.
 """
 
 import json
+import os.path
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,9 @@ _MIDDLE = np.array([0.5, 0.55])
 _BACKING = (226, 231, 236)
 
 _WITH_ALPHA = ("LA", "PA", "RGBA", "La", "RGBa")
-#: The tag of EXIF that says how the camera was held, and its first value of a quarter turn.
-_ORIENTATION, _FIRST_TURNED = 0x0112, 5
+#: The tag of EXIF that says how the camera was held, and its values of a quarter turn; others than
+#: 1 to 8 mean nothing (EXIF 2.32, 4.6.4).
+_ORIENTATION, _TURNED = 0x0112, (5, 6, 7, 8)
 
 Landmarks = Mapping[int, Array]
 
@@ -41,6 +43,8 @@ def read_photo(path: Path) -> tuple[Picture, float]:
 
     The scale is its width by that in the file. Raises PhotoError, MissingExtraError.
     """
+    if not os.path.isfile(path):  # of a name that is too long Path raises
+        raise PhotoError(f"{str(path)[:200]!r}: no such file")
     check_extra("PIL", "reading a photograph")
     from PIL import Image, ImageOps
 
@@ -60,7 +64,7 @@ def read_photo(path: Path) -> tuple[Picture, float]:
             longest = _LONGEST_SIDE_PX
             image.draft("RGB", (longest, longest))  # a JPEG is unpacked no larger than needed
             upright = ImageOps.exif_transpose(image)
-            is_turned = image.getexif().get(_ORIENTATION, 1) >= _FIRST_TURNED
+            is_turned = image.getexif().get(_ORIENTATION, 1) in _TURNED
             rgb = _red_green_blue(upright)
             rgb.thumbnail((longest, longest), Image.Resampling.LANCZOS)
             return np.asarray(rgb).copy(), rgb.width / (height if is_turned else width)

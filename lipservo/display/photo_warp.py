@@ -23,8 +23,14 @@ RINGS = ((0.06, 0.9), (0.16, 0.68), (0.30, 0.42), (0.48, 0.2), (0.70, 0.0))
 RIM_NEIGHBOURS = 4
 #: A head turned farther than this shows what no photograph from the front has, degrees.
 MOST_POSE_DEG = {"pitch": 10.0, "yaw": 12.0, "roll": 12.0}
-#: What lids, brows and smile can be asked for without looking like a mask.
-MOST = {"lid_left": (0.0, 1.0), "lid_right": (0.0, 1.0), "brow": (-0.4, 1.0), "smile": (-0.5, 0.9)}
+#: What lids, brows and lips can be asked for without looking like a mask.
+MOST = {
+    "lid_left": (0.0, 1.0),
+    "lid_right": (0.0, 1.0),
+    "brow": (-0.4, 1.0),
+    "smile": (-0.5, 0.9),
+    "lip_tuck": (0.0, 1.0),
+}
 
 
 class PhotoWarp:

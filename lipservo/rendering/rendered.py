@@ -1,8 +1,13 @@
 """Rendering of one sound file into one performance file."""
 
+import hashlib
+import json
 import time
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib import resources
+from importlib.metadata import version
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +18,21 @@ from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.speech.expression import check_expression
 from lipsync.arrays import Array
 from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.errors import UserError
 from lipsync.expectation.expectation import read_expectation
 from lipsync.expectation.soft_expectation import read_soft_expectation
-from lipsync.face.model import open_model, read_face
+from lipsync.face.model import SHIPPED_MODEL, open_model, read_face
 from lipsync.offline.line_methods import Line, LineMethod, Speaker, line_synthesizer, shown_faces
-from lipsync.offline.offline_model_file import load_offline_model
-from lipsync.offline.performance import RATE_HZ, Performance, performed_sound, write_performance
+from lipsync.offline.offline_model_file import SHIPPED, load_offline_model
+from lipsync.offline.performance import (
+    RATE_HZ,
+    Performance,
+    PerformedSound,
+    performed_sound,
+    read_performance,
+    sound_file,
+    write_performance,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,18 +87,76 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
     line, heard_notes = spoken_line(sound, script)
     began_s = time.perf_counter()
     faces, notes = rendered_faces(speaker, line, how.method, how.strength)
+    heard = performed_sound(sound, included=how.includes_sound)
     performance = Performance(
         speaker.face.checksum,
         faces.astype(np.float32),
         line.events,
-        performed_sound(sound, included=how.includes_sound),
+        heard,
         how.method,
         {} if how.expression is None else line_expression(how.expression, line, len(faces)),
+        _origin(heard, script, how),
     )
     seconds = time.perf_counter() - began_s
     duration_s = len(line.samples) / SAMPLE_RATE_HZ
     all_notes = (*heard_notes, *notes)
     return performance, Rendered(sound, duration_s, len(line.events), seconds, all_notes)
+
+
+def is_rendered(output: Path, sound: Path, script: Script, how: Rendering) -> bool:
+    """Return whether `output` is the whole performance that rendering this line would give now.
+
+    It is not where anything has changed that the performance depends on: the sound, the script, a
+    model, an option, the version of lipservo; nor where some of its content is missing or damaged.
+    """
+    try:
+        found = read_performance(output)
+        if found.origin != _origin(performed_sound(sound, included=False), script, how):
+            return False
+        if how.includes_sound:
+            with sound_file(found.sound, output):
+                pass  # it compares the bytes with their checksum
+    except (UserError, OSError):
+        return False
+    return True
+
+
+def _origin(sound: PerformedSound, script: Script, how: Rendering) -> str:
+    """Return a digest of all that the performance of a line depends on, as 64 hex digits."""
+    phones: list[str] = []
+    if script.phones is not None:
+        labels = script.phones
+        phones = [labels.path.suffix, labels.tier, labels.alphabet, _digest(labels.path)]
+    facts = [
+        [sound.name, sound.sha256],
+        phones,
+        [script.text, script.channel],
+        _origin_of_all(how),
+    ]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+
+@cache
+def _origin_of_all(how: Rendering) -> list[object]:
+    """Return what all lines of a process depend on, which loads its models once, too."""
+    models = resources.files("lipsync.models")
+    expression: object = None
+    if how.expression is not None:
+        settings, folder = load_settings(how.expression)
+        learned = settings.expression.model
+        model = None if learned is None else _digest((folder or Path()) / learned)
+        expression = [settings.model_dump_json(), model]
+    return [
+        version("lipservo"),
+        [how.method, how.strength, how.includes_sound, expression],
+        _digest(how.model or models / f"{SHIPPED_MODEL}.npz"),
+        _digest(how.offline or models / f"{SHIPPED}.npz"),
+    ]
+
+
+def _digest(place: Traversable) -> str:
+    with place.open("rb") as file:
+        return hashlib.sha256(file.read()).hexdigest()
 
 
 def rendered_faces(

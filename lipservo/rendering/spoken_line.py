@@ -1,7 +1,10 @@
 """The phonemes of a sound file: from a file of phones, from its text, or by the recogniser."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from lipservo_client.vendors import TimedUnit
 
 from lipservo.runtime.settled_phonemes import settled_events
 from lipsync.audio.file import FileSource, checked_sound, read_speech
@@ -9,7 +12,8 @@ from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
 from lipsync.offline.line_methods import Line
 from lipsync.offline.line_synthesis import joined_phones
-from lipsync.phoneme_files.reader import read_known_phonemes
+from lipsync.phoneme_files.label_file import LabelFile
+from lipsync.phoneme_files.reader import read_labels
 from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
@@ -21,6 +25,8 @@ from lipsync.recognition.alignment import (
 from lipsync.recognition.network import load_shipped_weights
 from lipsync.recognition.posteriors import whole_posteriors
 from lipsync.recognition.recognizers import make_recognizer
+from lipsync.spoken_text import PronouncedWord, SpokenText, SpokenUnit
+from lipsync.text_to_speech.pronunciation import pronounced_units
 
 #: A line is heard whole: a longer sound is cut into lines by whoever knows where they end.
 LONGEST_LINE_S = 300.0
@@ -32,22 +38,23 @@ class LineError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """What is known of a sound's speech. phones: a file of phones with times. text: its words.
+    """What is known of a sound's speech. phones: labels of phones or words. text: its words.
 
-    With neither the recogniser finds the phonemes.
+    With neither the recogniser finds the phonemes. channel: the one heard; "": all are mixed.
     """
 
-    phones: Path | None = None
+    phones: LabelFile | None = None
     text: str | None = None
+    channel: str = ""
 
 
 def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
     """Return the samples and phones of a sound file as a line, and notes for a person.
 
     Raises SoundError, LabelError, AlignmentError, PronunciationError, and LineError for a sound
-    longer than `LONGEST_LINE_S` and for labels of another sound.
+    longer than `LONGEST_LINE_S`.
     """
-    duration_s = checked_sound(sound).duration_s
+    duration_s = checked_sound(sound, script.channel).duration_s
     if duration_s > LONGEST_LINE_S:
         raise LineError(
             f"{sound}: {duration_s:.0f} s long; a line is at most {LONGEST_LINE_S:.0f} s, cut it "
@@ -55,16 +62,12 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
         )
     notes: list[str] = []
     posteriors = None
-    samples = read_speech(sound)
+    samples = read_speech(sound, script.channel)
     duration_s = len(samples) / SAMPLE_RATE_HZ
+    labels = None if script.phones is None else read_labels(script.phones, duration_s)
     events: tuple[PhonemeEvent, ...]
-    if script.phones is not None:
-        events = read_known_phonemes(script.phones)
-        if events and events[-1].start_s > duration_s:
-            raise LineError(
-                f"{script.phones}: its last phoneme begins at {events[-1].start_s:.2f} s, {sound} "
-                f"is {duration_s:.2f} s long; give the labels of this sound"
-            )
+    if labels is not None and labels.phones:
+        events = labels.phones
     elif script.text is not None:
         events = align(samples, script.text).phones
         score = goodness_of_pronunciation(samples, events)
@@ -77,13 +80,21 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
             notes.append(f"the text fits badly (score {score:.2f})")
     else:
         recognizer = make_recognizer("network")
-        events = tuple(settled_events(FileSource(sound), recognizer))
+        if labels is not None:
+            recognizer.tell(pronounced_words(labels.words))
+        events = tuple(settled_events(FileSource(sound, channel=script.channel), recognizer))
         notes += recognizer.reasons
         posteriors = whole_posteriors(load_shipped_weights(), samples)
     phones = joined_phones(events, duration_s)
     if all(event.phoneme == SILENCE for event in phones):
         notes.append("no speech: the mouth stays at rest")
     return Line(phones, samples, posteriors), tuple(notes)
+
+
+def pronounced_words(words: Sequence[TimedUnit]) -> tuple[PronouncedWord, ...]:
+    """Return the words of a label file with their pronunciations. Raises PronunciationError."""
+    units = (SpokenUnit(w.label, round(w.start_s * SAMPLE_RATE_HZ)) for w in words)
+    return pronounced_units(SpokenText("word", tuple(units), SAMPLE_RATE_HZ))
 
 
 def given_text(text: str) -> str:

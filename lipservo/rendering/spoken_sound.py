@@ -1,10 +1,11 @@
 """The phonemes and mouth shapes of a sound file, as `lipservo replay` computes them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from firmware_bridge.loop.targets import MemoryTargetChannel
+from lipservo.rendering.spoken_line import pronounced_words
 from lipservo.runtime.motion_options import (
     ChosenMotion,
     MotionOptions,
@@ -18,69 +19,74 @@ from lipservo.runtime.sound import open_sound
 from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, Speech
 from lipsync.arrays import Array
-from lipsync.audio.file import FileSource
+from lipsync.audio.file import FileSource, checked_sound
 from lipsync.audio.playback_clock import clock_for
 from lipsync.face.frame import Frame
+from lipsync.phoneme_files.label_file import LabelFile
+from lipsync.phoneme_files.reader import Labels, read_labels
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.fallback import FallbackRecognizer
 from lipsync.recognition.recognizers import make_recognizer
 from lipsync.recognition.scripted import ScriptedPhonemes
 from lipsync.text_to_speech.pronunciation import spoken_words
-from lipsync.textgrid import read_phonemes
 
 
 @dataclass(frozen=True, slots=True)
 class SpokenSound:
     """A sound file, the source of its phonemes, and the options by which they become motion.
 
-    script: a TextGrid of them; None: the recogniser is used, and follows `text` if not empty.
+    labels: phonemes or words; None: the recogniser is used, and follows `text` if not empty.
+    channel: the one that is heard; "": all are mixed.
     """
 
     path: Path
-    script: Path | None
+    labels: Labels | None
     motion: MotionOptions
     config: str
     model: Path | None
     text: str = ""
+    channel: str = ""
 
     @property
     def duration_s(self) -> float:
         """Duration of the sound in s. Raises SoundError."""
-        return FileSource(self.path).duration_s
+        return checked_sound(self.path, self.channel).duration_s
 
     def events(self) -> list[PhonemeEvent]:
-        """Return the phonemes in order. Raises LabelError, SoundError, PronunciationError."""
-        if self.script is not None:
-            return list(read_phonemes(self.script))
+        """Return the phonemes in order. Raises SoundError, PronunciationError."""
+        if self.labels is not None and self.labels.phones:
+            return list(self.labels.phones)
         recognizer = self._recognizer()
-        return list(settled_events(FileSource(self.path), recognizer))
+        return list(settled_events(FileSource(self.path, channel=self.channel), recognizer))
 
     def _recognizer(self) -> FallbackRecognizer:
-        """Return a new recogniser that follows the text, if any. Raises PronunciationError."""
+        """Return a new recogniser that follows words or text, if any. Raises PronunciationError."""
         recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
-        if self.text:
+        if self.labels is not None:
+            recognizer.tell(pronounced_words(self.labels.words))
+        elif self.text:
             recognizer.tell(spoken_words(self.text))
         return recognizer
 
-    def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
-        """Return the mouth shapes that the robot shows at given times of the sound.
+    def frames(self, times_s: Sequence[float] | Array) -> Iterator[Frame]:
+        """Yield the mouth shapes that the robot shows at given times of the sound.
 
         Parameters
         ----------
         times_s : Sequence[float] | Array
             (n,) sound times in seconds, ascending.
 
-        Returns
-        -------
-        list[Frame]
-            n frames.
+        Yields
+        ------
+        Frame
+            n frames; none is kept.
         """
         face = assemble_face(self.config, self.model)
         synthesizer = make_synthesizer(face.model, self.motion, self.model)
-        script = None if self.script is None else ScriptedPhonemes(read_phonemes(self.script))
+        known = () if self.labels is None else self.labels.phones
+        script = ScriptedPhonemes(known) if known else None
         recognizer = self._recognizer()
-        found: list[Frame] = []
-        with open_sound(Sound("file", str(self.path))) as source:
+        with open_sound(Sound("file", str(self.path), channel=self.channel)) as source:
             speech = Speech(
                 script or RecognizedPhonemes(source, recognizer),
                 clock_for(source),
@@ -95,19 +101,29 @@ class SpokenSound:
                 while speech.sound_time_s(n * PUBLISH_PERIOD_S) < time_s:
                     n += 1
                     speech.advance(n * PUBLISH_PERIOD_S)
-                found.append(speech.shown_at(float(time_s))[1])
-        return found
+                yield speech.shown_at(float(time_s))[1]
 
 
 def spoken_sound(
-    sound: Path, script: Path | None, chosen: ChosenMotion, config: str, model: Path | None
+    sound: Path,
+    script: LabelFile | None,
+    chosen: ChosenMotion,
+    config: str,
+    model: Path | None,
+    stage: float = 0.0,
 ) -> SpokenSound:
     """Return a `SpokenSound` of the file `sound`, whose motion options are those in `chosen`.
 
-    Options that `chosen` lacks are those of the face YAML `config`. script: a TextGrid of the
-    phonemes, None: recognised; model: file of the face model, None: the default. Raises UserError.
+    Options that `chosen` lacks are those of the face YAML `config`. script: labels of the
+    phonemes, None: recognised; model: file of the face model, None: the default; stage: as of
+    `motion_options`. Raises UserError.
     """
     settings, folder = load_settings(config)
-    return SpokenSound(
-        sound, script, motion_options(chosen, settings.motion, folder), config, model
-    )
+    options = motion_options(chosen, settings.motion, folder, stage)
+    labels = labels_of(sound, script)
+    return SpokenSound(sound, labels, options, config, model, channel=settings.sound.channel)
+
+
+def labels_of(sound: Path, script: LabelFile | None) -> Labels | None:
+    """Return the labels of a sound file; None without a file. Raises SoundError, LabelError."""
+    return None if script is None else read_labels(script, checked_sound(sound).duration_s)

@@ -92,6 +92,7 @@ class FaceSpeech:
             fallback_reasons=self.recognizer.reasons,
             hears=speech.hearing,
             moved_by=speech.moved_by,
+            units_shifted_ms=speech.units_shifted_ms,
             words=words,
             word=word if words and speech.moved_by != "sound" else None,
             settings={

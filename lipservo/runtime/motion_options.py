@@ -138,13 +138,14 @@ class ChosenMotion:
 
 
 def motion_options(
-    chosen: ChosenMotion, of_the_face: MotionSettings, folder: Path | None
+    chosen: ChosenMotion, of_the_face: MotionSettings, folder: Path | None, stage: float = 0.0
 ) -> MotionOptions:
     """Return the motion options: as typed, else as in the face's YAML, else the defaults.
 
     chosen: typed on the command line. of_the_face: from the YAML. folder: of the YAML, to which its
-    weights file is relative; None: a shipped face. Raises UserError for an option that the strategy
-    ignores, WeightsError and StyleError.
+    weights file is relative; None: a shipped face. stage: where the YAML names none; 1 for faces
+    that are only drawn. Raises UserError for an option that the strategy ignores, WeightsError and
+    StyleError.
     """
     strategy = chosen.strategy or of_the_face.strategy or DEFAULT_STRATEGY
     low_latency = chosen.low_latency or of_the_face.low_latency
@@ -182,7 +183,7 @@ def motion_options(
             style("strength", 1.0),
             style("smoothness", 0.0),
             style("unit_share", DEFAULT_UNIT_SHARE),
-            style("stage", 0.0),
+            style("stage", stage),
         ),
         LOW_LATENCY_S if low_latency else LATENCY_S,
     )
@@ -219,7 +220,7 @@ def make_synthesizer(
         if options.strategy == LIVE_STRATEGY:
             expectation = read_expectation(file, face.n_components)
             return LiveSynthesizer(face, expectation, style, soft=_soft_of(file, face, options))
-        from lipsync.animpho.selection import STRATEGIES as SELECTIONS
+        from lipsync.animpho import selection
         from lipsync.animpho.synthesizer import PublishedSynthesizer
         from lipsync.animpho.units import ANIMPHO_PART, read_animphos
 
@@ -233,8 +234,8 @@ def make_synthesizer(
         if options.strategy == UNIT_STRATEGY:
             expectation = read_expectation(file, face.n_components)
             soft = _soft_of(file, face, options)
-            return LiveSynthesizer(face, expectation, style, units, soft)
-        published = PublishedSynthesizer(units, SELECTIONS[options.strategy])
+            return LiveSynthesizer(face, expectation, style, selection.GuidedSelection(units), soft)
+        published = PublishedSynthesizer(units, selection.STRATEGIES[options.strategy])
         return FinishedSynthesizer(face, published, style.strength, stage=style.stage)
 
 

@@ -192,14 +192,17 @@ def run_speech_process(
             handed.lifeline.beat()
             if signals.count or handed.lifeline.closed:
                 return
-            side.follow_stop(time_s, is_stopped=shared.is_stopped())
-            if (wanted := shared.settings()) != settings:
-                side.change(wanted)
-                settings, status_due_s = wanted, time_s
-            for number, servos in live.servos_since(n_servo_ticks):
-                side.note_servos(float(servos["time_s"]), servos["encoder_deg"])
-                n_servo_ticks = number
-            side.advance(time_s)
+            is_stopped, wanted = shared.is_stopped(), shared.settings()
+            has_news = is_stopped or wanted != settings or avatars is not None
+            if not side.hold(time_s, has_news=has_news):
+                side.follow_stop(time_s, is_stopped=is_stopped)
+                if wanted != settings:
+                    side.change(wanted)
+                    settings, status_due_s = wanted, time_s
+                for number, servos in live.servos_since(n_servo_ticks):
+                    side.note_servos(float(servos["time_s"]), servos["encoder_deg"])
+                    n_servo_ticks = number
+                side.advance(time_s)
             if avatars is not None:
                 sound_s, _, frame = side.shown(time_s)
                 avatars.show(time_s, sound_s, frame)

@@ -28,23 +28,35 @@ class RequestError(UserError):
 class Sound:
     """The sound that a face listens to or speaks, as the user named it.
 
-    name: a file's path, a microphone by number or name, or the text to say. language: of that text.
-    phonemes: a file with the phonemes of the sound file and their times. text: the English words of
-    the sound file, to be aligned with it. With neither phonemes nor text the sound is recognised.
-    Raises RequestError.
+    name: a file's path, a microphone by number or name, or the text to say. language, voice,
+    rate_wpm, pitch: of that text; "" and None: as in the face's YAML.
+    phonemes: a file with the phonemes of the sound file and their times; tier, alphabet: of that
+    file, "": as it says. text: the English words of the sound file, to be aligned with it. With
+    neither phonemes nor text the sound is recognised. channel: of a file or microphone, "": the
+    face's. Raises RequestError.
     """
 
     kind: Literal["clip", "file", "microphone", "silence", "text"]
     name: str = ""
     language: str = ""
     phonemes: str = ""
+    tier: str = ""
+    alphabet: str = ""
     text: str = ""
+    channel: str = ""
+    voice: str | None = None
+    rate_wpm: int | None = None
+    pitch: int | None = None
 
     def __post_init__(self) -> None:
         if self.phonemes and self.kind != "file":
             raise RequestError("--phonemes goes with --wav")
+        if (self.tier or self.alphabet) and not self.phonemes:
+            raise RequestError("--tier and --alphabet go with a file of labels")
         if self.text and (self.kind != "file" or self.phonemes):
             raise RequestError("--text goes with a sound file, and without --phonemes")
+        if self.channel and self.kind not in ("file", "microphone"):
+            raise RequestError("--channel goes with a sound file or a microphone")
         if self.language and self.kind != "text":
             raise RequestError("--language goes with a text")
 
@@ -59,6 +71,8 @@ SILENCE = Sound("silence")
 DEFAULT_LISTEN = "127.0.0.1:8765"
 #: The loudspeaker that the system prefers.
 DEFAULT_OUTPUT = "default"
+#: A loudspeaker that is none: a clock plays into nothing.
+SILENT_OUTPUT = "silent"
 
 
 @with_config(extra="forbid")
@@ -66,7 +80,8 @@ DEFAULT_OUTPUT = "default"
 class VoiceOptions:
     """The options of a robot that speaks by itself, and of the voice agents that it serves.
 
-    output: its loudspeaker, by number, name or part of a name; None: no sound is played here.
+    output: its loudspeaker, by number, name or part of a name, or `silent`; None: no sound is
+    played here.
     token_file: the file whose first line clients must send; None: clients on this computer need no
     token. sounds: the folder below which agents may have sound files played. queue: speech that
     arrives while another agent speaks waits; otherwise it is refused. origins: of web pages that

@@ -5,9 +5,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
+from lipsync.audio.file import log_once
 from lipsync.audio.source import AudioSource, SilenceAfter
 from lipsync.audio_block import BLOCK_S
-from lipsync.phonemes import PhonemeEvent
+from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.recognition.fallback import FallbackRecognizer
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 from lipsync.timeline import PhonemeTimeline
@@ -15,6 +16,8 @@ from lipsync.timeline import PhonemeTimeline
 #: How often a microphone is asked for what has come.
 _ASK_EVERY_S = 0.02
 
+#: So long nobody has to speak.
+_MINUTE_S = 60.0
 #: What is followed in a text is settled so much later than what is heard.
 _TAIL_S = 0.15
 
@@ -30,6 +33,7 @@ def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Itera
     ahead, stream = SoundAhead(sound, recognizer), RecognizerStream(recognizer)
     end_s = math.inf if length_s is None else length_s
     timeline, settled_until_s, heard_s = PhonemeTimeline(), 0.0, 0.0
+    has_spoken = False
     with sound:
         while heard_s < end_s + recognizer.latency_s + _TAIL_S:
             heard_s = math.inf if length_s is None else heard_s + BLOCK_S
@@ -41,7 +45,14 @@ def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Itera
                 timeline.apply(update)
             for event in _settled(timeline, settled_until_s, end_s):
                 settled_until_s = event.end_s or settled_until_s
+                has_spoken |= event.phoneme != SILENCE
                 yield event
+            if not has_spoken and settled_until_s >= min(end_s, _MINUTE_S) - BLOCK_S:
+                has_spoken = True  # said once
+                log_once(
+                    f"{source.name}: no speech in {settled_until_s:.0f} s; the mouth stays at "
+                    "rest: check file, --channel and level"
+                )
 
 
 def _settled(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lipservo.runtime.run_request import (
     DEFAULT_MICROPHONE,
     DEFAULT_OUTPUT,
+    SILENT_OUTPUT,
     RunRequest,
     Sound,
     VoiceOptions,
@@ -25,8 +26,10 @@ from lipservo.settings.sections import SoundSettings
 from lipsync.audio.file import FileSource, checked_sound, log_once, sound_chunks
 from lipsync.audio.playout import ListenedMicrophone, Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
+from lipsync.audio.silent_loudspeaker import SilentLoudspeaker
 from lipsync.audio.source import AudioSource, Loudspeaker, SilenceAfter, SilentSource
 from lipsync.errors import UserError
+from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.phonemes import PhonemeEvent
 from lipsync.spoken_text import LONGEST_LABEL, LONGEST_TEXT, SpokenText, SpokenUnit
 
@@ -45,24 +48,27 @@ def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
     checked here, in a time that does not depend on its length. Raises SoundError.
     """
     if sound.kind == "microphone":
-        return open_microphone(sound.name)
+        return open_microphone(sound.name, sound.channel)
     if sound.kind == "silence":
         return SilentSource(start_s)
     if sound.kind == "file":
-        return _file(Path(sound.name), start_s)
+        return _file(Path(sound.name), start_s, sound.channel)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         return _file(clip, start_s)
 
 
-def open_microphone(device: str) -> AudioSource:
-    """Return a microphone source by number, part of a name, or "default". Raises SoundError."""
+def open_microphone(device: str, channel: str = "") -> AudioSource:
+    """Return a microphone source by number, part of a name, or "default". Raises SoundError.
+
+    channel: the one that is heard; "": all are mixed.
+    """
     from lipsync.audio.microphone import MicrophoneSource
 
-    return MicrophoneSource(None if device == DEFAULT_MICROPHONE else device)
+    return MicrophoneSource(None if device == DEFAULT_MICROPHONE else device, channel=channel)
 
 
-def _file(path: Path, start_s: float) -> AudioSource:
-    return SilenceAfter(FileSource(path, start_s=start_s), start_s)
+def _file(path: Path, start_s: float, channel: str = "") -> AudioSource:
+    return SilenceAfter(FileSource(path, start_s=start_s, channel=channel), start_s)
 
 
 #: Texts, sounds and performances that are said or wait, together.
@@ -155,40 +161,42 @@ def spoken_file(
     name: str = "",
     *,
     start_s: float = 0.0,
-    phonemes: Path | None = None,
+    phonemes: LabelFile | None = None,
+    channel: str = "",
 ) -> Spoken:
     """Return speech for the queue that plays a sound file from `start_s` to its end.
 
-    playout: plays it later. name: of its stream; empty: the file's name. phonemes: a file of timed
-    units, phonemes or words. Raises SoundError, LabelError.
+    playout: plays it later. name: of its stream; empty: the file's name. phonemes: a file of its
+    labels, phonemes or words. channel: the one that is heard; "": all are mixed. Raises SoundError,
+    LabelError.
     """
-    checked = checked_sound(path)
+    checked = checked_sound(path, channel)
     log_once(checked.warning)
-    words = () if phonemes is None else words_from(phonemes, start_s)
-    known = () if phonemes is None or words else known_from(phonemes, start_s)
+    known, words = (
+        ((), ()) if phonemes is None else _labels_from(phonemes, start_s, checked.duration_s)
+    )
     rate_hz = checked.sample_rate_hz
     stream = PlayoutStream(name or path.name, rate_hz, playout.output_rate_hz, known)
     if words:
         units = tuple(SpokenUnit(each.label, round(each.start_s * rate_hz)) for each in words)
         _tell(stream, SpokenText("word", units, rate_hz), _LANGUAGE)
     left_s = max(0.0, checked.duration_s - start_s)
-    return spoken_chunks(sound_chunks(path, start_s), stream, left_s)
+    return spoken_chunks(sound_chunks(path, start_s, checked.mix), stream, left_s)
 
 
-def spoken_text(
-    text: str, language: str, playout: Playout, speaker: "Speaker", name: str = _TEXT
-) -> Spoken:
+def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TEXT) -> Spoken:
     """Return speech of a text for the queue; its first sentence is synthesised before returning.
 
-    language: empty: the speaker's. playout: plays it later. speaker: the synthesiser and voice.
-    name: of the streams, one for each sentence. Raises SynthesisError, also for a text of more than
+    playout: plays it later. speaker: the synthesiser and voice. name: of the streams, one for each
+    sentence. Raises SynthesisError, also for a text of more than
     `LONGEST_TEXT` characters, and PluginError.
     """
     from lipsync.text_to_speech.synthesis import Voice, checked_text
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
     checked_text(text, LONGEST_TEXT)
-    voice = Voice(language or speaker.language or _LANGUAGE, speaker.voice)
+    language = speaker.language or _LANGUAGE
+    voice = Voice(language, speaker.voice, speaker.rate_wpm, speaker.pitch)
     sentences = speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice)
 
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
@@ -231,11 +239,25 @@ def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Speaker:
-    """The synthesiser that speaks a face's texts, its voice and its default language, by name."""
+    """The synthesiser that speaks a face's texts, by name; its voice, as `Voice` has it."""
 
     synthesizer: str
     voice: str = ""
     language: str = ""
+    rate_wpm: int = 175
+    pitch: int = 50
+
+    def changed(
+        self, language: str | None, voice: str | None, rate_wpm: int | None, pitch: int | None
+    ) -> "Speaker":
+        """Return the speaker with what one text wants otherwise; None: as it is."""
+        return Speaker(
+            self.synthesizer,
+            self.voice if voice is None else voice,
+            language or self.language,
+            rate_wpm or self.rate_wpm,
+            self.pitch if pitch is None else pitch,
+        )
 
 
 def speaker_of(settings: SoundSettings, folder: Path | None) -> Speaker:
@@ -345,32 +367,23 @@ class SpeechQueue:
             self._unread.popleft()
 
 
-def known_from(path: Path, start_s: float) -> tuple[PhonemeEvent, ...]:
-    """Return a file's phonemes that begin at `start_s` or later, in seconds after `start_s`."""
-    from lipsync.phoneme_files.reader import read_known_phonemes
+def _labels_from(
+    file: LabelFile, start_s: float, sound_s: float
+) -> tuple[tuple[PhonemeEvent, ...], tuple["TimedUnit", ...]]:
+    """Return a file's phonemes or words that begin at `start_s` or later, in s after `start_s`.
 
-    return tuple(
-        PhonemeEvent(
-            event.phoneme,
-            event.start_s - start_s,
-            None if event.end_s is None else event.end_s - start_s,
-        )
-        for event in read_known_phonemes(path)
-        if event.start_s >= start_s
-    )
-
-
-def words_from(path: Path, start_s: float) -> tuple["TimedUnit", ...]:
-    """Return a file's words that begin at `start_s` or later, in seconds after `start_s`.
-
-    Empty for a file of phonemes.
+    sound_s: duration of the whole sound. Raises LabelError.
     """
-    from lipsync.phoneme_files.reader import read_words
+    from lipsync.phoneme_files.reader import read_labels
 
-    return tuple(
-        each._replace(start_s=each.start_s - start_s)
-        for each in read_words(path)
-        if each.start_s >= start_s
+    labels = read_labels(file, sound_s)
+    return (
+        tuple(each.later(-start_s) for each in labels.phones if each.start_s >= start_s),
+        tuple(
+            each._replace(start_s=each.start_s - start_s)
+            for each in labels.words
+            if each.start_s >= start_s
+        ),
     )
 
 
@@ -391,7 +404,7 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
         loudspeaker = _entered_loudspeaker(settings, request.voice, stack)
         microphone = None
         if request.sound.kind == "microphone":
-            device = stack.enter_context(open_microphone(request.sound.name))
+            device = stack.enter_context(open_microphone(request.sound.name, request.sound.channel))
             microphone = ListenedMicrophone(device)
         playout = Playout(loudspeaker, microphone)
         first = _first_words(request.sound, playout, start_s, stack, speaker_of(settings, folder))
@@ -409,7 +422,9 @@ def check_sound(request: RunRequest) -> None:
 
 
 def _of_the_face(sound: Sound, settings: SoundSettings) -> Sound:
-    """Return the sound; a default microphone is replaced by that of the face's YAML, if any."""
+    """Return the sound, whose default microphone and channel are those of the face's YAML."""
+    if sound.kind in ("file", "microphone"):
+        sound = replace(sound, channel=sound.channel or settings.channel)
     if (sound.kind, sound.name) != ("microphone", DEFAULT_MICROPHONE):
         return sound
     return replace(sound, name=settings.input or DEFAULT_MICROPHONE)
@@ -420,6 +435,8 @@ def _entered_loudspeaker(
 ) -> Loudspeaker | None:
     if voice.output is None:
         return None
+    if voice.output == SILENT_OUTPUT:
+        return SilentLoudspeaker()
     from lipsync.audio.loudspeaker import LoudspeakerOutput
 
     device = settings.output if voice.output == DEFAULT_OUTPUT else voice.output
@@ -432,12 +449,14 @@ def _first_words(
     sound: Sound, playout: Playout, start_s: float, stack: ExitStack, speaker: Speaker
 ) -> Spoken | None:
     if sound.kind == "text":
-        return spoken_text(sound.name, sound.language, playout, speaker)
+        changed = speaker.changed(sound.language, sound.voice, sound.rate_wpm, sound.pitch)
+        return spoken_text(sound.name, playout, changed)
     if sound.kind not in ("file", "clip"):
         return None
     path = Path(sound.name)
     if sound.kind == "clip":
         clip = resources.files("lipservo.clips") / "welcome.flac"
         path = stack.enter_context(resources.as_file(clip))
-    phonemes = Path(sound.phonemes) if sound.phonemes else None
-    return spoken_file(path, playout, start_s=start_s, phonemes=phonemes)
+    labels = LabelFile(Path(sound.phonemes), sound.tier, sound.alphabet)
+    known = labels if sound.phonemes else None
+    return spoken_file(path, playout, start_s=start_s, phonemes=known, channel=sound.channel)

@@ -18,7 +18,7 @@ from lipsync.arrays import Array
 #: Lateness is counted in bins of 0.1 ms up to one second; later than that counts as one second.
 _BIN_S = 1e-4
 _N_BINS = 10_000
-#: Less than an encoder's step, 360 / 4096 deg.
+#: Less than a step of any encoder here.
 _AT_LIMIT_DEG = 0.05
 #: A joint at its limit, or held back, in so large a share of the frames is worth a word.
 _OFTEN = 0.05

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from lipservo.access.token_file import read_token
 from lipservo.agents.listener import bind_listener, url_of
-from lipservo.agents.messages import MessageError
+from lipservo.agents.messages import MessageError, Play, Say
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import DEFAULT_LISTEN, VoiceOptions
 from lipservo.runtime.sound import (
@@ -104,24 +104,25 @@ class _Spoken:
         self._folder = Path(options.sounds or ".").resolve()
         self._queue = SpeechQueue(playout)
 
-    def say(self, text: str, name: str) -> Spoken:
+    def say(self, given: Say, name: str) -> Spoken:
         """Queue a text, and return its speech.
 
         name: of its streams. Raises SynthesisError, and MessageError if the queue is full.
         """
         self._check_room("text")
-        spoken = spoken_text(text, "", self._playout, self._speaker, name)
+        speaker = self._speaker.changed(given.language, given.voice, given.rate_wpm, given.pitch)
+        spoken = spoken_text(given.text, self._playout, speaker, name)
         return self._added(spoken, "text")
 
-    def play(self, file: str, name: str) -> Spoken:
+    def play(self, given: Play, name: str) -> Spoken:
         """Queue a sound file or performance below the allowed folder, and return its speech.
 
         The file is checked first. name: of its stream. Raises UserError, and MessageError if the
         queue is full.
         """
-        path = (self._folder / file).resolve()
+        path = (self._folder / given.file).resolve()
         if not path.is_relative_to(self._folder):
-            raise UserError(f"{file}: lies outside the folder of sounds")
+            raise UserError(f"{given.file}: lies outside the folder of sounds")
         # Before the file is read: it may be large, and this may be the ten thousandth time.
         self._check_room(path.name)
         if path.suffix.lower() == SUFFIX:

@@ -29,6 +29,7 @@ from lipservo.settings.motion_names import (
     STYLES_OF,
     Strategy,
 )
+from lipsync.audio.channels import MIX, checked_channel
 from lipsync.plugins import DEFAULT_SYNTHESIZER, RECOGNIZERS, SYNTHESIZERS
 
 Seconds = Annotated[float, within(0.0, 3_600.0)]
@@ -57,7 +58,7 @@ class SoundSettings(Strict):
     much later than the device reports the sound is audible; `lipservo calibrate audio` measures it.
     synthesizer: speaks texts; voice: a voice's name, file beside the YAML or command, as the
     synthesizer needs it, "": its default. language: of texts that name none, "": en-us. volume: a
-    factor, 0 is silent.
+    factor, 0 is silent. channel: the one of `input` and of sound files that is heard.
     """
 
     output: Text | None = None
@@ -67,6 +68,7 @@ class SoundSettings(Strict):
     voice: Annotated[str, Field(max_length=1000)] = ""
     language: Annotated[str, Field(max_length=40)] = ""
     volume: Annotated[float, within(0.0, 1.0)] = 1.0
+    channel: Annotated[str, AfterValidator(checked_channel)] = MIX
 
 
 #: As browsers send it: lower case, no path, no port where it is the scheme's own.

@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -438,7 +438,7 @@ def load_face(path: Path) -> FaceSettings:
 
 
 def load_shipped_face(name: str) -> FaceSettings:
-    """Read a face that comes with lipservo, `face_sim` for one. Raises SettingsError."""
+    """Read a face that comes with lipservo, such as `face_sim`. Raises SettingsError."""
     if name not in shipped_faces():
         raise SettingsError(
             f"no face {name!r} is shipped; known here: {', '.join(shipped_faces())}"
@@ -474,6 +474,7 @@ def _shipped() -> Traversable:
     return files("lipservo.config")
 
 
+@lru_cache(maxsize=8)  # a run reads the same file for sound, face and servos
 def parse_face(text: str, file_name: str) -> FaceSettings:
     """Parse a YAML text as a face; `file_name` names it in errors. Raises SettingsError."""
     content = read_mapping(text, file_name)

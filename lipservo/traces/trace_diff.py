@@ -13,7 +13,7 @@ import numpy as np
 from lipservo.terminal.pictures import is_picture
 from lipservo.traces.trace_file import Trace
 from lipsync.arrays import Array
-from lipsync.errors import UserError, check_extra
+from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
 from lipsync.markers import CLOSED_GAP_MM
 from lipsync.output_file import check_output, written_whole
@@ -346,13 +346,12 @@ def _at(from_s: Array, values: Array, times_s: Array) -> Array:
 
 
 def check_plot(path: Path) -> None:
-    """Check that the picture of a difference can be drawn and written to `path`.
+    """Check that the picture of a difference can be written to `path`.
 
-    Raises UserError for another kind of picture, OutputError, MissingExtraError.
+    Raises UserError for another kind of picture, OutputError.
     """
     if path.suffix not in _SUFFIXES:
         raise UserError(f"{path}: --plot draws {' or '.join(_SUFFIXES)}")
-    check_extra("matplotlib", "--plot")
     check_output(path, replaces=_is_drawing, kind="PNG or SVG picture")
 
 

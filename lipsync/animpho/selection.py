@@ -4,9 +4,8 @@ The paper's strategies use no later phonemes. They keep no state: what they need
 the `Choice` that they returned last, so that a choice can be undone. They select a connected and
 smooth motion, and know of the mouth only through the phonemes.
 
-`GuidedSelection` puts nearness to a target motion first, which is given at five times of the rest
-of the phone. An AnimPho shows how the mouth moves and the target where it is: both are compared
-about their own means.
+`GuidedSelection` adds nearness to a target motion, which is given at five times of the rest of the
+phone, to the paper's terms: the join, the recorded chain, the table T.
 """
 
 from dataclasses import dataclass
@@ -93,20 +92,22 @@ def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> 
     candidates : Indices
         (k,) indices of the AnimPhos of the phoneme.
     previous : Array
-        (m,), the v_j of the phoneme before, 0 outside L(p_{t-1}).
+        (m,), the v_j of the phoneme before, 0 outside L(p_{t-1}); empty where there was none.
 
     Returns
     -------
     Array
         (m,) chain lengths v_i.
     """
-    before = units.predecessors
-    # reduceat needs a non-empty stretch for every row: the appended 0 serves AnimPhos without any.
-    reached = np.append(previous[before.indices], 0.0)
-    longest = np.maximum.reduceat(reached, before.starts[:-1])
-    longest[before.starts[:-1] == before.starts[1:]] = 0.0
     lengths = np.zeros(len(units))
-    lengths[candidates] = longest[candidates] + 1.0
+    lengths[candidates] = 1.0
+    if len(previous):
+        before = units.predecessors
+        # reduceat needs a non-empty stretch for every row: the 0 serves AnimPhos without any.
+        reached = np.append(previous[before.indices], 0.0)
+        longest = np.maximum.reduceat(reached, before.starts[:-1])
+        longest[before.starts[:-1] == before.starts[1:]] = 0.0
+        lengths[candidates] += longest[candidates]
     return lengths
 
 
@@ -153,8 +154,7 @@ class PrioritySelection:
         The priorities are 1 for each AnimPho of the phoneme, else 0.
         """
         candidates = units.of_phoneme(phoneme)
-        lengths = np.zeros(len(units))
-        lengths[candidates] = 1.0
+        lengths = chain_lengths(units, candidates, np.zeros(0))
         return Choice(nearest_to_rest(units, candidates), False, lengths)
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
@@ -178,19 +178,25 @@ STRATEGIES: dict[str, SelectionStrategy] = {
 }
 
 
+#: An AnimPho plays moved by this share of the way to where the mouth is expected (docs/motion.md).
+MOVED = 0.7
+
+
 @dataclass(frozen=True, slots=True)
 class SelectionCosts:
     """Weights of the costs that are added to a candidate's mean squared distance from the target.
 
-    position: of the squared distance between the candidate's start and the mouth's present
-    position; speed_s2: of the squared difference between their speeds, in s^2; unconnected: cost of
-    a candidate outside T(a_{t-1}), the successors of the last AnimPho, in squared units of the
-    components. Chosen on inner splits (decisions/0028).
+    position: of the squared distance between the candidate's start, where it plays, and the mouth's
+    present position, eq. (1); speed_s2: of the squared difference between their speeds, in s^2;
+    unconnected: cost of a candidate outside T(a_{t-1}), the successors of the last AnimPho; chain:
+    what doubling the chain length v_i, eq. (2), is worth; both in squared units of the components.
+    Chosen on inner splits (docs/motion.md).
     """
 
     position: float = 0.02
     speed_s2: float = 1e-5
-    unconnected: float = 0.5
+    unconnected: float = 2.0
+    chain: float = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,22 +205,21 @@ class Joint:
 
     share: fraction of the phone that is over, from 0 to below 1; position, speed: (n_components,)
     each, of the mouth now, speed per second; spacing_s: seconds between two of the five samples of
-    the rest of the phone; previous: index of the AnimPho a_{t-1}, None after rest.
+    the rest of the phone; previous: the choice of a_{t-1}, None after rest.
     """
 
     share: float
     position: Array
     speed: Array
     spacing_s: float
-    previous: int | None
+    previous: Choice | None
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidates:
-    """The AnimPhos L(p) of a phoneme: indices (k,), samples (k, 5 n_components) minus their means.
+    """The AnimPhos L(p) of a phoneme: indices (k,), samples (k, 5 n_components).
 
-    The means are removed because an AnimPho's position costs nothing. products: (k, 25), of the
-    samples with each other over the components.
+    products: (k, 25), of the samples with each other over the components.
     """
 
     indices: Indices
@@ -225,21 +230,20 @@ class _Candidates:
 class GuidedSelection:
     """Selection of the AnimPho of a phoneme that fits a target motion at the least cost.
 
-    All costs are squares of terms linear in the samples x (5, n_components) of an AnimPho, so their
-    sum is x' M x + v x, with one M (5, 5) and one v for all candidates: two matrix products.
+    Nearness, join and speed are squares of terms linear in the samples x (5, n_components) of an
+    AnimPho, so their sum is x' M x + v x, with one M (5, 5) and one v for all candidates: two
+    matrix products.
     """
 
     def __init__(self, units: AnimPhoUnits, costs: SelectionCosts | None = None) -> None:
-        self._units = units
-        costs = costs or SelectionCosts()
+        self.units = units
+        self._costs = costs or SelectionCosts()
         near = [1.0 / SAMPLES_PER_ANIMPHO] * SAMPLES_PER_ANIMPHO
-        self._weights = np.array([*near, costs.position, costs.speed_s2])
-        self._unconnected_cost = costs.unconnected
-        self._unconnected = np.ones(len(units))
+        self._weights = np.array([*near, self._costs.position, self._costs.speed_s2])
         self._candidates = {p: _candidates(units, p) for p in units.known_phonemes}
 
-    def choose(self, phoneme: str, target: Array, joint: Joint) -> int:
-        """Return the index of the AnimPho of `phoneme` that costs least for the rest of a phone.
+    def choose(self, phoneme: str, target: Array, joint: Joint) -> Choice:
+        """Return the AnimPho of `phoneme` that costs least for the rest of a phone.
 
         Parameters
         ----------
@@ -252,32 +256,35 @@ class GuidedSelection:
 
         Returns
         -------
-        int
-            Index of the AnimPho.
+        Choice
+            The AnimPho, and the chain lengths that the next choice needs.
         """
         candidates = self._candidates[phoneme]
-        centre = target.mean(axis=0)
         left = left_samples(joint.share)
-        moved = left - left.mean(axis=0)
+        begins = left[0] - MOVED * left.mean(axis=0)
         step = (left[1] - left[0]) / joint.spacing_s
         # Nearness; eq. (1), of position and of speed: rows that should vanish, each by its weight.
-        seen = np.vstack([moved, moved[:1], step])
-        wanted = np.vstack([target - centre, joint.position - centre, joint.speed])
+        seen = np.vstack([left, begins, step])
+        position = joint.position - MOVED * target.mean(axis=0)
+        wanted = np.vstack([target, position, joint.speed])
         weighted = seen.T * self._weights
         squares, products = weighted @ seen, weighted @ wanted
         cost = candidates.products @ squares.ravel() - candidates.samples @ (2.0 * products.ravel())
+        before = np.zeros(0) if joint.previous is None else joint.previous.chain_lengths
+        lengths = chain_lengths(self.units, candidates.indices, before)
+        follow = candidates.indices
         if joint.previous is not None:
-            followers = self._units.successors[joint.previous]
-            self._unconnected[followers] = 0.0
-            cost += self._unconnected_cost * self._unconnected[candidates.indices]
-            self._unconnected[followers] = 1.0
-        return int(candidates.indices[np.argmin(cost)])
+            follow = self.units.successors[joint.previous.animpho]
+        missed = ~np.isin(candidates.indices, follow)
+        cost += self._costs.unconnected * missed
+        cost -= self._costs.chain * np.log2(lengths[candidates.indices])
+        best = int(np.argmin(cost))
+        return Choice(int(candidates.indices[best]), bool(missed[best]), lengths)
 
 
 def _candidates(units: AnimPhoUnits, phoneme: str) -> _Candidates:
     indices = units.of_phoneme(phoneme)
     samples = units.samples[indices]
-    samples = samples - samples.mean(axis=1, keepdims=True)
     products = np.einsum("ksn,ktn->kst", samples, samples)
     k = len(indices)
     return _Candidates(indices, samples.reshape(k, -1), products.reshape(k, -1))

@@ -1,7 +1,9 @@
 """Sound files: WAV, FLAC, OGG, Opus and whatever else libsndfile reads, at 4 to 192 kHz.
 
-Samples are mixed to mono by averaging the channels. Float files may hold samples outside [-1, 1];
-they are clipped there, as any converter to a loudspeaker would.
+Samples are mixed to mono by averaging the channels, or one is chosen; where they cancel each other,
+the loudest is used alone. Float files may hold samples outside [-1, 1]; they are clipped there, as
+any converter to a loudspeaker would, unless they are clearly whole numbers. Both, and a very quiet
+file, are reported in a line.
 
 The header and the first minute of sound are checked before anything moves, the rest while it is
 played. So the first block of a file of hours comes as soon as that of a file of a minute, and a
@@ -10,13 +12,14 @@ file of up to a minute, as most are, is refused before it plays if anything is w
 Opening and checking the header decodes no sound: its time does not depend on the file's length.
 """
 
+import io
 import logging
 import math
 import os
 import re
 import stat
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import islice
 from os import PathLike
@@ -28,19 +31,35 @@ import soundfile
 import soxr
 from numpy.typing import NDArray
 
+from lipsync.audio.channels import MIX, MOST_CHANNELS, channel_index
+from lipsync.audio.compressed import (
+    MP3,
+    begins_as_mp3,
+    lacks_its_end,
+    quiet_decoder,
+    share_there,
+)
 from lipsync.audio.source import BLOCK_SAMPLES, BlockCutter, SoundError
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 
 _LOG: Final = logging.getLogger(__name__)
 #: A telephone has 8 kHz, a studio 192; below 4 kHz there is no speech left to recognise.
 SLOWEST_RATE_HZ, FASTEST_RATE_HZ = 4_000, 192_000
-#: More than any recorder writes; a header that says more is damaged.
-MOST_CHANNELS = 32
 LONGEST_S = 1_000 * 3600.0
 #: One analysis window of a recogniser; nothing can be recognised in less.
 SHORTEST_S = 0.025
 #: What programs write as a size before they know it (ffmpeg, arecord, sox into a pipe).
 _UNKNOWN_BYTES = 0x7FFF_F000
+#: A header whose data have no size, as a program leaves it that cannot go back to it.
+_NO_SIZE = b"data\0\0\0\0"
+_LONGEST_HEADER = 4096
+#: Float samples beyond it are no overdriven sound but whole numbers.
+_MOST_OVERDRIVEN = 8.0
+#: The average of two channels has less of their energy only if one is the other turned round.
+_LEAST_ENERGY = 0.01
+_QUIET_DBFS = -50.0
+#: An MP3 file with a smaller share of its bytes is cut off; programs count the tags or do not.
+_NEARLY_ALL = 0.99
 #: How libsndfile's log of a header says that less is there than was promised, in bytes.
 _CUT_SHORT = re.compile(r"^\s*(?:data|SSND) : (\d+) \(should be (\d+)\)", re.MULTILINE)
 
@@ -53,7 +72,10 @@ def open_sound(path: Path) -> soundfile.SoundFile:
     """
     _refuse_other_than_files(path)
     try:
-        sound = soundfile.SoundFile(os.fsencode(path))  # names need not be UTF-8
+        with quiet_decoder(is_mp3=begins_as_mp3(path)):
+            sound = soundfile.SoundFile(os.fsencode(path))  # names need not be UTF-8
+        if sound.frames == 0 and sound.format == "WAV":
+            sound = _to_the_end(path, sound)
     except soundfile.LibsndfileError as error:
         raise SoundError(
             f"{path}: not a sound file that can be read ({reason_of(error)}); "
@@ -65,6 +87,39 @@ def open_sound(path: Path) -> soundfile.SoundFile:
         sound.close()
         raise
     return sound
+
+
+class _SizedFile(io.FileIO):
+    """A WAV file whose `data` size reads as unknown, ffffffff, though the file says 0.
+
+    size_at: where in the file the four bytes of the size are.
+    """
+
+    def __init__(self, path: Path, size_at: int) -> None:
+        super().__init__(os.fsencode(path))
+        self._size_at = size_at
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        """Read bytes into `buffer`; return how many."""
+        first = self.tell()
+        n_read = super().readinto(buffer) or 0
+        for at in range(max(first, self._size_at), min(first + n_read, self._size_at + 4)):
+            memoryview(buffer).cast("B")[at - first] = 0xFF
+        return n_read
+
+    def __del__(self) -> None:
+        """Close the file: a SoundFile that is closed lets go of it, and does not close it."""
+        self.close()
+
+
+def _to_the_end(path: Path, sound: soundfile.SoundFile) -> soundfile.SoundFile:
+    """Return an empty WAV file opened anew, to be read to its end, if its header has no size."""
+    with path.open("rb") as file:
+        at = file.read(_LONGEST_HEADER).find(_NO_SIZE)
+    if at < 0:
+        return sound
+    sound.close()
+    return soundfile.SoundFile(_SizedFile(path, at + 4))
 
 
 def promised_s(sound: soundfile.SoundFile) -> float | None:
@@ -93,7 +148,8 @@ def _refuse_other_than_files(path: Path) -> None:
     except (FileNotFoundError, NotADirectoryError) as error:
         raise SoundError(f"{path}: no such file; check the path") from error
     except OSError as error:
-        raise SoundError(f"{path}: cannot be read ({error.strerror}); check its rights") from error
+        short = str(path)[:200]  # the name may be what is too long
+        raise SoundError(f"{short}: cannot be read ({error.strerror}); check it") from error
     except ValueError as error:  # a name with a zero byte
         raise SoundError(f"{str(path)!r}: no file can have this name; check the path") from error
     if stat.S_ISDIR(kind):
@@ -146,18 +202,41 @@ def log_once(line: str) -> None:
         _LOG.warning("%s", line)
 
 
-def read_sound(path: str | PathLike[str]) -> tuple[Samples, int]:
+@dataclass(frozen=True, slots=True)
+class Mix:
+    """How a file's samples become mono: of one `channel` (None: the average), times `gain`."""
+
+    channel: int | None = None
+    gain: float = 1.0
+
+    def mono(self, chunk: Samples) -> Samples:
+        """Return samples (n, n_channels) as mono (n,) in [-1, 1]."""
+        if self.channel is not None:
+            chunk = chunk[:, [self.channel]]
+        mono: Samples = np.clip(chunk * np.float32(self.gain), -1.0, 1.0).mean(
+            axis=1, dtype=np.float32
+        )
+        return mono
+
+
+#: Of sounds that need nothing else.
+_PLAIN_MIX: Final = Mix()
+
+
+def read_sound(path: str | PathLike[str], channel: str = MIX) -> tuple[Samples, int]:
     """Return a whole file as samples (n,) float32 mono in [-1, 1], and its sample rate in hertz.
 
-    Logs a line where the file is shorter than its header promises. Raises SoundError for whatever
-    `FileSource` refuses, here wherever in the file it is.
+    channel: as in `FileSource`. Logs a line where the file is shorter than its header promises.
+    Raises SoundError for whatever `FileSource` refuses, here wherever in the file it is.
     """
     path = Path(path)
+    checked = checked_sound(path, channel)
+    log_once(checked.warning)
     with open_sound(path) as sound:
-        samples = np.concatenate([np.zeros(0, np.float32), *_mono_chunks(path, sound)])
+        mono = (checked.mix.mono(chunk) for chunk in _numbers(path, sound))
+        samples = np.concatenate([np.zeros(0, np.float32), *mono])
         sample_rate_hz = int(sound.samplerate)
         _refuse_nothing(path, len(samples) / sample_rate_hz, bool(np.any(samples)))
-        log_once(_cut_short(path, sound, len(samples)))
     return samples, sample_rate_hz
 
 
@@ -165,33 +244,43 @@ def read_sound(path: str | PathLike[str]) -> tuple[Samples, int]:
 class CheckedSound:
     """A file's own sample rate, and its length in seconds, to the nearest sample at 16 kHz.
 
-    warning: a line for the log where the file is shorter than its header promises, else empty.
+    warning: a line for the log where the file is shorter than its header promises, or its samples
+    are not taken as they are, else empty. mix: how they are taken.
     """
 
     sample_rate_hz: int
     duration_s: float
     warning: str
+    mix: Mix = _PLAIN_MIX
 
 
-def checked_sound(path: Path) -> CheckedSound:
+def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
     """Decode and check a file's first 60 s; return its rate, length and warning.
 
-    The length of a longer file is that of its header. Raises SoundError if it is damaged in the
-    first 60 s, empty, silent as a whole, too short or too long.
+    channel: the one to be heard: `left`, `right`, `mix` or a number from 1. The length of a longer
+    file is that of its header, or of what is there of it. Raises SoundError if it is damaged in the
+    first 60 s, empty, silent as a whole, too short or too long, or lacks the channel.
     """
     n_frames, has_sound = 0, False
+    levels = _Levels()
     with open_sound(path) as sound:
-        for chunk in _mono_chunks(path, sound):
+        only = channel_index(channel, sound.channels, str(path))
+        for chunk in _numbers(path, sound):
             n_frames += len(chunk)
-            has_sound = has_sound or bool(np.any(chunk))
+            levels.add(chunk if only is None else chunk[:, [only]])
+            has_sound = levels.peak > 0.0
             if n_frames >= CHECKED_S * sound.samplerate:
-                n_frames = sound.frames
+                n_frames = round(sound.frames * share_there(path, sound))
                 has_sound = True  # or not yet: a minute of silence before speech is allowed
                 break
         rate_hz = int(sound.samplerate)
         duration_s = n_frames / float(rate_hz)
         _refuse_nothing(path, duration_s, has_sound)
-        warning = _cut_short(path, sound, n_frames)
+        mix, odd = levels.mix("FLOAT" in sound.subtype or sound.subtype == "DOUBLE")
+        if only is not None:
+            mix = replace(mix, channel=only)
+        remarks = [_cut_short(path, sound, n_frames), odd and f"{path}: {odd}"]
+        warning = "; ".join(filter(None, remarks))
     if duration_s > LONGEST_S:
         raise SoundError(
             f"{path}: its header does not say how long it is, or more than "
@@ -199,18 +288,60 @@ def checked_sound(path: Path) -> CheckedSound:
         )
     # The resampler rounds a half up; `round` would round it to even.
     duration_s = math.floor(duration_s * SAMPLE_RATE_HZ + 0.5) / SAMPLE_RATE_HZ
-    return CheckedSound(rate_hz, duration_s, warning)
+    return CheckedSound(rate_hz, duration_s, warning, mix)
 
 
-def sound_chunks(path: str | PathLike[str], start_s: float = 0.0) -> Iterator[Samples]:
+@dataclass(slots=True)
+class _Levels:
+    """Levels of a sound read so far. energy: of each channel; mean_energy: of their average."""
+
+    peak: float = 0.0
+    n_frames: int = 0
+    energy: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
+    mean_energy: float = 0.0
+
+    def add(self, chunk: Samples) -> None:
+        """Add samples (n, n_channels)."""
+        whole = chunk.astype(np.float64)
+        self.peak = max(self.peak, float(np.abs(whole).max(initial=0.0)))
+        self.n_frames += len(chunk)
+        self.energy = self.energy + (whole**2).sum(axis=0)
+        self.mean_energy += float((whole.mean(axis=1) ** 2).sum())
+
+    def mix(self, is_float: bool) -> tuple[Mix, str]:
+        """Return how to take the samples, and a line on what is odd about them, or ""."""
+        remarks: list[str] = []
+        channel, gain = None, 1.0
+        if is_float and self.peak > _MOST_OVERDRIVEN:
+            bits = next((each for each in (16, 24) if self.peak <= 2 ** (each - 1)), 32)
+            gain = 2.0 ** (1 - bits)
+            remarks.append(
+                f"a float file with samples up to {self.peak:,.0f}, read as whole numbers of "
+                f"{bits} bits"
+            )
+        energy = self.mean_energy
+        if energy < _LEAST_ENERGY * float(self.energy.mean()):
+            channel = int(self.energy.argmax())
+            energy = float(self.energy[channel])
+            remarks.append(f"its channels cancel each other; channel {channel + 1} alone is used")
+        level_dbfs = 10.0 * math.log10(max(energy, 1e-30) / max(1, self.n_frames) * gain**2)
+        if energy > 0.0 and level_dbfs < _QUIET_DBFS:
+            remarks.append(f"very quiet, {level_dbfs:.0f} dBFS; record it louder")
+        return Mix(channel, gain), "; ".join(remarks)
+
+
+def sound_chunks(
+    path: str | PathLike[str], start_s: float = 0.0, mix: Mix = _PLAIN_MIX
+) -> Iterator[Samples]:
     """Yield a file's sound from `start_s` on, mono (n,) at its own rate, in pieces of 1 s.
 
-    Raises SoundError where it is damaged or holds NaN or infinite samples.
+    mix: of the file, as `checked_sound` found it. Raises SoundError where it is damaged or holds
+    NaN or infinite samples.
     """
     path = Path(path)
     with open_sound(path) as sound:
         _go_to(path, sound, round(start_s * sound.samplerate))
-        yield from _mono_chunks(path, sound)
+        yield from map(mix.mono, _numbers(path, sound))
 
 
 class FileSource:
@@ -225,18 +356,21 @@ class FileSource:
 
     is_live = False
 
-    def __init__(self, path: str | PathLike[str], *, start_s: float = 0.0) -> None:
+    def __init__(
+        self, path: str | PathLike[str], *, start_s: float = 0.0, channel: str = MIX
+    ) -> None:
         """Begin at the block that contains sound time `start_s`; times stay those of the file.
 
         The samples are those of a source that began at 0 (to rounding, where it is resampled); the
         sound before `start_s` is skipped without decoding, except for Ogg and MP3, which have to be
-        decoded. Logs a line now if the file is shorter than its header promises, and one on
-        `__exit__` if sound was played that could not be decoded.
+        decoded. channel: the one to be heard, `left`, `right`, `mix` or a number. Logs a line now
+        if the file is shorter than its header promises, and one on `__exit__` if sound was played
+        that could not be decoded.
         """
         self._path = Path(path)
-        checked = checked_sound(self._path)
+        checked = checked_sound(self._path, channel)
         log_once(checked.warning)
-        self._duration_s = checked.duration_s
+        self._duration_s, self._mix = checked.duration_s, checked.mix
         self._n_left = round(self._duration_s * SAMPLE_RATE_HZ)
         first = math.floor(max(0.0, start_s) * SAMPLE_RATE_HZ + 1e-3)
         first = min(first // BLOCK_SAMPLES * BLOCK_SAMPLES, self._n_left)
@@ -295,17 +429,19 @@ class FileSource:
         It begins at the frame that `_first_frame` gives for `first`, a sample at 16 kHz. Samples
         that are NaN or infinite become 0; these and all after damage are counted as lost.
         """
+        n_played = _first_frame(sound.samplerate, first)
         try:
-            _go_to(self._path, sound, _first_frame(sound.samplerate, first))
+            _go_to(self._path, sound, n_played)
             for chunk in _chunks(self._path, sound):
                 broken = ~np.isfinite(chunk)
                 if broken.any():
                     lost = broken.any(axis=1)
                     self._lose(int(lost.sum()) / sound.samplerate, "samples that are no numbers")
                     chunk = np.where(broken, np.float32(0.0), chunk)
-                yield _mono(chunk)
+                n_played += len(chunk)
+                yield self._mix.mono(chunk)
         except SoundError as error:
-            missing_s = max(0.0, self._duration_s - sound.tell() / sound.samplerate)
+            missing_s = max(0.0, self._duration_s - n_played / sound.samplerate)
             self._lose(missing_s, str(error).removeprefix(f"{self._path}: "))
 
     def _lose(self, lost_s: float, trouble: str) -> None:
@@ -351,12 +487,13 @@ def _first_frame(rate_hz: int, first: int) -> int:
 def _go_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
     """Move the position of `sound` so that the next sample decoded is number `frame`."""
     try:
-        if sound.format in _SEEKS_EXACTLY:
+        if sound.format in _SEEKS_EXACTLY and sound.seekable():
             sound.seek(frame)
             return
         n_chunk = round(CHUNK_S * sound.samplerate)
-        while frame > 0 and (n_read := len(sound.read(min(frame, n_chunk), dtype="float32"))):
-            frame -= n_read
+        with quiet_decoder(is_mp3=sound.format in MP3):
+            while frame > 0 and (n_read := len(sound.read(min(frame, n_chunk), dtype="float32"))):
+                frame -= n_read
     except soundfile.LibsndfileError as error:
         raise _damaged(path, sound, error) from error
 
@@ -366,7 +503,8 @@ def _chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
     n_chunk = round(CHUNK_S * sound.samplerate)
     while True:
         try:
-            chunk: Samples = sound.read(n_chunk, dtype="float32", always_2d=True)
+            with quiet_decoder(is_mp3=sound.format in MP3):
+                chunk: Samples = sound.read(n_chunk, dtype="float32", always_2d=True)
         except soundfile.LibsndfileError as error:
             raise _damaged(path, sound, error) from error
         if len(chunk) == 0:
@@ -377,14 +515,14 @@ def _chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
 def _damaged(
     path: Path, sound: soundfile.SoundFile, error: soundfile.LibsndfileError
 ) -> SoundError:
+    reached = f"{sound.tell() / sound.samplerate:.2f} s" if sound.seekable() else "some sound"
     return SoundError(
-        f"{path}: damaged after {sound.tell() / sound.samplerate:.2f} s "
-        f"({reason_of(error)}); copy or convert it again"
+        f"{path}: damaged after {reached} ({reason_of(error)}); copy or convert it again"
     )
 
 
-def _mono_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
-    """Yield the undecoded rest of `sound` mono (n,) in [-1, 1]; SoundError for NaN or infinity."""
+def _numbers(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
+    """Yield the undecoded rest of `sound` (n, n_channels); SoundError for NaN or infinity."""
     n_read = 0
     chunks = _chunks(path, sound)
     for chunk in chunks:
@@ -398,19 +536,17 @@ def _mono_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
                 f"the first at {first_s:.4f} s; export the file again"
             )
         n_read += len(chunk)
-        yield _mono(chunk)
-
-
-def _mono(chunk: Samples) -> Samples:
-    mono: Samples = np.clip(chunk, -1.0, 1.0).mean(axis=1, dtype=np.float32)
-    return mono
+        yield chunk
 
 
 def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
     holds_s = n_frames / sound.samplerate
+    if lacks_its_end(path, sound):
+        return f"{path}: cut short: its end is missing; the {holds_s:.2f} s that are there are used"
     says_s = promised_s(sound) or sound.frames / sound.samplerate
     # A compressed file's header counts in frames of up to a tenth of a second.
-    if not holds_s + 0.1 < says_s < LONGEST_S:
+    is_cut = share_there(path, sound) < _NEARLY_ALL or holds_s + 0.1 < says_s
+    if not (is_cut and holds_s < says_s < LONGEST_S):
         return ""
     return (
         f"{path}: cut short: its header promises {says_s:.2f} s, the file holds {holds_s:.2f} s; "
@@ -432,20 +568,22 @@ def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
         )
 
 
-def read_speech(path: Path) -> NDArray[np.float32]:
+def read_speech(path: Path, channel: str = MIX) -> NDArray[np.float32]:
     """Return a sound file as mono at 16 kHz. Raises SoundError for whatever `FileSource` refuses.
 
     Parameters
     ----------
     path : Path
         Any format of libsndfile.
+    channel : str
+        The one to be heard: `left`, `right`, `mix` or a number from 1.
 
     Returns
     -------
     NDArray[np.float32]
         (n,) float32 in [-1, 1] at 16 kHz.
     """
-    samples, rate_hz = read_sound(path)
+    samples, rate_hz = read_sound(path, channel)
     if rate_hz == SAMPLE_RATE_HZ:
         return samples
     resampled: NDArray[np.float32] = soxr.resample(samples, rate_hz, SAMPLE_RATE_HZ)

@@ -11,6 +11,7 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
+from lipsync.audio.channels import MIX, channel_index
 from lipsync.audio.devices import (
     DeviceWatch,
     OpenStream,
@@ -55,17 +56,20 @@ class MicrophoneSource:
         *,
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
+        channel: str = MIX,
     ) -> None:
         """Find the device, without opening it. `device`: see the class; `clock`: monotonic seconds.
 
-        is_watched: False where no thread watches for the loss of the device, and the caller calls
-        `watch.look` from time to time.
+        channel: the one that is heard, `left`, `right`, `mix` or a number from 1; SoundError where
+        the device has fewer. is_watched: False where no thread watches for the loss of the device,
+        and the caller calls `watch.look` from time to time.
         """
         self._sounddevice = import_sounddevice()
         with opening():
             self._device = find_device(device, "input")
         # A number may be another device's after the next plug.
         self._wanted = self._device.lasting_name if is_number(device) else device
+        self._channel = channel_index(channel, self._device.n_channels, self.name)
         self._clock = clock
         self._is_watched = is_watched
         self.watch = DeviceWatch(self._open, clock)
@@ -149,7 +153,7 @@ class MicrophoneSource:
             latency="low",
         )
         try:
-            capture = _Capture(make_stream, rate_hz, self._clock, self.watch)
+            capture = _Capture(make_stream, rate_hz, self._clock, self.watch, self._channel)
             self._captures.append(capture)
             start_stream(capture.stream)
         except self._sounddevice.PortAudioError as error:
@@ -161,10 +165,12 @@ class MicrophoneSource:
     def _rate_and_channels(self) -> tuple[int, int]:
         """Return rate in Hz and channels to open the device with: (16000, 1) if it accepts these.
 
-        Else its preferred rate, with one channel if it accepts this, or with all channels.
+        Else its preferred rate, with one channel if it accepts this, or with all channels; with all
+        where one of them is chosen.
         """
         own_rate_hz, all_channels = self._device.sample_rate_hz, self._device.n_channels
-        for rate_hz, n_channels in ((SAMPLE_RATE_HZ, 1), (own_rate_hz, 1)):
+        n_wanted = 1 if self._channel is None else all_channels
+        for rate_hz, n_channels in ((SAMPLE_RATE_HZ, n_wanted), (own_rate_hz, n_wanted)):
             try:
                 self._sounddevice.check_input_settings(
                     device=self._device.index,
@@ -236,12 +242,14 @@ class _Capture:
         rate_hz: int,
         clock: Callable[[], float],
         watch: DeviceWatch,
+        channel: int | None,
     ) -> None:
         """Make the stream by `make_stream(callback=...)`, without starting it.
 
         rate_hz: the device's; clock: returns monotonic seconds; watch: is notified of each
-        callback.
+        callback; channel: the one that is heard, from 0, None: all are mixed.
         """
+        self._channel = channel
         self.rate_hz = rate_hz
         self.arrived: deque[_Arrival] = deque(maxlen=round(QUEUE_S / BLOCK_S))
         #: The reader's: sound time of the first sample, and samples taken so far.
@@ -285,7 +293,8 @@ class _Capture:
             age_s = max(length_s, self.stream.latency)
         if status.input_overflow:
             self._n_heard += self._n_lost(adc_s, n_frames)
-        samples: Samples = frames.mean(axis=1)
+        only = self._channel
+        samples: Samples = frames.mean(axis=1) if only is None else frames[:, only].copy()
         self.arrived.append(_Arrival(self._n_heard, samples, called_s - age_s, called_s))
         self._n_heard += n_frames
         self._next_adc_s = adc_s + length_s

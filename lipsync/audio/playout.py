@@ -16,7 +16,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from lipsync.audio.playout_stream import (
     PlayoutRequest,
     PlayoutStream,
     StartedWords,
+    TimedUnits,
     add_playing,
     phonemes_or_visemes,
 )
@@ -59,6 +60,7 @@ _WAITING_S: Final = 0.05
 _ECHO_S: Final = 0.3
 _SILENCE: Final = np.zeros(BLOCK_SAMPLES, dtype=np.float32)
 _SILENCE.flags.writeable = False
+_NO_UNITS: Final = TimedUnits("", 0.0)
 #: A microphone hands sound over in pieces of up to 40 ms (PulseAudio): so much is held back, or the
 #: timeline, which goes on evenly, would find holes.
 _HELD_BLOCKS: Final = 4
@@ -146,6 +148,8 @@ class Playout:
         self._known = KnownPhonemes()
         self._started_words: deque[StartedWords] = deque(maxlen=_MOST_STARTED)
         self._telling: PlayingStream | None = None
+        self._timed: deque[TimedUnits] = deque(maxlen=_MOST_STARTED)
+        self._timed_last = _NO_UNITS
         self._n_blocks = 0
         self._n_underruns = 0
         #: (phoneme, start_s, end_s) on the timeline, each when it begins to be heard: as `events`.
@@ -211,6 +215,11 @@ class Playout:
     def is_over(self) -> bool:
         """Whether speech is over: no stream plays, waits, or is in `requests` or `announced`."""
         return not (self.announced or self.requests or self._playing)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is spoken, nor heard, until a request comes: no microphone is open."""
+        return self._microphone is None and self.is_over
 
     @property
     def speaking(self) -> str | None:
@@ -329,6 +338,12 @@ class Playout:
         self._started_words.clear()
         return started
 
+    def take_timed(self) -> list[TimedUnits]:
+        """Remove and return, in order, the units of the sound committed since the last call."""
+        timed = list(self._timed)
+        self._timed.clear()
+        return timed
+
     def timed_words(self) -> tuple[tuple[str, ...], int] | None:
         """Return the word heard now with 3 before and 10 after it at most, and its index in these.
 
@@ -344,17 +359,10 @@ class Playout:
         around = words.units[first : number + _WORDS_AFTER]
         return tuple(unit.label for unit in around), number - first
 
-    def known_kind(self, timeline_s: float) -> Literal["phonemes", "visemes"] | None:
-        """Return which units are known at timeline position `timeline_s`: phonemes or visemes.
-
-        None where neither is known, and where no stream is played.
-        """
-        if not any(start_s <= timeline_s < end_s for start_s, end_s, _ in self._known.after(0.0)):
-            return None
-        if (found := self.stream_at(timeline_s)) is None:
-            return None
-        units = phonemes_or_visemes(found[0])
-        return "visemes" if units is not None and units.kind == "viseme" else "phonemes"
+    def knows_phonemes(self, timeline_s: float) -> bool:
+        """Return whether a stream is played at timeline position `timeline_s` with its phonemes."""
+        found = self.stream_at(timeline_s)
+        return found is not None and bool(found[0].phonemes)
 
     def __enter__(self) -> "Playout":
         return self
@@ -386,6 +394,7 @@ class Playout:
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:
                 self._note_underrun(playing)
+            self._note_timed(TimedUnits("", start_s))
             listened = self._listened(start_s)
             return listened, self._played_silence, listened
         stream = playing.stream
@@ -394,6 +403,9 @@ class Playout:
         self._on_way.append((start_s, playing, block, playing.n_taken))
         playing.add(start_s, block.n_samples)
         self._tell_words(playing, start_s)
+        units = None if stream.phonemes else phonemes_or_visemes(stream)
+        began_s = playing.segments[-1].start_s
+        self._note_timed(TimedUnits(stream.name, start_s, units, began_s, playing.shift_s))
         # A recogniser that hears what is known anyway would only disagree.
         heard = _SILENCE if stream.phonemes else block.heard
         played = self._played_silence if stream.played_elsewhere else block.played
@@ -422,6 +434,13 @@ class Playout:
             )
             playing.is_followed = True
             self._started_words.append(StartedWords(passed.kind, words, passed.is_new, behind_s))
+
+    def _note_timed(self, timed: TimedUnits) -> None:
+        """Queue the units of the sound from `timed.from_s` on, if it differs from before."""
+        last = self._timed_last
+        if timed.units is not last.units or timed.start_s != last.start_s:
+            self._timed_last = timed
+            self._timed.append(timed)
 
     def _forget_words(self) -> None:
         """Queue a message that cancels the words of the last stream that were not spoken yet."""
@@ -506,6 +525,7 @@ class Playout:
         """Record that no speech is heard after timeline position `cut_s`; its echo lasts 0.3 s."""
         self._quiet_from_s = cut_s + _ECHO_S
         self._known.cut(cut_s)
+        self._note_timed(TimedUnits("", cut_s))
         if cut_s < self.committed_s:
             self._known.is_silent(cut_s, self.committed_s)
 

@@ -7,7 +7,7 @@ exchange blocks through a deque: no lock, no waiting.
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 import numpy as np
@@ -316,8 +316,14 @@ class _Resampled:
 
 
 EventKind = Literal[
-    "started", "mark", "finished", "interrupted", "cleared", "underrun", "paused", "resumed"
-]
+    "started", "mark", "finished", "interrupted", "cleared", "underrun", "paused", "resumed",
+    "moved_by", "units_shifted", "text_dropped",
+]  # fmt: skip
+
+
+#: Why the mouth is moved by what it is: its sender told it; told nothing better of this sound; or
+#: told what is not heard.
+MoverReason = Literal["told", "not_told", "not_said"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,7 +331,9 @@ class PlayoutEvent:
     """An event of a stream (started, mark, finished, ...), reported when it is heard.
 
     position_s: the timeline position. n_played: samples of the stream, at its own rate, that were
-    heard so far; n_dropped: samples that will never be heard. name: that of a mark.
+    heard so far; n_dropped: samples that will never be heard. name: that of a mark; what moves the
+    mouth from now on (moved_by), for which `reason`. shifted_s: how much later than sent units
+    sound (units_shifted).
     """
 
     kind: EventKind
@@ -334,6 +342,8 @@ class PlayoutEvent:
     n_played: int = 0
     n_dropped: int = 0
     name: str = ""
+    reason: MoverReason = "told"
+    shifted_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,11 +361,6 @@ class PlayoutRequest:
     after: PlayoutStream | None = None
 
 
-#: Phonemes are looked up so far ahead, which is more than is ever asked for, and again so often;
-#: where more of them came, sooner.
-_KNOWN_AHEAD_S, _LOOKED_UP_S, _WORDS_LATE_S = 2.0, 0.5, 0.05
-#: Between two phonemes that were told: a shorter gap is silence, in a longer one somebody may hear.
-_GAP_S: Final = 0.5
 #: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
 #: does not reach farther back.
 _REMEMBERED_S: Final = 5.0
@@ -450,37 +455,31 @@ class PlayingStream:
         last = self.segments[-1]
         return last.start_s - last.n_before / self.stream.sample_rate_hz
 
-    def known_from(self, start_s: float) -> list[KnownStretch]:
-        """Return the stream's known phonemes from `start_s` on: (start_s, end_s, events) each.
+    def known_from(self, start_s: float) -> KnownStretch:
+        """Return the stream's own phonemes from `start_s` on, without another gap after it.
 
-        In timeline seconds; they assume that the stream plays on from there without another gap.
+        In timeline seconds: (start_s, end_s, events).
         """
         shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
-        events = self.stream.phonemes
-        if not events and (units := phonemes_or_visemes(self.stream)) is not None:
-            n_ahead = round(_KNOWN_AHEAD_S * units.sample_rate_hz)
-            events = units.events(self.n_taken, self.n_taken + n_ahead)
-        moved = [
-            replace(
-                event,
-                start_s=event.start_s + shift_s,
-                end_s=None if event.end_s is None else event.end_s + shift_s,
-            )
-            for event in events
-        ]
-        ahead = [e for e in moved if e.end_s is None or e.end_s > start_s]
-        stretches: list[tuple[float, float, list[PhonemeEvent]]] = []
-        for event in ahead:
-            end_s = float("inf") if event.end_s is None else event.end_s
-            is_gap = not self.stream.phonemes and event.start_s > _GAP_S + (
-                stretches[-1][1] if stretches else start_s
-            )
-            if stretches and not is_gap:
-                first_s, _, group = stretches[-1]
-                stretches[-1] = (first_s, end_s, [*group, event])
-            else:
-                stretches.append((event.start_s if is_gap else start_s, end_s, [event]))
-        return [(first_s, end_s, tuple(group)) for first_s, end_s, group in stretches]
+        moved = [event.later(shift_s) for event in self.stream.phonemes]
+        ahead = tuple(e for e in moved if e.end_s is None or e.end_s > start_s)
+        last = ahead[-1].end_s if ahead else start_s
+        return start_s, float("inf") if last is None else last, ahead
+
+
+@dataclass(frozen=True, slots=True)
+class TimedUnits:
+    """Units with times, as the sender of what sounds from `from_s` on sent them; None: none.
+
+    All times are timeline seconds. start_s: where the stream's sound began, or went on after a gap;
+    shift_s: that of its sample 0, if it played without gaps.
+    """
+
+    stream: str
+    from_s: float
+    units: SpokenText | None = None
+    start_s: float = 0.0
+    shift_s: float = 0.0
 
 
 def phonemes_or_visemes(stream: PlayoutStream) -> SpokenText | None:
@@ -518,9 +517,6 @@ class KnownPhonemes:
     def __init__(self) -> None:
         self._stretches: deque[KnownStretch] = deque()
         self._going_on: PlayingStream | None = None
-        self._units: SpokenText | None = None
-        self._looked_up_s = 0.0
-        self._began_s = 0.0  # to be said, the stream that goes on, without a gap since
 
     def is_silent(self, start_s: float, end_s: float) -> None:
         """Add a known stretch of silence from `start_s` to `end_s`: no stream plays there."""
@@ -536,28 +532,13 @@ class KnownPhonemes:
 
         playing: None where no stream plays; then the phonemes of the last stream end there.
         """
-        units = None if playing is None else phonemes_or_visemes(playing.stream)
-        if playing is self._going_on and (
-            units is None
-            or start_s
-            < self._looked_up_s + (_LOOKED_UP_S if units is self._units else _WORDS_LATE_S)
-        ):
+        if playing is self._going_on:
             return
-        goes_on = playing is self._going_on
         if self._going_on is not None:
             self.cut(start_s)
-        if playing is not None and (playing.stream.phonemes or units is not None):
-            stretches = playing.known_from(start_s)
-            if not goes_on:
-                self._began_s = start_s
-            elif stretches and stretches[0][2][0].start_s < start_s:
-                # A phoneme that is being said stays one.
-                _, end_s, events = stretches[0]
-                first_s = max(self._began_s, events[0].start_s)
-                self.cut(first_s)
-                stretches[0] = (first_s, end_s, events)
-            self._stretches.extend(stretches)
-            self._going_on, self._units, self._looked_up_s = playing, units, start_s
+        if playing is not None and playing.stream.phonemes:
+            self._stretches.append(playing.known_from(start_s))
+            self._going_on = playing
 
     def cut(self, cut_s: float) -> None:
         """Remove everything after timeline position `cut_s`, because it will not be played."""

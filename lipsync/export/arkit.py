@@ -132,7 +132,11 @@ ARKIT_NAMES: tuple[str, ...] = (
 MOUTH_NAMES: tuple[str, ...] = (
     "jawOpen", "mouthClose", "mouthFunnel", "mouthPucker", "mouthStretchLeft", "mouthStretchRight",
     "mouthLowerDownLeft", "mouthLowerDownRight", "mouthUpperUpLeft", "mouthUpperUpRight",
+    "mouthRollLower",
 )  # fmt: skip
+#: Of a lower lip behind the upper teeth, for F and V: how far lips are parted, and the upper lip
+#: lifted, at least, so that the teeth are seen.
+_TUCKED_GAP, _TUCKED_UPPER_UP = 0.12, 0.3
 #: So far an eye turns for a coefficient of 1. ARKit names no angle; ours, about as far as people
 #: turn their eyes without turning the head.
 _EYE_RANGE_DEG = 30.0
@@ -165,12 +169,12 @@ class ArkitMap:
             (52,), each from 0 to 1, in the order of `ARKIT_NAMES`.
         """
         found = np.zeros(len(ARKIT_NAMES))
-        found[_OUT] = self.mouth(frame.coefficients)
+        found[_OUT] = self.mouth(frame.coefficients, frame.expression.lip_tuck or 0.0)
         if frame.expression != NO_EXPRESSION:
             _add_expression(found, frame.expression)
         return found
 
-    def mouth(self, coefficients: Array) -> Array:
+    def mouth(self, coefficients: Array, lip_tuck: float = 0.0) -> Array:
         """Return the blendshapes of the mouth, in the order of `MOUTH_NAMES`.
 
         jawOpen minus mouthClose is the visible gap: lips that touch do so whatever the jaw
@@ -180,15 +184,18 @@ class ArkitMap:
         ----------
         coefficients : Array
             (n_components,) face coefficients.
+        lip_tuck : float
+            How far the lower lip lies behind the upper teeth, 0 to 1, as in `Expression`.
 
         Returns
         -------
         Array
-            (10,), each from 0 to 1.
+            (11,), each from 0 to 1.
         """
         mm = self._measures.of(coefficients)
         gap = _share(mm[_IN[GAP]] - self._shut_mm, self._highest(GAP) - self._shut_mm)
-        jaw = _share(mm[_IN["jaw"]], self._highest("jaw"))
+        gap = max(gap, _TUCKED_GAP * lip_tuck)
+        jaw = max(_share(mm[_IN["jaw"]], self._highest("jaw")), _TUCKED_GAP * lip_tuck)
         narrowed_mm = -(mm[_IN["corner_left"]] + mm[_IN["corner_right"]])
         rounding = _share(narrowed_mm, self._narrowest_mm)
 
@@ -204,10 +211,11 @@ class ArkitMap:
                 side("corner_left"),
                 side("corner_right"),
                 # Lips that touch are not drawn apart, wherever they are.
-                min(gap, side("lower_left")),
-                min(gap, side("lower_right")),
-                min(gap, side("upper_left")),
-                min(gap, side("upper_right")),
+                (1.0 - lip_tuck) * min(gap, side("lower_left")),
+                (1.0 - lip_tuck) * min(gap, side("lower_right")),
+                max(min(gap, side("upper_left")), _TUCKED_UPPER_UP * lip_tuck),
+                max(min(gap, side("upper_right")), _TUCKED_UPPER_UP * lip_tuck),
+                lip_tuck,
             ]
         )
 

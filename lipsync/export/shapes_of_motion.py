@@ -1,5 +1,6 @@
 """Cartoon mouth shapes from the motion itself, so that a cartoon shows what the robot's lips do."""
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -7,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, FaceWithAnimPhos
-from lipsync.arrays import Array
+from lipsync.arrays import Array, in_blocks
 from lipsync.export.arkit import GAP, MEASURES, LipMeasures
 from lipsync.export.mouth_cues import CENTISECOND_S, MouthCue, Shape, centiseconds, joined
 from lipsync.motion.finishing import BILABIAL_GAP_MM
@@ -93,8 +94,13 @@ def motion_cues(
         raise ValueError(f"{len(coefficients)} frames are fewer than the sound's {n}")
     if n == 0:
         return []
-    at = prototypes.measures.of(coefficients[:n]) / _scale(prototypes.measures)
-    costs = ((at[:, None, :] - prototypes.places[None]) ** 2).sum(axis=2)
+    scale = _scale(prototypes.measures)
+
+    def costs_of(some: slice) -> Array:
+        at = prototypes.measures.of(coefficients[:n][some]) / scale
+        return np.asarray(((at[:, None, :] - prototypes.places[None]) ** 2).sum(axis=2))
+
+    costs = in_blocks(costs_of, n)
     costs[shut[:n], 1:] += _CLOSURE_PRICE
     cues = joined(
         MouthCue(_NAMES[shape], start, end) for shape, start, end in _segments(costs, SHORTEST_CS)
@@ -151,25 +157,31 @@ def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
     """
     n, n_shapes = costs.shape
     shortest = min(shortest, n)
-    total = np.vstack([np.zeros(n_shapes), np.cumsum(costs, axis=0)])
-    # best[t, s]: cost of rows before t when the last stretch is s and as long as it must be.
-    best = np.full((n + 1, n_shapes), np.inf)
-    begins = np.zeros((n + 1, n_shapes), dtype=np.int64)
-    came_from = np.full((n + 1, n_shapes), -1)
-    for t in range(shortest, n + 1):
+    # Of the last rows: the sum of all costs before row t; and the cost of rows before t when the
+    # last stretch is a shape and as long as it must be.
+    totals = deque([np.zeros(n_shapes)], shortest + 1)
+    bests = deque([np.full(n_shapes, np.inf)], shortest + 1)
+    begins = np.zeros((n + 1, n_shapes), dtype=np.int32)
+    came_from = np.full((n + 1, n_shapes), -1, dtype=np.int8)
+    for t in range(1, n + 1):
+        totals.append(totals[-1] + costs[t - 1])
+        if t < shortest:
+            bests.append(bests[-1])
+            continue
         start = t - shortest
-        new = total[t] - total[start]
+        new = totals[-1] - totals[0]
         if start:
-            cheapest = int(best[start].argmin())
-            new = new + best[start, cheapest]
+            before = bests[-shortest]
+            cheapest = int(before.argmin())
+            new = new + before[cheapest]
             came_from[t] = cheapest
-        longer = best[t - 1] + costs[t - 1]
+        longer = bests[-1] + costs[t - 1]
         goes_on = longer <= new
-        best[t] = np.where(goes_on, longer, new)
+        bests.append(np.where(goes_on, longer, new))
         begins[t] = np.where(goes_on, begins[t - 1], start)
         came_from[t] = np.where(goes_on, came_from[t - 1], came_from[t])
     found: list[tuple[int, int, int]] = []
-    end, shape = n, int(best[n].argmin())
+    end, shape = n, int(bests[-1].argmin())
     while end > 0:
         start = int(begins[end, shape])
         found.append((shape, start, end))

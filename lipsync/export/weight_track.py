@@ -14,9 +14,10 @@ https://protocol.vmc.info/english: `/VMC/Ext/Blend/Val` name value, a message fo
 
 import json
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 
 import numpy as np
 
@@ -36,14 +37,14 @@ class WeightTrack:
     """Named weights over time at a frame rate, for an avatar.
 
     kind: arkit or ovr. rate_hz: frames a second. names: (k,), of the weights. times_s: (n,),
-    ascending. values: (n, k), from 0 to 1.
+    ascending. values: n rows of (k,), from 0 to 1, which may be computed as they are written.
     """
 
     kind: str
     rate_hz: float
     names: tuple[str, ...]
     times_s: Array
-    values: Array
+    values: Iterable[Array]
 
 
 def frame_times_s(duration_s: float, rate_hz: float) -> Array:
@@ -64,32 +65,31 @@ def frame_times_s(duration_s: float, rate_hz: float) -> Array:
     return np.arange(int(np.floor(duration_s * rate_hz + 1e-9)) + 1) / rate_hz
 
 
-def track_lines(track: WeightTrack) -> str:
-    """Return a track as JSON lines: a header with names, then {"time_s", "values"} per frame."""
+def track_lines(track: WeightTrack) -> Iterator[str]:
+    """Yield a track as JSON lines: a header with names, then {"time_s", "values"} per frame."""
     header = {
         "lipservo_export": TRACK_VERSION,
         "kind": track.kind,
         "rate_hz": track.rate_hz,
         "names": track.names,
     }
-    rows = (
-        json.dumps({"time_s": round(float(time_s), 6), "values": _rounded(values)})
-        for time_s, values in zip(track.times_s, track.values, strict=True)
-    )
-    return "\n".join([json.dumps(header), *rows]) + "\n"
+    yield json.dumps(header) + "\n"
+    for time_s, values in zip(track.times_s, track.values, strict=True):
+        row = {"time_s": round(float(time_s), 6), "values": _rounded(values)}
+        yield json.dumps(row) + "\n"
 
 
-def track_csv(track: WeightTrack) -> str:
-    """Return a track as CSV: a header, then a row per frame with time_s and the weights."""
+def track_csv(track: WeightTrack) -> Iterator[str]:
+    """Yield a track as CSV: a header, then a row per frame with time_s and the weights."""
     rows = (
         [f"{time_s:.6f}", *_fixed(values)]
         for time_s, values in zip(track.times_s, track.values, strict=True)
     )
-    return _csv([["time_s", *track.names], *rows])
+    return _csv(chain([["time_s", *track.names]], rows))
 
 
-def live_link_csv(track: WeightTrack) -> str:
-    """Return a track of ARKit's 52 weights as CSV in the format of the Live Link Face app.
+def live_link_csv(track: WeightTrack) -> Iterator[str]:
+    """Yield a track of ARKit's 52 weights as CSV in the format of the Live Link Face app.
 
     Timecode is HH:MM:SS:FF.fff of sound time, FF counting whole frames at the track's rate, which
     has to be whole, else ValueError; the angles of head and eyes are 0.
@@ -100,7 +100,7 @@ def live_link_csv(track: WeightTrack) -> str:
         for time_s, values in zip(track.times_s, track.values, strict=True)
     )
     names = (name[0].upper() + name[1:] for name in track.names)
-    return _csv([["Timecode", "BlendShapeCount", *names, *_ROTATIONS], *rows])
+    return _csv(chain([["Timecode", "BlendShapeCount", *names, *_ROTATIONS]], rows))
 
 
 def _timecode(time_s: float, rate_hz: float) -> str:
@@ -122,8 +122,8 @@ def _fixed(values: Array) -> list[str]:
     return [f"{value:.{_DECIMALS}f}" for value in values]
 
 
-def _csv(rows: Sequence[Sequence[str]]) -> str:
-    return "".join(",".join(row) + "\n" for row in rows)
+def _csv(rows: Iterable[Sequence[str]]) -> Iterator[str]:
+    return (",".join(row) + "\n" for row in rows)
 
 
 _VERSION = 6

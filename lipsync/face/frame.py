@@ -17,7 +17,9 @@ class Expression:
     Angles are in degrees, 0 = straight ahead: pitch is positive upwards, yaw positive to the
     face's own left, roll positive towards its left shoulder. The eyes turn relative to the head,
     both alike. lid_left, lid_right: 0 = open, 1 = shut, below 0 = wider than at rest. brow: 0 =
-    relaxed, 1 = raised. smile: 0 = neutral, 1 = a broad smile, -1 = corners down.
+    relaxed, 1 = raised. smile: 0 = neutral, 1 = a broad smile, -1 = corners down. lip_tuck: 1 = the
+    lower lip lies behind the upper teeth and the upper lip is lifted, as for F and V; no recorded
+    component shows that, so that only drawn faces do.
     """
 
     neck_pitch_deg: float | None = None
@@ -29,6 +31,7 @@ class Expression:
     lid_right: float | None = None
     brow: float | None = None
     smile: float | None = None
+    lip_tuck: float | None = None
 
 
 #: Says nothing about anything but the mouth.

@@ -198,9 +198,9 @@ class FaceModel:
     layout: the points that it has. mean_mm (n_points, 3); basis (n_components, 3 n_points), rows
     orthonormal; head_reference_mm (n_rigid, 3), the pose that all motion was fitted to. rest:
     (n_components,), the closed mouth of silence. covariance: (n_components, n_components), of the
-    face in speech. labiodental_gap_mm: how near the inner lips come in F and V, the recordings'
-    median. tightest_s: (40,), s from the onset until the lips are nearest in P B M F V, the median;
-    else 0.
+    face in speech. tightest_s: (40,), s from the onset until the lips are nearest in P B M F V, the
+    recordings' median; else 0. labiodental_gap_mm: how far the inner lips are apart then in F and
+    V, the mean.
     """
 
     layout: PointLayout

@@ -1,1 +1,1 @@
-"""Shipped model files, each with its model card beside it; no code."""
+"""Shipped model files, each with its model card beside it, and the page's head; no code."""

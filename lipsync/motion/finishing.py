@@ -28,6 +28,7 @@ from lipsync.motion.tick_plan import (
     Amount,
     EasedSetting,
     TickPlan,
+    is_reached,
     planned_rest,
     values_at,
 )
@@ -145,6 +146,8 @@ PARTING_S = 0.06
 HOLD_S = 0.02
 #: While an M sounds the lips stay shut, from its onset until they must part for what follows.
 _HUMMED = PHONEMES.index("M")
+_SHUT: Final = frozenset(map(PHONEMES.index, BILABIALS))
+_VOWELS: Final = frozenset(n for n, phoneme in enumerate(PHONEMES) if phoneme[0] in "AEIOU")
 _HUM_ENDS_S = 0.03
 #: Sums of the same times differ by less.
 _ROUNDING_S = 1e-9
@@ -203,8 +206,10 @@ def closures(
         if start_s > known_until_s + _ROUNDING_S:
             return
         if track.phonemes[i] in tightest_s:
-            # In the recordings an M lasts long; a short one is tightest in its middle, not its end.
-            moment_s = min(start_s + tightest_s[track.phonemes[i]], (start_s + end_s) / 2.0)
+            moment_s = start_s + tightest_s[track.phonemes[i]]
+            if track.phonemes[i] in _SHUT or track.phonemes[max(0, i - 1)] not in _VOWELS:
+                # A short one is tightest in its middle, but F and V after a vowel towards the end.
+                moment_s = min(moment_s, (start_s + end_s) / 2.0)
             from_s, until_s = moment_s - HOLD_S / 2.0, moment_s + HOLD_S / 2.0
             if track.phonemes[i] == _HUMMED:
                 from_s = min(from_s, start_s + HOLD_S)
@@ -229,9 +234,7 @@ def closed_share(spans_s: Sequence[tuple[float, float]], time_s: float) -> float
 DEFAULT_LOOKAHEAD_S = 0.1
 LONGEST_LOOKAHEAD_S = 1.0
 STRONGEST = 1.5
-#: Chosen on inner splits (decisions/0068). Components beyond the first four have twice the share.
-DEFAULT_UNIT_SHARE = 0.5
-N_COARSE, FINE_SHARE = 4, 2.0
+DEFAULT_UNIT_SHARE = 1.0
 
 
 #: On a stage, which viewers see from 3 m, a mouth goes so much farther than the speaker's.
@@ -307,12 +310,16 @@ class TrackedSynthesizer(Motion, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Finish:
-    """The plans decided for one tick, 10 ms: rest, closed lips, lip at the teeth, round lips."""
+    """The plans decided for one tick, 10 ms: rest, closed lips, lip at the teeth, round lips.
+
+    is_still: whether the mouth is at rest in it, and nothing is known that ends the pause.
+    """
 
     rest: Amount = AT_REST
     bilabial: Amount = OPEN
     labiodental: Amount = OPEN
     rounding: Amount = SPREAD
+    is_still: bool = False
 
 
 class FinishedSynthesizer:
@@ -346,14 +353,13 @@ class FinishedSynthesizer:
         self._bilabial_s = _tightest_s(model, BILABIALS)
         self._labiodental_s = _tightest_s(model, LABIODENTALS)
         self._units = units
-        self._shares = np.ones(model.n_components)
-        self._shares[N_COARSE:] = FINE_SHARE
         self._strength = EasedSetting(strength, STRONGEST)
         self._unit_share = EasedSetting(unit_share, 1.0)
         self._stage = EasedSetting(stage, 1.0)
         self._valence = EasedSetting(0.0, 1.0, -1.0)
         self._style = (self._strength, self._stage, self._valence)
         self._ticks = TickPlan(_Finish())
+        self._still = self._still_window()
         self._adjust = {
             **(adjust_inner or {}),
             "strength": self._changing(self._strength),
@@ -422,20 +428,29 @@ class FinishedSynthesizer:
     def frame_at(self, time_s: float) -> Frame:
         """Return the finished frame at sound time `time_s`; equal times give equal frames."""
         frame = self._inner.frame_at(time_s)
-        face = frame.coefficients
+        departure = None
         if self._units is not None:
-            face = self._mixed(face, self._units, time_s)
+            departure = self._units.at(time_s, self._inner.track)
+        finish = self._ticks.at(time_s, self._decide)
+        if finish is not None and finish.is_still:
+            return replace(frame, coefficients=self._rest)
+        face = frame.coefficients
+        if departure is not None:
+            face = face + self._unit_share.at(time_s) * departure
         strength, stage, valence = values_at(self._style, time_s)
         face = self._strengthened(face, strength, stage)
-        finish = self._ticks.at(time_s, self._decide)
         if finish is not None:
             if stage or valence:
                 rounding = finish.rounding.share(time_s)
                 face = self._cornered(face, strength, stage * rounding, (1.0 - rounding) * valence)
             face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
-            labiodental = finish.labiodental.share(time_s)
+            labiodental, bilabial = finish.labiodental.share(time_s), finish.bilabial.share(time_s)
             face = self._gap.narrowed(face, self._labiodental_gap_mm, labiodental)
-            face = self._gap.narrowed(face, BILABIAL_GAP_MM, finish.bilabial.share(time_s))
+            face = self._gap.narrowed(face, BILABIAL_GAP_MM, bilabial)
+            lip_tuck = min(1.0, strength) * min(labiodental, 1.0 - bilabial)
+            if lip_tuck > 0.0:
+                expression = replace(frame.expression, lip_tuck=lip_tuck)
+                return replace(frame, coefficients=face, expression=expression)
         return replace(frame, coefficients=face)
 
     def window_after(self, frame: Frame) -> FaceWindow:
@@ -444,6 +459,8 @@ class FinishedSynthesizer:
         `frame` must be the newest. The call changes no later frame.
         """
         now_s, finish = frame.time_s, self._ticks.newest
+        if finish.is_still:
+            return self._still
         until_s = now_s + self._known_s
         track, lips, teeth = self._inner.track, finish.bilabial, finish.labiodental
         closing = [
@@ -474,6 +491,13 @@ class FinishedSynthesizer:
         shut = self._gap.shut(frame.coefficients)
         return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
 
+    def _still_window(self) -> FaceWindow:
+        """Return the window of a mouth that is at rest and stays so: the very same each time."""
+        steps_s = [0.0, *(step_s for step_s in _WINDOW_S if step_s <= self._known_s)]
+        faces = np.array([self._rest] * len(steps_s))
+        open_ = np.zeros(len(steps_s), dtype=np.bool_)
+        return FaceWindow(np.array(steps_s), faces, open_, self._gap.shut(self._rest))
+
     def _strengthened(self, face: Array, strength: float, stage: float) -> Array:
         """Return the face (n_components,) scaled about rest by `strength`, 1.3 times at stage 1."""
         strength *= 1.0 + (STAGE_STRENGTH - 1.0) * stage
@@ -490,17 +514,6 @@ class FinishedSynthesizer:
         moved = min(1.0, strength)
         return self._width.smiling(self._width.rounded(face, moved * rounding), moved * smile)
 
-    def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
-        """Return the face (n_components,) with the motion of AnimPhos mixed in, at `time_s`.
-
-        Components beyond the first four get twice the share of AnimPhos.
-        """
-        departure = units.at(time_s, self._inner.track)
-        share = self._unit_share.at(time_s)
-        if departure is None or share == 0.0:
-            return face
-        return face + np.minimum(1.0, share * self._shares) * departure
-
     def _decide(self, time_s: float, last: _Finish) -> _Finish:
         """Return the plans for the tick of 10 ms that ends at `time_s`, from what is known then.
 
@@ -508,8 +521,14 @@ class FinishedSynthesizer:
         """
         track, begin_s, until_s = self._inner.track, time_s - TICK_S, time_s + self._known_s
         context = context_at(track, time_s, until_s)
+        rest = planned_rest(last.rest, *context, begin_s, self._known_s)
+        plans = last.bilabial, last.labiodental, last.rounding
+        if is_reached(rest, begin_s) and not any(
+            plan.goal or plan.at(begin_s)[0] for plan in plans
+        ):
+            return last if last.is_still else replace(last, rest=rest, is_still=True)
         return _Finish(
-            planned_rest(last.rest, *context, begin_s, self._known_s),
+            rest,
             planned(last.bilabial, self._bilabial_s, track, begin_s, until_s),
             planned(last.labiodental, self._labiodental_s, track, begin_s, until_s),
             planned_rounding(last.rounding, track, begin_s, self._known_s + TICK_S),

@@ -9,7 +9,7 @@ position and speed whatever arrives.
 import logging
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -34,7 +34,7 @@ from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
 
 if TYPE_CHECKING:
-    from lipsync.animpho.units import AnimPhoUnits
+    from lipsync.animpho.selection import GuidedSelection
 
 _LOG: Final = logging.getLogger(__name__)
 #: Their names on the command line and in results: the expectation, and AnimPhos near it.
@@ -48,6 +48,8 @@ _LEAD_TICKS = 4
 #: from one tick to the next. So what is expected is averaged over so many ticks before and after,
 #: as far as the look-ahead reaches.
 _AVERAGED_TICKS = 1
+#: After so many ticks at rest all that a tick is made of is the rest face.
+_REMEMBERED_TICKS = _LEAD_TICKS + 2 * _AVERAGED_TICKS + 1
 #: A look-ahead of whole ticks is a quotient of floats.
 _ROUNDING_TICKS = 1e-6
 #: The slowest that smoothness can make the mouth: its time constant, s.
@@ -59,6 +61,7 @@ class _Tick:
     """The motion of a tick of 10 ms between two grid points: a cubic; speeds are per tick.
 
     start, end: faces (n_components,). rest: how far a pause has brought the mouth to rest.
+    is_still: whether nothing moves in it, nor in what it was made of.
     """
 
     start: Array
@@ -66,9 +69,12 @@ class _Tick:
     end: Array
     end_speed: Array
     rest: Amount
+    is_still: bool = False
 
     def at(self, u: float) -> Array:
         """Return the face (n_components,) at the share u, 0 to 1, of the tick."""
+        if self.is_still:
+            return self.end
         face = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * self.start + u**2 * (3.0 - 2.0 * u) * self.end
         face += u * (1.0 - u) ** 2 * self.start_speed + u**2 * (u - 1.0) * self.end_speed
         return face
@@ -95,7 +101,8 @@ class ExpectedMotion:
         smoothness: from 0 to 1, as in `Style`. soft: the expectation by posteriors; None: phonemes
         move the mouth as they are decided.
         """
-        self._expectation = expectation
+        self._backed_off = expectation
+        self._networks = replace(expectation, back_off=None)
         self._soft = soft
         self._rest = rest
         self._lookahead_s = lookahead_s
@@ -120,6 +127,7 @@ class ExpectedMotion:
     def reset(self) -> None:
         """Forget all phonemes and motion: the mouth is closed, and sound time begins at 0."""
         rest, still = self._rest, np.zeros_like(self._rest)
+        self._expectation = self._backed_off
         self._timeline = PhonemeTimeline()
         self._track = track_of(())
         self._believed = BelievedFrames()
@@ -129,6 +137,7 @@ class ExpectedMotion:
         self._ticks = TickPlan(_Tick(rest, still, rest, still, AT_REST))
         self._smoothness.settle()
         self._newest_start_s = -math.inf
+        self._n_at_rest = 0
         self.phonemes_planned = 0
 
     def push(self, update: PhonemeUpdate) -> None:
@@ -136,7 +145,11 @@ class ExpectedMotion:
         self._timeline.apply(update)
         self._track = track_of(self._timeline.events)
         posteriors = update.posteriors
-        if posteriors is None or self._believed.push(posteriors) or self._has_warned:
+        if posteriors is None:
+            return
+        # A new pair of phonemes that are heard may be a mistake (docs/decisions/0068).
+        self._expectation = self._networks
+        if self._believed.push(posteriors) or self._has_warned:
             return
         self._has_warned = True
         _LOG.warning(
@@ -209,6 +222,9 @@ class ExpectedMotion:
         context = context_at(self._track, time_s, time_s + self.known_s)
         rest = planned_rest(last.rest, *context, begin_s, self.known_s)
         at_rest = is_reached(rest, begin_s)
+        if at_rest and last.is_still:
+            return last
+        self._n_at_rest = self._n_at_rest + 1 if at_rest else 0
         self._newest.append(self._expected(time_s, at_rest=at_rest))
         wanted = self._extrapolated(self._weights @ np.array(self._newest))
         if not at_rest:
@@ -218,7 +234,10 @@ class ExpectedMotion:
         self._wanted = keep * self._wanted + (1.0 - keep) * wanted
         # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
         end_speed = (self._wanted - last.start) / 2.0
-        return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
+        is_still = self._n_at_rest > _REMEMBERED_TICKS and not (
+            end_speed.any() or last.end_speed.any()
+        )
+        return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest, is_still)
 
     def _expected(self, time_s: float, *, at_rest: bool) -> Array:
         """Return the face (n_components,) expected 10 ms after `time_s`; at it without look-ahead.
@@ -269,13 +288,13 @@ class LiveSynthesizer(FinishedSynthesizer):
         model: FaceModel,
         expectation: Expectation,
         style: Style | None = None,
-        units: "AnimPhoUnits | None" = None,
+        selection: "GuidedSelection | None" = None,
         soft: SoftExpectation | None = None,
     ) -> None:
         """Create the motion of a model's mouth; `style` None: the default settings.
 
-        soft: the expectation by posteriors, mixed in; None: decided phonemes alone. units: AnimPhos
-        to choose from; None: the expectation alone, whatever `unit_share` is.
+        soft: the expectation by posteriors, mixed in; None: decided phonemes alone. selection:
+        chooses AnimPhos; None: the expectation alone, whatever `unit_share` is.
         """
         style = style or Style()
         expected = ExpectedMotion(
@@ -286,10 +305,10 @@ class LiveSynthesizer(FinishedSynthesizer):
             soft=soft,
         )
         mixed_in = None
-        if units is not None:
+        if selection is not None:
             from lipsync.motion.unit_motion import UnitMotion
 
-            mixed_in = UnitMotion(units, expected.decided_at, expected.known_s)
+            mixed_in = UnitMotion(selection, expected.decided_at, expected.known_s)
         super().__init__(
             model,
             expected,

@@ -2,11 +2,10 @@
 
 An AnimPho is chosen at its phone's onset and again whenever the phonemes around it are revised or
 become known; every 40 ms its rest is planned anew. Each time the rest of the phone begins at the
-mouth's present position and speed. Three departures from the paper's equations, all to stay near
-the expected face: an AnimPho is moved, as a whole, to where the mouth is expected; it is joined
-sooner than at the phone's end (decisions/0028); and its departure from the face that was expected
-at planning is played on top of the face expected now, so that a plan is never older than a tick
-(decisions/0068).
+mouth's present position and speed. Departures from the paper's equations: an AnimPho is chosen by
+the expected face too, and moved half-way to it; a_t is reached 20 ms after the phone's onset, not
+at its end (decisions/0068); and what it departs from the face that was expected at
+planning is played on top of the face expected now, so that no plan is older than a tick.
 """
 
 import math
@@ -16,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from lipsync.animpho.selection import GuidedSelection, Joint, SelectionCosts
+from lipsync.animpho.selection import MOVED, Choice, GuidedSelection, Joint
 from lipsync.animpho.trajectory import (
     Trajectory,
     blend,
@@ -26,7 +25,7 @@ from lipsync.animpho.trajectory import (
     sample_derivatives,
     translate,
 )
-from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import UNKNOWN, PhonemeTrack, context_at, track_of
 from lipsync.motion.tick_plan import PAUSE_S, RESTING_S, TICK_S, TickPlan
@@ -133,16 +132,16 @@ class _Stretch:
     """A planned trajectory of departures from the expected face, played until it is replanned.
 
     known: what it was planned from, namely the phoneme, its end if known, and the phonemes around.
-    phoneme: None at rest; begun_s: when the first stretch of its phone began. animpho, previous:
-    numbers of the phone's AnimPho a_t and of a_{t-1} before it; None at rest.
+    phoneme: None at rest; begun_s: when the first stretch of its phone began. chosen, previous: the
+    phone's AnimPho a_t and a_{t-1} before it; None at rest.
     """
 
     trajectory: Trajectory
     known: Hashable
     phoneme: str | None
     begun_s: float
-    animpho: int | None
-    previous: int | None
+    chosen: Choice | None
+    previous: Choice | None
 
 
 class UnitMotion:
@@ -150,19 +149,18 @@ class UnitMotion:
 
     def __init__(
         self,
-        units: AnimPhoUnits,
+        selection: GuidedSelection,
         expected: Callable[[Array, float], Array],
         known_s: float,
-        costs: SelectionCosts | None = None,
     ) -> None:
-        """Create the motion of the recorded units `units`, chosen by `costs` (None: the default).
+        """Create the motion of the recorded units that `selection` chooses.
 
         expected(times_s, until_s): returns the faces (n, n_components) expected at times (n,) in s
         from the phonemes until `until_s`. known_s: seconds beyond its tick that a decision may use.
         """
-        self._units = units
-        self._known_phonemes = units.known_phonemes
-        self._selection = GuidedSelection(units, costs)
+        self._units = selection.units
+        self._known_phonemes = selection.units.known_phonemes
+        self._selection = selection
         self._expected = expected
         self._known_s = known_s
         self.reset()
@@ -213,11 +211,11 @@ class UnitMotion:
             away, speed = last.trajectory.at(begin_s)
             rest = ease(begin_s, RESTING_S, away, speed, np.zeros_like(away))
             return _Stretch(rest, known, None, begin_s, None, None)
-        previous, begun_s = last.animpho, time_s
+        previous, begun_s = last.chosen, time_s
         if span.phoneme == last.phoneme and span.onset_s <= last.begun_s:
             previous, begun_s = last.previous, last.begun_s
         # Where nothing new is known what is left of a_t is planned anew, and a_t stays.
-        kept = last.animpho if known == last.known and goes_on else None
+        kept = last.chosen if known == last.known and goes_on else None
         chosen, trajectory = self._joined(span, begin_s, last.trajectory, previous, kept)
         return _Stretch(trajectory, known, span.phoneme, begun_s, chosen, previous)
 
@@ -226,14 +224,15 @@ class UnitMotion:
         span: PhoneSpan,
         begin_s: float,
         last: Trajectory,
-        previous: int | None,
-        kept: int | None,
-    ) -> tuple[int, Trajectory]:
-        """Return the number of an AnimPho (recorded unit) for the rest of a phone, and departures.
+        previous: Choice | None,
+        kept: Choice | None,
+    ) -> tuple[Choice, Trajectory]:
+        """Return an AnimPho (recorded unit) for the rest of a phone, and its departures.
 
         The departures are from the expected face, from `begin_s` on, where the trajectory `last` is
         left. Eq. (3) to (5), less the target: the mouth begins at its present position and becomes
-        the AnimPho, moved to the target's mean. previous: a_{t-1}; kept: a_t, None to choose it.
+        the AnimPho, moved part of the way to the target's mean. previous: a_{t-1}; kept: a_t,
+        None to choose it.
         """
         assert span.phoneme is not None
         phone_s = max(span.end_s, begin_s + _SHORTEST_S) - span.start_s
@@ -245,19 +244,18 @@ class UnitMotion:
         away, speed = last.at(begin_s)
         position = target[0] + away
         units, left = self._units, left_samples(share)
-        if kept is None:
+        chosen = kept
+        if chosen is None:
             velocity = speed + (target[1] - target[0]) / spacing_s
             joint = Joint(share, position, velocity, spacing_s, previous)
             chosen = self._selection.choose(span.phoneme, target, joint)
-            connected = chosen if previous is None else choose_connected(units, previous, chosen)
-        else:
-            chosen = connected = kept
-        moved = left @ units.samples[chosen]
-        moved += (target - moved).mean(axis=0)
+        connected = chosen.animpho
+        if kept is None and previous is not None:
+            connected = choose_connected(units, previous.animpho, connected)
+        moved = left @ units.samples[chosen.animpho]
+        moved += MOVED * (target - moved).mean(axis=0)
         joined = blend(
-            translate(left @ units.samples[connected], position),
-            moved,
-            min(1.0, JOINED_S / left_s),
+            translate(left @ units.samples[connected], position), moved, min(1.0, JOINED_S / left_s)
         )
         departures = joined - target
         derivatives = sample_derivatives(departures, speed * spacing_s)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from lipsync.arrays import Array
+from lipsync.arrays import Array, in_blocks
 from lipsync.expectation.expectation import Expectation, PhonemeTrack, contexts, track_of
 from lipsync.expectation.soft_expectation import SoftExpectation, softened_line
 from lipsync.face.frame import Frame
@@ -180,12 +180,18 @@ def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
     around_s = np.maximum(times_s + TICK_S * np.array([[-1.0], [0.0], [1.0]]), 0.0).ravel()
     phonemes, known_s = contexts(track_of(line.events), around_s, USED_LOOKAHEAD_S)
     ahead_s = np.full(len(around_s), USED_LOOKAHEAD_S)
-    faces = speaker.expectation.faces(phonemes, known_s, ahead_s)
+    faces = in_blocks(
+        lambda some: speaker.expectation.faces(phonemes[some], known_s[some], ahead_s[some]),
+        len(around_s),
+    )
     if speaker.soft is not None and line.posteriors is not None:
         faces = softened_line(speaker.soft, faces, line.events, line.posteriors, around_s)
     notes: tuple[str, ...] = ("unknown voice: only phonemes are used",)
     if speaker.offline.voice.knows(line.samples):
-        sound_faces = speaker.offline.sound.faces(line.events, cepstra(line.samples), around_s)
+        sound, heard = speaker.offline.sound, cepstra(line.samples)
+        sound_faces = in_blocks(
+            lambda some: sound.faces(line.events, heard, around_s[some]), len(around_s)
+        )
         faces, notes = faces + _SOUND_SHARE * (sound_faces - faces), ()
     before, there, after = faces.reshape(3, n_frames, -1)
     mean = (before + 2.0 * there + after) / 4.0

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from lipsync.arrays import Array, Indices
+from lipsync.arrays import Array, Indices, in_blocks
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
@@ -91,9 +91,14 @@ def plain_cepstra(samples: NDArray[np.float32]) -> Array:
     padded = np.concatenate([np.zeros(WINDOW // 2, np.float32), samples])
     padded = np.concatenate([padded, np.zeros(WINDOW + HOP, np.float32)])
     emphasised = padded[1:] - _PRE_EMPHASIS * padded[:-1]
-    bands = log_mel(emphasised).astype(np.float64)
     n_frames = len(samples) // HOP + 1
-    return np.asarray(dct(bands[:n_frames], norm="ortho", axis=1)[:, :N_CEPSTRA])
+
+    def bands_of(some: slice) -> Array:
+        end = min(some.stop, n_frames) - 1
+        return log_mel(emphasised[(some.start or 0) * HOP : end * HOP + WINDOW]).astype(np.float64)
+
+    bands = in_blocks(bands_of, n_frames)
+    return np.asarray(dct(bands, norm="ortho", axis=1)[:, :N_CEPSTRA])
 
 
 def is_heard(found: Array) -> NDArray[np.bool_]:

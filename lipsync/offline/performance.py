@@ -75,7 +75,8 @@ class Performance:
     face_checksum: of that face model. coefficients: (n, n_components) float32, frame i at i / 100 s
     of sound time. phonemes: in order, each with its end. method: name of the method that rendered
     it. expression: the values (n,) float32 of some `EXPRESSION_NAMES` at the same times, in units
-    of `Expression`; empty: head and eyes are left to the face that plays it.
+    of `Expression`; empty: head and eyes are left to the face that plays it. origin: a digest of
+    all that it was rendered from; "": not known.
     """
 
     face_checksum: str
@@ -84,6 +85,7 @@ class Performance:
     sound: PerformedSound
     method: str
     expression: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    origin: str = ""
 
     @property
     def duration_s(self) -> float:
@@ -155,6 +157,8 @@ def performance_bytes(performance: Performance) -> bytes:
     }
     if performance.expression:
         about["expression"] = list(performance.expression)
+    if performance.origin:
+        about["origin"] = performance.origin
     arrays: dict[str, NDArray[Any]] = {
         _ABOUT: np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
         "coefficients": performance.coefficients.astype(np.float32),
@@ -206,6 +210,7 @@ def read_performance(path: Path) -> Performance:
             ),
             method=str(about["method"]),
             expression=_expression(about, archive, len(faces)),
+            origin=str(about.get("origin", "")),
         )
 
 

@@ -1,49 +1,104 @@
-"""Readers of files of phonemes and their times; the format is detected by the content."""
+"""The reader of label files of any program, for every command: phonemes or words with times.
 
-import json
-from dataclasses import replace
+Nothing is guessed: what leaves tier or alphabet in doubt is refused, and the message names the
+option that decides. layouts.py has the formats.
+"""
+
+import logging
+import os.path
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Final
 
-from lipservo_client.vendors import TimedUnit, VendorError, VendorUnits, vendor_units
+from lipservo_client.alphabet import UNSPELT, VendorError, alphabet_of
+from lipservo_client.vendors import TimedUnit
 
-from lipsync.alphabets import ARPABET, AlphabetError, phones_of
-from lipsync.errors import UserError
+from lipsync.alphabets import AlphabetError, phones_of
+from lipsync.errors import shown
+from lipsync.phoneme_files.label_file import LabelFile
+from lipsync.phoneme_files.layouts import Tier, kind_of, tiers_in
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.textgrid import LabelError, is_textgrid, read_phonemes
+from lipsync.textgrid import LabelError, decoded, text_of
 
-#: An hour of phonemes in JSON is about 4 MB.
-_LARGEST_BYTES: Final = 64 * 2**20
-_KNOWN: Final = (
-    "known are TextGrid, phones as `lipservo lines align -o` writes them, and what synthesisers "
-    "send (docs/text.md)"
-)
+_LOG: Final = logging.getLogger(__name__)
+
 _SOUND_ENDINGS: Final = (".wav", ".flac", ".ogg", ".opus", ".mp3")
 #: A file that tells starts alone does not say how long its last phoneme is.
 _LAST_PHONEME_S: Final = 0.1
+#: Edges nearer than this are one: files round their times, and a mouth moves slower.
+_EDGE_S: Final = 0.001
+#: Labels may end so much after their sound: aligners work in frames, and pad. Without labels at its
+#: end that share of a sound is told of, if it is more than 0.3 s.
+_AFTER_SOUND_S, _UNLABELLED = 0.25, 0.25
 
 
-def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
-    """Return the phonemes of a file in one of the formats of docs/text.md.
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """What a label file says of its sound: phonemes with times, or words if it has no phonemes.
 
-    They are in order, from 0 s on, without gaps (silence between) and each with its end. Raises
-    LabelError, in one line: which file, which position in it, what is allowed.
+    phones: in order, from 0 s on, without gaps (silence between), each with its end. notes: what
+    was left out or is doubtful, a line each.
     """
-    content = _content(Path(path))
-    if is_textgrid(content[:200]):
-        return read_phonemes(path)
-    return phonemes_in(content, str(path))
+
+    phones: tuple[PhonemeEvent, ...]
+    words: tuple[TimedUnit, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
-def read_words(path: str | PathLike[str]) -> tuple[TimedUnit, ...]:
-    """Return the words of a file that has word times alone; () if it has phonemes or visemes."""
-    content = _content(Path(path))
-    if is_textgrid(content[:200]):
-        return ()
-    best = units_in(content, str(path))[0]
-    return best.units if best.kind == "word" else ()
+def read_labels(file: LabelFile, sound_s: float | None = None) -> Labels:
+    """Return the labels of a file in one of the formats of docs/text.md; its notes are logged.
+
+    sound_s: duration of the sound that they belong to; None: not known. Raises LabelError, in one
+    line: which file, which position in it, what is allowed.
+    """
+    labels = labels_in(None, file, sound_s)
+    for note in labels.notes:
+        _LOG.warning("%s: %s", file.path, note)
+    return labels
+
+
+def read_phonemes(
+    path: str | PathLike[str], sound_s: float | None = None
+) -> tuple[PhonemeEvent, ...]:
+    """Return the phonemes of a label file, as `read_labels` does. LabelError for words alone."""
+    labels = read_labels(LabelFile(Path(path)), sound_s)
+    if labels.words:
+        raise LabelError(
+            f"{path}: words without phonemes; `lipservo say --from` follows them in the sound"
+        )
+    return labels.phones
+
+
+def has_phones(tiers: Iterable[str]) -> bool:
+    """Return whether one of the named tiers is of phonemes."""
+    return any(kind_of(name) == "phoneme" for name in tiers)
+
+
+def labels_in(content: bytes | None, file: LabelFile, sound_s: float | None = None) -> Labels:
+    """Return the labels in a file's content, None: to be read from `file`. Raises LabelError."""
+    try:
+        text = text_of(file.path) if content is None else decoded(content)
+        tiers = tiers_in(text, file.alphabet)
+        tier = _chosen(tiers, file.tier)
+        untimed = [shown(word) for each in tiers for word in each.untimed]
+        notes = [f"word {word} has no time; it is passed over" for word in untimed]
+        if tier.kind == "word":
+            labels = Labels((), tuple(unit for unit in tier.units if unit.label))
+            spoken_s = [unit.start_s for unit in labels.words]
+        else:
+            labels = _phones(tier, file.alphabet)
+            spoken_s = [e.end_s or 0.0 for e in labels.phones if e.phoneme != SILENCE]
+        if not spoken_s:
+            raise LabelError("nothing but silence, or times that are no seconds; mend it")
+        if sound_s is not None:
+            labelled_s = max(*spoken_s, *(unit.end_s or 0.0 for unit in tier.units))
+            notes += _checked_times(max(spoken_s), labelled_s, sound_s)
+    except (LabelError, VendorError) as error:
+        raise LabelError(f"{str(file.path)[:200]}: {error}") from None
+    return replace(labels, notes=(*notes, *labels.notes))
 
 
 def sound_beside(path: Path) -> Path:
@@ -52,80 +107,106 @@ def sound_beside(path: Path) -> Path:
     Raises LabelError if there is none.
     """
     for ending in _SOUND_ENDINGS:
-        if (sound := path.with_suffix(ending)).is_file():
-            return sound
+        if os.path.isfile(sound := f"{path.parent / path.stem}{ending}"):
+            return Path(sound)
     raise LabelError(
-        f"{path}: no sound beside it; put it there as {path.stem} with "
+        f"{str(path)[:200]}: no sound beside it; put it there as {path.stem[:100]} with "
         f"{', '.join(_SOUND_ENDINGS)}, or give both to `lipservo run --wav SOUND --phonemes FILE`"
     )
 
 
-def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
-    """Return the phonemes in a JSON file's content.
+def _chosen(tiers: Sequence[Tier], wanted: str) -> Tier:
+    """Return the tier called `wanted`; "": that of the phonemes, else of visemes, else of words."""
+    names = ", ".join(each.name for each in tiers)[:200] or "none"
+    by_name = {each.name: each for each in tiers if not wanted or each.name == wanted}
+    if len(tiers) == 1 and not tiers[0].kind and wanted in ("words", "phones"):
+        return replace(tiers[0], kind="word" if wanted == "words" else "phoneme")
+    for kind in ("phoneme", "viseme", "", "word"):
+        found = [each for each in by_name.values() if each.kind == kind and each.units]
+        if len(found) == 1 and (kind or wanted or len(tiers) == 1):
+            return found[0]
+        if found:
+            break
+    raise LabelError(f"which tier? The file has: {names}; choose one by --tier NAME")
 
-    Raises LabelError, with the file's `name` in the message, if the content is invalid or has words
-    alone.
+
+def _phones(tier: Tier, given: str) -> Labels:
+    """Return a tier's phonemes or visemes as events; phones of one unit share its time evenly.
+
+    given: the alphabet that the user names, or "". Raises LabelError for an overlap and for a label
+    that is not in the alphabet.
     """
-    best = units_in(content, name)[0]
-    if best.kind == "word":
-        raise LabelError(
-            f"{name}: words without phonemes; `lipservo say --from` follows them in the sound"
-        )
-    return events_of(best, name)
-
-
-def units_in(content: bytes, name: str) -> tuple[VendorUnits, ...]:
-    """Return the units in a JSON file's content by kind: phonemes first, then visemes, then words.
-
-    Raises LabelError, with the file's `name` in the message, if the content has none of them.
-    """
-    try:
-        return vendor_units(_parsed(content, name))
-    except VendorError as error:
-        raise LabelError(f"{name}: {error}") from None
-
-
-def _content(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise LabelError(f"{path}: larger than 64 MiB; give the phonemes of one recording")
-        return path.read_bytes()
-    except OSError as error:
-        raise LabelError(f"{path}: cannot be read ({error.strerror}); give a file") from None
-
-
-def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
-    """Return phonemes or visemes as events from 0 s on; phones of one unit share its time evenly.
-
-    name: of the file, for errors. Raises LabelError for a label that is not in the units' alphabet,
-    and for units that are all silence.
-    """
+    units, n_without = _joined(tier)
+    alphabet = given or tier.alphabet or alphabet_of(tier.units)
     events: list[PhonemeEvent] = []
-    ends_s = [after.start_s for _, after in pairwise(known.units)]
-    last = known.units[-1]
-    ends_s.append(last.start_s + _LAST_PHONEME_S if last.end_s is None else last.end_s)
-    reached_s = 0.0
-    for number, (unit, next_s) in enumerate(zip(known.units, ends_s, strict=True), start=1):
+    for unit in units:
+        end_s = unit.start_s + _LAST_PHONEME_S if unit.end_s is None else unit.end_s
         try:
-            phones = phones_of(unit.label, known.alphabet or ARPABET)
+            phones = phones_of(unit.label, alphabet, guesses=False)
         except AlphabetError as error:
-            raise LabelError(f"{name}: {known.kind} {number}: {error}") from None
-        end_s = next_s if unit.end_s is None else unit.end_s
-        if unit.start_s > reached_s:
-            _append(events, SILENCE, reached_s, unit.start_s)
-        goes_on = not phones  # a mark of length, a space
-        if goes_on:
-            phones = (events[-1].phoneme if events else SILENCE,)
-        share_s = (end_s - unit.start_s) / len(phones)
-        bounds_s = [unit.start_s + n * share_s for n in range(len(phones))] + [end_s]
-        for phone, (start_s, stop_s) in zip(phones, pairwise(bounds_s), strict=True):
-            _append(events, phone, start_s, stop_s, goes_on=goes_on)
-        reached_s = max(reached_s, end_s)
-    if last.end_s is None and events and events[-1].phoneme == SILENCE:
+            raise LabelError(f"{_place(tier, unit)}: {error}") from None
+        _append(events, SILENCE, events[-1].end_s or 0.0 if events else 0.0, unit.start_s)
+        # A mark of length or a space has no phones: what was said before it goes on.
+        spoken = phones or (events[-1].phoneme if events else SILENCE,)
+        share_s = (end_s - unit.start_s) / len(spoken)
+        bounds_s = [unit.start_s + n * share_s for n in range(len(spoken))] + [end_s]
+        for phone, (start_s, stop_s) in zip(spoken, pairwise(bounds_s), strict=True):
+            _append(events, phone, start_s, stop_s, goes_on=not phones)
+    if units and units[-1].end_s is None and events and events[-1].phoneme == SILENCE:
         del events[-1]
-    if all(event.phoneme == SILENCE for event in events):
-        raise LabelError(f"{name}: nothing but silence; give one with phonemes")
-    return tuple(events)
+    n_unspelt = sum(each.label.lower() in UNSPELT for each in units)
+    counts = {
+        "labels without length, left out": n_without,
+        "stretches not spelt by the aligner, where the mouth rests": n_unspelt,
+    }
+    return Labels(tuple(events), (), tuple(f"{what}: {n}" for what, n in counts.items() if n))
+
+
+def _joined(tier: Tier) -> tuple[list[TimedUnit], int]:
+    """Return a tier's units, edges within 1 ms joined, and how many had no length.
+
+    Raises LabelError for an overlap.
+    """
+    joined: list[TimedUnit] = []
+    n_without = 0
+    for unit, after in zip(tier.units, (*tier.units[1:], None), strict=True):
+        if unit.end_s is None and after is not None:
+            unit = unit._replace(end_s=after.start_s)
+        if unit.end_s is not None and unit.end_s - unit.start_s < _EDGE_S:
+            n_without += bool(unit.label)
+            continue
+        reached_s = (joined[-1].end_s or 0.0) if joined else 0.0
+        if joined and unit.start_s < reached_s - _EDGE_S:
+            raise LabelError(
+                f"{_place(tier, joined[-1])}: {shown(joined[-1].label)} ends at {reached_s:.3f} s, "
+                f"and {shown(unit.label)} begins at {unit.start_s:.3f} s; mend the overlap"
+            )
+        if abs(unit.start_s - reached_s) < _EDGE_S:
+            unit = unit._replace(start_s=reached_s)
+        joined.append(unit)
+    return joined, n_without
+
+
+def _place(tier: Tier, unit: TimedUnit) -> str:
+    number = next(n for n, each in enumerate(tier.units, 1) if each.start_s >= unit.start_s)
+    return f"tier {shown(tier.name)}, {tier.kind or 'label'} {number} at {unit.start_s:.3f} s"
+
+
+def _checked_times(spoken_s: float, reached_s: float, sound_s: float) -> list[str]:
+    """Return notes on labels whose last spoken one ends at `spoken_s`, the last at `reached_s`.
+
+    Raises LabelError for labels that cannot be those of a sound of `sound_s` seconds.
+    """
+    if spoken_s > sound_s + _AFTER_SOUND_S:
+        raise LabelError(
+            f"its last label ends at {spoken_s:.3f} s, and the sound is {sound_s:.3f} s long; give "
+            "the labels of this sound, with times in seconds"
+        )
+    note = (
+        f"its labels end at {reached_s:.3f} s, and the sound is {sound_s:.3f} s long; is the file "
+        "cut off, or that of another sound?"
+    )
+    return [note] if sound_s - reached_s > max(0.3, _UNLABELLED * sound_s) else []
 
 
 def _append(
@@ -141,40 +222,3 @@ def _append(
         events[-1] = replace(events[-1], end_s=end_s)
     else:
         events.append(PhonemeEvent(phone, start_s, end_s))
-
-
-def _parsed(content: bytes, name: str) -> object:
-    """Return the parsed JSON document, or for JSON Lines a dict of parsed lines by `line N`.
-
-    Raises LabelError, with the file's `name` in the message, if the content is neither.
-    """
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise LabelError(f"{name}: neither a TextGrid nor text in UTF-8; {_KNOWN}") from None
-    try:
-        return _json(text)
-    except _NotJsonError:
-        pass
-    lines: dict[str, object] = {}
-    for number, line in enumerate(text.split("\n"), start=1):
-        if line.strip():
-            try:
-                lines[f"line {number}"] = _json(line)
-            except _NotJsonError:
-                raise LabelError(f"{name}: line {number}: no JSON; {_KNOWN}") from None
-    if not lines:
-        raise LabelError(f"{name}: empty; {_KNOWN}")
-    return lines
-
-
-class _NotJsonError(UserError):
-    pass
-
-
-def _json(text: str) -> object:
-    try:
-        return json.loads(text)
-    # Numbers of thousands of digits are a ValueError, brackets in thousands a RecursionError.
-    except (ValueError, RecursionError):
-        raise _NotJsonError from None

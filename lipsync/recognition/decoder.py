@@ -91,6 +91,12 @@ class ViterbiDecoder:
         self._n_heard = 0
         # Frames of silence settled last; before anything was heard there was silence.
         self._n_silent = PAUSE_FRAMES
+        nothing = np.zeros((len(delays), len(PHONEMES)), np.float32)
+        nothing[:, SILENCE_INDEX] = 1.0
+        #: The scores of a frame in which every head hears silence: the very array, given to `push`
+        #: again and again, costs nothing once all that is remembered is silence.
+        self.silence = self.scores(nothing)
+        self._n_same = 0
 
     @property
     def is_awake(self) -> bool:
@@ -131,6 +137,10 @@ class ViterbiDecoder:
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
+        self._n_same = self._n_same + 1 if scores is self.silence else 0
+        if self._n_same > 2 * length + PAUSE_FRAMES:
+            self._n_silent += 1
+            return SILENCE_INDEX, [SILENCE_INDEX] * (self._delay - self._delays[0])
         for head, delay in enumerate(self._delays):
             if delay <= min(n, self._delay):
                 self._recent[(n - delay) % length, head] = scores[head]
@@ -249,13 +259,29 @@ def log_scores(posteriors: Array32, settings: DecoderSettings) -> Array32:
     Array32
         (..., n_phonemes).
     """
-    classes = np.maximum(posteriors @ _MEMBERSHIP, _SMALLEST)
-    of_class = np.log(classes)[..., _CLASS_OF]
-    of_phone = np.log(np.maximum(posteriors, _SMALLEST))
+    of_class: Array32 = log_class_posteriors(posteriors)[..., _CLASS_OF]
+    of_phone: Array32 = np.log(np.maximum(posteriors, _SMALLEST))
     weight = np.float32(settings.phone_weight)
     bonus = np.where(_IS_CLOSURE, np.float32(settings.closure_bonus), np.float32(0.0))
     blended: Array32 = (1 - weight) * of_class + weight * of_phone + bonus
     return blended
+
+
+def log_class_posteriors(posteriors: Array32) -> Array32:
+    """Return the logarithms of the posteriors of the viseme classes.
+
+    Parameters
+    ----------
+    posteriors : Array32
+        (..., n_phonemes).
+
+    Returns
+    -------
+    Array32
+        (..., n_classes), in the order of `VISEME_CLASSES`.
+    """
+    logs: Array32 = np.log(np.maximum(posteriors @ _MEMBERSHIP, _SMALLEST))
+    return logs
 
 
 SILENCE_INDEX = PHONEMES.index(SILENCE)

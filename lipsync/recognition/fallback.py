@@ -266,7 +266,7 @@ def _later(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
         update.heard_until_s + by_s,
         update.final_until_s + by_s,
         tuple(event.later(by_s) for event in update.events),
-        None if update.posteriors is None else update.posteriors.later(by_s),
+        *(each and each.later(by_s) for each in (update.posteriors, update.evidence)),
     )
 
 

@@ -43,6 +43,8 @@ _RANGE = 50.0 / _DB_PER_NAT
 _GATE = 35.0 / _DB_PER_NAT
 _PRIOR_FRAMES, _MEMORY_FRAMES = 100.0, 300.0
 _OFFSETS = np.arange(WINDOW)
+#: The log power of every band of digital silence.
+_NOTHING = np.log(_POWER_FLOOR)
 
 
 def log_mel(emphasised: Array32) -> Array32:
@@ -95,7 +97,8 @@ class LogMelStream:
         n_frames = (len(self._waiting) - WINDOW) // HOP + 1
         if n_frames <= 0:
             return np.zeros((0, N_BANDS), np.float32)
-        frames = log_mel(self._waiting[: (n_frames - 1) * HOP + WINDOW])
+        heard = self._waiting[: (n_frames - 1) * HOP + WINDOW]
+        frames = log_mel(heard) if heard.any() else np.full((n_frames, N_BANDS), _NOTHING)
         self._waiting = self._waiting[n_frames * HOP :].copy()
         return frames
 

@@ -173,9 +173,11 @@ class NetworkRecognizer:
         posteriors = self._posteriors.push(
             np.concatenate(samples), until_s, is_awake=self._decoder.is_awake
         )
-        if not np.isfinite(posteriors).all():
-            raise WeightsError("the weights give no probabilities; train them again")
-        scores = self._decoder.scores(posteriors)
+        scores: Sequence[Array32] | Array32 = [self._decoder.silence] * len(posteriors)
+        if not self._posteriors.is_silent:
+            if not np.isfinite(posteriors).all():
+                raise WeightsError("the weights give no probabilities; train them again")
+            scores = self._decoder.scores(posteriors)
         noticeable = self._posteriors.noticeable
         end = 0
         for start_s, n_silent, n_jumped, n_sound in counts:
@@ -230,9 +232,11 @@ class NetworkRecognizer:
         known += [known[-1] if known else SILENCE_INDEX] * n_missing
         update = self._updates.update([PHONEMES[index] for index in known], n_later)
         del self._settled[: self._updates.n_final - n_final]
-        # Words that are known are not doubted.
-        if self._believed and all(each == HEARD for each in self._followed):
-            update = replace(update, posteriors=self._posteriors_heard())
+        if self._believed:
+            # Words that are known are not doubted.
+            is_heard = all(each == HEARD for each in self._followed)
+            heard = self._posteriors_heard()
+            update = replace(update, evidence=heard, posteriors=heard if is_heard else None)
         self._believed.clear()
         return [update]
 
@@ -265,7 +269,7 @@ class _Frames:
     """Posteriors of frames and the decoder's scores of them, (n, n_heads, n_phonemes) each."""
 
     posteriors: Array32
-    scores: Array32
+    scores: Sequence[Array32] | Array32
 
 
 @dataclass(frozen=True, slots=True)

@@ -208,6 +208,8 @@ STEADY_S = 0.2
 _WITHIN_DB = 2.0
 _STEP_FRAMES = 10
 _STEADY_SMOOTHING = np.float32(0.2)
+#: After so many equal frames (digital silence) levels and floors are these frames, to the bit.
+_ALL_THE_SAME_FRAMES = 2 * round(FLOOR_S * FRAMES_PER_S)
 _DB_PER_NAT = 10.0 / np.log(10.0)
 
 
@@ -219,7 +221,8 @@ class SteadySoundDetector:
         # Before the stream there was silence: what begins at once is no steady sound yet.
         self._minima = np.full((n_steps, N_BANDS), -100.0, np.float32)
         self._level: Array32 = np.full(N_BANDS, -100.0, np.float32)
-        self._n_frames = self._n_near_floor = 0
+        self._n_frames = self._n_near_floor = self._n_same = 0
+        self._last: Array32 = self._level
         self._floor: Array32 = self._minima[0].copy()
 
     def push(self, frame: Array32) -> bool:
@@ -235,6 +238,11 @@ class SteadySoundDetector:
         bool
             True from then on, for as long as it stays steady.
         """
+        self._n_same = self._n_same + 1 if np.array_equal(frame, self._last) else 0
+        self._last = frame
+        if self._n_same > _ALL_THE_SAME_FRAMES:
+            self._n_frames += 1
+            return True
         self._level = self._level + _STEADY_SMOOTHING * (frame - self._level)
         step, within = divmod(self._n_frames, _STEP_FRAMES)
         minimum = self._minima[step % len(self._minima)]

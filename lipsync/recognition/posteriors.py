@@ -18,6 +18,7 @@ from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat
 from lipsync.recognition.features import (
     FRAMES_PER_S,
     HOP,
+    N_BANDS,
     SPEECH_PEAK,
     WINDOW,
     LevelNormalizer,
@@ -30,6 +31,11 @@ from lipsync.recognition.own_noise import SURE_OF_SILENCE, OwnNoise, SteadySound
 #: at -100 dBFS -13.7. Higher it must not be: of speech turned down by 30 dB, 6 % of the frames have
 #: no band above -13 and 13 % none above -11 (20 LibriSpeech utterances, measured).
 INAUDIBLE = -15.5
+#: Frames of silence wait for each other before they go through the network: in one product of
+#: matrices they cost a third. Few enough to cost the first sound after them no tick of 10 ms.
+_SILENCE_AT_ONCE = 16
+#: A whole recording is heard in pieces of so many samples: memory does not grow with it.
+_PIECE = 10 * SAMPLE_RATE_HZ
 #: The mean over the bands from which on a person in the room would call it a sound: 30 dB below
 #: the loud frames of speech.
 NOTICEABLE = SPEECH_PEAK - 3.0 * math.log(10.0)
@@ -50,7 +56,11 @@ class PosteriorStream:
         self._log_mel = LogMelStream()
         self._normalizer = LevelNormalizer(weights.scale)
         self._network = StreamingNetwork(weights)
-        self._none = np.zeros((0, len(weights.delays), len(weights.phonemes)), np.float32)
+        self._unheard = np.zeros((0, N_BANDS), np.float32)  # frames that the network lacks still
+        self._silence = np.zeros((1, len(weights.delays), len(weights.phonemes)), np.float32)
+        self._silence[..., SILENCE_INDEX] = 1.0
+        #: Whether all heads heard silence in all frames of the last push.
+        self.is_silent = False
         #: Whether each of the frames of the last push was noticeable.
         self.noticeable: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._steady = SteadySoundDetector()
@@ -87,21 +97,33 @@ class PosteriorStream:
         self._n_frames += n
         self.noticeable = frames.mean(axis=1) >= NOTICEABLE
         if n == 0:
-            return self._none
-        posteriors = self._network.push(self._normalizer.push(frames))
+            return self._silence[:0]
         is_steady = np.array([self._steady.push(frame) for frame in frames])
         may_be_voice = (frames.max(axis=1) >= INAUDIBLE) & ~is_steady
         if self._own_noise is not None:
             may_be_voice &= ~self._explained(self._own_noise, frames, until_s, is_awake=is_awake)
-            self._learn(self._own_noise, posteriors)
         audible = np.concatenate((self._audible, may_be_voice))
+        self._audible = audible[n:]
+        self._unheard = np.concatenate((self._unheard, frames))
+        self.is_silent = self._own_noise is None and not audible.any()
+        if self.is_silent:
+            if len(self._unheard) >= _SILENCE_AT_ONCE:
+                self._through_network()
+            return np.broadcast_to(self._silence, (n, *self._silence.shape[1:]))
+        posteriors = self._through_network()[-n:]
+        if self._own_noise is not None:
+            self._learn(self._own_noise, posteriors)
         for head, delay in enumerate(self.format.delays):
-            first = len(self._audible) - delay
+            first = len(audible) - n - delay
             silent = ~audible[first : first + n]
             posteriors[silent, head] = 0.0
             posteriors[silent, head, SILENCE_INDEX] = 1.0
-        self._audible = audible[n:]
         return posteriors
+
+    def _through_network(self) -> Array32:
+        """Return the posteriors of the frames that the network lacks, all of them."""
+        frames, self._unheard = self._unheard, self._unheard[:0]
+        return self._network.push(self._normalizer.push(frames))
 
     def _explained(
         self, own_noise: OwnNoise, frames: Array32, until_s: float, *, is_awake: bool
@@ -138,5 +160,7 @@ def whole_posteriors(weights: NetworkWeights, samples: Array32) -> FramePosterio
     FramePosteriors
         Its values are (n_frames, n_heads, n_phonemes).
     """
-    values = PosteriorStream(weights).push(samples)
+    stream = PosteriorStream(weights)
+    pieces = range(0, max(len(samples), 1), _PIECE)
+    values = np.concatenate([stream.push(samples[at : at + _PIECE]) for at in pieces])
     return FramePosteriors(FRAMES_PER_S, 0, weights.delays, values)

@@ -17,10 +17,11 @@ from typing import Final
 
 import numpy as np
 import soundfile
-from lipservo_client.vendors import VendorUnits
+from lipservo_client.vendors import TimedUnit
 
 from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
-from lipsync.phoneme_files.reader import events_of, units_in
+from lipsync.phoneme_files.label_file import LabelFile
+from lipsync.phoneme_files.reader import labels_in
 from lipsync.spoken_text import SpokenText, SpokenTextError, SpokenUnit
 from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
@@ -84,18 +85,18 @@ def speech_of(
     if not words.strip():
         return speech
     try:
-        best = units_in(words.encode(), name)[0]
-        if best.kind != "word":
-            return replace(speech, phonemes=events_of(best, name), units=None)
-        return replace(speech, units=_timed_words(best, sample_rate_hz))
+        labels = labels_in(words.encode(), LabelFile(Path(name)))
+        if labels.phones:
+            return replace(speech, phonemes=labels.phones, units=None)
+        return replace(speech, units=_timed_words(labels.words, sample_rate_hz))
     except (LabelError, SpokenTextError) as error:
         raise SynthesisError(str(error)) from None
 
 
-def _timed_words(known: VendorUnits, sample_rate_hz: int) -> SpokenText:
+def _timed_words(words: tuple[TimedUnit, ...], sample_rate_hz: int) -> SpokenText:
     return SpokenText(
         "word",
-        tuple(SpokenUnit(unit.label, round(unit.start_s * sample_rate_hz)) for unit in known.units),
+        tuple(SpokenUnit(unit.label, round(unit.start_s * sample_rate_hz)) for unit in words),
         sample_rate_hz,
     )
 

@@ -277,9 +277,15 @@ def _sounds(samples: NDArray[np.float32]) -> bool:
 
 def _words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tuple[SpokenWord, ...]:
     marks = [mark for mark in spoken.marks if isinstance(mark, WordMark)]
-    found = []
+    found: list[SpokenWord] = []
+    until = 0
     for index, (start_s, end_s) in word_times(timed).items():
         mark = marks[index]
+        if found and mark.position < until:
+            # Syllables of a script without spaces, and parts of a number: within the last word.
+            found[-1] = replace(found[-1], end_s=end_s)
+            continue
+        until = mark.position + mark.length
         word = text[mark.position : mark.position + mark.length].strip()
         if all(sign in string.punctuation for sign in word):
             # espeak-ng counts "-- How" as two words, and says that it speaks the first of them.

@@ -21,6 +21,7 @@ from typing import Final
 from lipsync.errors import MissingExtraError, UserError, check_extra
 from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.spoken_text import LONGEST_TEXT, PronouncedWord, SpokenText
+from lipsync.text_to_speech.spoken_form import spoken_form
 
 #: IPA of gruut's US English against ARPAbet; stress marks are stripped before.
 _ARPABET_OF = {
@@ -33,8 +34,6 @@ _ARPABET_OF = {
 }  # fmt: skip
 _STRESS = str.maketrans("", "", "ˈˌ")
 
-#: Marks of SSML: what is said lies between them.
-_TAG = re.compile(r"<[^<>]*>")
 #: What no voice reads out: emoji and other symbols, control characters, half surrogate pairs.
 _UNSPOKEN = ("So", "Sk", "Cc", "Cf", "Cs", "Cn", "Co")
 DEFAULT_LANGUAGE: Final = "en-us"
@@ -53,8 +52,9 @@ class PronunciationError(UserError):
 def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedWord, ...]:
     """Return the words of a text with their pronunciations; () for a text without words (emoji).
 
-    SSML's marks are left out. Raises PronunciationError for a text longer than `LONGEST_TEXT`, for
-    a language that cannot be pronounced, and where neither gruut nor espeak-ng is installed.
+    The words are those of the text's `spoken_form`. Raises PronunciationError for a text longer
+    than `LONGEST_TEXT`, for a language that cannot be pronounced, and where neither gruut nor
+    espeak-ng is installed.
     """
     if len(text) > LONGEST_TEXT:
         raise PronunciationError(
@@ -63,7 +63,7 @@ def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedW
         )
     written = "".join(
         " " if unicodedata.category(each) in _UNSPOKEN and each != "\n" else each
-        for each in _TAG.sub(" ", text)
+        for each in spoken_form(text, language)
     )
     if not any(map(str.isalnum, written)):
         return ()

@@ -4,7 +4,7 @@ import re
 import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,11 @@ class SynthesisError(UserError):
 
 class UnspeakableTextError(SynthesisError):
     """Error for a text without sound: empty, dashes, signs that the voice does not read."""
+
+
+SLOWEST_WPM: Final = 80
+FASTEST_WPM: Final = 400
+HIGHEST_PITCH: Final = 99
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from lipsync.plugins import DEFAULT_SYNTHESIZER, SYNTHESIZERS
+from lipsync.text_to_speech.spoken_form import spoken_form
 from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
     SynthesizedSpeech,
@@ -30,12 +31,13 @@ def speak_in_pieces(
 ) -> Iterator[SynthesizedSpeech]:
     """Yield the speech of a text of any length by sentences, each made when the iterator advances.
 
-    So the first sentence sounds soon, and no more than one is in memory. Pieces in which nothing
-    can be spoken, such as a line of dashes, are left out. Raises UnspeakableTextError at the end
-    if all were left out, and SynthesisError as `speak` does.
+    The text is spoken in its `spoken_form`. The first sentence sounds soon, and no more than
+    one is in memory. Pieces in which nothing can be spoken, such as a line of dashes, are left
+    out. Raises UnspeakableTextError at the end if all were left out, and SynthesisError as
+    `speak` does.
     """
     is_spoken = False
-    for piece in pieces(text, LONGEST_PIECE):
+    for piece in pieces(spoken_form(text, voice.language), LONGEST_PIECE):
         try:
             spoken = synthesizer.speak(piece, voice)
         except UnspeakableTextError:

@@ -17,7 +17,7 @@ from lipsync.arrays import Array, Indices
 from lipsync.errors import UserError
 from lipsync.face.head_motion import apply_similarity, fit_similarity
 from lipsync.face.model import FaceModel
-from lipsync.markers import INNER_LIP, MARKERS_47
+from lipsync.markers import INNER_LIP, MARKERS_47, OUTER_LIP
 from lipsync.twin.head_surface import (
     CHIN,
     FACE_RIM,
@@ -66,12 +66,17 @@ _MIRRORED = {
     291: 61, 308: 78, 269: 39, 405: 181, 267: 37, 314: 84, 312: 82, 317: 87, 436: 216, 432: 212,
     425: 205, 427: 207, 411: 187, 280: 50, 327: 98, 365: 136, 397: 172,
 }  # fmt: skip
+#: F and V, in mm (to the side, up, forward) of upper and lower lip. The lower lip rolls in: its
+#: outer edge goes up, its inner rim back under the teeth, which the lifted upper lip shows.
+_TUCKED_OUTER_MM = (0.0, 2.4, 0.5), (0.0, 5.2, -2.5)
+_TUCKED_INNER_MM = (0.0, 4.2, 0.3), (0.0, 1.2, -5.0)
+_NOSTRILS = (2, 97, 326, 98, 327)
 #: A smile of the eyes: the lower lids rise.
 _SMILING_LID_MM = 0.9
 
 
 def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[str, Array]:
-    """Return the skin's displacements for 1 of lid_left, lid_right, brow and smile, by name.
+    """Return the skin's displacements for 1 of lids, brow, smile and lip_tuck, by name.
 
     And lid_left_over, lid_right_over, to be applied by lid (1 - lid) of each: a straight path
     would lead a lid through the eyeball; with this target the lid passes over it.
@@ -103,10 +108,30 @@ def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[s
     at_held = given[held].reshape(held.sum(), -1)
     moved = spread(surface.stiffness, np.flatnonzero(held), at_held)
     lid_left, lid_right, brow, smile = moved.reshape(len(places), 4, 3).transpose(1, 0, 2)
-    morphs = {"brow": brow, "smile": smile}
+    morphs = {"brow": brow, "smile": smile, "lip_tuck": _lip_tuck(surface)}
     for lid, eye in ((lid_left, eyes[0]), (lid_right, eyes[1])):
         morphs |= _over_eyeball(f"lid_{eye.side}", places, lid, eye)
     return morphs
+
+
+def _lip_tuck(surface: HeadSurface) -> Array:
+    """Return displacements (n, 3) of the skin, mm, that lay the lower lip behind the upper teeth.
+
+    Full in the middle of the lips, nothing at their corners.
+    """
+    places = surface.places_mm
+    moves = np.zeros_like(places)
+    rims = ((OUTER_LIP, _TUCKED_OUTER_MM), (INNER_LIP, _TUCKED_INNER_MM))
+    for landmarks, (upper_mm, lower_mm) in rims:
+        rim = places[list(landmarks)]
+        half = len(landmarks) // 2
+        middle_mm, reach_mm = rim[[0, half], 0].mean(), np.ptp(rim[[0, half], 0]) / 2.0
+        share = np.clip(1.0 - ((rim[:, 0] - middle_mm) / reach_mm) ** 2, 0.0, 1.0)[:, None]
+        is_upper = (np.arange(len(landmarks)) < half)[:, None]
+        moves[list(landmarks)] = share * np.where(is_upper, upper_mm, lower_mm)
+    held = np.zeros(len(places), dtype=bool)
+    held[surface.anchors] = held[[*OUTER_LIP, *INNER_LIP, *CHIN, *_NOSTRILS]] = True
+    return spread(surface.stiffness, np.flatnonzero(held), moves[held])
 
 
 def _lower_lid(n: int) -> Array:
@@ -168,7 +193,7 @@ class Twin:
     parts: the first is the skin. components: names of the targets of the mouth, in the order of the
     model's coefficients; rest: (n_components,), the closed mouth; deviations: (n_components,),
     standard deviation of each coefficient in speech. The other targets are lid_left, lid_right,
-    brow and smile as in `Expression`, and lid_left_over, lid_right_over for lid (1 - lid).
+    brow, smile, lip_tuck as in `Expression`, and lid_left_over, lid_right_over for lid (1 - lid).
     pivot_mm: the point that the head turns about. face_vertices (n,): whether a vertex of the skin
     is face, not back of the head.
     """
@@ -296,7 +321,7 @@ def _mouth_frame(
     motion = jaw_motion(places[chin], joint, moves)
     return MouthFrame(
         places[lips],
-        {name: morphs[name][lips] for name in (*components, "smile")},
+        {name: morphs[name][lips] for name in (*components, "smile", "lip_tuck")},
         places[[INNER_LIP[5], INNER_LIP[15]]].mean(axis=0),
         joint,
         dict(zip(components, motion, strict=True)),

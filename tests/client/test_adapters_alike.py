@@ -40,7 +40,10 @@ with warnings.catch_warnings():
     from wyoming.audio import AudioChunk, AudioStart, AudioStop
     from wyoming.client import AsyncTcpClient
 
-pytestmark = pytest.mark.filterwarnings("ignore")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore"),
+    pytest.mark.usefixtures("traffic_by_the_schema"),
+]
 
 #: Samples of each piece, in turns: none of them a whole number of blocks of the face.
 PIECES = (480, 1, 961, 333, 2_400)
@@ -152,7 +155,8 @@ async def wyoming_agent(url, port):
             for piece in pieces(samples):
                 await client.write_event(AudioChunk(audio=piece, **about).event())
             await client.write_event(AudioStop().event())
-            assert (await client.read_event()).type == "played"
+            answer = await client.read_event()
+        assert answer.type == ("error" if lines else "played")
         return not lines, lines
 
     try:

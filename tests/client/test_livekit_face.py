@@ -5,8 +5,12 @@ import warnings
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.agents.remembered_words import WORD_S
+from voice_agents.remembered import heard_words, numbered, sound, wrong
 from voice_agents.served_face import RATE_HZ, ServedFace, tone, until
 
+import lipservo
+from lipsync.audio.playout_stream import PlayoutRequest
 from lipsync.text_to_speech.pronunciation import pronounced
 
 # Its own imports warn of what it will drop one day.
@@ -187,3 +191,109 @@ def test_a_face_that_goes_while_it_speaks_ends_the_segment():
     face.__enter__()
     assert asyncio.run(talk(face)).interrupted
     until(lambda: face.playout.is_over)
+
+
+def worded_frames(n_words, timed_words=()):
+    pcm = sound(n_words)
+    size = 2 * RATE_HZ // 50
+    for n, first in enumerate(range(0, len(pcm), size)):
+        data = pcm[first : first + size]
+        frame = rtc.AudioFrame(data, RATE_HZ, 1, len(data) // 2)
+        if n == 0 and timed_words:
+            frame.userdata[USERDATA_TIMED_TRANSCRIPT] = [
+                TimedString(f"{word} ", start_time=WORD_S * place)
+                for place, word in enumerate(timed_words)
+            ]
+        yield frame
+
+
+async def sounded(face, n_words):
+    while heard_words(face) < n_words:
+        await asyncio.sleep(0.001)
+
+
+async def conversation(url, turns):
+    """Let a session say turns, (words, has times, work meanwhile); the texts that it remembers."""
+    async with LiveKitFace(url) as output:
+        session = AgentSession()
+        session.output.audio = output
+        await session.start(Agent(instructions="none"))
+        for words, has_times, meanwhile in turns:
+
+            async def recording(words=words, has_times=has_times):
+                for frame in worded_frames(len(words), words if has_times else ()):
+                    yield frame
+
+            handle = session.say(" ".join(words), audio=recording())
+            await meanwhile(handle)
+            await asyncio.wait_for(handle, 60.0)
+        texts = [getattr(item, "text_content", None) or "" for item in session.history.items]
+        agent = session.current_agent
+        own = [getattr(item, "text_content", None) or "" for item in agent.chat_ctx.items]
+        await session.aclose()
+        assert [text for text in texts if text] == [text for text in own if text]
+        return " ".join(texts)
+
+
+@pytest.mark.parametrize("has_times", [False, True])
+def test_of_a_turn_that_is_broken_off_the_session_remembers_what_was_heard(has_times):
+    words = numbered(0, 40)
+
+    async def talk(face):
+        async def break_in(handle):
+            await sounded(face, 7.3)
+            handle.interrupt()
+
+        return await conversation(face.url, [(words, has_times, break_in)])
+
+    with ServedFace() as face:
+        remembered = asyncio.run(talk(face))
+        assert 7 <= heard_words(face) < 39
+        assert wrong(words, face, remembered) == (0, 0)
+
+
+def test_a_turn_that_is_broken_off_by_another_client_is_not_remembered_whole():
+    words = numbered(0, 40)
+
+    async def talk(face):
+        async def silence(_handle):
+            await sounded(face, 5.3)
+            face.playout.requests.append(PlayoutRequest("interrupt"))
+
+        return await conversation(face.url, [(words, False, silence)])
+
+    with ServedFace() as face:
+        remembered = asyncio.run(talk(face))
+        assert wrong(words, face, remembered) == (0, 0)
+
+
+async def nothing(_handle):
+    pass
+
+
+def test_without_a_face_nothing_that_was_said_is_remembered():
+    told = asyncio.run(conversation("ws://127.0.0.1:9", [(numbered(0, 9), False, nothing)]))
+    assert told.split() == []
+
+
+def test_a_turn_that_the_face_refuses_is_forgotten_and_the_next_is_heard_and_remembered():
+    words = [numbered(0, 6), numbered(1, 6)]
+
+    async def talk(face):
+        other = lipservo.connect_async(face.url)
+        await other.__aenter__()
+        speech = other.stream()
+        await speech.__aenter__()
+        await speech.write(bytes(4800))
+
+        async def refused(handle):
+            await handle
+            await speech.wait()
+            await other.__aexit__()
+
+        return await conversation(
+            face.url, [(words[0], False, refused), (words[1], False, nothing)]
+        )
+
+    with ServedFace() as face:
+        assert asyncio.run(talk(face)).split() == words[1]

@@ -67,7 +67,7 @@ def test_sound_in_one_byte_pieces_and_faster_than_it_is_heard_arrives_whole():
     assert fast == Played(finished=True, played_s=400.0)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_hour_that_comes_faster_than_it_is_heard_is_heard_and_kept_nowhere():
     async def talk(url):
         second = distinct(1.0).tobytes()

@@ -5,6 +5,8 @@ import warnings
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.agents.remembered_words import WORD_S
+from voice_agents.remembered import heard_words, numbered, sound, wrong
 from voice_agents.served_face import RATE_HZ, ServedFace, tone
 
 from lipsync.text_to_speech.pronunciation import pronounced
@@ -27,6 +29,7 @@ with warnings.catch_warnings():
         TTSStoppedFrame,
         TTSTextFrame,
     )
+    from pipecat.processors.frame_processor import FrameDirection
     from pipecat.tests.utils import SleepFrame, run_test
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -219,3 +222,79 @@ def test_a_follower_shows_the_sound_hands_it_on_in_order_and_reports_what_is_pla
     reported = [n_samples for _, _, n_samples in face.reported]
     assert reported == sorted(reported)
     assert reported[-1] == round(0.4 * RATE_HZ)
+
+
+def words_of(frames):
+    return [each.text for each in frames if isinstance(each, TTSTextFrame)]
+
+
+def worded(n_words, first=0):
+    """TTS frames of 40 ms, in which each word is known by its samples."""
+    pcm, size = sound(n_words, first), 2 * RATE_HZ // 25
+    return [TTSAudioRawFrame(pcm[at : at + size], RATE_HZ, 1) for at in range(0, len(pcm), size)]
+
+
+def test_of_a_sentence_that_is_broken_off_the_words_that_were_heard_go_on():
+    words = numbered(0, 40)
+
+    def frames(face):
+        yield TTSStartedFrame()
+        yield from worded(40)
+        yield TTSTextFrame(" ".join(words), "sentence")
+        while heard_words(face) < 11.3:
+            yield SleepFrame(0.002)
+        yield InterruptionFrame()
+
+    with ServedFace() as face:
+        down, _ = piped(PipecatFace(face.url), frames(face))
+        (remembered,) = words_of(down)
+        assert wrong(words, face, remembered) == (0, 0)
+
+
+def test_a_word_is_timed_from_when_its_sound_left_the_service_however_long_it_waits_here():
+    """Half a minute of sound is all that a face takes: what follows waits before it."""
+    words = numbered(0, 200)
+
+    class Service(PipecatFace):
+        """Times words as Pipecat's tracker does: from a context's first sound, or the last word."""
+
+        began, began_ns, last_ns = "", 0, 0
+
+        async def queue_frame(self, frame, direction=FrameDirection.DOWNSTREAM, callback=None):
+            if isinstance(frame, TTSAudioRawFrame) and frame.context_id != self.began:
+                self.began = frame.context_id
+                self.began_ns = max(self.last_ns, self.get_clock().get_time())
+            if isinstance(frame, TTSTextFrame):
+                self.last_ns = frame.pts = self.began_ns + frame.pts
+            await super().queue_frame(frame, direction, callback)
+
+    def frames(face):
+        yield TTSStartedFrame()
+        for context in ("first", "second"):
+            first = 0 if context == "first" else 180
+            n_words = 180 if context == "first" else 20
+            for frame in worded(n_words, first):
+                frame.context_id = context
+                yield frame
+            for place in range(n_words):
+                text = TTSTextFrame(words[first + place], "word", context_id=context)
+                text.pts = 1 + round(1e9 * WORD_S * place)
+                yield text
+            yield TTSStoppedFrame(context_id=context)
+        while heard_words(face) < 188.3:
+            yield SleepFrame(0.002)
+        yield InterruptionFrame()
+
+    with ServedFace() as face:
+        down, _ = piped(Service(face.url), frames(face))
+        assert wrong(words, face, " ".join(words_of(down))) == (0, 0)
+
+
+def test_a_face_without_a_loudspeaker_leaves_the_sound_to_the_transport():
+    with ServedFace(sound=None) as face:
+        down, up = piped(PipecatFace(face.url), [*spoken(0.2), TTSTextFrame("said", "sentence")])
+
+    assert kinds(down).count(TTSAudioRawFrame) == 5
+    assert words_of(down) == ["said"]
+    (error,) = [frame for frame in up if isinstance(frame, ErrorFrame)]
+    assert "no loudspeaker" in error.error

@@ -191,7 +191,7 @@ def word(*units):
         (
             OURS,
             [
-                VendorUnits("phoneme", (("HH", 0.0, 0.1), ("AY", 0.1, 0.2)), "ipa"),
+                VendorUnits("phoneme", (("HH", 0.0, 0.1), ("AY", 0.1, 0.2)), "arpabet"),
                 word(("Hi", 0.0, 0.2)),
             ],
         ),
@@ -244,18 +244,15 @@ def test_white_space_between_words_is_no_word():
     assert [each.label for each in vendor_units(spaced)[0].units] == ["Hi", "Bob"]
 
 
-def test_what_reaches_into_the_next_ends_where_that_begins():
+def test_of_a_stream_what_reaches_into_the_next_ends_where_that_begins():
     rows = [{"phoneme": "m", "start": 0.0, "end": 0.3}, {"phoneme": "a", "start": 0.2, "end": 0.4}]
 
-    assert vendor_units(rows)[0].units == (("m", 0.0, 0.2), ("a", 0.2, 0.4))
+    assert vendor_units(rows)[0].stream_units(1000)[1] == [("m", 0, 200), ("a", 200, 400)]
 
 
 @pytest.mark.parametrize(
     ("message", "error"),
     [
-        ({}, "no times of words, phonemes or visemes"),
-        ("Hi Bob.", "no times of words, phonemes or visemes"),
-        ({"ssml": "<speak>Hi</speak>"}, "no times of words, phonemes or visemes"),
         ([{"word": "Hi", "start": 1}, {"word": "Bob", "start": 0.5}], "word 2 begins at 0.500 s"),
         ([{"word": "Hi", "start": 1, "end": 0.5}], "[0]: ends at 0.500 s, before it begins"),
         ([{"word": 3, "start": 1}], "[0]: 3 is no word"),
@@ -274,6 +271,38 @@ def test_what_is_wrong_is_one_line_with_its_place(message, error):
 
     assert error in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [{}, "Hi Bob.", {"ssml": "<speak>Hi</speak>"}, {"audio": "UklGRg==", "alignment": None}],
+)
+def test_a_message_without_times_has_no_units(message):
+    assert vendor_units(message) == ()
+
+
+def characters(text, from_s):
+    starts = [round(from_s + 0.1 * n, 7) for n in range(len(text))]
+    return {
+        "audio": "UklGRg==",
+        "alignment": {
+            "characters": list(text),
+            "character_start_times_seconds": starts,
+            "character_end_times_seconds": [round(start + 0.1, 7) for start in starts],
+        },
+    }
+
+
+def test_a_word_that_two_messages_share_is_one():
+    (words,) = vendor_units([characters("Good mor", 0.0), characters("ning ", 0.8), {"done": True}])
+
+    assert words.units == (("Good", 0.0, 0.4), ("morning", 0.5, 1.2))
+
+
+def test_starts_that_are_a_little_out_of_order_are_sorted():
+    rows = [{"word": "Hi", "start": 0.50001}, {"word": "Bob", "start": 0.5}]
+
+    assert vendor_units(rows)[0].units == (("Bob", 0.5, None), ("Hi", 0.50001, None))
 
 
 def test_visemes_at_a_kilohertz_are_taken():

@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 from voice_agents.served_face import RATE_HZ, ServedFace, tone, until
 
+from lipsync.audio.playout_stream import PlayoutRequest
+
 # Its own imports warn of what Python will drop one day.
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     pytest.importorskip("wyoming", reason="pip install 'lipservo-client[wyoming]'")
+    from lipservo_client import wyoming_face
     from lipservo_client.wyoming_face import serve_wyoming
     from wyoming.audio import AudioChunk, AudioStart, AudioStop
     from wyoming.client import AsyncTcpClient
+    from wyoming.error import Error
     from wyoming.event import Event
     from wyoming.info import Describe, Info
     from wyoming.snd import Played
@@ -112,10 +116,81 @@ def test_an_event_that_cannot_be_read_ends_its_client_alone(unused_port, caplog)
     assert "cannot be read" in caplog.text
 
 
-def test_where_no_face_answers_a_satellite_is_told_that_it_is_over(unused_port, caplog):
+def test_where_no_face_answers_a_satellite_is_told_that_nothing_was_played(unused_port, caplog):
     async def talk():
         async with satellite("ws://127.0.0.1:9", unused_port) as client:
             return await said(client, tone(0.2))
 
-    assert Played.is_type(asyncio.run(talk()).type)
+    answer = asyncio.run(talk())
+    assert Error.is_type(answer.type)
+    assert "no face answers" in Error.from_event(answer).text
     assert caplog.text.count("not said") == 1
+
+
+def test_an_announcement_that_is_cut_off_is_not_told_as_played(unused_port):
+    async def talk(face):
+        async with satellite(face.url, unused_port) as client:
+            saying = asyncio.ensure_future(said(client, tone(20.0)))
+            while not face.sound.played().any():
+                await asyncio.sleep(0.002)
+            face.playout.requests.append(PlayoutRequest("interrupt"))
+            return Error.from_event(await saying)
+
+    with ServedFace() as face:
+        assert asyncio.run(talk(face)).code == "interrupted"
+
+
+def test_a_start_within_an_announcement_begins_another_and_both_are_told_as_played(unused_port):
+    async def talk(url):
+        async with satellite(url, unused_port) as client:
+            await said(client, tone(0.3), ends=False)
+            first = await said(client, tone(0.2))
+            return first, await asyncio.wait_for(client.read_event(), 60.0)
+
+    with ServedFace() as face:
+        answers = asyncio.run(talk(face.url))
+        heard_s = sounding_s(face)
+
+    assert [answer.type for answer in answers] == ["played", "played"]
+    assert heard_s == pytest.approx(0.5, abs=0.01)
+
+
+@contextlib.asynccontextmanager
+async def two_satellites(url, port):
+    async with satellite(url, port) as client:
+        other = AsyncTcpClient("127.0.0.1", port)
+        await other.connect()
+        yield client, other
+        await other.disconnect()
+
+
+def test_announcements_of_two_satellites_are_heard_one_after_the_other(unused_port):
+    async def talk(url):
+        async with two_satellites(url, unused_port) as (one, other):
+            return await asyncio.gather(said(one, tone(1.0)), said(other, tone(0.5)))
+
+    with ServedFace() as face:
+        answers = asyncio.run(talk(face.url))
+        heard_s = sounding_s(face)
+
+    assert [answer.type for answer in answers] == ["played", "played"]
+    assert heard_s == pytest.approx(1.5, abs=0.02)
+
+
+def test_a_satellite_that_falls_silent_within_an_announcement_holds_up_no_other(
+    unused_port, monkeypatch
+):
+    monkeypatch.setattr(wyoming_face, "_SILENT_S", 0.3)
+
+    async def talk(url):
+        async with two_satellites(url, unused_port) as (silent, other):
+            await said(silent, tone(0.2), ends=False)
+            last = await said(other, tone(0.2))
+            return await asyncio.wait_for(silent.read_event(), 60.0), last
+
+    with ServedFace() as face:
+        answers = asyncio.run(talk(face.url))
+        heard_s = sounding_s(face)
+
+    assert [answer.type for answer in answers] == ["played", "played"]
+    assert heard_s == pytest.approx(0.4, abs=0.02)

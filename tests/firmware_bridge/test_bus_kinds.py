@@ -8,14 +8,12 @@ from hobby_bus import PULSES, PULSES_KIND, WORDS
 from places import ROOT
 from typer.testing import CliRunner
 
-from calibration.calibration import CalibrationError
 from firmware_bridge import bus_kinds
 from firmware_bridge.bus_kinds import GROUP, UnknownBusError, bus_kind, bus_names
 from firmware_bridge.bus_settings import BusSettings
 from firmware_bridge.capabilities import IN_MEMORY
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.errors import BusError
-from lipservo.calibrating.calibration_setup import check_places
 from lipservo.cli import app
 from lipservo.runtime.servos.assembly import bus_for
 from lipservo.settings.settings import parse_face
@@ -159,14 +157,6 @@ def test_a_joint_is_jogged_and_nobody_claims_to_know_where_it_stands(tmp_path):
     assert done.stdout == "jaw was sent to 5.0 deg\n"
     assert "which no servo confirms" in done.stderr
     assert f"2 servos let go, not confirmed: {WORDS}" in " ".join(done.stderr.split())
-
-
-@pytest.mark.usefixtures("installed")
-def test_what_needs_encoders_is_refused_in_one_line():
-    face = parse_face(FACE, "face.yaml")
-
-    with pytest.raises(CalibrationError, match="a pulses bus cannot say where they stand"):
-        check_places(face)
 
 
 def test_what_a_stop_does_is_the_table_of_the_page():

@@ -75,8 +75,8 @@ def test_x_sampa_is_ipa_in_ascii():
     ("label", "alphabet", "error"),
     [
         ("Q", "polly", "'Q' is no viseme of polly; it has: sil p"),
-        ("m", "", "'m' is no phoneme; use ARPAbet in upper case"),
-        ("AH9", "arpabet", "'AH9' is no phoneme"),
+        ("q", "", "'q' is no phoneme of ARPAbet; write SIL"),
+        ("AH9", "arpabet", "'AH9' is no phoneme of ARPAbet"),
         (
             "m",
             "klingon",

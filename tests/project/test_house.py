@@ -13,6 +13,7 @@ from lipservo_lab.bench.house.code_lines import (
     room_lines,
     sources,
 )
+from lipservo_lab.bench.house.installed import installed_mb
 from lipservo_lab.bench.house.whole_objects import SourceTree, late_attributes, mixin_bases
 from lipservo_lab.bench.house.word_figures import word_figures
 from lipservo_lab.commands.groups import bench
@@ -195,3 +196,10 @@ def test_pages_and_docstrings_keep_to_their_bars():
     assert len(found["dialect_names"]) <= 1, found["dialect_names"]
     assert len(found["dialect_docstrings"]) <= 20, found["dialect_docstrings"]
     assert found["array_docstrings"] >= 0.95, found["array_docstrings_missing"]
+
+
+def test_an_installation_without_extras_is_small():
+    """What a running face does not load is an extra: docs/decisions/0094."""
+    sizes = [installed_mb(ROOT, each) for each in ("lipservo-client", "lipservo", "lipservo[fit]")]
+    assert 1.0 < sizes[0] < 5.0
+    assert sizes[1] < house_table()["installed_mb"]["lipservo"] < sizes[2]

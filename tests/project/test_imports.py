@@ -103,6 +103,10 @@ def test_every_live_place_exists():
         "lipsync.recognition.network_recognizer",
         "lipsync.recognition.fallback",
         "lipservo.runtime.servos.assembly",
+        "lipservo.dashboard.pages.pages",
+        "lipservo.dashboard.web.serving",
+        "lipservo.dashboard.web.photo_routes",
+        "lipservo.dashboard.twin.element",
     ],
 )
 def test_the_live_path_starts_without_heavy_libraries(module):

@@ -175,7 +175,37 @@ def test_the_wheel_alone_hears_without_pocketsphinx(alone, short_clip):
 
 
 @pytest.mark.packaging
-def test_the_wheel_alone_renders_a_line_and_performs_it(alone, short_clip):
+def test_the_wheel_alone_simulates_examines_and_moves_servos(alone):
+    command = alone.command("sim-bus", "--config", "face_sim", "--until-stdin-closes")
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=alone.folder
+    ) as simulator:
+        port = simulator.stdout.readline().strip()
+        assert json.loads(alone.succeeds("doctor", "--port", port, "--json"))["bad"] == 0
+        assert "jaw stands at" in alone.succeeds("jog", "jaw", "-1", "--port", port)
+        simulator.stdin.close()
+
+
+@pytest.mark.packaging
+def test_the_wheel_alone_names_the_extra_that_fits(alone, short_clip):
+    for words in (
+        ("calibrate", "fit", "--config", "face_jaw", "-o", alone.folder / "a.calibration.yaml"),
+        ("lines", "render", short_clip, "-o", alone.folder / "line.perf"),
+    ):
+        done = alone.lipservo(*words)
+        assert done.returncode == 1
+        assert "`pip install 'lipservo[fit]'`" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def fit(alone: Environment, wheel: Path) -> None:
+    """Change the environment: scikit-learn and scipy are there from here on."""
+    alone.install(f"{wheel}[fit]", str(ROOT / "client"))
+
+
+@pytest.mark.packaging
+@pytest.mark.usefixtures("fit")
+def test_with_its_extra_fit_it_renders_a_line_and_performs_it(alone, short_clip):
     line = alone.folder / "line.perf"
     alone.succeeds("lines", "render", short_clip, "-o", line)
     told = json.loads(alone.succeeds("lines", "perform", line, "--mute", "--json"))
@@ -183,7 +213,8 @@ def test_the_wheel_alone_renders_a_line_and_performs_it(alone, short_clip):
 
 
 @pytest.mark.packaging
-def test_the_wheel_alone_calibrates_and_speaks_with_what_it_made(alone, short_clip):
+@pytest.mark.usefixtures("fit")
+def test_with_its_extra_fit_it_calibrates_and_speaks_with_what_it_made(alone, short_clip):
     face = alone.folder / "my_face.yaml"
     shipped = "from importlib.resources import files; print(files('lipservo.config'))"
     text = (Path(alone.python(shipped).strip()) / "face_jaw.yaml").read_text()
@@ -194,18 +225,6 @@ def test_the_wheel_alone_calibrates_and_speaks_with_what_it_made(alone, short_cl
     )
     assert made in told
     alone.succeeds("replay", short_clip, "--config", face, "-q")
-
-
-@pytest.mark.packaging
-def test_the_wheel_alone_simulates_examines_and_moves_servos(alone):
-    command = alone.command("sim-bus", "--config", "face_sim", "--until-stdin-closes")
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=alone.folder
-    ) as simulator:
-        port = simulator.stdout.readline().strip()
-        assert json.loads(alone.succeeds("doctor", "--port", port, "--json"))["bad"] == 0
-        assert "jaw stands at" in alone.succeeds("jog", "jaw", "-1", "--port", port)
-        simulator.stdin.close()
 
 
 @pytest.mark.packaging

@@ -75,6 +75,7 @@ def make_files(folder: Path) -> None:
         "other.json": '{"a": 1}',
         "bomb.yaml": f"{bomb}name: *a8\nversion: *a8\n",
         "key.yaml": "1: 2\n",
+        "half.yaml": 'kiosks:\n  hall: {url: "https://hall.example", token_file: text.txt}\n',
         "clip.flac": (resources.files("lipservo.clips") / "welcome.flac").read_bytes(),
         "plan.csv": "pose,jaw_deg\n1,zzz\n",
         "good_plan.csv": ",".join(plan) + "\n" + ",".join(["1", *["0"] * len(joints)]) + "\n",

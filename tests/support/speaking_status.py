@@ -14,6 +14,7 @@ SPEECH = SpeechStatus(
     delay_ms=226.69,
     hears="speech",
     moved_by="text",
+    units_shifted_ms=-180.0,
     words=("good", "morning"),
     word=1,
     n_phonemes=12,

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from places import DATA
 
 from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
 
 CLIP_PATH = Path(str(resources.files("lipservo.clips") / "welcome.flac"))
 #: The clip's phones as flite says that it spoke them: `flite -psdur`, ax written as AH.
-CLIP_LABELS_PATH = DATA / "welcome.TextGrid"
+CLIP_LABELS_PATH = Path(str(resources.files("lipservo_lab.bench.sync") / "welcome.TextGrid"))
 TONE_HZ = 440.0
 
 

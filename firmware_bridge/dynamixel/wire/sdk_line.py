@@ -31,7 +31,7 @@ class SdkTransport:
         try:
             opened = self.handler.openPort() and self.handler.setBaudRate(baud_rate)
             if opened:
-                claim(self.handler.ser.fileno())
+                claim(self.handler.ser)
         except OSError as error:
             self.close()
             raise PortError(explain(port, error)) from error
@@ -56,9 +56,9 @@ class SdkTransport:
 
         The SDK can set a rate in no other manner, and the claim would refuse even us.
         """
-        release(self.handler.ser.fileno())
+        release(self.handler.ser)
         self.handler.setBaudRate(baud_rate)
-        claim(self.handler.ser.fileno())
+        claim(self.handler.ser)
 
     def call(self, ask: Callable[[], _Result]) -> _Result:
         """Return the result of `ask`, a call of the SDK. Raises PortGone when the port fails.
@@ -89,7 +89,7 @@ class SdkTransport:
     def close(self) -> None:
         """Close the port."""
         if self.handler.is_open:
-            release(self.handler.ser.fileno())
+            release(self.handler.ser)
             self.handler.closePort()
 
 

@@ -3,14 +3,16 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 
 from lipservo.settings.motion_names import MeasuredEngine
 from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
 from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
+from lipservo_lab.evaluation.motion.as_printed import PrintedMethod
 from lipservo_lab.evaluation.motion.methods import (
+    RANDOM_UNITS,
     Heard,
-    LiveMethod,
     Method,
     PublishedMethod,
     SplineMethod,
@@ -23,6 +25,7 @@ from lipservo_lab.evaluation.motion.motion_scores import (
     add_scores,
     check_scorable,
     read_parts,
+    seen_in_training,
     true_phonemes,
     words_part,
 )
@@ -32,7 +35,7 @@ from lipservo_lab.evaluation.motion.offline_methods import (
     OfflineModels,
     RecordedVisemes,
 )
-from lipservo_lab.evaluation.motion.paper_tables import count_misses, paper_tables
+from lipservo_lab.evaluation.motion.paper_tables import animpho_use, count_misses, paper_tables
 from lipservo_lab.evaluation.motion.recovery import recovery_rows
 from lipservo_lab.evaluation.motion.timing import method_times
 from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
@@ -88,19 +91,18 @@ def question(
     words: str | None,
     *,
     published_derivatives: bool = False,
-    unit_share: float | None = None,
+    random_units: bool = False,
 ) -> Question:
     """From the command line's texts; raises BenchError for what is not known here.
 
     strategies: names with commas; None: all. published_derivatives: of the paper's two strategies,
-    as the paper prints equation (5). unit_share: of the strategy `animpho`; None: its default.
+    as the paper prints equation (5).
+    random_units: with the methods that draw AnimPhos by lot.
     """
     methods = all_methods()
     for name, method in methods.items():
         if isinstance(method, PublishedMethod):
             methods[name] = replace(method, published_derivatives=published_derivatives)
-        elif isinstance(method, LiveMethod) and None not in (method.unit_share, unit_share):
-            methods[name] = replace(method, unit_share=unit_share)
     chosen = list(methods) if strategies is None else [n.strip() for n in strategies.split(",")]
     if unknown := [name for name in chosen if name not in methods]:
         raise BenchError(f"unknown strategy {unknown[0]!r}; known here: {', '.join(methods)}")
@@ -117,6 +119,8 @@ def question(
     if named is not None and not named:
         raise BenchError("--words names no word")
     scored = tuple(methods[name] for name in dict.fromkeys(chosen))
+    if random_units:
+        scored += RANDOM_UNITS
     return Question(scored, lookaheads_ms, phonemes, named)
 
 
@@ -151,13 +155,19 @@ def score_model(model: TrainedModel, corpus: Corpus, question: Question, track: 
     return _rows([(model, part)], corpus, question, track)
 
 
-def paper_rows(model: TrainedModel, corpus: Corpus) -> dict[str, list[Row]]:
+def paper_rows(model: TrainedModel, unseen: Corpus, corpus: Corpus) -> dict[str, list[Row]]:
     """Figures 1 and 6 and Tables 2 and 3 of the paper; with our recogniser and with pocketsphinx.
 
-    Raises MissingExtraError without the extra `align`.
+    unseen: what is scored. corpus: with the sentences of the model, for the method as printed,
+    which is left out where there are none. Without pocketsphinx (the extra `align`) its columns are
+    left out.
     """
-    utterances = check_scorable(model, corpus)
-    return paper_tables(model, utterances, {engine: live_listener(engine) for engine in _COMPARED})
+    utterances = check_scorable(model, unseen)
+    taught = bool(seen_in_training(model, corpus.utterances))
+    printed = PrintedMethod.of(model, corpus.labelled()) if taught else None
+    engines = [each for each in _COMPARED if each != "pocketsphinx" or find_spec(each) is not None]
+    recognizers: dict[str, Listen] = {engine: live_listener(engine) for engine in engines}
+    return paper_tables(model, utterances, recognizers, printed)
 
 
 def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, question: Question) -> list[Row]:
@@ -245,7 +255,9 @@ def _rows(
             progress=partial(track, f"scoring {part.split}"),
         )
     model, part = trained[0]
-    rows = []
+    rows, used = [], {}
+    if RANDOM_UNITS[0] in question.methods:
+        used = animpho_use(model, corpus.keep(set(part.test)).utterances)
     for method in question.methods:
         missed = _miss_rate(method, [m for m, _ in trained], listeners)
         for lookahead_ms in question.lookaheads_ms:
@@ -261,6 +273,7 @@ def _rows(
                     "ms_per_phoneme_p95": times and times.phoneme_p95_ms,
                     "ms_per_frame_p95": times and times.frame_p95_ms,
                     "timed_sentences": times and len(listeners[0].first),
+                    **(used if method.name == UNIT_STRATEGY else {}),
                 }
             )
     return rows

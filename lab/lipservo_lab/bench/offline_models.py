@@ -26,16 +26,16 @@ from lipsync.offline.offline_model_file import load_offline_model
 def models_of(sentences: Corpus, purpose: str) -> OfflineModels:
     """Offline models of the sentences of a corpus that trained a face model.
 
-    For a face model of other sentences it is the shipped one, if that goes with the face:
-    OfflineModelError where it does not. purpose: what asks for them. Raises MissingExtraError.
+    For the shipped face model it is the shipped one, which nothing has to be learnt for; for one of
+    other sentences too: OfflineModelError where it does not go with the face. purpose: what asks
+    for them. Raises MissingExtraError.
     """
     check_extra("dtaidistance", purpose)
 
     def train(model: TrainedModel) -> OfflineModel:
-        known = _known(sentences, model)
-        if known.utterances:
+        known, shipped = _known(sentences, model), load_offline_model()
+        if known.utterances and shipped.face_checksum != model.checksum:
             return train_offline(known, model)
-        shipped = load_offline_model()
         shipped.check_face(model, "the shipped offline model")
         return shipped
 

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, NamedTuple, Protocol
 import numpy as np
 
 from firmware_bridge.bus import Array
-from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN, register
+from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, FrameParser, Instruction
 from firmware_bridge.feetech import codec as feetech_codec
 from firmware_bridge.feetech.control_table import TORQUE_ENABLE
@@ -141,10 +141,10 @@ class Auditor:
         self, servos: Sequence[MountedServo[Any]], period_s: float, wire: AuditedWire | None = None
     ) -> None:
         """wire: None: of Dynamixels."""
-        per_deg = PULSES_PER_TURN / 360.0
         ranges = np.array([servo.pulse_range() for servo in servos], dtype=np.float64)
         self._servos = {servo.joint.servo_id: servo for servo in servos}
         self._low, self._high = ranges[:, 0], ranges[:, 1]
+        per_deg = np.array([servo.model.pulses_per_deg for servo in servos])
         self._speed = np.array([s.joint.max_speed_deg_s for s in servos]) * per_deg
         self._reach = {
             servo.joint.servo_id: speed * period_s + _ROUNDING_PULSES

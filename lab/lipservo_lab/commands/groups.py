@@ -53,8 +53,11 @@ class BenchGroup(LazyGroup):
             "faults": Command(f"{_BENCH}.bench:faults", "Faults, stops and signals.", _SERVOS),
             "stop-path": Command(f"{_BENCH}.bench:stop_path", "Files on a stop's way.", _SERVOS),
             "endurance": Command(f"{_BENCH}.bench:endurance", "Many cycles of one face.", _SERVOS),
+            "cost": Command(f"{_BENCH}.cost:cost", "Cost of a face at rest.", _SERVOS),
+            "fleet": Command(f"{_BENCH}.fleet:fleet", "A hundred faces at once.", _SERVOS),
             "replay": Command(f"{_BENCH}.bench:replay", "Speed of a replay.", _SERVOS),
             "house": Command(f"{_BENCH}.bench:house", "Count the source's lines.", _OTHER),
+            "inputs": Command(f"{_BENCH}.inputs:inputs", "Odd files and texts.", _OTHER),
             "calibration": Command(
                 f"{_BENCH}.bench:calibration", "Calibration of simulated robots.", _OTHER
             ),
@@ -64,6 +67,9 @@ class BenchGroup(LazyGroup):
             "face": Command(f"{_BENCH}.faces:face", "Expression and dashboard.", _OTHER),
             "agent": Command(f"{_BENCH}.agents:agent", "What an agent remembers.", _OTHER),
             "day": Command(f"{_BENCH}.agents:day", "An agent and a face all day.", _OTHER),
+            "cluster": Command(
+                f"{_BENCH}.fleet:cluster", "Lines while workers are killed.", _OTHER
+            ),
             "scans": Command(f"{_BENCH}.faces:scans", "Registration of scans.", _OTHER),
             "study": Command(f"{_BENCH}.study:study", "Simulated raters of a study.", _OTHER),
         }

@@ -22,10 +22,10 @@ from lipservo_lab.corpus.transcribed import TranscribedUtterance
 from lipservo_lab.worker_pool import worker_pool
 from lipsync.errors import UserError
 from lipsync.output_file import check_output, write_whole
+from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 from lipsync.recognition.alignment import align, check_aligner, goodness_of_pronunciation
 from lipsync.recognition.features import FRAMES_PER_S
-from lipsync.textgrid import read_phonemes
 
 #: In place of the beams: the phones are those of the corpus's own label files.
 LABELLED = "labelled"

@@ -14,8 +14,9 @@ from lipsync.array_archive import UNREADABLE, ArrayArchive
 from lipsync.arrays import Array
 from lipsync.face.head_motion import apply_similarity, fit_similarity, refine_mean
 from lipsync.markers import MARKERS_47, PointLayout
-from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
-from lipsync.textgrid import Interval, LabelError, read_tiers
+from lipsync.phoneme_files.reader import has_phones, read_phonemes
+from lipsync.phonemes import PhonemeEvent
+from lipsync.textgrid import LabelError, read_tiers
 
 Progress = Callable[[list[str]], Iterable[str]]
 
@@ -192,19 +193,11 @@ def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
             name,
             landmarks_px,
             sound_path,
-            tuple(_phones(tiers.get("phones", ()), label_path)),
+            read_phonemes(label_path, sound_s) if has_phones(tiers) else (),
             tuple(Word(*interval) for interval in tiers.get("words", ()) if interval[0]),
         )
     except LabelError as error:
         raise CorpusError(str(error)) from error
-
-
-def _phones(intervals: Iterable[Interval], path: Path) -> Iterable[PhonemeEvent]:
-    for label, start_s, end_s in intervals:
-        phoneme = label or SILENCE
-        if phoneme not in VISEME_OF:
-            raise CorpusError(f"{path}: {label!r} at {start_s:.2f} s is not an ARPAbet phone")
-        yield PhonemeEvent(phoneme, start_s, end_s)
 
 
 def read_landmarks(path: Path, n_landmarks: int) -> Array:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lipsync.errors import UserError
+from lipsync.phoneme_files.reader import has_phones
 from lipsync.textgrid import read_tiers
 
 #: What label files write where nobody speaks.
@@ -101,7 +102,7 @@ def _read_labelled(folder: Path) -> tuple[TranscribedUtterance, ...]:
             raise TranscriptError(f"{path}: no words in a tier 'words'")
         if path.stem not in sounds:
             raise TranscriptError(f"{path}: no sound audio/{path.stem}.*")
-        labels = path if "phones" in tiers else None
+        labels = path if has_phones(tiers) else None
         sound = sounds[path.stem]
         utterances.append(
             TranscribedUtterance(path.stem, folder.resolve().name, text, sound, labels)

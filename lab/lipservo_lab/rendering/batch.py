@@ -1,29 +1,27 @@
 """A folder of lines, rendered by joblib on all cores or on a cluster.
 
-What fails is reported and leaves the rest.
+Each file is written when its line is done. What fails is reported and leaves the rest.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import joblib
 from threadpoolctl import threadpool_limits
 
-from lipservo.rendering.rendered import Rendered, Rendering, rendered_line
+from lipservo.rendering.rendered import Rendered, Rendering, is_rendered, rendered_line
 from lipservo.rendering.spoken_line import LineError, Script, given_text, is_file
-from lipservo_lab.rendering.cluster import done_on_cluster
+from lipservo_lab.rendering.cluster import Cluster
 from lipsync.errors import UserError
 from lipsync.offline.performance import SUFFIX, performance_bytes
 from lipsync.output_file import write_whole
-
-if TYPE_CHECKING:
-    from distributed import Client
+from lipsync.phoneme_files.label_file import LabelFile
 
 _SOUNDS = (".wav", ".flac", ".ogg", ".opus", ".mp3", ".aiff", ".aif", ".w64")
-_PHONES = (".TextGrid", ".textgrid", ".json")
+_PHONES = (".TextGrid", ".textgrid", ".json", ".csv", ".ctm", ".lab", ".tsv")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +58,16 @@ def _script_beside(sound: Path) -> Script:
     for suffix in _PHONES:
         phones = sound.with_suffix(suffix)
         if phones.is_file():
-            return Script(phones=phones)
+            return Script(phones=LabelFile(phones))
     text = sound.with_suffix(".txt")
     if not text.is_file():
         return Script()
     return Script(text=given_text(str(text)))
+
+
+def unrendered(lines: Sequence[BatchLine], how: Rendering) -> list[BatchLine]:
+    """The lines of which the output is not already what rendering them would give."""
+    return [each for each in lines if not is_rendered(each.output, each.sound, each.script, how)]
 
 
 def render_all(
@@ -72,43 +75,52 @@ def render_all(
     how: Rendering,
     n_processes: int,
     advance: Callable[[], None] = lambda: None,
-    cluster: "Client | None" = None,
+    cluster: Cluster | None = None,
 ) -> tuple[list[Rendered], dict[str, str]]:
     """What was rendered, in order, and of each sound that was not the reason, in one line.
 
     cluster: works in place of our processes. Each file is written here, so that a worker that dies
-    leaves nothing behind. Raises ClusterError.
+    leaves nothing behind. Raises ClusterError, and UserError where one of our processes dies.
     """
-    rendered: list[Rendered] = []
-    failed: dict[str, str] = {}
+    rendered: dict[int, Rendered] = {}
+    failed: dict[int, str] = {}
     if cluster is None:
-        made = _made_here(lines, how, n_processes, advance)
+        made = _made_here(lines, how, n_processes)
     else:
-        made = _made_there(cluster, lines, how, advance)
-    for line, outcome in zip(lines, made, strict=True):
+        made = _made_there(cluster, lines, how)
+    for n, outcome in made:
         try:
-            rendered.append(_written(outcome, line.output))
+            rendered[n] = _written(outcome, lines[n].output)
         except UserError as error:
-            failed[str(line.sound)] = str(error)
-    return rendered, failed
+            failed[n] = str(error)
+        advance()
+    return (
+        [rendered[n] for n in sorted(rendered)],
+        {str(lines[n].sound): failed[n] for n in sorted(failed)},
+    )
 
 
 #: The bytes of a performance file, and what is told of it; or why there is none.
-_Made = tuple[bytes, Rendered] | str
+_Made = tuple[bytes, Rendered] | UserError
 
 
 def _made_here(
-    lines: Sequence[BatchLine], how: Rendering, n_processes: int, advance: Callable[[], None]
-) -> Iterator[_Made]:
-    work = joblib.Parallel(n_jobs=n_processes, return_as="generator")
-    for outcome in work(joblib.delayed(_made)(line, how) for line in lines):
-        advance()
-        yield outcome
+    lines: Sequence[BatchLine], how: Rendering, n_processes: int
+) -> Iterator[tuple[int, _Made]]:
+    work = joblib.Parallel(n_jobs=n_processes, return_as="generator_unordered")
+    numbered = joblib.delayed(_made_of)
+    try:
+        yield from work(numbered(n, line, how) for n, line in enumerate(lines))
+    except BrokenProcessPool as error:
+        raise UserError(
+            "a process that rendered has died, killed or out of memory (give fewer --jobs); what "
+            "was rendered before is kept, and the same command goes on from it"
+        ) from error
 
 
 def _made_there(
-    client: "Client", lines: Sequence[BatchLine], how: Rendering, advance: Callable[[], None]
-) -> Iterator[_Made]:
+    cluster: Cluster, lines: Sequence[BatchLine], how: Rendering
+) -> Iterator[tuple[int, _Made]]:
     """Workers have working folders of their own: every path is whole."""
     how = replace(
         how,
@@ -120,11 +132,21 @@ def _made_there(
         replace(
             line,
             sound=line.sound.absolute(),
-            script=replace(line.script, phones=_absolute(line.script.phones)),
+            script=_whole(line.script),
         )
         for line in lines
     ]
-    return done_on_cluster(client, partial(_made, how=how), whole, advance)
+    return cluster.done(partial(_made, how=how), whole)
+
+
+def _whole(script: Script) -> Script:
+    if script.phones is None:
+        return script
+    return replace(script, phones=replace(script.phones, path=script.phones.path.absolute()))
+
+
+def _made_of(n: int, line: BatchLine, how: Rendering) -> tuple[int, _Made]:
+    return n, _made(line, how)
 
 
 def _made(line: BatchLine, how: Rendering) -> _Made:
@@ -134,13 +156,13 @@ def _made(line: BatchLine, how: Rendering) -> _Made:
             performance, done = rendered_line(line.sound, line.script, how)
             return performance_bytes(performance), done
     except UserError as error:
-        return str(error)
+        return UserError(str(error))  # of a class that every process can read
 
 
 def _written(made: _Made, output: Path) -> Rendered:
     """Raises UserError, for a line that failed and for a file that cannot be written."""
-    if isinstance(made, str):
-        raise UserError(made)
+    if isinstance(made, UserError):
+        raise made
     content, done = made
     write_whole(output, content)
     return replace(done, output=output)

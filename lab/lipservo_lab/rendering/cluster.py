@@ -1,36 +1,37 @@
-"""Work done on a Dask cluster, by joblib's own backend for it (docs/decisions/0030-cluster.md).
+"""Work done on a Dask cluster that may lose workers, and its scheduler, on the way.
 
-That backend waits without end for a task whose workers have died, and for workers that are gone.
-So it works in a thread of its own, and the caller looks on.
+What a task gave is handed out as soon as it is done, and only a few tasks a core are handed over at
+a time: whatever dies costs those alone, which are handed over again (docs/decisions/0095).
 """
 
 import logging
 import re
-import threading
 import time
 from asyncio import CancelledError
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Final, Generic, TypeVar
-
-import joblib
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+from uuid import uuid4
 
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Future
 
 _ADDRESS: Final = re.compile(r"((tcp|tls)://)?(\[[0-9a-fA-F:]+\]|[^\s/:\[\]]+):\d{1,5}")
 #: A scheduler answers in milliseconds; a computer that sleeps, never.
 _CONNECTING_S: Final = 10.0
-#: A worker that crashed is started again by its nanny within seconds.
-_WITHOUT_WORKERS_S: Final = 30.0
+#: A worker that crashed is started again by its nanny within seconds, a scheduler by its service.
+_AWAY_S: Final = 180.0
 _LOOK_S: Final = 0.1
 _ASK_S: Final = 0.5
+_ANSWER_S: Final = 5.0
 _CLOSING_S: Final = 2.0
-#: Results are taken in parts of so many a core: what is done is kept, whatever becomes of the rest.
-_TASKS_A_CORE: Final = 16
+#: One is computed, the next is there when it is done.
+_TASKS_A_CORE: Final = 2
 #: Dask's own words are for those who run the cluster; ours are one line.
 _LOUD: Final = ("distributed", "distributed.client", "tornado.application", "asyncio")
 
@@ -46,141 +47,117 @@ class ClusterError(UserError):
 
 
 @contextmanager
-def cluster_at(address: str) -> Iterator["Client"]:
+def cluster_at(address: str) -> Iterator["Cluster"]:
     """A connection to the scheduler at HOST:PORT. Raises ClusterError."""
     if not _ADDRESS.fullmatch(address):
         raise ClusterError(f"--dask {address}: is no HOST:PORT, as `dask scheduler` prints it")
-    from distributed import Client
+    import distributed  # noqa: F401 (which sets the levels of its loggers)
 
     for name in _LOUD:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
-        client = Client(address, timeout=_CONNECTING_S, set_as_default=False, name="lipservo")
-    except (OSError, ValueError, TimeoutError) as error:
+        cluster = Cluster(address)
+    except (OSError, ValueError) as error:
         raise ClusterError(
             f"--dask {address}: no Dask scheduler answers there ({_one_line(error)}); start one "
             "with `dask scheduler`, and `dask worker` on every computer"
         ) from error
     try:
-        yield client
+        yield cluster
     finally:
-        with suppress(Exception):  # it may be gone already
-            client.close(timeout=_CLOSING_S)
+        cluster.close()
 
 
-def done_on_cluster(
-    client: "Client",
-    work: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    advance: Callable[[], None],
-) -> Iterator[Result]:
-    """What `work` makes of each task, in order. advance: called as each is done, in any order.
+class Cluster:
+    """The Dask cluster of a scheduler; where that is lost, the one that comes in its place."""
 
-    Raises ClusterError where workers die with a task again and again, or none is there; whatever
-    `work` raises is raised here.
-    """
-    watch = _Workers(client)
-    n_part = _TASKS_A_CORE * max(1, watch.n_cores)
-    for first in range(0, len(tasks), n_part):
-        parallel = _Parallel(client, work, tasks[first : first + n_part], advance)
-        while not parallel.is_done(_LOOK_S):
-            watch.check()
-            if (reason := _failure(client)) is not None:
-                raise ClusterError(f"the Dask workers failed: {reason}")
-        try:
-            results = parallel.results()
-        except (Exception, CancelledError) as error:
-            # What a client raises whose scheduler has just ended is of any kind.
-            if client.status == "running" and not isinstance(error, _LOST):
-                raise
-            raise ClusterError(
-                f"the Dask scheduler has ended, or has no worker ({_one_line(error)}); what was "
-                "rendered before is kept"
-            ) from error
-        yield from results
-
-
-class _Parallel(threading.Thread, Generic[Task, Result]):
-    """One call of joblib, in a thread that is left to itself where it never ends."""
-
-    def __init__(
-        self,
-        client: "Client",
-        work: Callable[[Task], Result],
-        tasks: Sequence[Task],
-        advance: Callable[[], None],
-    ) -> None:
-        super().__init__(name="cluster", daemon=True)
-        self._client, self._work, self._tasks, self._advance = client, work, tasks, advance
-        self._results: list[Result] = []
-        self._error: BaseException | None = None
-        self.start()
-
-    def is_done(self, wait_s: float) -> bool:
-        """Whether it is, at most so much later."""
-        self.join(wait_s)
-        return not self.is_alive()
-
-    def results(self) -> list[Result]:
-        """In order, once it is done; raises what the work raised."""
-        if self._error is not None:
-            raise self._error
-        return self._results
-
-    def run(self) -> None:
-        """Joblib tells no progress but by what it prints."""
-        advance, n_reported = self._advance, 0
-
-        class Telling(joblib.Parallel):  # type: ignore[misc]
-            def print_progress(self) -> None:
-                nonlocal n_reported
-                while n_reported < self.n_completed_tasks:
-                    n_reported += 1
-                    advance()
-
-        try:
-            patience = {"wait_for_workers_timeout": _WITHOUT_WORKERS_S}
-            with joblib.parallel_config(backend="dask", client=self._client, **patience):
-                self._results = Telling()(joblib.delayed(self._work)(task) for task in self._tasks)
-        except BaseException as error:
-            self._error = error
-
-
-class _Workers(threading.Thread):
-    """Asks the scheduler for its workers, as one that hangs would not answer."""
-
-    def __init__(self, client: "Client") -> None:
-        super().__init__(name="cluster workers", daemon=True)
-        self._client = client
+    def __init__(self, address: str) -> None:
+        """Connect. Raises OSError, ValueError."""
+        self._address = address
+        self._client = self._connected()
+        self._n_cores = 0
+        self._counted_s = float("-inf")
         self._seen_s = time.monotonic()
-        self.n_cores = 1
-        with suppress(Exception):  # told by what is asked next
-            self.n_cores = sum(client.nthreads().values())
-        self.start()
 
-    def run(self) -> None:
-        """Until the connection is closed."""
-        with suppress(Exception):
-            while self._client.status in ("running", "connecting"):
-                if self._client.nthreads():
-                    self._seen_s = time.monotonic()
-                time.sleep(_ASK_S)
+    def close(self) -> None:
+        """End the connection; what is still computed is given up."""
+        with suppress(Exception):  # the scheduler may be gone already
+            self._client.close(timeout=_CLOSING_S)
 
-    def check(self) -> None:
-        """Raises ClusterError where none was seen for long."""
-        if time.monotonic() - self._seen_s > _WITHOUT_WORKERS_S:
-            raise ClusterError(
-                f"the Dask cluster has had no worker for {_WITHOUT_WORKERS_S:.0f} s, or its "
-                "scheduler has ended; what was rendered before is kept"
-            )
+    def done(
+        self, work: Callable[[Task], Result], tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, Result | ClusterError]]:
+        """Yield the number of each task with what `work` makes of it, as it is done.
+
+        A ClusterError in its place: workers died with this task again and again. Raises
+        ClusterError where no worker or scheduler is there for three minutes; whatever `work` raises
+        is raised here.
+        """
+        waiting = deque(range(len(tasks)))
+        handed: dict[Future, int] = {}
+        ended: SimpleQueue[Future] = SimpleQueue()
+        while waiting or handed:
+            n_wanted = _TASKS_A_CORE * self._cores() - len(handed)
+            for _ in range(min(n_wanted, len(waiting))):
+                try:
+                    key = f"lipservo-{waiting[0]}-{uuid4()}"
+                    future = self._client.submit(work, tasks[waiting[0]], key=key)
+                except Exception:  # of any kind, where the scheduler has just ended
+                    break
+                handed[future] = waiting.popleft()
+                future.add_done_callback(ended.put)
+            try:
+                future = ended.get(timeout=_LOOK_S)
+            except Empty:
+                continue
+            outcome = _outcome(future)
+            n = handed.pop(future)
+            if outcome is None:
+                waiting.appendleft(n)
+            else:
+                yield n, outcome[0]
+
+    def _cores(self) -> int:
+        """Return how many cores the workers have; 0, for three minutes at most: none is there."""
+        now_s = time.monotonic()
+        if now_s - self._counted_s > _ASK_S:
+            self._n_cores, self._counted_s = self._count_cores(), now_s
+            if self._n_cores:
+                self._seen_s = now_s
+            elif now_s - self._seen_s > _AWAY_S:
+                raise ClusterError(
+                    f"the Dask cluster has had no worker for {_AWAY_S:.0f} s, or its scheduler has "
+                    "ended; what was rendered before is kept, and the same command goes on from it"
+                )
+        return self._n_cores
+
+    def _count_cores(self) -> int:
+        try:
+            if self._client.status == "closed":  # it has tried to connect again for long enough
+                self._client = self._connected()
+            found = self._client.sync(self._client.scheduler.ncores, callback_timeout=_ANSWER_S)
+        except Exception:  # of any kind, while the scheduler is away
+            return 0
+        return sum(found.values())
+
+    def _connected(self) -> "Client":
+        from distributed import Client
+
+        return Client(self._address, timeout=_CONNECTING_S, set_as_default=False, name="lipservo")
 
 
-def _failure(client: "Client") -> str | None:
-    """Why a task was given up, which joblib does not report."""
-    for future in list(client.futures.values()):
+def _outcome(future: "Future") -> tuple[Any] | None:
+    """Return what a task gave, or the ClusterError of one that was given up; None: it is lost."""
+    from distributed import KilledWorker
+
+    try:
+        return (future.result(timeout=_AWAY_S),)
+    except KilledWorker as error:
+        return (ClusterError(f"the Dask workers failed: {_one_line(error)}"),)
+    except _LOST:
         if future.status == "error":
-            return _one_line(future.exception)
-    return None
+            raise  # it is the work's own
+        return None
 
 
 def _one_line(error: object) -> str:

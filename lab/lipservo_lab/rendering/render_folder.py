@@ -14,9 +14,8 @@ from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
-    from distributed import Client
-
     from lipservo.rendering.rendered import Rendering
+    from lipservo_lab.rendering.cluster import Cluster
 
 
 def render_folder(
@@ -66,7 +65,8 @@ def render_folder(
     """Render every sound of a folder to a performance, on all cores or on a cluster.
 
     NAME.TextGrid, NAME.json or NAME.txt beside NAME.wav says what is spoken; without any of them
-    the recogniser listens.
+    the recogniser listens. What is rendered already, of the same sound by the same models and
+    options, is not rendered again.
     """
     from lipservo.rendering.rendered import Rendering, check_expression_of
     from lipsync.errors import check_extra
@@ -84,7 +84,7 @@ def render_folder(
         _render_folder(folder, output, how, n_processes, cluster, as_json=as_json, quiet=quiet)
 
 
-def _cluster(address: str) -> "AbstractContextManager[Client]":
+def _cluster(address: str) -> "AbstractContextManager[Cluster]":
     from lipservo_lab.rendering.cluster import cluster_at
     from lipsync.errors import check_extra
 
@@ -97,7 +97,7 @@ def _render_folder(
     output: Path,
     how: "Rendering",
     n_processes: int,
-    cluster: "Client | None",
+    cluster: "Cluster | None",
     *,
     as_json: bool,
     quiet: bool,
@@ -105,7 +105,7 @@ def _render_folder(
     from rich.progress import Progress
 
     from lipservo.rendering.rendered import load_speaker
-    from lipservo_lab.rendering.batch import lines_of, render_all
+    from lipservo_lab.rendering.batch import lines_of, render_all, unrendered
     from lipsync.errors import check_extra
     from lipsync.offline.performance import is_performance
     from lipsync.output_file import OutputError, check_output
@@ -119,10 +119,12 @@ def _render_folder(
         raise OutputError(f"{output}: no folder can be made there ({error.strerror})") from error
     for line in lines:
         check_output(line.output, replaces=is_performance, kind="performance")
+    left = unrendered(lines, how)
+    n_kept = len(lines) - len(left)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        task = progress.add_task("rendering", total=len(lines))
+        task = progress.add_task("rendering", total=len(lines), completed=n_kept)
         rendered, failed = render_all(
-            lines, how, n_processes, lambda: progress.advance(task), cluster
+            left, how, n_processes, lambda: progress.advance(task), cluster
         )
     for done in rendered:
         for note in done.notes:
@@ -133,12 +135,16 @@ def _render_folder(
                 "output": str(output),
                 "method": how.method,
                 "rendered": len(rendered),
+                "kept": n_kept,
                 "failed": failed,
                 "duration_s": sum(done.duration_s for done in rendered),
                 "seconds": round(sum(done.seconds for done in rendered), 3),
             }
         )
     else:
-        RESULTS.print(f"{output}: {len(rendered)} of {len(lines)} lines rendered", soft_wrap=True)
+        kept = f", {n_kept} were already" if n_kept else ""
+        RESULTS.print(
+            f"{output}: {len(rendered)} of {len(lines)} lines rendered{kept}", soft_wrap=True
+        )
     if failed:
         raise UserError("\n".join(f"not rendered: {reason}" for reason in failed.values()))

@@ -14,6 +14,7 @@ from lipservo_lab.scans.scan import SCAN_ENDINGS, ScanError
 from lipservo_lab.video.clip_labels import label_clip
 from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.phoneme_files.reader import has_phones, read_phonemes
 from lipsync.textgrid import Interval, read_tiers
 
 _SOUND_ENDINGS = (".wav", ".flac")
@@ -126,7 +127,9 @@ def take_sound(take: Take, rate_hz: float) -> TakeSound:
         text_line = label_clip(samples, take.text)
         tiers = {name: tier for name, tier in text_line.tiers().items() if tier}
         return TakeSound(samples, tiers, text_line.source)
-    labels = dict(read_tiers(take.labels))
-    if not labels.get("phones"):
+    labels = read_tiers(take.labels)
+    if not has_phones(labels):
         raise ScanError(f"{take.labels}: no tier 'phones'")
-    return TakeSound(samples, labels, "labels")
+    events = read_phonemes(take.labels, sound_s)
+    phones = tuple((each.phoneme, each.start_s, each.end_s or each.start_s) for each in events)
+    return TakeSound(samples, labels | {"phones": phones}, "labels")

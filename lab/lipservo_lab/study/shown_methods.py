@@ -6,6 +6,7 @@ with them; all others know every phoneme with its times beforehand, as their pap
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 from typing import Final
 
@@ -16,6 +17,7 @@ from lipservo_lab.baselines.baselines import Baselines
 from lipservo_lab.bench.motion_figures import live_listener
 from lipservo_lab.bench.offline_models import models_of, visemes_of
 from lipservo_lab.corpus.utterance import Corpus, Utterance
+from lipservo_lab.evaluation.motion.as_printed import AS_PRINTED, PrintedMethod
 from lipservo_lab.evaluation.motion.methods import (
     DominanceMethod,
     Heard,
@@ -41,7 +43,8 @@ METHODS: Final[Mapping[str, str]] = MappingProxyType(
         "ears": "ours, live, by ear",
         "words": "ours, live, words known",
         "scripted": "ours, scripted line",
-        "wei-deng": "Wei and Deng",
+        "wei-deng": "Wei and Deng, our AnimPhos",
+        AS_PRINTED: "Wei and Deng, as printed",
         "edge": "Edge, Hilton and Jackson",
         "cohen-massaro": "Cohen and Massaro",
         "catmull-rom": "Catmull-Rom, context visemes",
@@ -145,6 +148,7 @@ def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
     offline = models_of(corpus, "a study with `edge` or `scripted`")
     ours = all_methods()[DEFAULT_STRATEGY]
     ears, words = live_listener(), live_listener(with_text=True)
+    printed = cache(lambda: PrintedMethod.of(model, corpus))
     known: Mapping[str, tuple[Method, Listen]] = {
         "ears": (ours, ears),
         "words": (ours, words),
@@ -160,7 +164,7 @@ def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
     def faces(name: str, utterance: Utterance) -> Array:
         if name == RECORDED:
             return model.coefficients(utterance.markers_mm)
-        method, listen = known[name]
+        method, listen = known[name] if name != AS_PRINTED else (printed(), true_phonemes)
         times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
         return method.faces(model, listen(utterance), times_s, DEFAULT_LOOKAHEAD_S)
 

@@ -24,7 +24,7 @@ def new_face(
         list[str] | None,
         typer.Option(
             metavar="PORT",
-            help="Where the servos are, /dev/ttyUSB0 for one; of several buses NAME=PORT.",
+            help="Where the servos are, for example /dev/ttyUSB0; of several buses NAME=PORT.",
             show_default=False,
         ),
     ] = None,
@@ -195,6 +195,8 @@ def _found(
         recorded = {key: replace(each, homing_offset_ticks=0) for key, each in recorded.items()}
     rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
+    for servo_id in sorted(set(recorded) - set(found)):
+        MESSAGES.print(f"id {servo_id} ({recorded[servo_id].name}) of {ranges} does not answer")
     _clear_foreign(tools, port, rate, found)
     joints: list[FoundJoint] = []
     for servo_id, model in found.items():
@@ -211,7 +213,17 @@ def _found(
         word = typer.prompt("What should a positive angle do (opens, raises, widens ...)", err=True)
         same = typer.confirm("Did its first move do that", default=True, err=True)
         joint = FoundJoint(name, servo_id, model, word, 1 if same else -1)
-        joints.append(joint if known is None else joint.within(known, tick))
+        if known is not None:
+            facts = tools.servo_models()[model]
+            turns = known.is_whole(facts.n_positions) and typer.confirm(
+                f"The recorded range of {name} is all that the servo has, as where nobody moved "
+                f"it. Can {name} really turn so far (no: {joint.min_deg:g} to {joint.max_deg:g} "
+                "deg)",
+                default=False,
+                err=True,
+            )
+            joint = joint.within(known, tick, facts, turns_all_the_way=turns)
+        joints.append(joint)
     text = face_yaml(output.stem, kind, port, rate, joints)
     parse_face(text, output.name)
     return text

@@ -186,16 +186,20 @@ def _measure(request: Request, page: "PageLine") -> None:
         calibrate_on_computed_skin,
         calibrate_on_servos,
     )
-    from lipservo.commands.calibrate.making import mesh_options
+    from lipservo.commands.calibrate.making import mesh_options, save_so_far
 
     setup, tracker = _setup(request, page), request["tracker"]
+
+    def save(so_far: "CalibrationResult") -> None:
+        save_so_far(setup, so_far, Path(request["output"]))
+
     if tracker == "computed":
-        _finish(setup, calibrate_on_computed_skin(setup), request, page)
+        _finish(setup, calibrate_on_computed_skin(setup, save), request, page)
         return
     mesh = mesh_options(None, request.get("eye_distance_mm"), request.get("camera") or "0")
     setup = replace(setup, sees_forward=not is_seen_from_the_front(Path(tracker), mesh))
     with tracker_source(setup, tracker, "x y z", mesh) as make_tracker:
-        result = calibrate_on_servos(setup, make_tracker)
+        result = calibrate_on_servos(setup, make_tracker, save=save)
     _finish(setup, result, request, page)
 
 
@@ -235,10 +239,11 @@ def _speak(request: Request, _page: "PageLine") -> None:
     """Run the command `daemon` with the request's face and port until that face is stopped."""
     from lipservo.commands.run.dashboard_beside import with_sounds
     from lipservo.commands.run.run import ANY_PORT, daemon
+    from lipservo.runtime.run_request import DEFAULT_OUTPUT
 
     token = request.get("token_file")
     daemon(
-        play=bool(request.get("play")),
+        play=DEFAULT_OUTPUT if request.get("play") else None,
         listen=ANY_PORT,
         token_file=None if token is None else Path(token),
         open_to_this_computer=token is None,

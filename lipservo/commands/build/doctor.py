@@ -3,6 +3,7 @@
 import json
 import platform
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -78,6 +79,22 @@ def _lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
     )
 
 
+def _computer(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
+    """Yield what this computer can do for the face; nothing for servos on several buses."""
+    from firmware_bridge.bus_kinds import Finding, Severity
+    from lipservo.commands.build.within_reach import face_cost, within_reach
+
+    if settings.buses:
+        return
+    try:
+        cost = face_cost(config, time.perf_counter)
+    except (UserError, BusError) as error:
+        what = f"what this computer can do for this face was not measured: {error}"
+        yield Finding(Severity.WARNING, what)
+        return
+    yield from within_reach(cost, settings.rate_hz)
+
+
 def doctor(
     port: Port = None,
     config: Config = DEFAULT_FACE,
@@ -105,8 +122,9 @@ def doctor(
 ) -> None:
     """Examine port, adapter and every servo; say what is wrong and what to do. Changes nothing.
 
-    Exit status 1 when something is bad. With --report the servos are let go, read and written for a
-    while, and after a yes one joint is moved 5 degrees to and fro, within its limits.
+    It ends with what this computer can do: hear live, at which rate, with a page. Exit status 1
+    when something is bad. With --report the servos are let go, read and written for a while, and
+    after a yes one joint is moved 5 degrees to and fro, within its limits.
     """
     from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.runtime.servos.assembly import load_settings
@@ -120,7 +138,8 @@ def doctor(
         return
     if move is not None or yes:
         raise typer.BadParameter("--move and --yes go with --report")
-    _print(chain(_examined(settings), _lags(settings, config)), as_json=as_json)
+    found = (_examined(settings), _lags(settings, config), _computer(settings, config))
+    _print(chain(*found), as_json=as_json)
 
 
 def _print(found: "Iterable[Finding]", *, as_json: bool) -> None:

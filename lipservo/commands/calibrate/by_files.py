@@ -19,7 +19,6 @@ from lipservo.commands.calibrate.making import (
     Poses,
     Ranges,
     check_files,
-    check_inputs,
     finish,
     is_plan,
     load_setup,
@@ -27,7 +26,7 @@ from lipservo.commands.calibrate.making import (
 )
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
-from lipsync.errors import UserError
+from lipsync.errors import UserError, check_inputs
 from lipsync.output_file import check_output
 
 

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,9 +52,9 @@ def by_hand(
 ) -> None:
     """Torque off, move the lips with your fingers, keep the pose: closed, widest, rounded, touched.
 
-    The poses go into the calibration: a touch pose and limits. The servos of the mouth are let go
-    once you have agreed, and stay limp, whatever ends this. Exit status 3: not every servo has
-    confirmed that.
+    Hobby servos, which report no position, are moved by keys instead. The poses go into the
+    calibration: a touch pose and limits. The servos of the mouth are let go once you have agreed,
+    and stay limp, whatever ends this. Exit status 3: not every servo has confirmed that.
     """
     from calibration.calibration import check_calibration, check_servo_memories
     from calibration.files.calibration_file import load_calibration, save_calibration
@@ -64,14 +64,18 @@ def by_hand(
     setup = load_setup(config, model)
     check_calibration(before, setup.model, setup.servos.names, setup.settings.checksum)
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
+    from lipservo.calibrating.guided_calibration import hand_poses_by_keys
     from lipservo.calibrating.hand_poses import pose_lines, with_hand_poses
     from lipservo.runtime.servos.assembly import servo_memories
 
     session, status = _Session(_kept(setup, keep)), 0
     with setup_at_port(setup, port, sim, config) as at, DeferredSignals() as signals:
-        check_servo_memories(before, servo_memories(at.settings) or (None,) * len(at.servos.names))
+        check_servo_memories(before, servo_memories(at.settings))
         try:
-            _pose(at, session, keep, signals)
+            if at.has_place:
+                _pose(at, session, keep, signals)
+            else:
+                session.made_deg = hand_poses_by_keys(replace(at, keep=keep))
         except StopRequested as stop:
             status = 128 + stop.number
             complain(f"stopped by {stop}; {file} stays as it is" + _kept_text(session, keep))
@@ -112,13 +116,11 @@ def _pose(
     """
     from calibration.fit.guided import keep_poses
     from firmware_bridge.clock import Clock, MonotonicClock
-    from lipservo.calibrating.calibration_setup import check_places
     from lipservo.calibrating.hand_poses import HAND_POSES, Posing, pose_by_hand
     from lipservo.runtime.servos.assembly import bus_for, simulated_wire
     from lipservo.runtime.servos.limp_servos import LimpServos
     from lipservo.terminal.keys import PressedKeys
 
-    check_places(at.settings)
     names = at.servos.names
 
     def kept(made_deg: "Mapping[str, Array]") -> None:

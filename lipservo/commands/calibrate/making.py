@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calibration.calibration import CalibrationError
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
-from lipsync.errors import UserError
+from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.output_file import check_output
 
 if TYPE_CHECKING:
@@ -30,11 +31,13 @@ Markers = Annotated[
 Axes = Annotated[
     str, typer.Option(help="Axes of C3D files that point to the robot's left, up and forward.")
 ]
-Poses = Annotated[int, typer.Option(help="How many poses are captured.")]
+Poses = Annotated[int, typer.Option(min=1, help="How many poses are captured.")]
 Keep = Annotated[
     Path | None,
     typer.Option(
-        help="Keep every captured pose in this file at once; go on from it.", show_default=False
+        help="Every captured pose is kept in this file, from which the same command goes on; "
+        "default: FILE.poses beside the calibration, until it is finished.",
+        show_default=False,
     ),
 ]
 Lags = Annotated[bool, typer.Option(help="Find the servos' lags too, by chirps and steps.")]
@@ -82,10 +85,11 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
     """Return a face's settings and face model as a setup for calibration.
 
     model: the face model's file; None: the shipped one. ranges: a LeRobot range file that the
-    face's limits must lie within. Raises UserError.
+    face's limits must lie within. Raises UserError, also without what a fit needs.
     """
     if config.endswith((".yaml", ".yml")):
         check_inputs(Path(config))
+    check_extra("sklearn", "`lipservo calibrate`")
     from lipsync.animpho.units import in_layout, load_face_with_animphos
     from lipsync.markers import MARKERS_47
 
@@ -98,7 +102,8 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
         from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
 
         limits = {name: (s.min_deg, s.max_deg) for name, s in settings.mouth_servos.items()}
-        check_within_recorded(read_ranges(ranges), limits)
+        per_deg = {name: s.ticks_per_deg for name, s in settings.mouth_servos.items()}
+        check_within_recorded(read_ranges(ranges), limits, per_deg)
     from lipservo.calibrating.calibration_setup import CalibrationSetup
 
     return CalibrationSetup(settings, speaker)
@@ -135,18 +140,6 @@ def mesh_options(
     return MeshOptions(
         lambda: open_tracker(landmarker), eye_distance_mm, camera, landmarker is not None
     )
-
-
-def check_inputs(*paths: Path | None) -> None:
-    """Raise UserError for a file that cannot be read; None and folders are accepted."""
-    for path in paths:
-        if path is None or path.is_dir():
-            continue
-        try:
-            path.open("rb").close()
-        except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
-            reason = getattr(error, "strerror", None) or error
-            raise UserError(f"{path}: cannot be read: {reason}") from error
 
 
 def is_calibration(head: bytes) -> bool:
@@ -186,27 +179,109 @@ def check_files(
         check_folder(plots, [PICTURE])
 
 
+def keep_beside(output: Path, keep: Path | None) -> Path:
+    """Return the file of captured poses: `keep`, or else one beside the calibration `output`."""
+    return output.with_name(f"{output.name}.poses") if keep is None else keep
+
+
+@contextmanager
+def going_on(output: Path, keep: Path | None) -> Iterator[Path]:
+    """Yield the file in which captured poses are kept, so that the same command goes on with them.
+
+    keep: as the user named it; None: one beside the calibration `output`, which is renamed to
+    `.previous` when the block ends without an error. A refusal says what to do with the poses.
+    """
+    kept = keep_beside(output, keep)
+    if kept.exists():
+        MESSAGES.print(f"{kept}: goes on with the poses in it; to begin anew, delete it")
+    try:
+        yield kept
+    except CalibrationError as error:
+        if not kept.exists():
+            raise
+        raise CalibrationError(
+            f"{error}; the poses are kept in {kept}: the same command goes on with them, and "
+            "begins anew once you delete it"
+        ) from error
+    if keep is None and kept.exists():
+        kept.replace(kept.with_name(f"{kept.name}.previous"))
+
+
 def saved(
     setup: "CalibrationSetup", result: "CalibrationResult", output: Path
 ) -> "tuple[Calibration, list[str]]":
     """Save a calibration to `output`, with the hand-made parts of the file that it replaces.
 
     Returns the calibration as saved, and notes on the parts kept. Raises UserError for a grade that
-    is too bad, unless `setup.accept`; nothing is written then.
+    is too bad, unless `setup.accept`; the file is as it was before the calibration then.
     """
-    from calibration.files.calibration_file import save_calibration
-    from calibration.fit.measured_grade import too_bad
-    from lipservo.calibrating.hand_poses import with_hand_made
+    from calibration.files.calibration_file import PREVIOUS_SUFFIX
 
-    calibration, kept = with_hand_made(result.calibration, setup.servos, output)
-    bad = None if result.fit is None else too_bad(calibration)
-    if bad is not None and not setup.accept:
+    calibration, kept = _with_hand_made(setup, result, output)
+    bad = _why_bad(setup, result, calibration)
+    if bad is not None:
+        if calibration.grade is not None and _is_unfinished(calibration, output):
+            before = output.with_name(output.name + PREVIOUS_SUFFIX)
+            if before.exists():
+                before.replace(output)
+            else:
+                output.unlink()
         raise UserError(
             f"{output} is not written: {bad}; look at the warnings, capture again, or take it as "
             "it is with --accept"
         )
-    save_calibration(calibration, output)
+    _save(calibration, output)
     return calibration, kept
+
+
+def save_so_far(setup: "CalibrationSetup", result: "CalibrationResult", output: Path) -> None:
+    """Save a calibration that is usable though not yet graded, or without the servos' lags.
+
+    What would be refused in the end is not saved.
+    """
+    calibration, _ = _with_hand_made(setup, result, output)
+    if _why_bad(setup, result, calibration) is None:
+        _save(calibration, output)
+        MESSAGES.print(f"{output} is saved, and usable; what follows is added to it")
+
+
+def _with_hand_made(
+    setup: "CalibrationSetup", result: "CalibrationResult", output: Path
+) -> "tuple[Calibration, list[str]]":
+    from lipservo.calibrating.hand_poses import with_hand_made
+
+    return with_hand_made(result.calibration, setup.servos, output)
+
+
+def _why_bad(
+    setup: "CalibrationSetup", result: "CalibrationResult", calibration: "Calibration"
+) -> str | None:
+    from calibration.fit.measured_grade import too_bad
+
+    return None if result.fit is None or setup.accept else too_bad(calibration)
+
+
+def _save(calibration: "Calibration", output: Path) -> None:
+    from calibration.files.calibration_file import save_calibration
+
+    unfinished = _is_unfinished(calibration, output)
+    save_calibration(calibration, output, keeps_previous=not unfinished)
+
+
+def _is_unfinished(calibration: "Calibration", output: Path) -> bool:
+    """Return whether the file `output` is `calibration` as it was saved a step earlier.
+
+    It has the same map then, and no grade or the same.
+    """
+    from calibration.files.calibration_file import load_calibration
+    from calibration.fit.measured_grade import map_checksum
+
+    try:
+        before = load_calibration(output)
+    except CalibrationError:
+        return False
+    same_map = map_checksum(before) == map_checksum(calibration)
+    return same_map and before.grade in (None, calibration.grade)
 
 
 def finish(

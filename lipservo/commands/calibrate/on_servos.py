@@ -22,16 +22,20 @@ from lipservo.commands.calibrate.making import (
     Ranges,
     Speed,
     check_files,
-    check_inputs,
     finish,
+    going_on,
+    keep_beside,
     load_setup,
     mesh_options,
+    save_so_far,
     setup_at_port,
 )
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
 from lipservo.terminal.output import RESULTS, print_json, say_simulated
+from lipsync.errors import check_inputs
 
 if TYPE_CHECKING:
+    from lipservo.calibrating.measured_calibration import CalibrationResult
     from lipsync.arrays import Array
 
 
@@ -44,8 +48,7 @@ def measure(
     tracker: Annotated[
         str | None,
         typer.Option(
-            help="Who sees the markers: `camera`, a .csv, .json or folder filled meanwhile, keys "
-            "(`typed`).",
+            help="Who sees the markers: `camera`, or a .csv, .json or folder filled meanwhile.",
             show_default=False,
         ),
     ] = None,
@@ -53,13 +56,7 @@ def measure(
     landmarker: Landmarker = None,
     eye_distance_mm: EyeDistance = None,
     camera: Camera = "0",
-    poses: Annotated[
-        int | None,
-        typer.Option(
-            help="How many poses are captured; default: 60, and 24 where markers are typed.",
-            show_default=False,
-        ),
-    ] = None,
+    poses: Poses = 60,
     keep: Keep = None,
     lags: Lags = True,
     speed: Speed = 30.0,
@@ -75,13 +72,13 @@ def measure(
     """
     if tracker is None and sim is None:
         raise typer.BadParameter(
-            "say who sees the markers: --tracker camera, FILE, FOLDER or typed; by eye it is "
-            "`lipservo calibrate guided`"
+            "say who sees the markers: --tracker camera, FILE or FOLDER; by eye it is `lipservo "
+            "calibrate guided`"
         )
-    check_files(output, keep=keep, plots=plots)
+    check_files(output, keep=keep_beside(output, keep), plots=plots)
     setup = replace(
         load_setup(config, model, ranges),
-        keep=keep,
+        n_poses=poses,
         quiet=quiet or as_json,
         lags=lags,
         speed_deg_s=speed,
@@ -89,23 +86,24 @@ def measure(
     )
     from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
     from lipservo.calibrating.measured_calibration import (
-        TYPED,
         calibrate_on_computed_skin,
         calibrate_on_servos,
     )
 
-    usual = setup.n_typed_poses if tracker == TYPED else setup.n_poses
-    setup = replace(setup, n_poses=usual if poses is None else poses)
+    with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
+        at = replace(at, keep=kept)
 
-    with setup_at_port(setup, port, sim, config) as at:
+        def save(so_far: "CalibrationResult") -> None:
+            save_so_far(at, so_far, output)
+
         if tracker is None:
-            result = calibrate_on_computed_skin(at)
+            result = calibrate_on_computed_skin(at, save)
         else:
             mesh = mesh_options(landmarker, eye_distance_mm, camera)
             at = replace(at, sees_forward=not is_seen_from_the_front(Path(tracker), mesh))
             with tracker_source(at, tracker, axes, mesh) as make_tracker:
-                result = calibrate_on_servos(at, make_tracker)
-    finish(setup, result, output, plots=plots, as_json=as_json)
+                result = calibrate_on_servos(at, make_tracker, save=save)
+        finish(setup, result, output, plots=plots, as_json=as_json)
 
 
 def guided(
@@ -125,19 +123,19 @@ def guided(
 
     Coarser than a measured calibration: without a tracker no millimetres are known.
     """
-    check_files(output, keep=keep)
+    check_files(output, keep=keep_beside(output, keep))
     setup = replace(
         load_setup(config, model, ranges),
-        keep=keep,
         quiet=quiet or as_json,
         lags=lags,
         speed_deg_s=speed,
     )
     from lipservo.calibrating.guided_calibration import calibrate_by_eye
 
-    with setup_at_port(setup, port, sim, config) as at:
-        result = calibrate_by_eye(at)
-    finish(setup, result, output, as_json=as_json)
+    with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
+        at = replace(at, keep=kept)
+        result = calibrate_by_eye(at, lambda so_far: save_so_far(at, so_far, output))
+        finish(setup, result, output, as_json=as_json)
 
 
 def practise(
@@ -167,11 +165,10 @@ def practise(
 
     With --sim pty its servos are simulated to the byte and spoken to over a wire, at their speed.
     """
-    check_files(output, keep=keep, plots=plots)
+    check_files(output, keep=keep_beside(output, keep), plots=plots)
     setup = replace(
         load_setup(config, model),
         n_poses=poses,
-        keep=keep,
         quiet=quiet or as_json,
         lags=lags,
         speed_deg_s=speed,
@@ -179,12 +176,15 @@ def practise(
     )
     from lipservo.calibrating.measured_calibration import practise_in_memory, practise_over_wire
 
-    if sim is None:
-        result = practise_in_memory(setup, seed, family)
-    else:
-        with setup_at_port(setup, None, sim, config) as at:
-            result = practise_over_wire(at, seed, family)
-    finish(setup, result, output, plots=plots, as_json=as_json)
+    with going_on(output, keep) as kept, setup_at_port(setup, None, sim, config) as at:
+        at = replace(at, keep=kept)
+
+        def save(so_far: "CalibrationResult") -> None:
+            save_so_far(at, so_far, output)
+
+        practise_on = practise_in_memory if sim is None else practise_over_wire
+        result = practise_on(at, seed, family, save)
+        finish(setup, result, output, plots=plots, as_json=as_json)
 
 
 def pose(
@@ -288,6 +288,10 @@ def touch(
             show_default=False,
         ),
     ] = None,
+    by_eye: Annotated[
+        bool,
+        typer.Option("--by-eye", help="You look: Enter where the lips meet. So are hobby servos."),
+    ] = False,
     axes: Axes = "x y z",
     landmarker: Landmarker = None,
     eye_distance_mm: EyeDistance = None,
@@ -299,8 +303,8 @@ def touch(
     """Find anew where the lips meet, in a minute, and write it into a calibration.
 
     The map from face to servo angles does not change; the old file is kept as `.previous`. Contact
-    is detected by --tracker; without it by the servos' current, with --sim pty by markers computed
-    from the simulated servos.
+    is detected by --tracker; without it by the servos' current, or by your eye where they measure
+    none; with --sim pty by markers computed from the simulated servos.
     """
     from calibration.files.calibration_file import load_calibration, save_calibration
 
@@ -308,15 +312,26 @@ def touch(
     check_files(file)
     setup = replace(load_setup(config, model), quiet=quiet or as_json, speed_deg_s=speed)
     from lipservo.calibrating.face_source import tracker_source
-    from lipservo.calibrating.touching import touch_by_current, touch_by_markers, touch_computed
+    from lipservo.calibrating.touching import (
+        touch_by_current,
+        touch_by_eye,
+        touch_by_markers,
+        touch_computed,
+    )
+    from lipservo.terminal.keys import read_key
+
+    if by_eye and tracker is not None:
+        raise typer.BadParameter("--by-eye and --tracker: give one of them")
 
     with setup_at_port(setup, port, sim, config) as at:
         if tracker is not None:
             mesh = mesh_options(landmarker, eye_distance_mm, camera)
             with tracker_source(at, tracker, axes, mesh) as make_tracker:
                 found, later_mm = touch_by_markers(at, before, make_tracker)
-        elif sim is not None:
+        elif sim is not None and not by_eye:
             found, later_mm = touch_computed(at, before)
+        elif by_eye or not at.has_load:
+            found, later_mm = touch_by_eye(at, before, read_key)
         else:
             found, later_mm = touch_by_current(at, before)
     save_calibration(found, file)

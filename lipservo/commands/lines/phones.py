@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands.options import EngineChoice, Json, WeightsChoice
+from lipservo.commands.options import Channel, EngineChoice, Json, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.audio.source import AudioSource
-from lipsync.errors import UserError
+from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.output_file import check_output, write_whole
 from lipsync.recognition.network import DEFAULT_WEIGHTS, check_weights
 from lipsync.textgrid import Interval, is_textgrid, write_tiers
@@ -68,6 +68,8 @@ def align(
     """
     if sound.is_dir():
         raise UserError(f"{sound}: is a folder; `lipservo lines align-folder` aligns its texts")
+    check_inputs(sound)
+    check_extra("pocketsphinx", "`lines align`")
     _align_one(sound, text, output, as_json=as_json)
 
 
@@ -124,6 +126,7 @@ def recognize(
         str | None,
         typer.Option(metavar="[DEVICE]", help="Listen to a microphone.", show_default=False),
     ] = None,
+    channel: Channel = "",
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json at the end.")
     ] = None,
@@ -147,7 +150,9 @@ def recognize(
     if output is not None:
         check_phone_file(output, inputs=[sound])
     source: AudioSource = (
-        open_microphone(mic or DEFAULT_MICROPHONE) if sound is None else FileSource(sound)
+        open_microphone(mic or DEFAULT_MICROPHONE, channel)
+        if sound is None
+        else FileSource(sound, channel=channel)
     )
     recognizer = make_recognizer(engine, None if mic is None else time.perf_counter, weights)
     events = []

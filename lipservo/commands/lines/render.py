@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from lipservo.commands.options import Json, Model
+from lipservo.commands.options import Alphabet, Channel, Json, Model, Tier, label_file
 from lipservo.settings.motion_names import STRONGEST
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
     from lipservo.rendering.rendered import Rendering
+    from lipservo.rendering.spoken_line import Script
 
 Method = Literal["heard", "model-based", "live"]
 
@@ -26,10 +27,13 @@ def render(
     textgrid: Annotated[
         Path | None,
         typer.Option(
-            help="Phones and their times: a TextGrid, or another file of docs/text.md.",
+            help="Phones or words and their times: a TextGrid, or another file of docs/text.md.",
             show_default=False,
         ),
     ] = None,
+    tier: Tier = "",
+    alphabet: Alphabet = "",
+    channel: Channel = "",
     method: Annotated[
         Method,
         typer.Option(help="By phonemes and sound; as published; or as a face does live."),
@@ -61,10 +65,9 @@ def render(
     Without --text and --textgrid the recogniser listens. Folders: `lines render-folder`.
     """
     from lipservo.rendering.rendered import Rendering, check_expression_of
-    from lipsync.errors import check_extra
+    from lipsync.audio.file import open_sound
+    from lipsync.errors import check_extra, check_inputs
 
-    if method == "model-based":
-        check_extra("dtaidistance", "render --method model-based")
     if text is not None and textgrid is not None:
         raise UserError("--text and --textgrid: give one of them")
     how = Rendering(method, strength, model, offline, not reference_sound, expression)
@@ -72,28 +75,32 @@ def render(
         check_expression_of(expression)
     if audio.is_dir():
         raise UserError(f"{audio}: is a folder; `lipservo lines render-folder` renders its sounds")
-    _render_one(audio, text, textgrid, output, how, as_json=as_json)
+    open_sound(audio).close()
+    check_inputs(textgrid, model, offline)
+    if method == "model-based":
+        check_extra("dtaidistance", "render --method model-based")
+    labels = label_file(textgrid, tier, alphabet)
+    from lipservo.rendering.spoken_line import Script, given_text
+
+    script = Script(labels, None if text is None else given_text(text), channel)
+    _render_one(audio, script, output, how, as_json=as_json)
 
 
 def _render_one(
     audio: Path,
-    text: str | None,
-    phones: Path | None,
+    script: "Script",
     output: Path,
     how: "Rendering",
     *,
     as_json: bool,
 ) -> None:
     from lipservo.rendering.rendered import render as render_line
-    from lipservo.rendering.spoken_line import Script, given_text
     from lipsync.offline.performance import is_performance
     from lipsync.output_file import check_output
 
-    inputs = [audio, phones, how.model, how.offline]
+    inputs = [audio, None if script.phones is None else script.phones.path, how.model, how.offline]
     check_output(output, replaces=is_performance, kind="performance", inputs=inputs)
-    done = render_line(
-        audio, Script(phones, None if text is None else given_text(text)), output, how
-    )
+    done = render_line(audio, script, output, how)
     for note in done.notes:
         MESSAGES.print(f"{audio}: {note}")
     if as_json:

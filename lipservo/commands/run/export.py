@@ -7,11 +7,15 @@ import typer
 
 from lipservo.commands.options import (
     DEFAULT_FACE,
+    Alphabet,
+    Channel,
     Config,
     Json,
-    LabelledPhonemes,
     Model,
+    Phonemes,
     SpokenText,
+    Tier,
+    label_file,
 )
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.voice_choice import spoken_text
@@ -55,8 +59,11 @@ def export(
             show_default=False,
         ),
     ] = None,
-    phonemes: LabelledPhonemes = None,
+    phonemes: Phonemes = None,
+    tier: Tier = "",
+    alphabet: Alphabet = "",
     text: SpokenText = "",
+    channel: Channel = "",
     shapes: Annotated[
         ShapeSource,
         typer.Option(help="Mouth shapes from the robot's motion, or from Rhubarb's rules."),
@@ -75,7 +82,7 @@ def export(
     are sound times: 0 is the first sample.
     """
     from lipservo.commands.run.exported_speech import Exported, exported_text
-    from lipsync.output_file import check_output, write_whole
+    from lipsync.output_file import check_output, written_whole
 
     if text and phonemes is not None:
         raise UserError("--text goes without --phonemes; give one of the two")
@@ -89,10 +96,12 @@ def export(
         inputs=[sound, phonemes, model],
     )
     request = Exported(
-        chosen, output.suffix.lower(), sound, phonemes, spoken_text(text), shapes, rate_hz
-    )
-    text, about = exported_text(request, motion, config, model)
-    write_whole(output, text)
+        chosen, output.suffix.lower(), sound, label_file(phonemes, tier, alphabet),
+        spoken_text(text), shapes, rate_hz, channel,
+    )  # fmt: skip
+    lines, about = exported_text(request, motion, config, model)
+    with written_whole(output) as partial, partial.open("w", encoding="utf-8") as file:
+        file.writelines(lines)
     if as_json:
         print_json({"output": str(output), "format": chosen, **about})
     else:

@@ -7,18 +7,22 @@ import typer
 
 from lipservo.commands.options import (
     DEFAULT_FACE,
+    Alphabet,
+    Channel,
     Config,
     Json,
-    LabelledPhonemes,
     Model,
+    Phonemes,
     Quiet,
     SpokenText,
+    Tier,
+    label_file,
 )
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.voice_choice import spoken_text
 from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.terminal.output import MESSAGES, print_json, progress_bar
-from lipsync.errors import UserError
+from lipsync.errors import UserError, check_inputs
 
 #: What is no name of a photograph.
 _TWIN, _ROBOT, _BESIDE = "twin", "robot", "beside"
@@ -63,8 +67,11 @@ def film(
             help="Film a run that was; the argument is its sound, if any.", show_default=False
         ),
     ] = None,
-    phonemes: LabelledPhonemes = None,
+    phonemes: Phonemes = None,
+    tier: Tier = "",
+    alphabet: Alphabet = "",
     text: SpokenText = "",
+    channel: Channel = "",
     still_head: Annotated[
         bool, typer.Option("--still-head", help="Head, eyes and lids do not move.")
     ] = False,
@@ -82,8 +89,7 @@ def film(
 
     The sound is in the film. Faster than it sounds; nothing is left half-written.
     """
-    from lipservo.display.film import check_film, is_film
-    from lipservo.display.filmed_faces import FilmRequest, make_film
+    from lipservo.display.film import check_film, is_film, named_file
     from lipsync.output_file import check_output
 
     if speech is None and trace is None:
@@ -100,14 +106,18 @@ def film(
         landmarks,
         None if speech is None else Path(speech),
     ]
+    check_inputs(trace, phonemes, model, landmarks, named_file(speech or ""))
     check_film(output)
+    from lipservo.display.filmed_faces import FilmRequest, make_film
+
     check_output(
         output, replaces=is_film, kind="film", inputs=[each for each in inputs if _is_file(each)]
     )
     request = FilmRequest(
         speech, output, face, _size(size), rate_hz, config, model,
         landmarks=landmarks, landmarker=landmarker, beside=beside, trace=trace,
-        script=phonemes, text=spoken_text(text), still_head=still_head,
+        script=label_file(phonemes, tier, alphabet), text=spoken_text(text), still_head=still_head,
+        channel=channel,
     )  # fmt: skip
     with progress_bar(quiet=quiet or as_json) as advance:
         done = make_film(request, motion, advance)

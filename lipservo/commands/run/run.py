@@ -11,6 +11,8 @@ import typer
 from firmware_bridge.clock import ManualClock, MonotonicClock
 from lipservo.commands.options import (
     DEFAULT_FACE,
+    Alphabet,
+    Channel,
     Config,
     Control,
     Dashboard,
@@ -31,9 +33,11 @@ from lipservo.commands.options import (
     Sim,
     Sounds,
     SpokenText,
+    Tier,
     TokenFile,
     Trace,
     Wav,
+    label_file,
 )
 from lipservo.commands.run.dashboard_beside import check_page_options, dashboard_beside, with_sounds
 from lipservo.commands.run.motion_choice import takes_motion
@@ -58,9 +62,10 @@ from lipservo.runtime.run_request import (
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.servos.face_stopped import exit_status
 from lipservo.runtime.servos.sim_process import servo_port
-from lipservo.runtime.sound import entered_sound, open_sound
+from lipservo.runtime.sound import entered_sound
 from lipservo.runtime.summary import print_summary
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipsync.phoneme_files.label_file import LabelFile
 
 #: For a face's own page: it asks the face where that is.
 ANY_PORT = "127.0.0.1:0"
@@ -70,8 +75,11 @@ def run(
     *,
     wav: Wav = None,
     mic: Mic = None,
-    play: Play = False,
+    channel: Channel = "",
+    play: Play = None,
     phonemes: Phonemes = None,
+    tier: Tier = "",
+    alphabet: Alphabet = "",
     text: SpokenText = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
@@ -90,14 +98,17 @@ def run(
     With --dashboard, in a terminal, it keeps running until Ctrl-C; set the rest in the YAML.
     """
     check_page_options(None, is_shown=dashboard, open_page=open_page)
-    voice = chosen_voice(play=play, is_needed=phonemes is not None or dashboard)
+    voice = chosen_voice(play, is_needed=phonemes is not None or dashboard)
     token_file = None
     if dashboard:
         token_file = access_file(None, open_to_this_computer=False)
         voice = with_access(with_sounds(voice), config, token_file)
     request = RunRequest(
         config,
-        _sound(wav, mic, CLIP, phonemes, spoken_text(text)),
+        replace(
+            _sound(wav, mic, CLIP, label_file(phonemes, tier, alphabet), spoken_text(text)),
+            channel=channel,
+        ),
         motion_of(ChosenMotion(), config),
         model=model,
         port=port,
@@ -124,7 +135,8 @@ def daemon(
     *,
     wav: Wav = None,
     mic: Mic = None,
-    play: Play = False,
+    channel: Channel = "",
+    play: Play = None,
     listen: Listen = None,
     token_file: TokenFile = None,
     open_to_this_computer: OpenToThisComputer = False,
@@ -145,7 +157,7 @@ def daemon(
     """
     check_page_options(dashboard_listen, is_shown=dashboard, open_page=False)
     voice = daemons_voice(
-        chosen_voice(play=play),
+        chosen_voice(play),
         listen,
         VoiceOptions(None, None if dashboard else text_of(token_file), text_of(sounds)),
     )
@@ -156,7 +168,7 @@ def daemon(
     settings = load_settings(config)[0]
     request = RunRequest(
         config,
-        _sound(wav, mic, SILENCE),
+        replace(_sound(wav, mic, SILENCE), channel=channel),
         motion_of(ChosenMotion(), config),
         model=model,
         port=port or settings.servo_port,
@@ -192,6 +204,7 @@ def replay(
     *,
     sound: Annotated[Path, typer.Argument(help="Sound file to replay.")],
     text: SpokenText = "",
+    channel: Channel = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
@@ -203,7 +216,7 @@ def replay(
     """Play a sound file as fast as possible, on a simulated clock: same file, same trace."""
     request = RunRequest(
         config,
-        Sound("file", str(sound), text=spoken_text(text)),
+        Sound("file", str(sound), text=spoken_text(text), channel=channel),
         motion_of(motion, config),
         model=model,
         rate_hz=rate_hz,
@@ -211,7 +224,7 @@ def replay(
         as_json=as_json,
         quiet=True,
     )
-    with open_sound(request.sound) as source:
+    with entered_sound(request) as source:
         outcome = run_face(request, source, ManualClock())
     finish(replace(request, quiet=quiet), outcome)
 
@@ -246,22 +259,28 @@ def _sound(
     wav: Path | None,
     mic: str | None,
     otherwise: Sound,
-    phonemes: Path | None = None,
+    labels: LabelFile | None = None,
     text: str = "",
 ) -> Sound:
     if wav is not None and mic is not None:
         raise typer.BadParameter("give --wav or --mic, not both")
-    if phonemes is not None and wav is None:
+    if labels is not None and wav is None:
         raise typer.BadParameter("--phonemes goes with --wav")
     if text and wav is None:
         raise typer.BadParameter("--text goes with --wav")
     if mic is not None:
         return Sound("microphone", mic)
-    return (
-        otherwise
-        if wav is None
-        else Sound("file", str(wav), phonemes=str(phonemes or ""), text=text)
-    )
+    if wav is None:
+        return otherwise
+    if labels is None:
+        return Sound("file", str(wav), text=text)
+    return labelled_sound(wav, labels, text)
+
+
+def labelled_sound(sound: Path, labels: LabelFile, text: str = "") -> Sound:
+    """Return a sound file with its labels. Raises RequestError for a text beside them."""
+    known = str(labels.path), labels.tier, labels.alphabet
+    return Sound("file", str(sound), "", *known, text)
 
 
 def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:
@@ -287,6 +306,12 @@ def finish(request: RunRequest, outcome: RunOutcome) -> None:
         print_json({**outcome.summary.as_dict(), "status": status, "stop": stop})
     elif not request.quiet:
         print_summary(outcome.summary, RESULTS)
+    heard, is_heard = outcome.summary, request.sound.kind in ("file", "microphone")
+    if is_heard and heard.phonemes == 0 and heard.duration_s > 1.0:
+        MESSAGES.print(
+            f"{heard.source}: no speech in {heard.duration_s:.0f} s; the mouth stayed at rest: "
+            "check file, --channel and level"
+        )
     exit_code = exit_status(outcome.report, outcome.signal_number)
     if not outcome.report.complete and request.quiet:
         MESSAGES.print(outcome.report.text())

@@ -1,6 +1,7 @@
 """The command `say`, which speaks a text with sound and face."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,10 +10,11 @@ import typer
 from lipservo.access.token_file import read_token
 from lipservo.commands.options import (
     DEFAULT_FACE,
+    Alphabet,
+    Channel,
     Config,
     DryRun,
     Json,
-    Language,
     LiveLink,
     Model,
     Osc,
@@ -22,11 +24,13 @@ from lipservo.commands.options import (
     Rate,
     Sim,
     Through,
+    Tier,
     TokenFile,
     Trace,
+    label_file,
 )
 from lipservo.commands.run.motion_choice import takes_motion
-from lipservo.commands.run.run import avatars_of, motion_of, run_once
+from lipservo.commands.run.run import avatars_of, labelled_sound, motion_of, run_once
 from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.runtime.run_request import (
     DEFAULT_OUTPUT,
@@ -35,9 +39,32 @@ from lipservo.runtime.run_request import (
     VoiceOptions,
 )
 from lipsync.errors import UserError
+from lipsync.phoneme_files.label_file import LabelFile
+from lipsync.text_to_speech.synthesis import FASTEST_WPM, HIGHEST_PITCH, SLOWEST_WPM
 
 if TYPE_CHECKING:
     from lipservo_client.blocking_face import Face
+
+
+Language = Annotated[
+    str | None,
+    typer.Option(help="As espeak-ng names it: en-us, de, fr-fr.", show_default=False),
+]
+SpokenBy = Annotated[
+    str | None, typer.Option(help="A voice of the face's speech engine.", show_default=False)
+]
+RateWpm = Annotated[
+    int | None,
+    typer.Option(
+        min=SLOWEST_WPM, max=FASTEST_WPM, help="Words a minute; 175 is usual.", show_default=False
+    ),
+]
+Pitch = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=HIGHEST_PITCH, help="Pitch; 50 is the voice's own.", show_default=False
+    ),
+]
 
 
 @takes_motion
@@ -48,11 +75,17 @@ def say(
         Path | None,
         typer.Option(
             "--from",
-            help="A synthesiser's file of words, phonemes or visemes, its sound beside it.",
+            help="A file of words, phonemes or visemes with times, its sound beside it.",
             show_default=False,
         ),
     ] = None,
-    language: Language = "en-us",
+    tier: Tier = "",
+    alphabet: Alphabet = "",
+    channel: Channel = "",
+    language: Language = None,
+    voice: SpokenBy = None,
+    rate_wpm: RateWpm = None,
+    pitch: Pitch = None,
     mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,
     through: Through = None,
     token_file: TokenFile = None,
@@ -73,15 +106,18 @@ def say(
     """Speak a text with sound and face, by the voice of the face's YAML; or a file."""
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
-    if from_file is not None and text is None and through is None:
-        sound = _text_in(from_file)
+    labels = label_file(from_file, tier, alphabet)
+    if labels is not None and text is None and through is None:
+        sound = replace(_text_in(labels), channel=channel)
     elif from_file is not None or text is None:
         raise typer.BadParameter("give either a text or --from FILE; --through takes a text")
     elif through is not None:
-        read_through(through, token_file, lambda face: face.say(text, wait=True))
+        given = {"language": language, "voice": voice, "rate_wpm": rate_wpm, "pitch": pitch}
+        how = {name: value for name, value in given.items() if value is not None}
+        read_through(through, token_file, lambda face: face.say(text, wait=True, **how))
         return
     else:
-        sound = Sound("text", text, language)
+        sound = Sound("text", text, language or "", voice=voice, rate_wpm=rate_wpm, pitch=pitch)
     request = RunRequest(
         config,
         sound,
@@ -99,11 +135,11 @@ def say(
     run_once(request, sim)
 
 
-def _text_in(path: Path) -> Sound:
-    """Return the sound file next to `path`, with `path` as its phonemes. Raises LabelError."""
+def _text_in(labels: LabelFile) -> Sound:
+    """Return the sound file next to `labels`, with these. Raises LabelError."""
     from lipsync.phoneme_files.reader import sound_beside
 
-    return Sound("file", str(sound_beside(path)), phonemes=str(path))
+    return labelled_sound(sound_beside(labels.path), labels)
 
 
 def read_through(

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from errno import EPROTO
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TypeGuard
 
 import typer
 
@@ -17,8 +17,9 @@ from firmware_bridge.process.control_client import RunningFace, ask, running_fac
 from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
-from lipservo.commands.options import Control, FaceName, Json, Port
+from lipservo.commands.options import Control, FaceName, Json, On, Port
 from lipservo.commands.run.running import ask_faces, chosen_faces
+from lipservo.commands.run.status_words import DONE, motion_words, servo_words, state_words
 from lipservo.runtime.servos.letting_go import Outcome, faces_at, release, stop_faces
 from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
@@ -47,7 +48,7 @@ def run_without_parser(arguments: Sequence[str]) -> bool:
             given["as_json"] = True
         elif name == "stop" and word in _FLAGS:
             given[_FLAGS[word]] = True
-        elif word in ("--face", "--control"):
+        elif word in ("--face", "--control") or (word == "--on" and name != "start"):
             value = next(left, "-")
             if value.startswith("-"):
                 return False
@@ -73,29 +74,30 @@ def stop(
     ] = False,
     face: FaceName = None,
     control: Control = None,
+    on: On = None,
     as_json: Json = False,
 ) -> None:
     """Stop every running face: to rest and limp, confirmed by its servos.
 
     A daemon then waits for `lipservo start`; a `run` ends. Works although the speech side is dead.
-    Exit status 1 unless every servo has confirmed.
+    Exit status 1 unless every servo has confirmed. --on: the faces of other computers instead.
     """
     if limp and freeze:
         raise UserError("--limp and --freeze: give one of them")
     if freeze and end:
         raise UserError("--freeze and --end: a face that has ended holds nothing")
     level = StopLevel.LIMP if limp else StopLevel.FREEZE if freeze else StopLevel.SOFT
+    if _is_elsewhere(on, face, control):
+        from lipservo.commands.run.kiosks import stop_kiosks
+
+        stop_kiosks(on, level, end=end, as_json=as_json)
+        return
     faces = chosen_faces(face, control)
     if not faces:
         raise UserError("no face answers; `lipservo limp --port PORT` switches torque off")
     with face_logs(face or ""):
         outcomes = stop_faces(faces, level, end=end)
-    done = {
-        StopLevel.SOFT: "at rest and limp",
-        StopLevel.LIMP: "limp",
-        StopLevel.FREEZE: "held where it is until the next stop",
-    }
-    _report(outcomes, done[level], as_json=as_json)
+    _report(outcomes, DONE[level], as_json=as_json)
 
 
 def start(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
@@ -108,7 +110,7 @@ def start(face: FaceName = None, control: Control = None, as_json: Json = False)
         answer = start_face(each.path)
         return answer if "error" in answer else _come_back(each)
 
-    ask_faces(face, control, started, lambda one: f"driven{_servos(one)}", as_json=as_json)
+    ask_faces(face, control, started, lambda one: f"driven{servo_words(one)}", as_json=as_json)
 
 
 def _come_back(face: RunningFace) -> dict[str, Any]:
@@ -129,13 +131,30 @@ def _come_back(face: RunningFace) -> dict[str, Any]:
         if state not in _ON_ITS_WAY:
             return {"error": troubles or f"not driven: {state}"}
         if time.monotonic() > give_up_s:
-            without = f"{state}{_servos(found)}" if servos else f"not driven: {state}"
+            without = f"{state}{servo_words(found)}" if servos else f"not driven: {state}"
             return {"error": "; ".join(filter(None, (without, troubles)))}
         time.sleep(_LOOK_EVERY_S)
 
 
-def status(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
-    """List the running faces: name, process, port, state, servos, troubles."""
+def _is_elsewhere(on: Path | None, face: str | None, control: Path | None) -> TypeGuard[Path]:
+    """Return whether --on names faces of other computers. Raises UserError beside a face here."""
+    if on is not None and (face is not None or control is not None):
+        raise UserError("--on, --face, --control: give one of them")
+    return on is not None
+
+
+def status(
+    face: FaceName = None, control: Control = None, on: On = None, as_json: Json = False
+) -> None:
+    """List the running faces: name, process, port, state, servos, troubles.
+
+    --on: the faces of other computers instead; exit status 1 unless all answer.
+    """
+    if _is_elsewhere(on, face, control):
+        from lipservo.commands.run.kiosks import status_of_kiosks
+
+        status_of_kiosks(on, as_json=as_json)
+        return
     found = [_status_of(each) for each in chosen_faces(face, control)]
     if as_json:
         print_json({"faces": found})
@@ -144,8 +163,8 @@ def status(face: FaceName = None, control: Control = None, as_json: Json = False
         sys.stderr.write("no face runs\n")
     for each in found:
         port = each.get("port") or "simulated servos"
-        sys.stdout.write(f"{each['name']}  process {each['pid']}  {port}  {_state(each)}\n")
-        for line in filter(None, (_motion(each), *each.get("troubles", ()))):
+        sys.stdout.write(f"{each['name']}  process {each['pid']}  {port}  {state_words(each)}\n")
+        for line in filter(None, (motion_words(each), *each.get("troubles", ()))):
             sys.stdout.write(f"  {line}\n")
 
 
@@ -208,42 +227,6 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
     except OSError as error:
         return {**found, "state": error.strerror if error.errno == EPROTO else "has just ended"}
     return {"state": "runs", **found, **answer, "pid": face.pid}
-
-
-def _state(status: dict[str, Any]) -> str:
-    """Return a face's state as text: its stop report, a missing port, or its servos that hold."""
-    report = status.get("stop_report")
-    if status["state"] == "stopped" and report is not None:
-        n, left = len(report["confirmed"]), ", ".join(report["unconfirmed"])
-        words = [report.get("released_words"), f"limp, confirmed by {n} servos"]
-        limp = "; ".join(filter(None, words if n else words[:1])) or words[1]
-        limp += f", NOT by {left}" if left else ""
-        limp += "; `lipservo start` drives it" if status.get("can_start") else ""
-        return f"stopped by {status.get('stopped_by')}: {limp}"
-    if status.get("plugged") is False:
-        return f"{status['state']}, but its port is gone: no servo can be reached"
-    return f"{status['state']}{_servos(status)}"
-
-
-def _servos(status: dict[str, Any]) -> str:
-    known = [each.get("on") for each in dict(status.get("torque") or {}).values()]
-    if set(known) == {None}:
-        return ", it is not known which servos hold"
-    unknown = f", not known of {known.count(None)}" if None in known else ""
-    return f", {known.count(True)} of {len(known)} servos hold{unknown}" if known else ""
-
-
-def _motion(status: dict[str, Any]) -> str:
-    """Return a speaking face's sound, strategy, settings and recogniser as one line; else empty."""
-    if status.get("strategy") is None:
-        return ""
-    level = status["fallback_level"]
-    fallback = f" (fallback {level})" if level else ""
-    listens = f"; listens at {status['listens_on']}" if status.get("listens_on") else ""
-    named = "".join(f", {name} {value:g}" for name, value in status["settings"].items())
-    opens = "; does not close" if status.get("mouth_closes") is False else ""
-    heard = f"{status['recognizer']}{fallback}{listens}{opens}"
-    return f"{status['sound']}: {status['strategy']}{named}; {heard}"
 
 
 def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:

@@ -20,7 +20,7 @@ from lipservo.traces.trace_diff import (
     overlay,
 )
 from lipservo.traces.trace_file import Trace, read_trace
-from lipsync.errors import UserError
+from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.face.model import FaceModel, load_face
 
 app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
@@ -71,6 +71,8 @@ def diff(
             from lipservo.traces.trace_diff import check_plot
 
             check_plot(plot)
+            check_inputs(a, b, *(model or []))
+            check_extra("matplotlib", "--plot")
         first, second = read_trace(a), read_trace(b)
         models = _models((first, second), model or [])
         laid = overlay(first, second, (models[0], models[1]))

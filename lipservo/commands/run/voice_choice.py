@@ -6,17 +6,15 @@ from pathlib import Path
 import typer
 
 from lipservo.access.token_file import read_token, runtime_token_file
-from lipservo.runtime.run_request import DEFAULT_OUTPUT, VoiceOptions
+from lipservo.runtime.run_request import VoiceOptions
 from lipservo.runtime.servos.assembly import load_settings
 from lipsync.errors import UserError
 from lipsync.spoken_text import LONGEST_TEXT
 
 
-def chosen_voice(*, play: bool, is_needed: bool = False) -> VoiceOptions | None:
-    """Return a voice that plays the sound if `play`, a silent one if `is_needed`, else None."""
-    if play:
-        return VoiceOptions(DEFAULT_OUTPUT)
-    return VoiceOptions() if is_needed else None
+def chosen_voice(play: str | None, *, is_needed: bool = False) -> VoiceOptions | None:
+    """Return a voice that plays at the device `play`, a mute one if `is_needed`, else None."""
+    return VoiceOptions(play) if play is not None or is_needed else None
 
 
 def daemons_voice(

@@ -183,11 +183,6 @@ PULSE_STEPS: Final = {
         "where it should stop, slowly. Set as min, neutral and max write it into the YAML.",
         "lipservo jog --dashboard --config {face} --port DEV",
     ),
-    "look": (
-        "look", "Begin with a drawn face", "A map for a face of usual shape with your limits: the "
-        "robot speaks, coarsely, and single shapes are trimmed by eye.",
-        "lipservo calibrate fit --config {face} -o mine.yaml",
-    ),
     "late": (
         "late", "How late each servo is", "These servos cannot say it. Film one with a telephone "
         "in slow motion beside the pulse that jog prints, count, and type the milliseconds.",
@@ -202,8 +197,7 @@ def steps_of(face: str, *, has_place: bool) -> str:
     face: as the commands name it.
     """
     other = {} if has_place else PULSE_STEPS
-    # A way that measures where servos stand is none for those that cannot say it.
-    steps = (other.get(step[0], step) for step in STEPS if has_place or step[0] != "dots")
+    steps = (other.get(step[0], step) for step in STEPS)
     return "<ol>" + "".join(_step(face, *step) for step in steps) + "</ol>"
 
 

@@ -21,6 +21,7 @@ PLACES: Final = {
     FIRST_HOUR: "First hour",
     "/": "Live",
     "/show": "Show",
+    "/kiosk": "Kiosk",
     "/servos": "Servos",
     "/calibrate": "Calibrate",
     "/lines": "Lines",

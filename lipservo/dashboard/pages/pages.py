@@ -10,6 +10,7 @@ from nicegui import ui
 
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.pages.calibrate_page import calibrate_page, read_calibration
+from lipservo.dashboard.pages.kiosk_page import KIOSK_SCRIPTS, kiosk_page
 from lipservo.dashboard.pages.page_facts import GROUPS, page_facts
 from lipservo.dashboard.pages.page_frame import (
     FIRST_HOUR,
@@ -64,6 +65,7 @@ def build_pages(link: FaceLink, making: Path | None = None) -> None:
     """
     _add(link, making, "/", _LIVE_SCRIPTS, _live)
     _add(link, making, "/show", SHOW_SCRIPTS, _show)
+    _add(link, making, "/kiosk", KIOSK_SCRIPTS, _kiosk)
     _add(link, making, "/servos", _SERVOS_SCRIPTS, _servos)
     _add(link, making, "/calibrate", (), _calibrate)
     _add(link, making, "/lines", _LINES_SCRIPTS, _lines)
@@ -124,6 +126,11 @@ async def _live(_status: Status, _config: str | None) -> None:
 async def _show(_status: Status, _config: str | None) -> None:
     ui.add_head_html(_EARLY)
     show_page()
+
+
+async def _kiosk(_status: Status, _config: str | None) -> None:
+    ui.add_head_html(_EARLY)
+    kiosk_page()
 
 
 def _legend() -> str:

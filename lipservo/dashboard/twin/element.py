@@ -5,15 +5,15 @@ import hashlib
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from importlib import resources
 
 import nicegui.elements.scene  # noqa: F401  registers three.js for the page, which twin.js loads
 from fastapi import FastAPI, Request
 from fastapi.responses import Response
 from nicegui.element import Element
 
+from lipsync.errors import check_extra
 from lipsync.face.model import FaceModel
-from lipsync.twin.packed import pack
-from lipsync.twin.twin import make_twin
 
 HEAD_PATH = "/twin/head.bin"
 #: Kept by a browser, but asked for each time whether it is still the same.
@@ -42,7 +42,7 @@ class PackedHead:
 
 def twin_routes(app: FastAPI, face: FaceModel) -> None:
     """Add the route HEAD_PATH, which serves a face model's head, and start making that head."""
-    head = PackedHead(lambda: pack(make_twin(face)))
+    head = PackedHead(lambda: _packed(face))
 
     # Not async: FastAPI runs it in a thread of its own, so that other answers do not wait.
     @app.get(HEAD_PATH, include_in_schema=False)
@@ -56,6 +56,21 @@ def twin_routes(app: FastAPI, face: FaceModel) -> None:
         else:
             packed = gzip.decompress(packed)
         return Response(packed, media_type="application/octet-stream", headers=headers)
+
+
+def _packed(face: FaceModel) -> bytes:
+    """Return the head that ships with a face model; of one of the user's own, made now.
+
+    Raises MissingExtraError where that needs the extra `fit`.
+    """
+    kept = resources.files("lipsync.models") / f"head-{face.checksum}.bin.gz"
+    if kept.is_file():
+        return gzip.decompress(kept.read_bytes())
+    check_extra("scipy", "the head of a model of your own")
+    from lipsync.twin.packed import pack
+    from lipsync.twin.twin import make_twin
+
+    return pack(make_twin(face))
 
 
 class Twin(Element, component="twin.js", esm={"lipservo-twin": "picture"}):

@@ -4,7 +4,6 @@ import json
 import struct
 from collections.abc import Iterator, Mapping
 from html import escape
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ from fastapi.staticfiles import StaticFiles
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.first_hour.first_hour import FirstHour
 from lipservo.dashboard.web.api_models import ErrorAnswer, add_error_answers
-from lipservo.dashboard.web.api_routes import face_routes, file_routes
+from lipservo.dashboard.web.api_routes import VERSION, face_routes, file_routes
 from lipservo.dashboard.web.first_hour_routes import first_hour_routes
 from lipservo.dashboard.web.metrics import CONTENT_TYPE, FaceCollector, metrics_text
 from lipservo.dashboard.web.streams import add_streams
@@ -37,7 +36,7 @@ def make_api(link: FaceLink, hour: FirstHour | None = None) -> FastAPI:
     """
     app = FastAPI(
         title="lipservo",
-        version=version("lipservo"),
+        version=VERSION,
         docs_url=None,
         redoc_url=None,
         responses=_ERRORS,

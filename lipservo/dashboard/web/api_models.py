@@ -16,6 +16,7 @@ from starlette.exceptions import HTTPException
 
 from firmware_bridge.joints import LONGEST_FOUND_US, SHORTEST_FOUND_US
 from lipservo.settings.found_limits import PulseLimit
+from lipsync.text_to_speech.synthesis import FASTEST_WPM, HIGHEST_PITCH, SLOWEST_WPM
 
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
 Pulse = Annotated[float, Field(ge=SHORTEST_FOUND_US, le=LONGEST_FOUND_US)]
@@ -63,9 +64,13 @@ class StartBody(Body):
 
 
 class SayBody(Body):
-    """A text for the face to speak in its own voice."""
+    """A text for the face to speak in its own voice; what is left out is as in its YAML."""
 
     text: Annotated[str, Field(min_length=1, max_length=20_000)]
+    language: Annotated[str, Field(min_length=2, max_length=40)] | None = None
+    voice: Annotated[str, Field(max_length=200)] | None = None
+    rate_wpm: Annotated[int, Field(ge=SLOWEST_WPM, le=FASTEST_WPM)] | None = None
+    pitch: Annotated[int, Field(ge=0, le=HIGHEST_PITCH)] | None = None
 
 
 class PlayBody(Body):

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ from lipservo.dashboard.web.api_models import (
 from lipservo.dashboard.web.stop_route import stop_face
 
 JsonObject = dict[str, Any]
+VERSION = version("lipservo")
 _COUNTS = (
     "n_late", "n_stale", "n_unplugged", "n_rejected_targets", "range_hits_total",
     "rate_hits_total", "rejected_total", "prevented_total", "n_lost_sound_blocks",
@@ -56,9 +58,9 @@ def face_routes(link: FaceLink) -> APIRouter:
     async def status() -> JsonObject:
         """The face's `Status` (docs/architecture.md), and how sure that is.
 
-        face_answers: false: the rest is its last status, `age_s` ago.
+        face_answers: false: the rest is its last status, `age_s` ago. version: of lipservo.
         """
-        return {**(link.status or {}), **link.certainty()}
+        return {**(link.status or {}), **link.certainty(), "version": VERSION}
 
     @routes.post("/stop")
     async def stop(body: StopBody | None = None) -> JsonObject:
@@ -74,7 +76,7 @@ def face_routes(link: FaceLink) -> APIRouter:
     @routes.post("/say")
     async def say(body: SayBody) -> JsonObject:
         """Say a text. Answered when it is queued, not once it was spoken."""
-        return dict(await link.say(body.text))
+        return dict(await link.say(**body.model_dump(exclude_none=True)))
 
     @routes.post("/interrupt")
     async def interrupt() -> JsonObject:

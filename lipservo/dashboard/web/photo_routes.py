@@ -7,19 +7,18 @@ sends twenty points and a size (docs/decisions/0081-photographs-in-the-page.md).
 import gzip
 import threading
 from importlib import resources
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from fastapi import FastAPI
 from fastapi.responses import FileResponse, JSONResponse, Response
 from pydantic import BaseModel, Field
 
-from lipservo.display.photo_face import HAND_POINTS, photo_face
-from lipservo.display.photo_file import Landmarks, landmarks_of
-from lipservo.display.photo_packed import pack_photo
-from lipservo.display.shipped_faces import TWIN_SIZE, twin_landmarks
-from lipsync.errors import UserError
+from lipsync.errors import MissingExtraError, UserError, check_extra
 from lipsync.face.model import FaceModel
+
+if TYPE_CHECKING:
+    from lipservo.display.photo_file import Landmarks
 
 PHOTO_PATH: Final = "/twin/photo"
 #: A browser makes larger pictures smaller before it shows them.
@@ -34,10 +33,28 @@ class PhotoPoints(BaseModel):
 
 
 def photo_routes(app: FastAPI, face: FaceModel) -> None:
-    """Add routes for the shipped picture, its points and warp, and the warp of posted points."""
+    """Add routes for the shipped picture, its points and warp, and the warp of posted points.
+
+    Without the extra `fit` they answer that it is needed.
+    """
+    try:
+        check_extra("scipy", "a photograph that speaks")
+    except MissingExtraError as error:
+        needed = {"error": str(error)}
+
+        @app.api_route(f"{PHOTO_PATH}.{{rest}}", methods=["GET", "POST"], include_in_schema=False)
+        def missing(rest: str) -> Response:  # noqa: ARG001 - a path's part
+            return JSONResponse(needed, 422)
+
+        return
+    from lipservo.display.photo_face import HAND_POINTS, photo_face
+    from lipservo.display.photo_file import landmarks_of
+    from lipservo.display.photo_packed import pack_photo
+    from lipservo.display.shipped_faces import TWIN_SIZE, twin_landmarks
+
     one_at_a_time = threading.Lock()
 
-    def warp(landmarks: Landmarks, size: tuple[int, int]) -> Response:
+    def warp(landmarks: "Landmarks", size: tuple[int, int]) -> Response:
         # The warp is that of any pixels: there are none here.
         no_pixels = np.broadcast_to(np.uint8(0), (size[1], size[0], 3))
         with one_at_a_time:

@@ -31,6 +31,8 @@ PATH: Final = "/api/stop"
 #: A body is {"level": "soft", "wait_s": 15, "end": false} at most.
 _LONGEST_BODY: Final = 1024
 _AT_ONCE: Final = StopBody()
+#: Of a face's answer to a freeze.
+_HELD: Final[tuple[str, ...]] = ("holds", "limp", "unknown")
 
 
 def is_stop(scope: Mapping[str, Any]) -> bool:
@@ -122,7 +124,8 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
     Returns
     -------
     {"accepted": LEVEL}, with `wait_s` also {"report"}: what the servos confirmed (`StopReport`), or
-    None where no end came in time, or too many clients wait for one. Where no face drives servos
+    None where no end came in time, or too many clients wait for one; of a freeze also `holds`,
+    `limp` and `unknown`, the names of servos. Where no face drives servos
     {"accepted": None, "nothing_driven", "is_limp"}: a sentence, and whether servos confirmed it.
 
     Raises
@@ -149,7 +152,12 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
         return {"accepted": None, "nothing_driven": str(done), "is_limp": done.is_limp}
     if "error" in answer:
         raise FaceError("refused", str(answer["error"]))
-    return {"accepted": answer.get("accepted"), **({"report": report} if stop.wait_s else {})}
+    held = {name: answer[name] for name in _HELD if name in answer}
+    return {
+        "accepted": answer.get("accepted"),
+        **held,
+        **({"report": report} if stop.wait_s else {}),
+    }
 
 
 async def _parsed(receive: Receive) -> StopBody | Refusal:

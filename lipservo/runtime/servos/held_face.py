@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from typing import Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_bridge.bus import Feedback, ServoBus
 from firmware_bridge.clock import Clock
@@ -44,6 +45,10 @@ SPEED_DEG_S = 30.0
 _STILL_DEG, _STILL_S = 0.18, 0.2
 #: Longer than any servo needs that is not held up.
 _SETTLE_S = 1.5
+#: A servo without an encoder overshoots and rings so long, once it had the time for its way.
+_RINGS_S = 0.3
+#: Longer than any hobby servo needs, after its first pulse, to catch up with its goal.
+_CATCHES_UP_S, _CAUGHT_UP_DEG = 5.0, 0.1
 #: A job that waits for the servos looks so often whether they are held at all.
 _LOOK_S = 0.2
 #: Chirps to 12 Hz need four samples a period.
@@ -105,8 +110,12 @@ class HeldFace:
         names = list(settings.servos)
         self._posed = [names.index(name) for name in joints or settings.mouth_servos]
         can = settings.capabilities if bus is None else bus.capabilities
-        self._measured = [index for index in range(len(names)) if can.of(index).place]
-        self._goal_deg = np.zeros(len(names))
+        places = [can.of(index).place for index in range(len(names))]
+        self._has_place = np.array(places, dtype=np.bool_)
+        speeds_deg_s = [servo.max_speed_deg_s for servo in settings.servos.values()]
+        self._blind_speed_deg_s = np.where(self._has_place, np.inf, speeds_deg_s)
+        self._blind_until_s = 0.0
+        self._goal_deg = self._passed_deg = np.zeros(len(names))
         self._from_neutral = from_neutral
         self._end = end
         self._ticks: Iterator[tuple[float, int]] = iter(())
@@ -129,8 +138,21 @@ class HeldFace:
         return self._driven.bus.torque.as_json()
 
     @property
+    def has_place(self) -> NDArray[np.bool_]:
+        """Whether the servo of each posed joint reports its position.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_joints,).
+        """
+        return np.asarray(self._has_place[self._posed])
+
+    @property
     def stands_deg(self) -> Array:
-        """The measured positions of the posed joints. Raises PortGone.
+        """The positions of the posed joints. Raises PortGone.
+
+        Measured; the goal sent last of a servo that reports none (`has_place`).
 
         Returns
         -------
@@ -159,8 +181,7 @@ class HeldFace:
         Array
             (n_joints,) degrees.
         """
-        sent_deg = self._feedback().sent_deg
-        return (self._driven.bus.read().goals_deg if sent_deg is None else sent_deg)[self._posed]
+        return self._sent_deg(self._feedback())[self._posed]
 
     @property
     def effort(self) -> Array:
@@ -176,6 +197,8 @@ class HeldFace:
     def move(self, goal_deg: Array) -> Array:
         """Move the posed joints to a goal at limited speed; wait until still, 1.5 s at most.
 
+        A servo without an encoder gets the time that its `max_speed_deg_s` needs for the whole way.
+
         Parameters
         ----------
         goal_deg : Array
@@ -184,7 +207,7 @@ class HeldFace:
         Returns
         -------
         Array
-            (n_joints,) degrees: the positions reached.
+            (n_joints,) degrees: the positions reached, as in `stands_deg`.
         """
         self.lead(goal_deg)
         return self._settle()
@@ -350,7 +373,7 @@ class HeldFace:
             self._ticks = self.life.ticks()
             self.life.start()
             bus = self._opened.bus
-            self._goal_deg = bus.read().start_deg(bus.capabilities)
+            self._goal_deg = self._passed_deg = bus.read().start_deg(bus.capabilities)
             self._await_torque()
             if self._from_neutral:
                 self._move_all(np.zeros_like(self._goal_deg))
@@ -389,6 +412,7 @@ class HeldFace:
 
     def _move_all(self, whole_deg: Array) -> None:
         start_s = self._clock.now()
+        way_s = float((np.abs(whole_deg - self._goal_deg) / self._blind_speed_deg_s).max())
         ramp = Ramp.at_speed(self._goal_deg, whole_deg, start_s, self._speed_deg_s)
         over = False
         while not over:
@@ -396,11 +420,17 @@ class HeldFace:
             over = ramp.is_over(now_s)
             self._goal_deg = ramp.at(now_s)
             self._tick()
+        self._blind_until_s = self._clock.now() + way_s + _RINGS_S
 
     def _settle(self) -> Array:
-        """Tick until all encoders are still, at most 1.5 s; return the posed joints' angles."""
-        if not set(self._posed) <= set(self._measured):
-            self.hold(_SETTLE_S)
+        """Tick until all encoders are still, at most 1.5 s; return the posed joints' angles.
+
+        Servos without encoders get the time that their speed needs.
+        """
+        if not self._has_place.all():
+            self._await_sent()
+            self.hold(self._blind_until_s - self._clock.now())
+        if not self._has_place.any():
             return self.stands_deg
         until_s = self._clock.now() + _SETTLE_S
         before_deg = self._heard_deg()
@@ -414,16 +444,33 @@ class HeldFace:
             before_deg = now_deg
         return self.stands_deg
 
+    def _await_sent(self) -> None:
+        """Tick until servos that started without a known position were sent their goals."""
+        latest_s = self._clock.now() + _CATCHES_UP_S
+        while (sent_deg := self._feedback().sent_deg) is not None and self._clock.now() < latest_s:
+            if np.nanmax(np.abs(sent_deg - self._goal_deg), initial=0.0) < _CAUGHT_UP_DEG:
+                break
+            self._tick()
+            self._blind_until_s = self._clock.now() + _RINGS_S
+
     def _heard_deg(self) -> Array:
         """Return the measured positions, in degrees, of the servos that can report one.
 
         NaN for a servo without a reading from this tick.
         """
         feedback = self._feedback()
-        return np.where(feedback.age_s == 0.0, feedback.positions_deg, np.nan)[self._measured]
+        return np.where(feedback.age_s == 0.0, feedback.positions_deg, np.nan)[self._has_place]
 
     def _stands_deg(self) -> Array:
-        return self._feedback().positions_deg
+        feedback = self._feedback()
+        sent_deg = self._sent_deg(feedback)
+        return np.asarray(np.where(self._has_place, feedback.positions_deg, sent_deg))
+
+    def _sent_deg(self, feedback: Feedback) -> Array:
+        if feedback.sent_deg is None:
+            return self._passed_deg
+        sent_deg = feedback.sent_deg
+        return np.asarray(np.where(np.isnan(sent_deg), self._passed_deg, sent_deg))
 
     def _feedback(self) -> Feedback:
         try:
@@ -448,6 +495,7 @@ class HeldFace:
     def _send(self, time_s: float, late: int) -> None:
         self._channel.publish(ServoTargets(time_s, self._goal_deg))
         report = self._driven.bridge.tick(time_s, late)
+        self._passed_deg = report.sent_deg
         if self._board is not None:
             self._board.tell(self._driven.bridge, report)
 

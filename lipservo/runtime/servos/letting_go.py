@@ -75,6 +75,24 @@ class Outcome:
         """Whether there was no problem, and each servo confirmed, or holds as requested."""
         return not (self.problem or self.unconfirmed or self.unknown)
 
+    def add_report(self, report: Mapping[str, Any]) -> None:
+        """Add what a face has reported of its end: which servos confirmed it."""
+        self.confirmed = list(report.get("confirmed", ()))
+        self.unconfirmed = dict(report.get("unconfirmed", {}))
+        self.waits = bool(report.get("waits"))
+        self.released = list(report.get("released", ()))
+        self.released_words = str(report.get("released_words", ""))
+
+    def add_freeze(self, answer: Mapping[str, Any]) -> None:
+        """Add what a face has answered to a freeze: which servos hold."""
+        if "holds" not in answer:
+            self.problem = f"{answer.get('error', 'accepted, but does not say what it holds')}"
+            return
+        self.holds, self.limp = list(answer["holds"]), list(answer["limp"])
+        self.unknown = list(answer["unknown"])
+        if not (self.holds or self.unknown):
+            self.unconfirmed = dict.fromkeys(self.limp, "limp: nothing is held")
+
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name for JSON; those about released or held servos where set."""
         return {
@@ -162,20 +180,9 @@ def _await_stop(
     outcome.port = answer.get("port")
     outcome.not_kept = str((report or answer).get("not_kept", ""))
     if level is StopLevel.FREEZE:
-        if "holds" not in answer:
-            outcome.problem = f"{answer.get('error', 'accepted, but does not say what it holds')}"
-            return outcome
-        outcome.holds, outcome.limp = list(answer["holds"]), list(answer["limp"])
-        outcome.unknown = list(answer["unknown"])
-        if not (outcome.holds or outcome.unknown):
-            outcome.unconfirmed = dict.fromkeys(outcome.limp, "limp: nothing is held")
-        return outcome
-    if report is not None:
-        outcome.confirmed = list(report.get("confirmed", ()))
-        outcome.unconfirmed = dict(report.get("unconfirmed", {}))
-        outcome.waits = bool(report.get("waits"))
-        outcome.released = list(report.get("released", ()))
-        outcome.released_words = str(report.get("released_words", ""))
+        outcome.add_freeze(answer)
+    elif report is not None:
+        outcome.add_report(report)
     elif knock(face.path) == 0:
         troubles = "; ".join(_troubles_of(face))
         outcome.problem = f"will stop, but has not confirmed it within {_END_S:g} s" + (

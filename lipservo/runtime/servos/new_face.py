@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from calibration.capture.lerobot_ranges import TICKS_A_TURN, RecordedRange
+from calibration.capture.lerobot_ranges import RecordedRange
 from firmware_bridge.bus_kinds import BusKind, bus_kind, kind_at
 from firmware_bridge.clock import ManualClock, MonotonicClock
 from firmware_bridge.gate.ramp import Ramp
@@ -20,6 +20,7 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.port_names import BUS_NAME
+from firmware_bridge.serial_servos.mounting import PositionServo
 from firmware_bridge.stopping import StopLevel
 from lipservo.runtime.servos.driven_face import DriveOptions, face_life
 from lipservo.runtime.servos.face_stopped import FaceStopped
@@ -104,12 +105,26 @@ class FoundJoint:
     zero_offset_deg: float = 0.0
     part: str = _MOUTH
 
-    def within(self, recorded: RecordedRange, neutral_tick: int) -> "FoundJoint":
+    def within(
+        self,
+        recorded: RecordedRange,
+        neutral_tick: int,
+        model: PositionServo,
+        *,
+        turns_all_the_way: bool = False,
+    ) -> "FoundJoint":
         """Return a copy with the recorded range as limits, and 0 degrees at `neutral_tick`.
 
-        neutral_tick: the servo's present position, without homing offset. Raises UserError if that
-        is outside the recorded range.
+        neutral_tick: the servo's present position, without homing offset. model: of the servo,
+        which says what a tick is. A range of all positions, as where no one moved the servo, leaves
+        the limits as they are, unless a person says that it `turns_all_the_way`. Raises UserError
+        for a neutral outside the range, and for a range that the model does not have.
         """
+        if recorded.most_tick >= model.n_positions:
+            raise UserError(
+                f"{self.name} (id {self.servo_id}): range_max {recorded.most_tick}, and an "
+                f"{model.name} has positions 0 to {model.n_positions - 1}; is that its model?"
+            )
         # A homed servo shows its place plus the homing offset, and so it was recorded.
         least, most = (
             tick - recorded.homing_offset_ticks
@@ -121,13 +136,14 @@ class FoundJoint:
                 f"range {least}..{most}; put the face into its neutral"
             )
         ends_deg = sorted(
-            round(self.sign * (tick - neutral_tick) * 360.0 / TICKS_A_TURN, 2)
+            round(self.sign * (tick - neutral_tick) / model.pulses_per_deg, 2)
             for tick in (least, most)
         )
-        offset_deg = self.sign * (neutral_tick - TICKS_A_TURN // 2) * 360.0 / TICKS_A_TURN
-        return replace(
-            self, min_deg=ends_deg[0], max_deg=ends_deg[1], zero_offset_deg=round(offset_deg, 2)
-        )
+        offset_deg = self.sign * (neutral_tick - model.center_pulse) / model.pulses_per_deg
+        neutral = replace(self, zero_offset_deg=round(offset_deg, 2))
+        if recorded.is_whole(model.n_positions) and not turns_all_the_way:
+            return neutral
+        return replace(neutral, min_deg=ends_deg[0], max_deg=ends_deg[1])
 
 
 def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> int:

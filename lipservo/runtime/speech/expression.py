@@ -154,6 +154,7 @@ class ExpressionClaims:
         self._corner_indices = _indices(self._corners)
         self._steps_deg = np.array([servo.max_speed_deg_s * period_s for servo in self._head])
         self._shown_deg = np.zeros(len(self._head))
+        self.has_servos = bool(servos)
 
     def claims(self, expression: Expression, layer: Layer) -> list[Claim]:
         """Return goals for neck, eyes, lids, brows as `layer`'s claim; [] without such servos."""
@@ -286,6 +287,11 @@ class ExpressionLayer:
         if self._source is None:
             return self._silent_s > self._rest_after_s
         return self._silent_s > _IDLE_AFTER_S and self._source.is_resting
+
+    @property
+    def moves_servos(self) -> bool:
+        """Whether the face has servos for an expression; without them only displays show it."""
+        return self._claims.has_servos
 
     @property
     def arousal(self) -> float:

@@ -80,7 +80,7 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
     def sounds() -> Iterator[Samples]:
         with sound_file(sound, path) as file:
             try:
-                yield from sound_chunks(file)
+                yield from sound_chunks(file, mix=checked.mix)
             except SoundError as error:
                 raise PerformanceError(_with_names(str(error), file)) from error
 

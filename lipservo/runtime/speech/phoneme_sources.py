@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
+from lipservo.runtime.speech.timed_units import FollowedUnits, MoverNews
 from lipsync.arrays import Array
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import KnownStretch, StartedWords
@@ -21,9 +22,11 @@ from lipsync.phonemes import (
 )
 from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
 from lipsync.prosody.voice_tracker import VoiceTracker
+from lipsync.recognition.network_recognizer import FOLLOWING_LATENCY_S
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 from lipsync.recognition.text_decoder import MovedBy, TextError, TextFollower
 from lipsync.spoken_text import UnitKind
+from lipsync.timeline import PhonemeTimeline
 
 #: Ten seconds: more than any delay from sound to face.
 _N_KEPT: Final = 1_000
@@ -142,6 +145,10 @@ class SpokenPhonemes:
         self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._recognition = RecognizerStream(recognizer)
         self._followed: UnitKind = "text"
+        self._units, self._news = FollowedUnits(playout), MoverNews(playout)
+        # What is heard, as what is told of it is final later.
+        self._ears = PhonemeTimeline()
+        self._final_s = 0.0
 
     @property
     def latency_s(self) -> float:
@@ -164,12 +171,19 @@ class SpokenPhonemes:
 
         Phonemes and visemes come with the stream, all else from the recogniser.
         """
-        known = self._playout.known_kind(self._playout.committed_s - self.latency_s)
-        if known is not None:
-            return known
+        now_s = self._playout.committed_s - self.latency_s
+        if self._playout.knows_phonemes(now_s):
+            return "phonemes"
+        if (units := self._units.kind_at(now_s)) is not None:
+            return units
         if self._follower is None or (moved_by := self._follower.moved_by) != "text":
             return None if self._follower is None else moved_by
         return _FOLLOWED[self._followed]
+
+    @property
+    def units_shifted_s(self) -> float | None:
+        """How much later than sent timed units are heard, s; None where none move the mouth."""
+        return self._units.shifted_s
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
@@ -207,11 +221,37 @@ class SpokenPhonemes:
         if self._voice is not None:
             for _, spoken in blocks:
                 self._voice.hear(spoken)
+        self._units.take()
         step = self._recognition.feed([heard for heard, _ in blocks])
-        return [
-            with_known(update, self._playout.known_phonemes(update.replace_from_s))
-            for update in step.updates
-        ]
+        updates = [self._with_timed(update) for update in step.updates]
+        if (shifted := self._units.newly_shifted()) is not None:
+            self._news.shifted(*shifted)
+        has_text = self._follower is not None and bool(self._follower.saying[0])
+        self._news.moved(
+            self.moved_by,
+            is_speech=self.hearing == "speech",
+            has_text=has_text,
+            are_spoken=self._units.is_believed,
+        )
+        return updates
+
+    def _with_timed(self, update: PhonemeUpdate) -> PhonemeUpdate:
+        """Return the update with what is known, and what was sent as far as the sound agrees."""
+        self._ears.apply(update)
+        if update.evidence is not None:
+            self._units.hear(update.evidence)
+        final_s = update.final_until_s
+        if not self._units.is_empty and update.evidence is not None:
+            final_s = max(self._final_s, min(final_s, update.heard_until_s - FOLLOWING_LATENCY_S))
+        if self._final_s < update.replace_from_s:
+            heard = _cut(self._ears.events, self._final_s, math.inf)
+            update = replace(update, replace_from_s=self._final_s, events=tuple(heard))
+        update, self._final_s = replace(update, final_until_s=final_s), final_s
+        stretches = (
+            *self._playout.known_phonemes(update.replace_from_s),
+            *self._units.stretches(update.replace_from_s, update.heard_until_s + _AHEAD_S),
+        )
+        return with_known(update, sorted(stretches, key=lambda stretch: stretch[0]))
 
     def _follow(self, follower: TextFollower, words: StartedWords) -> None:
         if words.is_new:

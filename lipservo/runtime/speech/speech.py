@@ -13,11 +13,19 @@ from firmware_bridge.gate.joint_plan import JointPlan, TargetWindow
 from firmware_bridge.loop.targets import ServoTargets, TargetChannel
 from lipservo.runtime.speech.expression import ExpressionLayer
 from lipservo.runtime.speech.layers import Claim, Layer, ServoLayers
+from lipservo.runtime.speech.phoneme_sources import SpokenPhonemes
 from lipservo.settings.motion_names import LIP_GAP_OFFSET
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.audio_block import BLOCK_S
-from lipsync.face.frame import NO_EXPRESSION, Expression, Frame, Synthesizer, frame_alone
+from lipsync.face.frame import (
+    NO_EXPRESSION,
+    Expression,
+    FaceWindow,
+    Frame,
+    Synthesizer,
+    frame_alone,
+)
 from lipsync.face.model import FaceModel
 from lipsync.motion.finishing import lip_gap_of
 from lipsync.phonemes import (
@@ -168,6 +176,11 @@ class LipGapOffset:
         self._share = float(1.0 - np.exp(-period_s / _TIME_CONSTANT_S))
         self.wanted_mm = self._halfway_mm = self._shown_mm = offset_mm
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether the wanted offset is fully applied."""
+        return self._shown_mm == self.wanted_mm
+
     def change(self, settings: Mapping[str, float]) -> None:
         """Set the wanted offset from `settings`, if they contain one; `feed` eases it in."""
         self.wanted_mm = settings.get(LIP_GAP_OFFSET, self.wanted_mm)
@@ -185,7 +198,7 @@ class LipGapOffset:
         Array
             (..., n_components).
         """
-        if self._shown_mm != self.wanted_mm:
+        if not self.is_settled:
             self._halfway_mm += self._share * (self.wanted_mm - self._halfway_mm)
             self._shown_mm += self._share * (self._halfway_mm - self._shown_mm)
             if max(abs(self.wanted_mm - mm) for mm in (self._halfway_mm, self._shown_mm)) < (
@@ -218,6 +231,9 @@ _OLDEST_WORTH_SHOWING_S = 0.100
 #: trim (0.2 s), backlash (until the joint turns), hand-overs (0.3 s) and the motion itself, which
 #: goes back as far.
 _REMEMBERED_S = 1.0
+#: Goals that have not changed for so long are those of a mouth at rest: longer than any filter here
+#: remembers.
+_STILL_PERIODS: Final = round(_REMEMBERED_S / PUBLISH_PERIOD_S)
 #: A sound that stood still goes on once it is so much further.
 _GOES_ON_S = 0.03
 #: The window of a pose after which nothing is known.
@@ -291,7 +307,19 @@ class Speech:
         self._goals_deg = self._mouth_deg = np.zeros(len(self.mouth))
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
+        self._n_computed = self._n_published
         self._newest_goal_s, self._newest_sound_s = -math.inf, -self.delay.total_s
+        self._window: FaceWindow | None = None
+        self._still_deg, self._n_still = self._goals_deg, 0
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the mouth rests, with goals that stay as they are for as long as it does.
+
+        Never so of a face that moves its head as well.
+        """
+        has_gap = self.lip_gap is None or self.lip_gap.is_settled
+        return self._n_still > _STILL_PERIODS and has_gap and not self._cut_off.is_closing
 
     @property
     def phonemes_planned(self) -> int:
@@ -318,6 +346,13 @@ class Speech:
     def moved_by(self) -> MovedBy | None:
         """The source (sound, text, words, ...) of the newest final phonemes; None: not known."""
         return self._phonemes.moved_by if isinstance(self._phonemes, MouthMover) else None
+
+    @property
+    def units_shifted_ms(self) -> float | None:
+        """How much later than sent timed units are heard, ms; None where none move the mouth."""
+        spoken = self._phonemes if isinstance(self._phonemes, SpokenPhonemes) else None
+        shifted_s = None if spoken is None else spoken.units_shifted_s
+        return None if shifted_s is None else round(shifted_s * 1e3, 1)
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
@@ -349,6 +384,7 @@ class Speech:
     def rest_before(self, wait_s: float) -> None:
         """Publish the mouth at rest for `wait_s` seconds longer before the first sound is shown."""
         self._n_published -= round(wait_s / PUBLISH_PERIOD_S)
+        self._n_computed = self._n_published
 
     def sound_time_s(self, display_s: float) -> float:
         """Return the sound time whose face is shown at monotonic time `display_s`."""
@@ -361,17 +397,37 @@ class Speech:
         if self._cut_off.is_closing and heard_s - self.delay.synthesis_s < self._cut_off.until_s:
             self._close(now_s)
             return
-        # Half a nanosecond of grace, or rounding would hold a target back for a whole period.
-        n_due = math.floor((heard_s - self.delay.synthesis_s + 5e-10) / PUBLISH_PERIOD_S) + 1
+        n_due = self._n_due(heard_s)
         n_too_old = n_due - round(_OLDEST_WORTH_SHOWING_S / PUBLISH_PERIOD_S)
         n_remembered = n_too_old - round(_REMEMBERED_S / PUBLISH_PERIOD_S)
         if self._cut_off.is_closing:
-            self._n_published = max(self._n_published, n_due - 1)
-        for n in range(max(self._n_published, n_remembered), n_due):
+            self._n_computed = max(self._n_computed, n_due - 1)
+        for n in range(max(self._n_computed, n_remembered), n_due):
             targets = self._targets(n * PUBLISH_PERIOD_S)
-            if n >= n_too_old:
+            if n >= max(n_too_old, self._n_published):
                 self._publish(targets)
+        self._n_computed = self._n_published = max(self._n_computed, n_due)
+
+    def hold(self, now_s: float) -> None:
+        """Publish what is due at monotonic `now_s` for a mouth that `is_still`: the same goals.
+
+        What is heard meanwhile, and all that is remembered of the motion, waits for `advance`.
+        """
+        n_due = self._n_due(self._clock.sound_s(now_s))
+        for n in range(self._n_published, n_due):
+            self._publish(ServoTargets(self._goal_s(n * PUBLISH_PERIOD_S)[0], self._still_deg))
         self._n_published = max(self._n_published, n_due)
+
+    def _n_due(self, heard_s: float) -> int:
+        """Return the number of periods whose targets are due when sound is heard at `heard_s`."""
+        # Half a nanosecond of grace, or rounding would hold a target back for a whole period.
+        return math.floor((heard_s - self.delay.synthesis_s + 5e-10) / PUBLISH_PERIOD_S) + 1
+
+    def _goal_s(self, sound_s: float) -> tuple[float, float]:
+        """Return when servos get goals for the face of `sound_s`, and when it is shown."""
+        shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
+        # Servos are asked before the face is shown, by as much as they are late.
+        return shown_s - self.delay.actuation_s, shown_s
 
     def cut_off(self, now_s: float, rest: Array, until_s: float | None = None) -> None:
         """Close the mouth now, whatever was planned; speech from `until_s` on is shown again.
@@ -426,6 +482,7 @@ class Speech:
 
     def _close(self, now_s: float) -> None:
         """Publish poses on the path to rest up to monotonic `now_s`, whatever the sound's clock."""
+        self._n_still = 0
         self._newest_goal_s = max(self._newest_goal_s, now_s - _OLDEST_WORTH_SHOWING_S)
         # Every period counts, also where ticks are farther apart: it closes in the same time.
         while self._newest_goal_s < now_s + PUBLISH_PERIOD_S / 2:
@@ -439,18 +496,25 @@ class Speech:
     def _targets(self, sound_s: float) -> ServoTargets:
         phoneme, frame = self.shown_at(sound_s)
         window = frame_alone(frame) if self._plan is None else self._synthesizer.window_after(frame)
+        goal_s, shown_s = self._goal_s(sound_s)
+        self._newest_goal_s, self._newest_sound_s = goal_s, sound_s
+        is_same, self._window = window is self._window, window
+        if is_same and self.is_still and self._plan is not None:
+            self._plan.stay()
+            self._express(sound_s, shown_s, phoneme, frame.expression)
+            return ServoTargets(goal_s, self._still_deg)
         faces = np.concatenate([window.faces, window.shut[None]])
         if self.lip_gap is not None:
             faces = self.lip_gap.feed(faces)
         poses_deg = self._calibration.poses_deg(faces) + self._trim.feed(phoneme)
         poses_deg[0] = self._cut_off.join(poses_deg[0])
         self._plan_mouth(TargetWindow(window.times_s, poses_deg[:-1], window.closed, poses_deg[-1]))
-        shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
-        # Servos are asked before the face is shown, by as much as they are late.
-        goal_s = shown_s - self.delay.actuation_s
-        self._newest_goal_s, self._newest_sound_s = goal_s, sound_s
         pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
-        return ServoTargets(goal_s, self._lag.feed(pose_deg))
+        goals_deg = self._lag.feed(pose_deg)
+        is_same = is_same and not (self.expression is not None and self.expression.moves_servos)
+        is_same = is_same and np.array_equal(goals_deg, self._still_deg)
+        self._still_deg, self._n_still = goals_deg, self._n_still + 1 if is_same else 0
+        return ServoTargets(goal_s, goals_deg)
 
     def _plan_mouth(self, wanted: TargetWindow) -> None:
         """Set the mouth's next goals from the poses `wanted` now and later.
@@ -474,11 +538,15 @@ class Speech:
         performed: the expression that a performance contains.
         """
         mouth = Claim(Layer.LIPS, self.mouth, self._goals_deg)
-        if self.expression is None:
-            return self._layers.compose([mouth])
-        is_speaking = phoneme != SILENCE
-        self.expression.advance(sound_s, shown_s, is_speaking=is_speaking, performed=performed)
-        return self._layers.compose(self.expression.claims(mouth))
+        self._express(sound_s, shown_s, phoneme, performed)
+        claims = [mouth] if self.expression is None else self.expression.claims(mouth)
+        return self._layers.compose(claims)
+
+    def _express(self, sound_s: float, shown_s: float, phoneme: str, performed: Expression) -> None:
+        """Compute the next 10 ms of expression; arguments as of `_compose`."""
+        if self.expression is not None:
+            is_speaking = phoneme != SILENCE
+            self.expression.advance(sound_s, shown_s, is_speaking=is_speaking, performed=performed)
 
     def _publish(self, targets: ServoTargets) -> None:
         """Publish the targets unless the face rests: then the bridge may switch torque off."""

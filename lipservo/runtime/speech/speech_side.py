@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from lipsync.audio.playback_clock import OwnPlaybackClock, clock_for
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest
 from lipsync.audio.source import AudioSource
-from lipsync.face.frame import Frame, Synthesizer
+from lipsync.face.frame import NO_EXPRESSION, Frame, Synthesizer
 from lipsync.face.model import FaceModel
 from lipsync.motion.finishing import STRONGEST, FinishedSynthesizer, lip_gap_of
 from lipsync.motion.rounding import ROUNDED, ROUNDING_S, lip_width_of
@@ -42,6 +43,11 @@ class AdjustableMouth:
         self._strength = 1.0 if self._live is None else self._live.strength
         self._gain, self._valence = 1.0, 0.0
         self._due_s = 0.0
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether a voice that only fades changes neither gain nor valence any more."""
+        return max(abs(self._gain - 1.0), abs(self._valence)) < _SMALLEST_CHANGE
 
     def change(self, settings: Mapping[str, float]) -> None:
         """Pass on changed settings, by name, that the synthesiser knows; it eases them in."""
@@ -73,6 +79,8 @@ class AdjustableMouth:
 
 #: A loudspeaker whose position stays for so long stands still: a few buffers of the slowest device.
 _STALE_S: Final = 0.15
+#: At rest the speech side works so often; its goals are published as often as ever.
+REST_PERIOD_S: Final = 0.05
 #: Its clock runs on a little until it stands still, too. The mouth opens again once lips and sound
 #: are as near as that, which nobody notices.
 _CAUGHT_UP_S: Final = 0.03
@@ -117,7 +125,7 @@ class OwnVoice:
 
         Closes the mouth when speech is cut off or the loudspeaker stalls.
         """
-        self._follow(now_s)
+        self.follow(now_s)
         self._get_up()
         position_s = self._clock.sound_s(now_s) - self._clock.lead_s
         if self.playout.advance(position_s):
@@ -127,6 +135,12 @@ class OwnVoice:
             self._logged_s = event.start_s
             end_s = event.start_s if event.end_s is None else event.end_s
             self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is spoken or heard, and the loudspeaker has some silence in store."""
+        has_store = self._clock.lead_s > self.playout.latency_s + 2.0 * REST_PERIOD_S
+        return has_store and self.playout.is_idle and not self._has_stalled
 
     def be_quiet(self) -> None:
         """Play nothing for the set `quiet_s`, as servos that just got torque cannot follow."""
@@ -144,7 +158,7 @@ class OwnVoice:
             expression.wake()
             self.be_quiet()
 
-    def _follow(self, now_s: float) -> None:
+    def follow(self, now_s: float) -> None:
         """Pass the loudspeaker's position to the clock; close the mouth while it has stalled."""
         report = self.playout.report()
         if report is None:
@@ -189,6 +203,7 @@ class SpeechBoard:
         sound_s = speech.sound_time_s(now_s)
         phoneme, frame = speech.shown_at(max(0.0, sound_s))
         expression = speech.expression
+        shown = NO_EXPRESSION if expression is None else expression.expression
         is_cut_off = speech.is_cut_off
         heard = None if expression is None else expression.voice
         self._board.write_speech(
@@ -200,9 +215,7 @@ class SpeechBoard:
             is_speech=heard is not None and heard.at(sound_s).is_speech,
             arousal=0.0 if expression is None else expression.arousal,
             coefficients=self._rest if is_cut_off else self._rounded(frame, speech),
-            expression=expression_values()
-            if expression is None
-            else expression_values(expression.expression),
+            expression=expression_values(replace(shown, lip_tuck=frame.expression.lip_tuck)),
         )
         self._shown_until_s = max(self._shown_until_s, sound_s)
 
@@ -244,6 +257,8 @@ class SpeechSide:
         """
         self._quiet_s, self._is_live = quiet_s, is_live
         self._was_stopped = False
+        self._held_s: float | None = None
+        self._worked_s = -math.inf
         self._rest = rest
         self.speech = speech
         self.voice = voice
@@ -284,6 +299,36 @@ class SpeechSide:
         """Recognise, play and publish all that is due at monotonic `now_s`."""
         if self.voice is not None:
             self.voice.advance(now_s)
+        self._go_on(now_s)
+
+    def hold(self, now_s: float, *, has_news: bool) -> bool:
+        """Publish what is due at monotonic `now_s` of a face at rest; False: call `advance`.
+
+        Of five periods one is worked out: nothing is spoken, no microphone is open, and all goals
+        stay. has_news: a stop or a setting is to be followed. With that, or a request, what was put
+        off is done first, so that all comes as it would have in every period.
+        """
+        voice, is_still = self.voice, self.speech.is_still
+        if not is_still or voice is None or has_news or not (voice.is_idle and self._is_settled):
+            if self._held_s is not None:
+                self.speech.advance(self._held_s)
+                self._held_s = None
+            return False
+        voice.follow(now_s)
+        if now_s < self._worked_s + REST_PERIOD_S - PUBLISH_PERIOD_S / 2.0:
+            self.speech.hold(now_s)
+            self._held_s = now_s
+            return True
+        self._worked_s, self._held_s = now_s, None
+        self._go_on(now_s)
+        voice.advance(now_s)
+        return True
+
+    @property
+    def _is_settled(self) -> bool:
+        return self._mouth is None or self._mouth.is_settled
+
+    def _go_on(self, now_s: float) -> None:
         self.speech.advance(now_s)
         if self._mouth is not None and self.speech.expression is not None:
             affect = self.speech.expression

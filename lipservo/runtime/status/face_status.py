@@ -67,10 +67,11 @@ class SpeechStatus:
     ones that are not in use, 0: the best is; fallback_reasons: why each of these is not. engine,
     weights, strategy: as requested. settings: the strategy's settings, as set last. hears: the
     class of the sound, `speech`, `noise` or `silence`; moved_by: the source of the phonemes,
-    `sound`, `text`, `words`, `phonemes` or `visemes`; words: those around the spoken one, as far as
-    they are known, word: the spoken one's index. delay_ms: from a sound to the face shown for it.
-    n_phonemes: those that moved the mouth; n_lost_sound_blocks: sound not received. output: the
-    loudspeaker, None: no sound is played; output_lost: it is gone; listens_on: URL for voice
+    `sound`, `text`, `words`, `phonemes` or `visemes`; units_shifted_ms: how much later than sent
+    phonemes and visemes are heard and shown, None: none are; words: those around the spoken one, as
+    far as they are known, word: the spoken one's index. delay_ms: from a sound to the face shown
+    for it. n_phonemes: those that moved the mouth; n_lost_sound_blocks: sound not received. output:
+    the loudspeaker, None: no sound is played; output_lost: it is gone; listens_on: URL for voice
     agents; speaking: name of the stream being spoken; n_playout_underruns: how often sound to be
     played came too late, a stream's or the device's. arousal: of the voice that is shown, -1 to 1;
     mouth_closes: whether the lips meet, as observed in calibration, None: not observed. is_resting:
@@ -89,6 +90,7 @@ class SpeechStatus:
     delay_ms: float | None = None
     hears: str | None = None
     moved_by: str | None = None
+    units_shifted_ms: float | None = None
     words: Sequence[str] = ()
     word: int | None = None
     n_phonemes: int | None = None

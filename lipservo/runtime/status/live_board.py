@@ -116,6 +116,9 @@ class _Ring:
 
     def newer_than(self, number: int) -> list[tuple[int, Record]]:
         """Return (number, record) of every intact record numbered above `number`, oldest first."""
+        next_start = self._offset + (number + 1) % _N_SLOTS * self._slot_bytes
+        if _HEAD.unpack_from(self._memory, next_start)[0] <= number:
+            return []  # what comes next is not there yet: the usual case
         found = []
         for n, start in self._slots():
             if n <= number:

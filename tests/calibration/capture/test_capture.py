@@ -289,6 +289,6 @@ def test_lips_are_closed_no_farther_once_a_servo_is_strained(plan):
         arrived=lambda pose, _: stood.append(pose),
         strained=lambda: "jaw" if stood[-1] in (5, 42) else None,
     )
-    poses = take_poses(plan, MARKERS_47.names, on, [], None, pressing=range(40, 46))
+    poses = take_poses(plan, MARKERS_47.names, on, [], pressing=range(40, 46))
     assert stood == [pose for pose in range(60) if pose not in (43, 44, 45)]
     assert len(gather(plan, MARKERS_47.names, poses)) == 57

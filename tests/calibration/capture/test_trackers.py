@@ -10,8 +10,10 @@ from calibration.capture.marker_files import read_c3d, read_c3d_folder, read_cap
 from calibration.mouth_servos import JointRange
 
 
-def write_c3d(path, points, labels=("inner_lip_13", "inner_lip_14"), unit="mm"):
-    """points: (n_points, 3, n_frames)."""
+def write_c3d(
+    path, points, labels=("inner_lip_13", "inner_lip_14"), unit="mm", residuals=None, **parameters
+):
+    """points: (n_points, 3, n_frames); residuals: (n_points, n_frames); parameters: of POINT."""
     ezc3d = pytest.importorskip("ezc3d", reason="C3D needs ezc3d, the extra `mocap`")
     file = ezc3d.c3d()
     file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
@@ -20,6 +22,10 @@ def write_c3d(path, points, labels=("inner_lip_13", "inner_lip_14"), unit="mm"):
     data = np.ones((4, len(points), points.shape[2]))
     data[:3] = points.transpose(1, 0, 2)
     file["data"]["points"] = data
+    if residuals is not None:
+        file["data"]["meta_points"]["residuals"] = residuals[None]
+    for name, texts in parameters.items():
+        file.add_parameter("POINT", name, texts)
     file.write(str(path))
     return path
 
@@ -31,6 +37,58 @@ def test_of_the_frames_of_a_c3d_file_the_median_counts_in_millimetres(tmp_path):
     assert found["inner_lip_13"] == pytest.approx(1000 * np.median(points[0], axis=1), rel=1e-4)
     second = 1000 * np.nanmedian(points[1], axis=1)
     assert found["inner_lip_14"] == pytest.approx(second, rel=1e-4)
+
+
+LIPS_MM = np.array([[[1.0] * 9, [2.0] * 9, [3.0] * 9], [[4.0] * 9, [5.0] * 9, [6.0] * 9]])
+
+
+def test_places_that_a_system_has_lost_are_no_places(tmp_path):
+    """Written as 0, 0, 0 in most frames, or with a negative residual."""
+    lost = LIPS_MM.copy()
+    lost[0, :, :6] = 0.0
+    lost[1, :, :6] = 99.0
+    residuals = np.zeros((2, 9))
+    residuals[1, :6] = -1.0
+
+    found = read_c3d(write_c3d(tmp_path / "pose_1.c3d", lost, residuals=residuals))
+    assert found["inner_lip_13"] == pytest.approx([1.0, 2.0, 3.0])
+    assert found["inner_lip_14"] == pytest.approx([4.0, 5.0, 6.0])
+    never = read_c3d(write_c3d(tmp_path / "pose_2.c3d", np.zeros((2, 3, 9))))
+    assert all(np.isnan(place).all() for place in never.values())
+
+
+def test_more_than_255_points_are_all_read(tmp_path):
+    points = np.arange(1.0, 301.0)[:, None, None] * np.ones((300, 3, 4))
+    labels = [f"p{n}" for n in range(300)]
+    path = write_c3d(tmp_path / "pose_1.c3d", points, labels[:255], LABELS2=labels[255:])
+
+    found = read_c3d(path)
+    assert list(found) == labels
+    assert found["p299"] == pytest.approx([300.0] * 3)
+
+
+@pytest.mark.parametrize("kind", ["ANGLES", "FORCES", "MOMENTS"])
+def test_angles_and_forces_beside_the_points_are_no_markers(tmp_path, kind):
+    path = write_c3d(tmp_path / "pose_1.c3d", LIPS_MM, **{kind: ["inner_lip_14"]})
+
+    assert list(read_c3d(path)) == ["inner_lip_13"]
+
+
+@pytest.mark.parametrize(
+    ("labels", "unit", "told"),
+    [
+        (("lip", "lip"), "mm", "1 labels are those of several points, as 'lip'; give each"),
+        (("a", "b"), "", r"unit '' \(POINT:UNITS\), expected mm, cm, m; export it with its unit"),
+        (("a", "b"), "inch", "unit 'inch'"),
+    ],
+)
+def test_what_cannot_be_told_apart_or_has_no_unit_is_refused(tmp_path, labels, unit, told):
+    with pytest.raises(CalibrationError, match=told):
+        read_c3d(write_c3d(tmp_path / "pose_1.c3d", LIPS_MM, labels, unit))
+
+
+def test_points_without_a_label_are_left_out(tmp_path):
+    assert list(read_c3d(write_c3d(tmp_path / "pose_1.c3d", LIPS_MM, ("lip", "")))) == ["lip"]
 
 
 def test_a_folder_of_c3d_files_becomes_a_capture(tmp_path):

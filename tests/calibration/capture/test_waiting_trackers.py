@@ -16,9 +16,9 @@ from calibration.calibration import (
     Touch,
     check_servo_memories,
 )
-from calibration.capture.capture import ladders_of
+from calibration.capture.capture import KeptPoses, ladders_of
 from calibration.capture.repeated_poses import first_part
-from calibration.capture.trackers import PATIENCE_S, FileTracker, TypedTracker
+from calibration.capture.trackers import PATIENCE_S, FileTracker
 from calibration.files.calibration_file import parse_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.fit.learnt_face import fit_calibration
@@ -74,17 +74,43 @@ def test_a_file_is_read_while_another_program_is_still_writing_it(tmp_path):
     assert not told.exists()
 
 
-def test_a_tracker_that_stalls_or_an_old_file_are_refused(tmp_path):
+def test_a_tracker_that_stalls_is_waited_for_no_longer_than_a_person_needs(tmp_path):
     path = tmp_path / "m.csv"
-    path.write_text(HEADER + "0,a,1,2,3\n1,a,1,2,3\n")
+    path.write_text(HEADER + "0,a,1,2,3\n")
     wire = Wire(path)
     tracker = FileTracker(path, SERVOS, wire.wait, wire.said.append)
-    with pytest.raises(CalibrationError, match="pose 1 is there already, from an earlier capture"):
-        tracker.arrived(0, np.zeros(2))
-    tracker.arrived(1, np.zeros(2))
-    with pytest.raises(CalibrationError, match=r"nothing was recorded of pose 2 in 300 s; is the"):
+    tracker.arrived(0, np.zeros(2))
+    with pytest.raises(CalibrationError, match=r"nothing was recorded of pose 1 in 300 s; is the"):
         tracker.measure()
     assert wire.now_s == pytest.approx(PATIENCE_S, abs=1.0)
+
+
+def test_a_pose_recorded_just_before_a_capture_was_killed_is_read_and_not_asked_for_again(tmp_path):
+    path = tmp_path / "m.csv"
+    path.write_text(HEADER + "0,a,1,2,3\n1,a,4,5,6\n2,a,7,8,9\n")
+    wire = Wire(path)
+    kept = {0: {"a": np.array([4.0, 5.0, 6.0])}}
+    tracker = FileTracker(path, SERVOS, wire.wait, wire.said.append, kept=kept)
+    tracker.arrived(1, np.zeros(2))
+    assert tracker.measure().tolist() == [[7.0, 8.0, 9.0]]
+    assert wire.said == [f"pose 2 is in {path} already, and is read from there"]
+    assert not (tmp_path / "m.csv.pose.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("rows", "kept_mm", "said"),
+    [
+        ("1,a,4,5,6\n2,a,7,8,9\n3,a,7,8,9\n", None, "pose 1 is there already: of another capture"),
+        ("1,a,4,5,6\n", 4.2, "pose 1 is not as it was captured: of another capture"),
+    ],
+)
+def test_a_file_of_another_capture_is_refused_before_it_is_used(tmp_path, rows, kept_mm, said):
+    path = tmp_path / "m.csv"
+    path.write_text(HEADER + "0,a,1,2,3\n" + rows)
+    kept = {} if kept_mm is None else {0: {"a": np.array([kept_mm, 5.0, 6.0])}}
+
+    with pytest.raises(CalibrationError, match=said):
+        FileTracker(path, SERVOS, Wire(path).wait, print, kept=kept).arrived(0, np.zeros(2))
 
 
 def test_a_file_that_is_wrong_is_named_and_not_waited_for(tmp_path):
@@ -92,18 +118,6 @@ def test_a_file_that_is_wrong_is_named_and_not_waited_for(tmp_path):
     path.write_text("pose,marker,x,y,z\n")
     with pytest.raises(CalibrationError, match="column 'x_mm' is missing"):
         FileTracker(path, SERVOS, Wire(path).wait, print)
-
-
-def test_typed_markers_are_three_numbers_or_nothing():
-    answers = iter(["1 2 3", "far", "4, 5", "4, 5, -6.5", ""])
-    asked = []
-    tracker = TypedTracker(("a", "b", "c"), lambda q: (asked.append(q), next(answers))[1])
-    tracker.arrived(6, np.zeros(2))
-    seen = tracker.measure()
-    assert seen[:2].tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, -6.5]]
-    assert np.isnan(seen[2]).all()
-    assert asked[0] == "pose 7, a: x y z in mm"
-    assert asked.count("pose 7, b: x y z in mm") == 3
 
 
 def robot():
@@ -116,7 +130,7 @@ def test_the_second_part_of_a_capture_is_where_speech_will_be_and_keeps_the_rule
     rule = CouplingRule(np.array([1.0, 1.0]), 30.0)
     procedure = Procedure(MODEL, JOINTS, 20, (rule,), seed=3)
     assert procedure.n_of_speech == 5
-    keep = tmp_path / "poses.jsonl"
+    keep = KeptPoses(tmp_path / "poses.jsonl")
     first = robot()
     looks = iter(range(17))
 
@@ -125,11 +139,11 @@ def test_the_second_part_of_a_capture_is_where_speech_will_be_and_keeps_the_rule
         return first.measure()
 
     with pytest.raises(StopIteration):
-        procedure.capture(MARKERS_47.names, first.move, measure_until_the_power_goes, keep=keep)
-    before = [json.loads(line)["goals_deg"] for line in keep.read_text().splitlines()]
+        procedure.capture(MARKERS_47.names, first.move, measure_until_the_power_goes, kept=keep)
+    before = [json.loads(line)["goals_deg"] for line in keep.path.read_text().splitlines()]
     assert len(before) == 17
     second = robot()
-    capture = procedure.capture(MARKERS_47.names, second.move, second.measure, keep=keep)
+    capture = procedure.capture(MARKERS_47.names, second.move, second.measure, kept=keep)
     again = len(first_part(procedure.range_plan()))
     assert (ladders_of(capture) == 0).sum() == 20 + again
     assert np.allclose(capture.goals_deg[:17], before, atol=1e-3)
@@ -163,6 +177,8 @@ def test_what_servos_keep_is_in_the_file_and_compared_by_name():
             check_servo_memories(read, (other, read.origin.servo_memories[1]))
     without = with_memories()
     check_servo_memories(without, (MEMORY, MEMORY))
+    check_servo_memories(without, ())  # hobby servos store nothing
+    check_servo_memories(read, ())
 
 
 def test_a_capture_that_ends_before_its_first_pose_leaves_no_pose_file(tmp_path):

@@ -12,7 +12,12 @@ from calibration.fit.learnt_face import fit_calibration
 from calibration.fit.measured import closing_of
 from calibration.fit.retargeting import RobotMouth, correspond, fit_retargeting
 from calibration.fit.robot_face import fit_robot_face
-from calibration.fit.touch import touch_plan, touched_by_current, touched_by_markers
+from calibration.fit.touch import (
+    touch_plan,
+    touched_by_current,
+    touched_by_eye,
+    touched_by_markers,
+)
 from calibration.grade import CONTACT, LIMITS, LearntLips
 from calibration.mouth_servos import JointRange, MouthServos
 from lipsync.markers import MARKERS_47
@@ -163,6 +168,36 @@ def test_touch_without_markers_goes_by_what_servos_draw():
     assert found[1] == pytest.approx(0.4, abs=0.15)
     with pytest.raises(CalibrationError, match="current does not rise"):
         touched_by_current(calibration, plan, (0.1 + 0.02 * closes_mm)[:, None])
+
+
+@pytest.mark.parametrize("later_mm", [-0.6, 0.0, 0.8])
+def test_touch_by_eye_goes_by_the_steps_at_which_a_person_saw_the_lips_meet(later_mm):
+    calibration = with_closure()
+    plan = touch_plan(calibration, MODEL, SERVOS)
+    closes_mm = -CLOSURE.open_mm(plan.goals_deg)[:, 0]
+    rows = [np.flatnonzero(plan.ladders == number) for number in np.unique(plan.ladders)]
+    touching_rows = [int(own[closes_mm[own] >= later_mm][0]) for own in rows]
+
+    found, told_mm = touched_by_eye(calibration, plan, touching_rows)
+
+    assert told_mm == pytest.approx(later_mm, abs=0.2)
+    np.testing.assert_allclose(found.closure.gaps_mm, CLOSURE.gaps_mm + told_mm)
+
+
+@pytest.mark.parametrize("off_mm", [-1.5, 2.0])
+def test_contact_at_the_edge_of_what_touch_looks_at_is_refused(off_mm):
+    """A horn a tooth off; whoever looked, the answer would be a guess."""
+    calibration = with_closure()
+    plan = touch_plan(calibration, MODEL, SERVOS)
+    closes_mm = -CLOSURE.open_mm(plan.goals_deg)[:, 0]
+    rows = [np.flatnonzero(plan.ladders == number) for number in np.unique(plan.ladders)]
+    touching_rows = [int(own[closes_mm[own] >= off_mm][0]) for own in rows]
+    with pytest.raises(CalibrationError, match="Is a horn a tooth off"):
+        touched_by_eye(calibration, plan, touching_rows)
+    if off_mm > 0.0:
+        effort = 0.1 + 0.1 * np.maximum(closes_mm - 1.4, 0.0)
+        with pytest.raises(CalibrationError, match="Is a horn a tooth off"):
+            touched_by_current(calibration, plan, effort[:, None])
 
 
 def test_a_calibration_of_before_says_that_it_knows_nothing_of_contact():

@@ -88,28 +88,33 @@ def test_no_trim_adds_nothing():
     assert not VisemeTrim({}, 3, 0.01).feed("AA").any()
 
 
+#: Ticks per degree.
+FINE = {"jaw": 4096 / 360, "lip": 4096 / 360}
+
+
 def write(tmp_path, content):
     path = tmp_path / "ranges.json"
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
 
 
-def test_ranges_in_ticks_become_degrees(tmp_path):
-    """284 ticks are 24.96 degrees (360 / 4096 each); a reversed drive turns the ends round."""
+def test_ranges_in_ticks_become_degrees_of_the_servo_that_recorded_them(tmp_path):
+    """284 ticks are 24.96 degrees of a Dynamixel (4096 a turn), 83.2 of an SCS0009 (1024, 300)."""
     ranges = read_ranges(write(tmp_path, RANGES))
-    assert ranges["jaw"].limits_deg(2048) == pytest.approx((0.0, 24.96), abs=0.01)
-    assert ranges["lip"].limits_deg(2000) == pytest.approx((-92.11, 87.89), abs=0.01)
-    assert ranges["lip"].limits_deg() == pytest.approx((-90.0, 90.0))
+    assert ranges["jaw"].span_deg(4096 / 360) == pytest.approx(24.96, abs=0.01)
+    assert ranges["jaw"].span_deg(1024 / 300) == pytest.approx(83.2, abs=0.01)
     assert ranges["lip"].servo_id == 2
 
 
 def test_limits_within_what_was_recorded_pass_and_wider_ones_are_named(tmp_path):
     ranges = read_ranges(write(tmp_path, RANGES))
-    check_within_recorded(ranges, {"jaw": (-2.0, 20.0), "lip": (-80.0, 80.0)})
+    check_within_recorded(ranges, {"jaw": (-2.0, 20.0), "lip": (-80.0, 80.0)}, FINE)
     with pytest.raises(CalibrationError, match="'jaw': its limits span 32 deg, its recorded ran"):
-        check_within_recorded(ranges, {"jaw": (-2.0, 30.0)})
+        check_within_recorded(ranges, {"jaw": (-2.0, 30.0)}, FINE)
     with pytest.raises(CalibrationError, match="servo 'neck' is not in the range file"):
-        check_within_recorded(ranges, {"neck": (-1.0, 1.0)})
+        check_within_recorded(ranges, {"neck": (-1.0, 1.0)}, FINE)
+    with pytest.raises(CalibrationError, match="servo 'jaw' has no ticks"):
+        check_within_recorded(ranges, {"jaw": (-2.0, 20.0)}, {"jaw": None})
 
 
 @pytest.mark.parametrize(
@@ -119,6 +124,7 @@ def test_limits_within_what_was_recorded_pass_and_wider_ones_are_named(tmp_path)
         ("[]", "one entry for each joint"),
         ({"jaw": 3}, "jaw: should hold id, drive_mode"),
         ({"jaw": RANGES["jaw"] | {"range_max": "x"}}, r"jaw\.range_max is 'x', expected a whole"),
+        ({"jaw": RANGES["jaw"] | {"id": 300}}, r"jaw\.id is 300; servos have 0 to 253"),
         ({"jaw": RANGES["jaw"] | {"range_min": 2332}}, "needs 0 <= range_min < range_max"),
     ],
 )

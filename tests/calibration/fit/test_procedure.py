@@ -9,12 +9,22 @@ from linear_face import SERVOS, LinearFace
 from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Robot, capture_poses, joined, usual_poses
+from calibration.capture.capture import (
+    NOT_KEPT,
+    CapturedPose,
+    KeptPoses,
+    Robot,
+    capture_poses,
+    joined,
+    plan_around,
+    usual_poses,
+)
 from calibration.capture.joint_health import MOST_FRAMES, unseen_alone
 from calibration.capture.sanity import check_capture
 from calibration.fit.measured import fit_measured
-from calibration.fit.procedure import Procedure, take_grade
+from calibration.fit.procedure import Procedure, machine_poses, take_grade
 from calibration.fit.retargeting import RobotMouth, correspond, widest_pose_deg
+from calibration.mouth_servos import JointRange
 from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.robot import SimulatedRobot
 from lipsync.animpho.units import load_face_with_animphos
@@ -42,7 +52,7 @@ def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed,
     procedure, keep = shortest(servos, seed), tmp_path / "poses.jsonl"
 
     capture = procedure.capture(
-        MARKERS_47.names, robot.move, robot.measure, keep=keep, report=told.append
+        MARKERS_47.names, robot.move, robot.measure, kept=KeptPoses(keep), report=told.append
     )
 
     assert len(told) == 1
@@ -54,7 +64,7 @@ def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed,
     def measured_again():
         raise AssertionError("everything was kept")
 
-    again = procedure.capture(MARKERS_47.names, robot.move, measured_again, keep=keep)
+    again = procedure.capture(MARKERS_47.names, robot.move, measured_again, kept=KeptPoses(keep))
     assert np.array_equal(again.markers_mm, capture.markers_mm)
 
 
@@ -112,12 +122,12 @@ def test_two_names_that_change_places_are_looked_at_again_and_told(tmp_path):
 
     keep = tmp_path / "poses.jsonl"
     capture = procedure.capture(
-        MARKERS_47.names, robot.move, measure, keep=keep, report=told.append
+        MARKERS_47.names, robot.move, measure, kept=KeptPoses(keep), report=told.append
     )
     assert told == ["pose 8: the tracker exchanged 'outer_lip_61' with 'outer_lip_0': taken again"]
     assert len(looks) == len(capture) + 1
     check_capture(capture, SMALL, SERVOS.positive)
-    again = procedure.capture(MARKERS_47.names, robot.move, robot.measure, keep=keep)
+    again = procedure.capture(MARKERS_47.names, robot.move, robot.measure, kept=KeptPoses(keep))
     assert np.array_equal(again.markers_mm, capture.markers_mm)
 
 
@@ -198,3 +208,68 @@ def test_the_lips_are_seen_as_far_apart_as_they_go():
     capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
 
     assert np.abs(capture.goals_deg - widest_deg).max(axis=1).min() < 1.0
+
+
+class PowerError(Exception):
+    """What a kill -9 is to a capture: nothing is said, nothing is tidied up."""
+
+
+def test_a_capture_cut_short_on_its_way_and_again_while_it_is_graded_asks_for_no_pose_twice(
+    tmp_path,
+):
+    face, procedure = two_servos()
+    looks = []
+
+    def graded(kept, fails_at=None):
+        robot = SimulatedRobot(face)
+
+        def measure():
+            looks.append(1)
+            if len(looks) == fails_at:
+                raise PowerError
+            # The same noise whenever a pose is seen, so that both ways need as many looks.
+            pose = np.rint(np.abs(robot.output_deg) * 100).astype(int).tolist()
+            noise = np.random.default_rng(pose).normal(0.0, 0.3, (47, 3))
+            return robot.true_markers_mm() + noise
+
+        capture = procedure.capture(MARKERS_47.names, robot.move, measure, kept=kept)
+        fit = fit_measured(SMALL, capture, SERVOS)
+        on = Robot(robot.move, measure)
+        fit = take_grade(fit, SERVOS, MARKERS_47.names, on, kept, capture.n_planned)
+        return fit.calibration.grade
+
+    whole = graded(NOT_KEPT)
+    n_looks = len(looks)
+    looks.clear()
+    kept = KeptPoses(tmp_path / "poses.jsonl")
+    for fails_at in (10, n_looks - 5):
+        with pytest.raises(PowerError):
+            graded(kept, fails_at)
+    resumed = graded(kept)
+
+    assert len(looks) == n_looks + 2
+    assert resumed == whole
+
+
+def test_poses_to_grade_another_fit_by_are_not_taken_for_those_of_this_one(tmp_path):
+    kept = KeptPoses(tmp_path / "poses.jsonl", first=20)
+    earlier = plan_around(np.array([[3.0, 0.0], [0.0, 3.0]]), SERVOS.joints)
+    later = plan_around(np.array([[4.0, 0.0], [0.0, 3.0]]), SERVOS.joints)
+    for index in range(2):
+        kept.add(CapturedPose(index, earlier.goals_deg[index], np.zeros((1, 3))), earlier, ("a",))
+
+    assert kept.after(20, earlier).first == 20
+    assert kept.after(20, later).first == 22
+    assert kept.after(20, later).read(later, ("a",)) == []
+
+
+def test_a_machine_takes_more_poses_for_more_joints_and_never_leaves_out_the_closing_steps():
+    for n_servos in range(1, 20):
+        for asked in (1, 30, 60):
+            n_poses = machine_poses(asked, n_servos)
+            joints = [JointRange(f"j{n}", -20.0, 20.0) for n in range(n_servos)]
+            procedure = Procedure(SMALL, joints, n_poses)
+            assert procedure.n_of_speech >= 2
+            assert n_poses - procedure.n_of_speech >= usual_poses(n_servos)
+    assert machine_poses(60, 10) == 60
+    assert machine_poses(80, 10) == 80

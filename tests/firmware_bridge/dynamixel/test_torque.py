@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
-from dynamixel_chain import MemoryFace, enable_all, mounted, run
+from dynamixel_chain import BAUD_RATE, MemoryFace, enable_all, mounted, run
 
 from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.torque import LineRelease
+from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.errors import ServoError
 from firmware_bridge.simulator.faults import Fault
 
@@ -16,6 +18,21 @@ def test_torque_off_reaches_everybody_although_packets_are_lost():
         face.clock.sleep_until(1.0)
         assert face.bus.disable_all().all()
 
+    assert not any(servo.torque_on for servo in face.chain.servos)
+
+
+@pytest.mark.parametrize("listed", [[1, 2, 3], []])
+def test_a_release_is_said_three_times_to_the_listed_servos_and_then_to_all(listed):
+    face = MemoryFace(3)
+    for servo in face.chain.servos:
+        servo["torque_enable"] = 1
+    LineRelease(face.open(), (BAUD_RATE,)).tell_all(listed)
+    sent = [data for _, data in face.written]
+
+    by_name = codec.sync_write(64, 1, [(each, b"\0") for each in listed])
+    everybody = codec.write(codec.BROADCAST_ID, 64, b"\0")
+    assert sent.count(by_name if listed else everybody) >= 3
+    assert everybody in sent
     assert not any(servo.torque_on for servo in face.chain.servos)
 
 

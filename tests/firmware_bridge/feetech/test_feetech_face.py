@@ -5,12 +5,12 @@ import pytest
 from feetech_chain import four_servos, wired
 
 from firmware_bridge.clock import ticks
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG
 from firmware_bridge.errors import PortError
 from firmware_bridge.feetech.simulator import ChainFault
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.simulator.motors import PULSES_PER_DEG
 
 RATE_HZ = 50.0
 #: A tick's step of the fastest joint of this face, and a step of its encoder.

@@ -534,6 +534,12 @@ def test_a_disk_that_cannot_keep_pulses_is_no_error(tmp_path):
     KeptPulses(tmp_path / "file" / "pulses.json").write({0: 1500.0})
 
 
+def test_pulses_that_cannot_be_kept_leave_no_file_behind(tmp_path):
+    (tmp_path / "pulses.json").mkdir()  # cannot be replaced by a file
+    KeptPulses(tmp_path / "pulses.json").write({0: 1500.0})
+    assert [each.name for each in tmp_path.iterdir()] == ["pulses.json"]
+
+
 def test_the_doctor_says_what_happens_when_the_computer_dies(monkeypatch):
     for timeout_s, really_s, said in (
         (0.0, 0.0, "when the computer dies the servos are held"),

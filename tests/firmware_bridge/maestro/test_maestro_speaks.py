@@ -20,7 +20,7 @@ from firmware_bridge.pulse_servos import PulseScale
 from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.simulator.ports import MemoryTransport
 from lipservo.runtime.servos.assembly import assemble_face, simulated_wire
-from lipsync.textgrid import read_phonemes
+from lipsync.phoneme_files.reader import read_phonemes
 
 RATE_HZ = 50.0
 #: The jaw's own degrees at which the lips of this face touch.

@@ -2,8 +2,9 @@
 
 import pytest
 
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, servo_models
+from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.simulator.chain import SimulatedChain
+from firmware_bridge.simulator.motors import PULSES_PER_DEG
 
 
 def test_a_hand_turns_a_limp_servo_and_not_one_that_is_held():

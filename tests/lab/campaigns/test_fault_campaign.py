@@ -32,14 +32,6 @@ def test_a_servo_whose_turn_comes_after_a_stop_gets_no_pulse(bus, stop):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["drop_reply", "unplug", "overload", "reboot", "encoder_fault"])
-def test_a_fault_is_survived_without_a_wrong_goal(kind):
-    outcome = play(Case("dynamixel", kind, 1, 5, 30.0))
-
-    assert outcome.survived, outcome
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bus", "kind"),
     [(bus, kind) for bus in ("dynamixel", "feetech") for kind in trials_of(bus).kinds],

@@ -87,7 +87,10 @@ def test_a_head_of_other_rigid_points_is_refused(tmp_path):
         (lambda c: (c / "audio" / "s1.flac").unlink(), "s1.flac: missing or not a sound file"),
         (lambda c: (c / "audio" / "s1.flac").write_bytes(b"x"), "s1.flac: missing or not a sound"),
         (lambda c: (c / "labels" / "s1.TextGrid").unlink(), "s1.TextGrid: no such file"),
-        (lambda c: replace_text(c, '"AA"', '"QQ"'), "'QQ' at .* is not an ARPAbet phone"),
+        (
+            lambda c: replace_text(c, '"AA"', '"QQ"'),
+            "phoneme 2 at .*: 'QQ' is neither ARPA",
+        ),
         (lambda c: save_landmarks(c, np.zeros((30, 5, 3))), r"shape \(30, 5, 3\); expected"),
         (lambda c: save_landmarks(c, np.full((30, 53, 3), np.nan)), "not numbers"),
         (lambda c: save_landmarks(c, np.zeros((90, 53, 3))), "1.20 s of sound, 3.60 s of picture"),

@@ -129,6 +129,15 @@ def test_texts_that_are_cut_off_are_dropped_each_by_its_id():
     assert dropped[1]["played_s"] == 0.0
 
 
+def test_a_text_may_ask_for_a_language_a_voice_a_rate_and_a_pitch():
+    voice = {"language": "de", "voice": "joe", "rate_wpm": 120, "pitch": 30}
+    with ServedFace(has_voice=True) as face:
+        (answer,) = commanded(face, ("say", {"text": "Guten Tag", **voice}))
+
+    assert answer["type"] == "result"
+    assert {name: face.asked[0][name] for name in voice} == voice
+
+
 def test_a_text_waits_for_no_agent_that_speaks_where_one_speaks_at_a_time():
     with ServedFace(has_voice=True) as face:
 
@@ -177,6 +186,9 @@ def test_a_request_of_an_unknown_type_is_answered_with_its_id_and_an_id_in_use_i
     [
         ("say", {"text": ""}, "bad_message"),
         ("say", {"text": "a" * 20_001}, "bad_message"),
+        ("say", {"text": "a", "language": "German"}, "bad_message"),
+        ("say", {"text": "a", "rate_wpm": 9000}, "bad_message"),
+        ("say", {"text": "a", "pitch": "high"}, "bad_message"),
         ("stop", {"level": "gently"}, "bad_message"),
         ("set", {"name": "strength", "value": "much"}, "bad_message"),
         ("set", {"name": "strength"}, "bad_message"),

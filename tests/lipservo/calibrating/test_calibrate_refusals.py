@@ -43,14 +43,13 @@ def test_a_port_without_anybody_who_sees_the_markers_moves_nothing(tmp_path):
     [
         (
             ("measure", "--tracker", "typo.txt", "--sim", "pty"),
-            "--tracker typo.txt: expected `typed`, a",
+            "--tracker typo.txt: expected a",
         ),
         (
-            ("measure", "--port", "/dev/ttyUSB77", "--tracker", "typed"),
+            ("measure", "--port", "/dev/ttyUSB77", "--tracker", "markers.csv"),
             "/dev/ttyUSB77: no such port",
         ),
         (("measure", "--sim", "usb"), "--sim knows `pty` only"),
-        (("practise", "1", "--poses", "3"), "3 poses are too few for 1 servos"),
     ],
 )
 def test_bad_wishes_are_one_clear_line_and_write_nothing(tmp_path, arguments, said):

@@ -37,6 +37,9 @@ def test_doctor_finds_a_healthy_face_healthy(port):
 
     assert done.returncode == 0, done.stdout + done.stderr
     assert "10 servos at 1,000,000 baud can do 30 Hz" in done.stdout
+    assert "s a second, measured now" in done.stdout
+    assert "s a second at 30 Hz" in done.stdout
+    assert "a page with one viewer takes about" in done.stdout
 
 
 def test_jog_and_neutral_move_through_the_gate(port):

@@ -17,7 +17,7 @@ from lipservo.traces.trace_file import read_trace
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.errors import UserError
 from lipsync.export.arkit import ARKIT_NAMES, ArkitMap, lip_measures
-from lipsync.textgrid import read_phonemes
+from lipsync.phoneme_files.reader import read_phonemes
 
 LABELS = ("--phonemes", CLIP_LABELS_PATH)
 
@@ -70,8 +70,9 @@ def test_what_is_exported_are_the_frames_that_replay_shows(tmp_path, two_seconds
     lipservo("export", two_seconds, "-o", tmp_path / "a.jsonl", "--rate-hz", 50)
     header, times_s, values = track(tmp_path / "a.jsonl")
     assert header["names"] == list(ARKIT_NAMES)
+    on_stage = spoken_sound(two_seconds, None, ChosenMotion(), "face_sim", None, stage=1.0)
     arkit = ArkitMap(lip_measures(load_face_with_animphos()))
-    expected = [arkit.values(frame) for frame in spoken.frames(times_s)]
+    expected = [arkit.values(frame) for frame in on_stage.frames(times_s)]
     assert np.allclose(values, expected, atol=1e-5)
 
 
@@ -156,7 +157,10 @@ def test_what_is_heard_alone_is_enough_and_an_export_is_written_over(tmp_path, t
         (["-o", "none/a.tsv"], "there is no folder none"),
         (["-o", "other.csv"], "other.csv: exists already and is no export"),
         (["-o", "a.tsv", "--phonemes", "none.TextGrid"], "none.TextGrid: no such file"),
-        (["-o", "a.tsv", "--phonemes", "other.csv"], "other.csv: not a readable Praat TextGrid"),
+        (
+            ["-o", "a.tsv", "--phonemes", "other.csv"],
+            "other.csv: line 1: no JSON; docs/text.md",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_leaves_no_file(tmp_path, monkeypatch, arguments, said):

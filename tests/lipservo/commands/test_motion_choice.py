@@ -67,6 +67,13 @@ def test_the_yaml_is_used_where_nothing_is_typed():
     assert options == MotionOptions("energy", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
 
 
+def test_a_drawn_face_is_on_stage_unless_the_yaml_says_otherwise():
+    drawn = motion_options(ChosenMotion(), face_with({}), None, stage=1.0)
+    as_recorded = motion_options(ChosenMotion(), face_with({"stage": 0.0}), None, stage=1.0)
+
+    assert (drawn.style.stage, as_recorded.style.stage) == (1.0, 0.0)
+
+
 def test_what_is_typed_goes_before_the_yaml():
     other = {
         "engine": "network",

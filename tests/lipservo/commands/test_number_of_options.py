@@ -6,7 +6,8 @@ import typer.main
 from lipservo.cli import app
 from lipservo.commands.options import MOVED_OPTIONS
 
-MOST = 16
+#: `run` reads label files: `--tier` and `--alphabet` say what one holds.
+MOST = {"run": 19, "daemon": 17}
 #: The parser gives them to every command.
 COMPLETION = {"install_completion", "show_completion"}
 
@@ -21,5 +22,5 @@ def options(command):
 def test_a_command_that_starts_a_face_has_few_options(command):
     names, found = options(command)
 
-    assert len({each.name for each in found.params} - COMPLETION) <= MOST
+    assert len({each.name for each in found.params} - COMPLETION) <= MOST[command]
     assert names.isdisjoint(MOVED_OPTIONS[command])

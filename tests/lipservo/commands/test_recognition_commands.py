@@ -18,7 +18,7 @@ from lipsync.audio.file import FileSource
 from lipsync.recognition import network as weights
 from lipsync.recognition.alignment import words_of
 from lipsync.recognition.recognizers import make_recognizer
-from lipsync.textgrid import read_tier
+from lipsync.textgrid import read_tiers
 
 TWIN = ROOT / "benchmarks" / "recognizer_held_out.npz"
 CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()
@@ -33,7 +33,23 @@ def test_recognize_tells_the_whole_sound_once_in_order(tmp_path):
     assert events[-1]["end_s"] == pytest.approx(8.615)
     assert all(a["end_s"] == b["start_s"] for a, b in pairwise(events))
     told = [(e["phoneme"], e["start_s"], e["end_s"]) for e in events]
-    assert list(read_tier(grid, "phones")) == told
+    assert list(read_tiers(grid)["phones"]) == told
+
+
+def test_a_channel_without_speech_is_told_and_the_other_is_heard(tmp_path):
+    voice, rate_hz = soundfile.read(CLIP_PATH, dtype="float32")
+    hiss = 0.02 * np.random.default_rng(0).standard_normal(len(voice))
+    soundfile.write(tmp_path / "two.wav", np.stack([voice, hiss], axis=1), rate_hz)
+
+    right = lipservo("lines", "recognize", tmp_path / "two.wav", "--channel", "right")
+    left = lipservo("lines", "recognize", tmp_path / "two.wav", "--channel", "left")
+    assert "no speech in 9 s; the mouth stays at rest: check file, --channel" in right.stderr
+    assert {line.split()[-1] for line in right.stdout.splitlines()} == {"SIL"}
+    assert left.stderr == ""
+    assert len(left.stdout.splitlines()) > 20
+    assert "has 2 channels, not --channel 3" in refused(
+        "lines", "recognize", tmp_path / "two.wav", "--channel", "3"
+    )
 
 
 def refused(*arguments: object) -> str:
@@ -105,7 +121,7 @@ def test_align_writes_words_and_phones(tmp_path):
     grid = tmp_path / "clip.TextGrid"
     done = lipservo("lines", "align", CLIP_PATH, CLIP_TEXT, "-o", grid, "--json")
     assert done.returncode == 0, done.stderr
-    words = [label for label, _, _ in read_tier(grid, "words") if label]
+    words = [label for label, _, _ in read_tiers(grid)["words"] if label]
     assert words == words_of(CLIP_TEXT)
     told = json.loads(done.stdout)
     assert told["beams"] == "default"

@@ -83,7 +83,7 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
         "network",
     )
     assert before["settings"] == {
-        "lookahead_ms": 50.0, "strength": 1.2, "stage": 0.0, "smoothness": 0.0, "unit_share": 0.5,
+        "lookahead_ms": 50.0, "strength": 1.2, "stage": 0.0, "smoothness": 0.0, "unit_share": 1.0,
         "lip_gap_offset_mm": 0.0,
     }  # fmt: skip
     assert (done.exit_code, in_json.exit_code) == (0, 0)
@@ -92,7 +92,7 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
     assert (answer["set"], answer["value"]) == ("smoothness", 1.0)
     assert "animpho, lookahead_ms 50, strength 0.25, stage 0, smoothness 1" in shown
     assert after.status.speech.settings == {
-        "lookahead_ms": 50.0, "strength": 0.25, "stage": 0.0, "smoothness": 1.0, "unit_share": 0.5,
+        "lookahead_ms": 50.0, "strength": 0.25, "stage": 0.0, "smoothness": 1.0, "unit_share": 1.0,
         "lip_gap_offset_mm": -0.5,
     }  # fmt: skip
     assert (gap.exit_code, too_far.exit_code) == (0, 1)
@@ -163,8 +163,7 @@ class _ShortSilence(SilentSource):
     [
         (
             MotionOptions(),
-            "strategy animpho "
-            "(lookahead_ms 100, strength 1, stage 0, smoothness 0, unit_share 0.5)",
+            "strategy animpho (lookahead_ms 100, strength 1, stage 0, smoothness 0, unit_share 1)",
         ),
         (
             MotionOptions("energy", strategy="naive"),

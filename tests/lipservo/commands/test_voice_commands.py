@@ -1,14 +1,13 @@
 """A robot that speaks, from the command line: what it says, and what it refuses in one line."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
 import soundfile
 from fake_sound_card import device, install_sound_card
-from places import DATA, short_folder
-from speech import CLIP_PATH
+from places import short_folder
+from speech import CLIP_LABELS_PATH, CLIP_PATH
 from typer.testing import CliRunner
 from voice_agents.served_face import ServedFace
 
@@ -16,7 +15,7 @@ from lipservo import command_line
 from lipservo.access.admission import Policy
 from lipservo.agents.listener import AgentSettings
 from lipservo.cli import app
-from lipsync.phoneme_files.reader import read_known_phonemes
+from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
@@ -149,7 +148,7 @@ def test_a_file_of_a_synthesiser_is_said_with_the_sound_beside_it(tmp_path):
     ("content", "line"),
     [
         ("[]", "no times of words, phonemes or visemes"),
-        ('[{"audioOffset": 0, "visemeId": 99}]', "viseme 1: '99' is no viseme of azure"),
+        ('[{"audioOffset": 0, "visemeId": 99}]', "viseme 1 at 0.000 s: '99' is no viseme of azure"),
         ('[{"word": "b", "start": 2}, {"word": "a", "start": 1}]', "word 2 begins at 1.000 s"),
         ("<speak>Hi</speak>", "line 1: no JSON"),
     ],
@@ -204,13 +203,14 @@ def test_a_sound_file_with_its_phonemes_moves_the_mouth_by_them(tmp_path):
     rate_hz = 16_000
     noise = 1e-3 * np.random.default_rng(0).standard_normal(round(CUT_S * rate_hz))
     soundfile.write(tmp_path / "short.wav", noise, rate_hz)
-    shutil.copy(DATA / "welcome.TextGrid", tmp_path)
+    script = read_phonemes(CLIP_LABELS_PATH)
+    spoken = [each for each in script if each.start_s < CUT_S and each.phoneme != "SIL"]
+    rows = [(each.phoneme, each.start_s, min(each.end_s, CUT_S)) for each in spoken]
+    (tmp_path / "short.json").write_text(json.dumps({"phones": rows}))
     told = answer(
         *("run", "--wav", tmp_path / "short.wav"),
-        *("--phonemes", tmp_path / "welcome.TextGrid", "--json"),
+        *("--phonemes", tmp_path / "short.json", "--json"),
     )
-    script = read_known_phonemes(DATA / "welcome.TextGrid")
-    spoken = [each for each in script if each.start_s < CUT_S and each.phoneme != "SIL"]
     assert len(spoken) <= told["phonemes"] <= len(spoken) + 3
     assert len(spoken) >= 4
 

@@ -17,6 +17,7 @@ from lipservo.dashboard.live_frames import FIELDS, Moment, encode, hello, state_
 from lipservo.runtime.status.live_board import EXPRESSION_NAMES
 
 N = len(LAYOUT.servos)
+M = len(EXPRESSION_NAMES)
 FLOATS = st.floats(-200.0, 200.0) | st.just(float("nan"))
 
 
@@ -43,22 +44,22 @@ def moment(peaks=b"", **values):
 def read(frame):
     """As the contract words it."""
     n, time_s, state, phoneme, flags, arousal = struct.unpack_from("<IfBBBb", frame)
-    shape = f"<{LAYOUT.n_components}f9h{N}h{N}hB"
+    shape = f"<{LAYOUT.n_components}f{M}h{N}h{N}hB"
     values = struct.unpack_from(shape, frame, 12)
     k = LAYOUT.n_components
     peaks = frame[12 + struct.calcsize(shape) :]
     assert values[-1] == len(peaks)
     return {
         "n": n, "time_s": time_s, "state": state, "phoneme": phoneme, "flags": flags,
-        "arousal": arousal, "coefficients": values[:k], "expression": values[k : k + 9],
-        "goals": values[k + 9 : k + 9 + N], "encoders": values[k + 9 + N : -1], "peaks": peaks,
+        "arousal": arousal, "coefficients": values[:k], "expression": values[k : k + M],
+        "goals": values[k + M : k + M + N], "encoders": values[k + M + N : -1], "peaks": peaks,
     }  # fmt: skip
 
 
 @given(
     st.lists(FLOATS, min_size=N, max_size=N),
     st.lists(FLOATS, min_size=N, max_size=N),
-    st.lists(FLOATS, min_size=9, max_size=9),
+    st.lists(FLOATS, min_size=M, max_size=M),
     st.binary(max_size=8),
 )
 def test_a_frame_says_what_the_face_does(goals, encoders, expression, peaks):
@@ -105,7 +106,7 @@ def test_before_anything_was_heard_nothing_is_known():
 def test_both_streams_take_less_than_8_kb_a_second():
     far = moment(
         servos=servos(goal_deg=[-123.4] * N, encoder_deg=[-123.4] * N),
-        speech=speech(expression=[-60.0] * 9),
+        speech=speech(expression=[-60.0] * M),
         peaks=bytes(8),
     )
     assert 30 * len(encode(far, LAYOUT)) < 8000
@@ -131,7 +132,7 @@ def test_the_page_reads_what_was_written(tmp_path):
     """`decode` of static/frame.js, run by node."""
     goals = np.linspace(-90.0, 90.0, N)
     encoders = [np.nan, *goals[1:]]
-    expression = [12.5, np.nan, *[0.25] * 7]
+    expression = [12.5, np.nan, *[0.25] * (M - 2)]
     frame = encode(
         moment(
             servos=servos(goal_deg=goals, encoder_deg=encoders),

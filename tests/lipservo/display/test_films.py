@@ -10,20 +10,24 @@ pytest.importorskip("av", reason="films need PyAV, the extra `film`")
 pytest.importorskip("cv2", reason="films need OpenCV, the extra `film`")
 
 from PIL import Image
+from speech import CLIP_LABELS_PATH, CLIP_PATH
 from written_performance import written_performance
 
 from lipservo.display import film as film_module
 from lipservo.display.film import FilmError, check_film, is_film, write_film
 from lipservo.display.filmed_faces import FilmRequest, make_film
+from lipservo.display.filmed_motion import SpeechRequest, filmed
 from lipservo.display.photo_face import PhotoError
 from lipservo.display.photo_file import read_landmarks, read_photo, tracked
 from lipservo.display.robot_display import RobotDisplay
 from lipservo.display.shipped_faces import twin_landmarks
-from lipservo.runtime.motion_options import ChosenMotion
+from lipservo.runtime.motion_options import ChosenMotion, MotionOptions
 from lipservo.runtime.servos.assembly import assemble_face
 from lipsync.errors import UserError
 from lipsync.face.frame import Expression, Frame
 from lipsync.output_file import OutputError
+from lipsync.phoneme_files.label_file import LabelFile
+from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.video.video_file import video_pictures, video_sound
 
 SIZE = (160, 128)
@@ -190,6 +194,17 @@ def test_a_picture_held_sideways_comes_upright(tmp_path):
     assert picture[-40:, :40].mean() > picture[:40, -40:].mean() + 60
 
 
+@pytest.mark.parametrize("value", [0, 9, 274, 65_535])
+def test_an_orientation_that_no_standard_has_turns_nothing(tmp_path, value):
+    exif = Image.Exif()
+    exif[0x0112] = value
+    a_picture().save(tmp_path / "a.jpg", exif=exif)
+    a_picture().save(tmp_path / "plain.jpg")
+    picture, share = read_photo(tmp_path / "a.jpg")
+    assert share == 1.0
+    assert picture.shape == read_photo(tmp_path / "plain.jpg")[0].shape
+
+
 @pytest.mark.parametrize(
     ("size", "says"), [((40, 40), "a face needs 64"), ((20_000, 8_000), "120 million at most")]
 )
@@ -269,3 +284,18 @@ def test_a_sound_that_is_not_there_is_no_text_to_be_spoken(tmp_path):
     asked = FilmRequest("hello.wav", tmp_path / "film.mp4", "robot", SIZE, 25, "face_sim", None)
     with pytest.raises(UserError, match=r"hello\.wav: no such file"):
         make_film(asked, ChosenMotion(), quiet)
+
+
+def test_a_head_that_moves_tucks_its_lip_for_f_and_v_and_not_for_m():
+    labels = LabelFile(CLIP_LABELS_PATH)
+    request = SpeechRequest(MotionOptions(), "face_sim", None, script=labels, head="face_head")
+    with filmed(str(CLIP_PATH), request, 50) as motion:
+        tucks = np.array([frame.expression.lip_tuck for frame in motion.frames])
+        assert motion.frames[0].expression.brow is not None
+
+    for event in read_phonemes(CLIP_LABELS_PATH):
+        around = tucks[round(50 * event.start_s) : round(50 * event.end_s) + 1]
+        if event.phoneme in ("F", "V"):
+            assert around.max() > 0.45, event  # less where a B or M follows at once
+        elif event.phoneme == "M":
+            assert around.min() == 0.0, event

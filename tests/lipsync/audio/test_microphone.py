@@ -99,6 +99,27 @@ def test_a_device_that_cannot_do_16_khz_is_opened_at_its_own_rate_and_resampled(
     np.testing.assert_allclose(samples[400:], expected[400:], atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("channel", "level"), [("left", 0.1), ("right", 0.2), ("4", 0.4), ("mix", 0.25)]
+)
+def test_the_chosen_channel_of_a_microphone_is_heard(install, channel, level):
+    card = install()
+    microphone = MicrophoneSource("array", channel=channel, clock=card.clock, is_watched=False)
+    with microphone:
+        stream = card.inputs[0]
+        assert stream.n_channels == (1 if channel == "mix" else 4)
+        each = [0.25] if channel == "mix" else [0.1, 0.2, 0.3, 0.4]
+        stream.deliver(np.tile(each, (320, 1)))
+        np.testing.assert_allclose(heard(microphone.blocks(math.inf)), level, rtol=1e-6)
+
+
+def test_a_channel_that_a_microphone_has_not_is_refused_before_it_is_opened(install):
+    card = install()
+    with pytest.raises(SoundError, match=r"USB mic.*: has 1 channel, not --channel right"):
+        MicrophoneSource(channel="right", clock=card.clock)
+    assert not card.inputs
+
+
 def test_listening_again_starts_at_sound_time_zero(install):
     card = install()
     microphone = listen(card)

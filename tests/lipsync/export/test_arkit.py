@@ -53,7 +53,7 @@ def test_every_coefficient_is_from_0_to_1_whatever_the_face(coefficients):
 
 
 def test_recorded_speech_uses_the_whole_range_of_what_the_mouth_can_show():
-    values = np.array([ARKIT.mouth(face) for face in FACES])
+    values = np.array([ARKIT.mouth(face, n % 2) for n, face in enumerate(FACES)])
     # mouthClose undoes the jaw, funnel and pucker share what the lips narrow: they reach less.
     for name, highest in zip(MOUTH_NAMES, values.max(axis=0), strict=True):
         assert highest > (0.4 if name in ("mouthClose", "mouthFunnel", "mouthPucker") else 0.99)
@@ -72,6 +72,19 @@ def test_lips_that_touch_are_closed_however_far_the_jaw_is_dropped():
         for side in ("Left", "Right"):
             assert each[f"mouthUpperUp{side}"] <= 0.02
             assert each[f"mouthLowerDown{side}"] <= 0.02
+
+
+def test_a_lower_lip_at_the_teeth_is_rolled_in_under_a_lifted_upper_lip_and_no_closure():
+    """F and V on an avatar: `mouthClose` alone would show an M."""
+    gap = lip_gap_of(MODEL)
+    for face in FACES[::50]:
+        at_teeth = gap.narrowed(face, MODEL.labiodental_gap_mm, 1.0)
+        seen = named(at_teeth, Expression(lip_tuck=1.0))
+        assert seen["mouthRollLower"] == 1.0
+        assert seen["jawOpen"] - seen["mouthClose"] >= 0.1
+        for side in ("Left", "Right"):
+            assert seen[f"mouthUpperUp{side}"] >= 0.3
+            assert seen[f"mouthLowerDown{side}"] == 0.0
 
 
 @given(st.integers(0, len(FACES) - 1), st.floats(0.0, 15.0), st.floats(0.0, 15.0))

@@ -1,9 +1,10 @@
 """When closures of the lips are planned."""
 
+import pytest
 from spoken_phonemes import spoken
 
 from lipsync.expectation.expectation import track_of
-from lipsync.motion.finishing import OPEN, planned
+from lipsync.motion.finishing import OPEN, closures, planned
 from lipsync.phonemes import PHONEMES, PhonemeEvent
 
 MOMENTS = {PHONEMES.index("M"): 0.03, PHONEMES.index("P"): 0.03}
@@ -25,6 +26,15 @@ def test_lips_are_shut_at_the_tightest_moment_and_open_again_after_the_phone():
     assert found[0.53] == 1.0
     assert found[0.45] == 0.0
     assert found[0.62] == 0.0
+
+
+def test_a_short_f_closes_in_its_middle_but_after_a_vowel_at_its_recorded_moment():
+    """As in the recordings: the V of `v` is tightest early, that of `five` at its end."""
+    moments = {PHONEMES.index("V"): 0.06}
+    for before, moment_s in (("AA", 0.56), ("S", 0.53)):
+        track = track_of(spoken((before, 0.5), ("V", 0.06), ("IY", 0.5)))
+        (from_s, until_s), *_ = closures(0.5, moments, track, 0.5, 1.0)
+        assert (from_s + until_s) / 2.0 == pytest.approx(moment_s)
 
 
 def test_without_look_ahead_they_shut_as_soon_as_the_phone_is_heard():

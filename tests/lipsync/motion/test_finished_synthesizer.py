@@ -101,3 +101,17 @@ def test_the_window_after_a_frame_says_when_lips_must_touch_and_decides_nothing(
     gap, window = lip_gap_of(model), windows[announced[0]]
     gaps_mm = np.linalg.norm(gap.at_mean_mm + window.faces @ gap.per_face, axis=1)
     assert gaps_mm[window.closed].max() < 1.0 < gaps_mm[0]
+
+
+def test_the_lower_lip_is_tucked_for_f_and_not_for_m_nor_in_a_mouth_kept_closed():
+    def most_tucked(phoneme, strength=1.0):
+        made = FinishedSynthesizer(MODEL, PublishedSynthesizer(MODEL.animphos), strength)
+        phones = tuple((phoneme if name == "M" else name, s) for name, s in PHONES)
+        made.push(PhonemeUpdate(0.0, math.inf, math.inf, spoken(*phones)))
+        frames = [made.frame_at(tick * TICK_S) for tick in range(150)]
+        assert all(frame.expression.lip_tuck is None for frame in frames[120:])
+        return max(frame.expression.lip_tuck or 0.0 for frame in frames)
+
+    assert most_tucked("F") == most_tucked("V") == 1.0
+    assert most_tucked("M") == 0.0
+    assert most_tucked("F", strength=0.0) == 0.0

@@ -11,6 +11,7 @@ from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
+from lipsync.animpho.selection import MOVED, GuidedSelection
 from lipsync.animpho.units import AnimPhoUnits, IndexLists
 from lipsync.expectation.expectation import track_of
 from lipsync.motion.finishing import Style
@@ -22,6 +23,7 @@ from lipsync.recognition.scripted import ScriptedPhonemes
 
 MODEL = load_trained_model()
 SMALL = small_model()
+SELECTION = GuidedSelection(MODEL.animphos)
 #: With a phone that GRID never says (ZH), and one that two others stand in for (OY).
 SENTENCE = spoken(
     ("SIL", 0.3), ("B", 0.07), ("OY", 0.2), ("T", 0.05), ("ZH", 0.1), ("AE", 0.3), ("SIL", 0.4)
@@ -30,7 +32,7 @@ SENTENCE = spoken(
 
 def shipped(lookahead_s: float, unit_share: float) -> LiveSynthesizer:
     style = Style(lookahead_s, unit_share=unit_share)
-    return LiveSynthesizer(MODEL, MODEL.expectation, style, MODEL.animphos)
+    return LiveSynthesizer(MODEL, MODEL.expectation, style, SELECTION)
 
 
 def whole(events) -> PhonemeUpdate:
@@ -80,23 +82,26 @@ def constant(times_s: np.ndarray, _known_until_s: float) -> np.ndarray:
     return np.tile(SMALL.rest + 3.0, (len(times_s), 1))
 
 
-def test_between_a_known_onset_and_a_known_end_the_mouth_becomes_the_animpho_where_it_is_expected():
-    motion = UnitMotion(SMALL.animphos, constant, 0.2)
+def test_between_a_known_onset_and_end_the_mouth_becomes_the_animpho_moved_towards_it():
+    motion = UnitMotion(GuidedSelection(SMALL.animphos), constant, 0.2)
     track = track_of(spoken(("SIL", 0.4), ("AA", 0.12), ("UW", 0.04), ("AA", 0.3)))
     shown = np.array([motion.at(n * TICK_S, track) for n in range(16)])
     for n in range(16, 56):
         motion.at(n * TICK_S, track)
     samples = SMALL.animphos.samples[SMALL.animphos.of_phoneme("UW")]
     # The tick in which UW begins belongs to it: its 0.04 s are played from 0.51 on.
-    away = motion.at(0.55, track) - (samples[:, -1] - samples.mean(axis=1))
+    moved = MOVED * (SMALL.rest + 3.0 - samples.mean(axis=1))
+    away = motion.at(0.55, track) - (samples[:, -1] + moved - (SMALL.rest + 3.0))
     assert np.abs(away).max(axis=1).min() < 1e-9
     assert np.abs(shown).max() < 1e-9
 
 
-def test_an_animpho_that_moves_as_is_expected_changes_nothing():
+def test_an_animpho_that_is_what_is_expected_changes_nothing():
     """What planning costs: nothing, however late ends become known."""
-    still = replace(one_animpho(), samples=np.ones_like(one_animpho().samples))
-    motion = UnitMotion(still, constant, 0.05)
+    still = replace(
+        one_animpho(), samples=np.tile(SMALL.rest + 3.0, (*one_animpho().samples.shape[:2], 1))
+    )
+    motion = UnitMotion(GuidedSelection(still), constant, 0.05)
     track = track_of(SENTENCE)
     away = [motion.at(n * TICK_S, track) for n in range(140)]
     np.testing.assert_allclose(away, 0.0, atol=1e-9)
@@ -107,7 +112,7 @@ def test_an_animpho_that_moves_as_is_expected_changes_nothing():
 def test_position_and_speed_are_continuous_whatever_arrives(updates, ahead_s, unit_share):
     """Of any phones, most of which the small model has never heard."""
     style = Style(ahead_s, unit_share=unit_share)
-    synthesizer = LiveSynthesizer(SMALL, SMALL.expectation, style, SMALL.animphos)
+    synthesizer = LiveSynthesizer(SMALL, SMALL.expectation, style, GuidedSelection(SMALL.animphos))
     tick, step_s = 0, 1e-7
     for update in updates:
         synthesizer.push(update)
@@ -141,7 +146,7 @@ def one_animpho() -> AnimPhoUnits:
 
 def test_a_model_of_one_animpho_speaks_all_phones_and_rests_in_silence():
     style = Style(0.1, unit_share=1.0)
-    synthesizer = LiveSynthesizer(SMALL, SMALL.expectation, style, one_animpho())
+    synthesizer = LiveSynthesizer(SMALL, SMALL.expectation, style, GuidedSelection(one_animpho()))
     synthesizer.push(whole(spoken(*((p, 0.08) for p in PHONEMES), ("SIL", 1.0))))
     shown = faces(synthesizer, 0.0, 4.2)
     assert np.isfinite(shown).all()

@@ -2,17 +2,19 @@
 
 import json
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from places import DATA
+from speech import CLIP_LABELS_PATH
 
 from lipsync.errors import UserError
-from lipsync.phoneme_files.reader import phonemes_in, read_known_phonemes
+from lipsync.phoneme_files.label_file import LabelFile
+from lipsync.phoneme_files.reader import labels_in, read_phonemes
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.scripted import ScriptedPhonemes
-from lipsync.textgrid import LabelError, read_phonemes
+from lipsync.textgrid import LabelError
 
 POLLY = """\
 {"time":0,"type":"sentence","start":0,"end":9,"value":"Mary had."}
@@ -38,6 +40,10 @@ HEAD_TTS = {
     "vtimes": [100, 150, 200, 250, 300, 350],
     "vdurations": [60, 50, 50, 40, 50, 50],
 }
+
+
+def phonemes_in(content, name):
+    return labels_in(content, LabelFile(Path(name))).phones
 
 
 def read(content):
@@ -144,38 +150,43 @@ def test_what_align_writes_as_json_is_read():
 
 def test_a_textgrid_is_told_by_its_content(tmp_path):
     copy = tmp_path / "phonemes.json"
-    copy.write_bytes((DATA / "welcome.TextGrid").read_bytes())
+    copy.write_bytes(CLIP_LABELS_PATH.read_bytes())
 
-    assert read_known_phonemes(copy) == read_phonemes(DATA / "welcome.TextGrid")
+    assert read_phonemes(copy) == read_phonemes(CLIP_LABELS_PATH)
 
 
 def test_a_file_with_the_mark_of_its_encoding_is_read(tmp_path):
     path = tmp_path / "marks.txt"
     path.write_bytes(b"\xef\xbb\xbf" + POLLY.replace("\n", "\r\n").encode())
 
-    assert len(read_known_phonemes(path)) == 5
+    assert len(read_phonemes(path)) == 5
 
 
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("", "file: empty; known are"),
+        ("", "file: empty; docs/text.md"),
         ("hello", "file: line 1: no JSON"),
         (POLLY + "nonsense", "file: line 9: no JSON"),
-        (POLLY + '{"time":380,"type":"viseme","value":"Q"}', "viseme 6: 'Q' is no viseme of polly"),
-        (POLLY + '{"time":372,"type":"viseme","value":"p"}', "viseme 6 begins at 0.372 s, before"),
+        (
+            POLLY + '{"time":380,"type":"viseme","value":"Q"}',
+            "viseme 6 at 0.380 s: 'Q' is no viseme of polly",
+        ),
+        (POLLY + '{"time":272,"type":"viseme","value":"p"}', "viseme 6 begins at 0.272 s, before"),
         (POLLY + '{"time":"372","type":"viseme","value":"p"}', "line 9: '372' is no time"),
-        (POLLY.replace("viseme", "note"), "words without phonemes"),
         (
             [*AZURE, {"audioOffset": 3000000, "visemeId": 22}],
-            "viseme 5: '22' is no viseme of azure",
+            "viseme 5 at 0.300 s: '22' is no viseme of azure",
         ),
         ([*AZURE, {"audioOffset": -1, "visemeId": 1}], "[4]: time -1 is not within"),
         ([*AZURE, {"audioOffset": 1e99, "visemeId": 1}], "[4]: time 1e+99 is not within"),
         ([*AZURE, {"audioOffset": True, "visemeId": 1}], "[4]: True is no time"),
         (HEAD_TTS | {"vtimes": [1]}, "lists of [6, 1, 6] values"),
         (HEAD_TTS | {"vtimes": 1}, "lists of [6, 1, 6] values"),
-        (HEAD_TTS | {"visemes": ["PP"] * 5 + ["X"]}, "viseme 6: 'X' is no viseme of ovr"),
+        (
+            HEAD_TTS | {"visemes": ["PP"] * 5 + ["X"]},
+            "viseme 6 at 0.350 s: 'X' is no viseme of ovr",
+        ),
         ({"phones": [["AH", 2, 1]]}, "phones: ends at 1.000 s, before it begins"),
         ({"phones": [["AH", 0]]}, "phones: each row must be [label"),
         ({"phones": []}, "no times of words, phonemes"),
@@ -193,10 +204,18 @@ def test_what_is_wrong_is_told_in_one_line_with_its_place(content, told):
     assert told in refusal(content)
 
 
+def test_words_alone_are_refused_where_phonemes_are_needed(tmp_path):
+    path = tmp_path / "marks.json"
+    path.write_text(POLLY.replace("viseme", "note"))
+
+    with pytest.raises(LabelError, match="words without phonemes"):
+        read_phonemes(path)
+
+
 def test_a_file_that_cannot_be_read_is_one_line(tmp_path):
-    for path in (tmp_path, tmp_path / "absent"):
-        with pytest.raises(LabelError, match="cannot be read"):
-            read_known_phonemes(path)
+    for path, complaint in ((tmp_path, "cannot be read"), (tmp_path / "absent", "no such file")):
+        with pytest.raises(LabelError, match=complaint):
+            read_phonemes(path)
 
 
 NUMBERS = st.one_of(st.integers(-5, 2000), st.floats(), st.none(), st.text(max_size=3))
@@ -259,11 +278,11 @@ def test_no_lines_break_the_reader(rows):
 
 @given(garbage=st.text(max_size=60), place=st.integers(0, 400))
 def test_no_textgrid_breaks_the_reader(tmp_path_factory, garbage, place):
-    text = (DATA / "welcome.TextGrid").read_text("utf-8")[:600]
+    text = CLIP_LABELS_PATH.read_text("utf-8")[:600]
     path = tmp_path_factory.mktemp("grid") / "broken.TextGrid"
     path.write_text(text[:place] + garbage + text[place:], "utf-8", errors="replace")
     try:
-        read_known_phonemes(path)
+        read_phonemes(path)
     except UserError as error:
         if "\n" in str(error) and not {"\n", "\r"} & set(garbage):
             raise

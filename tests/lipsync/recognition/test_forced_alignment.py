@@ -14,6 +14,7 @@ from places import ROOT
 from speech import CLIP_LABELS_PATH, CLIP_PATH, phoneme_frames, viseme_accuracy
 
 from lipsync.audio.file import read_speech
+from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
@@ -24,7 +25,7 @@ from lipsync.recognition.alignment import (
 )
 from lipsync.recognition.network import load_weights
 from lipsync.text_to_speech.pronunciation import PronunciationError, pronounce
-from lipsync.textgrid import read_phonemes, read_tier, write_tiers
+from lipsync.textgrid import read_tiers, write_tiers
 
 CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()
 
@@ -58,8 +59,8 @@ def test_an_alignment_survives_a_textgrid(aligned, tmp_path):
     phones = tuple((e.phoneme, e.start_s, e.end_s) for e in aligned.phones)
     write_tiers(path, {"words": aligned.words, "phones": phones})
 
-    assert read_tier(path, "phones") == phones
-    assert [w for w in read_tier(path, "words") if w[0]] == list(aligned.words)
+    assert read_tiers(path)["phones"] == phones
+    assert [w for w in read_tiers(path)["words"] if w[0]] == list(aligned.words)
 
 
 def test_a_word_outside_the_dictionary_is_guessed_and_named(clip):

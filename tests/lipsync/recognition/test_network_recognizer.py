@@ -10,8 +10,9 @@ from small_network import random_weights
 from speech import CLIP_PATH, phoneme_frames
 
 from lipsync.audio_block import AudioBlock
-from lipsync.phonemes import SILENCE
+from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.batch import settled_phonemes
+from lipsync.recognition.decoder import ViterbiDecoder
 from lipsync.recognition.features import LevelNormalizer, LogMelStream, log_mel
 from lipsync.recognition.network import StreamingNetwork
 from lipsync.recognition.network_recognizer import NetworkRecognizer
@@ -269,3 +270,28 @@ def test_words_are_not_doubted_while_they_are_followed(clip, words, are_said):
     recognizer.tell(pronounced(words or CLIP_PATH.with_suffix(".txt").read_text()))
     _, updates = listen(recognizer, blocks_of(clip[: 2 * RATE_HZ], 160))
     assert (updates[-1].posteriors is None) == are_said
+
+
+def test_sound_after_silence_is_heard_as_if_the_network_had_heard_every_frame_of_it(clip):
+    silence = np.zeros(round(1.37 * RATE_HZ), np.float32)
+    samples = np.concatenate((clip[:RATE_HZ], silence, clip[RATE_HZ : 2 * RATE_HZ]))
+    stream = PosteriorStream(WEIGHTS)
+    found = np.concatenate([stream.push(piece) for piece in np.split(samples, 337)])
+
+    network, normalizer = StreamingNetwork(WEIGHTS), LevelNormalizer(WEIGHTS.scale)
+    heard = network.push(normalizer.push(LogMelStream().push(samples)))
+    newest_silent = np.flatnonzero(found[:, 0, PHONEMES.index(SILENCE)] == 1.0).max()
+    after = newest_silent + WEIGHTS.delays[-1] + 1
+    assert len(found) - after > 70
+    np.testing.assert_allclose(found[after:], heard[after:], atol=1e-5)
+
+
+def test_lasting_silence_is_decoded_as_any_other_frames():
+    rng = np.random.default_rng(3)
+    form = PosteriorStream(WEIGHTS).format
+    decoder, thorough = (ViterbiDecoder(form, form.delays[0] + 3) for _ in range(2))
+    noise = rng.dirichlet(np.full(len(PHONEMES), 0.1), (20, len(form.delays))).astype(np.float32)
+    frames = [*decoder.scores(noise), *[decoder.silence] * 90, *decoder.scores(noise[::-1])]
+    for scores in frames:
+        assert decoder.push(scores) == thorough.push(scores.copy())
+        assert decoder.is_awake == thorough.is_awake

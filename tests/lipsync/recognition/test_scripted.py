@@ -3,9 +3,10 @@ import math
 import pytest
 from speech import CLIP_LABELS_PATH
 
+from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
-from lipsync.textgrid import LabelError, read_phonemes, read_tier
+from lipsync.textgrid import LabelError, read_tiers
 from lipsync.timeline import PhonemeTimeline
 
 MAP = (PhonemeEvent("M", 0.1, 0.2), PhonemeEvent("AE", 0.2, 0.35), PhonemeEvent("P", 0.35, 0.4))
@@ -96,18 +97,21 @@ def test_stretches_without_a_label_are_silence(tmp_path):
         PhonemeEvent("SIL", 0.0, 0.4),
         PhonemeEvent("AA", 0.4, 1.0),
     )
-    assert read_tier(tmp_path / "a.TextGrid", "phones")[0] == ("", 0.0, 0.4)
+    assert read_tiers(tmp_path / "a.TextGrid")["phones"][0] == ("", 0.0, 0.4)
 
 
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (TEXTGRID.replace('"AA"', '"AA1"'), "'AA1' at 0.400 s in tier 'phones' is no phoneme"),
-        (TEXTGRID.replace('"phones"', '"words"'), "no interval tier 'phones'; the file has: words"),
-        (TEXTGRID.replace("xmin = 0.4", "xmin = 2"), "not a readable Praat TextGrid"),
+        (
+            TEXTGRID.replace('"AA"', '"AA9"'),
+            "phoneme 2 at 0.400 s: 'AA9' is neither ARPAbet nor IPA",
+        ),
+        (TEXTGRID.replace('"phones"', '"words"'), "words without phonemes"),
+        (TEXTGRID.replace("xmin = 0.4", "xmin = 2"), "'AA' is from '2' to '1' s"),
         (TEXTGRID[:300], "not a readable Praat TextGrid"),
-        ("", "not a readable Praat TextGrid"),
-        ("phones: AA", "not a readable Praat TextGrid"),
+        ("", "empty; docs/text.md"),
+        ("phones: AA", "line 1: no JSON; docs/text.md"),
     ],
 )
 def test_a_bad_label_file_is_refused_in_one_line_that_names_it(tmp_path, text, complaint):

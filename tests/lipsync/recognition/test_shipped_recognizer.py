@@ -27,12 +27,12 @@ from speech import (
 )
 
 from lipsync.audio_block import AudioBlock
+from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.network import SHIPPED, StreamingNetwork, load_shipped_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.recognizers import make_recognizer
-from lipsync.textgrid import read_phonemes
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000

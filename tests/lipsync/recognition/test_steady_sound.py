@@ -54,3 +54,13 @@ def test_a_closure_in_a_hum_is_shorter_than_what_counts_as_steady():
     assert STEADY_S > 0.15
     voice = np.sin(2 * np.pi * 700 * TIME_S) * (TIME_S % 0.5 > 0.15)
     assert not steady(0.3 * voice + 0.01 * np.sin(2 * np.pi * 100 * TIME_S))[100:].any()
+
+
+def test_a_hum_is_known_as_soon_after_a_minute_of_silence_as_after_two_seconds():
+    hum = 0.1 * scipy.signal.sawtooth(2 * np.pi * 120 * TIME_S[: 3 * RATE_HZ])
+    short, long = (
+        steady(np.concatenate((np.zeros(seconds * RATE_HZ), hum))) for seconds in (2, 60)
+    )
+    np.testing.assert_array_equal(long[6000:], short[200:])
+    assert not long[6000:6020].any()
+    assert long[-50:].all()

@@ -41,6 +41,30 @@ def test_a_sentence_is_said_phoneme_by_phoneme(espeak):
     assert spoken.guessed == ()
 
 
+@pytest.mark.parametrize(
+    ("language", "text", "words"),
+    [
+        ("ja", "こんにちは世界、今日はいい天気です", ["こんにちは世界", "今日はいい天気です"]),
+        ("th", "สวัสดีชาวโลก", ["สวัสดีชาวโลก"]),
+        # The espeak-ng of the extra `say` leaves out the second syllable of 你好.
+        ("cmn", "你,天气", ["你", "天", "气"]),
+        ("ko", "안녕하세요 세계", ["안녕하세요", "세계"]),
+        ("ar", "مرحبا بالعالم", ["مرحبا", "بالعالم"]),
+        ("he", "שלום עולם", ["שלום", "עולם"]),
+        ("ru", "Привет, мир", ["Привет", "мир"]),
+        ("hi", "नमस्ते दुनिया", ["नमस्ते", "दुनिया"]),
+        ("en-us", "In 1984 no no", ["In", "1984", "no", "no"]),
+    ],
+)
+def test_each_word_of_any_script_is_told_once(espeak, language, text, words):
+    spoken = espeak.speak(text, Voice(language))
+
+    assert [each.text for each in spoken.words] == words
+    starts_s = [each.start_s for each in spoken.words]
+    assert starts_s == sorted(set(starts_s))
+    assert spoken.words[-1].end_s > spoken.duration_s - 0.5
+
+
 def test_a_phoneme_that_sounds_within_the_one_before_has_a_share_of_it(espeak):
     """espeak-ng gives the L of "twelve" and the V the same sample."""
     assert phonemes(espeak.speak("twelve")) == "T W EH L V SIL"

@@ -33,7 +33,7 @@ def test_every_synthesiser_speaks_the_same_way(name):
 def test_a_long_text_is_spoken_sentence_by_sentence_with_pauses_between():
     found = list(speak_in_pieces(synthesizer_for(), "Hello Bob. -- How are you? \U0001f600!"))
 
-    assert [each.words[0].text for each in found] == ["Hello", "How", "\U0001f600!"]
+    assert [each.words[0].text for each in found] == ["Hello", "How"]
     for spoken in found:
         check_spoken(spoken)
         pause = spoken.phonemes[-1]

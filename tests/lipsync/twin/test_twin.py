@@ -8,7 +8,7 @@ from small_model import small_model
 
 from lipsync.face.head_motion import fit_similarity
 from lipsync.face.model import load_face
-from lipsync.markers import INNER_LIP, MARKERS_47, PointLayout
+from lipsync.markers import INNER_LIP, MARKERS_47, OUTER_LIP, PointLayout
 from lipsync.twin.head_surface import LEFT_BROW, LEFT_EYE, RIGHT_EYE, head_surface, load_mean_face
 from lipsync.twin.packed import pack, unpack, vertex_normals
 from lipsync.twin.parts import jaw_modes, jaw_motion, on_jaw
@@ -148,6 +148,20 @@ def test_a_blink_a_brow_and_a_smile_move_what_they_should(drawn):
         assert skin["smile"][corner] @ (outwards, 0.0, 0.0) > 3.0
         assert skin["smile"][corner, 1] > 3.0
     np.testing.assert_array_equal(skin["smile"][SURFACE.places_mm[:, 2] < -100.0], 0.0)
+
+
+def test_a_tucked_lower_lip_goes_behind_the_upper_teeth_and_the_upper_lip_shows_them(drawn):
+    upper, lower = INNER_LIP[5], INNER_LIP[15]
+    places_mm = shown(drawn["skin"], FACE.rest, lip_tuck=1.0).astype(np.float64)
+    teeth_mm = drawn["teeth_upper"]["places_mm"]
+    front_mm = teeth_mm[np.abs(teeth_mm[:, 0]) < 8.0]
+
+    assert places_mm[lower, 2] < front_mm[:, 2].max()
+    assert places_mm[upper, 1] - front_mm[:, 1].min() > 2.0
+    outer_mm = places_mm[[OUTER_LIP[15]]] - shown(drawn["skin"], FACE.rest)[[OUTER_LIP[15]]]
+    assert outer_mm[0, 1] > 3.0  # rolled in: its outer edge rises more than its inner one
+    corners = drawn["skin"]["morphs"]["lip_tuck"][[INNER_LIP[0], INNER_LIP[10]]]
+    assert np.abs(corners).max() < 1e-3
 
 
 def test_each_part_of_the_head_is_whole(twin):

@@ -45,10 +45,15 @@ class FakeInputStream(FakeStream):
     adc_s = 1_100.0
 
     def deliver(self, samples, *, lost_before_s=0.0, overflow=False, age_s=None):
-        """Samples that the card has captured, at its own clock; age_s: how long ago, if given."""
+        """Samples that the card has captured, at its own clock; age_s: how long ago, if given.
+
+        samples: (n,), the same on every channel, or (n, channels).
+        """
         self.adc_s += lost_before_s
         adc_s = self.adc_s if age_s is None else self.time - age_s
-        frames = np.repeat(np.asarray(samples, np.float32)[:, None], self.n_channels, axis=1)
+        samples = np.asarray(samples, np.float32)
+        samples = samples[:, None] if samples.ndim == 1 else samples
+        frames = np.broadcast_to(samples, (len(samples), self.n_channels)).copy()
         timing = SimpleNamespace(inputBufferAdcTime=adc_s)
         self.callback(frames, len(frames), timing, SimpleNamespace(input_overflow=overflow))
         frames[:] = np.nan  # PortAudio takes its buffer back

@@ -32,6 +32,7 @@ class SpeakingSide:
         self.loudspeaker = loudspeaker or SimulatedLoudspeaker()
         self.playout = Playout(self.loudspeaker, microphone)
         self.now_s = 0.0
+        self.n_held = 0
         self._channel = MemoryTargetChannel()
         synthesizer = make_synthesizer(self.face.model, MotionOptions())
         self.side = make_speech_side(
@@ -44,8 +45,9 @@ class SpeakingSide:
         )
         self.delay = self.side.speech.delay
 
-    def run(self, until_s, act=lambda _now_s: None):
-        goals = []
+    def run(self, until_s, act=lambda _now_s: None, *, holds=False):
+        """holds: at rest four of five periods are not worked out, as in a daemon."""
+        goals, self.n_held = [], 0
         self.loudspeaker.advance(ZERO_S)
         self.side.begin(ZERO_S)
         times_s, seen_deg = np.arange(round(until_s * RATE_HZ)) / RATE_HZ, []
@@ -53,7 +55,10 @@ class SpeakingSide:
             self.now_s = float(now_s)
             self.loudspeaker.advance(ZERO_S + self.now_s)
             act(self.now_s)
-            self.side.advance(ZERO_S + self.now_s)
+            if holds and self.side.hold(ZERO_S + self.now_s, has_news=False):
+                self.n_held += 1
+            else:
+                self.side.advance(ZERO_S + self.now_s)
             for targets in self._channel.drain():
                 # Goals of a mouth that is cut off replace what was planned beyond.
                 goals = [each for each in goals if each[0] < targets.time_s]

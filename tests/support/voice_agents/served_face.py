@@ -85,7 +85,7 @@ class ServedFace:
         self.sound = sound() if sound is not None else None
         self.playout = Playout(self.sound)
         self.reported = []
-        self.texts = []
+        self.texts, self.asked = [], []
         self._queue = SpeechQueue(self.playout)
         if has_voice:
             given["say"] = self._say
@@ -130,8 +130,10 @@ class ServedFace:
     def go_on(self):
         self._held.clear()
 
-    def _say(self, text, name):
+    def _say(self, given, name):
+        text = given.text
         self.texts.append(text)
+        self.asked.append(given.model_dump(exclude_none=True))
         samples = np.frombuffer(tone(0.1 * len(text)), "<i2").astype(np.float32) / 32_768
         stream = PlayoutStream(name, RATE_HZ, self.playout.output_rate_hz)
         spoken = spoken_chunks(iter([samples]), stream, 0.1 * len(text))

@@ -85,13 +85,26 @@ class VirtualFace:
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="virtual face")
         self._folder = tempfile.TemporaryDirectory()
-        self.server = AgentServer(
-            bind_listener("127.0.0.1:0", None),
+        self.server = self._server("127.0.0.1:0")
+
+    def _server(self, address: str) -> AgentServer:
+        return AgentServer(
+            bind_listener(address, None),
             self.playout,
             control_path=Path(self._folder.name) / "none.sock",
             delay_ms=lambda: 1e3 * _LEAD_S,
             settings=AgentSettings(messages_per_s=1e6),
         )
+
+    def leave(self) -> None:
+        """Serve no agent any more: the face is absent."""
+        self._address = self.url.removeprefix("ws://")
+        self.server.__exit__(None, None, None)
+
+    def come_back(self) -> None:
+        """Serve agents again, at the same address."""
+        self.server = self._server(self._address)
+        self.server.__enter__()
 
     @property
     def url(self) -> str:

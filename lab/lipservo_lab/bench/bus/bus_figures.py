@@ -43,6 +43,8 @@ _IDS = list(range(1, N_SERVOS + 1))
 _MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 _MOTION_BLOCK = CommonFrame.block_of(_MOTION)
 _ROUNDS, _CALLS = 25, 40
+_MODEL = servo_models()["XL330-M288"]
+_CENTER = _MODEL.center_pulse
 #: What a stall has left waiting in the line is out of the way so much later.
 _AFTER_STALL_S = 0.05
 
@@ -78,7 +80,7 @@ def cpu_ratios() -> dict[str, float]:
 def _own_calls(port: str) -> dict[str, Callable[[], object]]:
     """Write 20 goals; read 20 x 3 values, a frame each; and both, read in one frame."""
     line = Line(_NoWire(open_port(port, 4_000_000)), return_delay_s=0.0)
-    goals = np.full(N_SERVOS, 2048)
+    goals = np.full(N_SERVOS, _CENTER)
     plain = SpanRead(_IDS, _ADDRESS, _SIZE, fast=False)
     fast = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
 
@@ -157,7 +159,7 @@ def _rustypot_calls(port: str) -> dict[str, Callable[[], object]]:
     import rustypot
 
     bus = rustypot.Xl330PyController(port, 4_000_000, 0.1)
-    goals = [2048] * N_SERVOS
+    goals = [_CENTER] * N_SERVOS
 
     def write() -> None:
         bus.sync_write_raw_goal_position(_IDS, goals)
@@ -217,7 +219,7 @@ def wire_figures(seconds: float = 4.0) -> dict[str, float]:
         cycle_wire_s = read_wire_s + len(goals.request(swing)) * line.byte_s
         start_s, cpu_s, n = time.monotonic(), time.process_time(), 0
         while time.monotonic() - start_s < seconds:
-            line.tell(goals.request(2048.0 + np.rint(swing * np.sin(0.05 * n))))
+            line.tell(goals.request(_CENTER + np.rint(swing * np.sin(0.05 * n))))
             decode(line.sync_read(span))
             n += 1
         wall_s = time.monotonic() - start_s
@@ -316,7 +318,6 @@ def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float, fl
 
 def replug_figures(n_servos: int = 10) -> dict[str, float]:
     """From the moment a port is back: until every servo is driven again, and at full strength."""
-    model = servo_models()["XL330-M288"]
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, n_servos + 1)]
     with TemporaryDirectory() as folder:
         path, link = Path(folder) / "faults.yaml", Path(folder) / "port"
@@ -325,7 +326,7 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
         with simulated_port([*arguments, "--baud-rate", str(BAUD_RATE), "--on-time"]):
             clock = MonotonicClock()
             channel = MemoryTargetChannel()
-            servos = [MountedServo(joint, model) for joint in joints]
+            servos = [MountedServo(joint, _MODEL) for joint in joints]
             with DynamixelBus(servos, lambda: open_port(str(link), BAUD_RATE)) as bus:
                 bridge = Bridge(
                     bus, joints, channel, BridgeSettings(_REPLUG_RATE_HZ, tolerant=True)

@@ -27,7 +27,7 @@ from firmware_bridge.simulator.chain import SimulatedChain, sync_read, sync_writ
 _BAUD_RATE: Final = 1_000_000
 _GOAL, _TORQUE = register("goal_position").address, register("torque_enable").address
 _PRESENT_CURRENT: Final = register("present_current").address
-#: 64 moments, 20 ms apart; goals change every 40 ms, by up to 45 pulses (4 degrees) about 2048.
+#: 64 moments, 20 ms apart; goals change every 40 ms, by up to 45 pulses (4 degrees).
 _N_TIMES, _MOMENT_S, _SWING_PULSES = 64, 0.020, 45
 #: More different questions than any master asks; then the oldest are forgotten.
 _MOST_KEPT: Final = 4096
@@ -118,7 +118,7 @@ def _recorded_motion(n_servos: int) -> dict[int, list[bytearray]]:
         for servo in chain.servos:
             if moment % 2 == 0:
                 way = ((7 * moment + 5 * servo.servo_id) % 31) / 15 - 1.0
-                goal = 2048 + round(way * _SWING_PULSES)
+                goal = model.center_pulse + round(way * _SWING_PULSES)
                 servo.write(struct.pack("<Hi", _GOAL, goal))
         chain.advance((moment + 2) * _MOMENT_S)
         for servo in chain.servos:

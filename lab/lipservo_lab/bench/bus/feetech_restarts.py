@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from firmware_bridge.clock import ManualClock, ticks
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG
 from firmware_bridge.feetech.bus import FeetechBus
 from firmware_bridge.feetech.control_table import servo_models
 from firmware_bridge.feetech.simulator import SimulatedChain, chain_for
@@ -22,6 +21,7 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.serial_servos.mounting import MountedServo
+from firmware_bridge.simulator.motors import PULSES_PER_DEG
 from firmware_bridge.simulator.ports import MemoryTransport
 
 #: A servo whose torque has just come on may go no faster.

@@ -116,6 +116,7 @@ def _whole_tick(wiring: Wiring) -> Iterator[Call]:
 @contextmanager
 def _by_hand(name: str) -> Iterator[Call]:
     dialect = servo_models()[_MODEL].dialect
+    per_deg = dialect.positions_per_deg
     goal = dialect.registers["goal_position"].address
     place = dialect.registers["present_position"].address
     ids = range(1, N_SERVOS + 1)
@@ -127,7 +128,7 @@ def _by_hand(name: str) -> Iterator[Call]:
         def work(goals_deg: list[float]) -> list[int]:
             data = [goal, 2]
             for n, deg in zip(ids, goals_deg, strict=True):
-                value = round(dialect.center + min(max(deg, -40.0), 40.0) * 4096 / 360)
+                value = round(dialect.center + min(max(deg, -40.0), 40.0) * per_deg)
                 data += [n, value & 0xFF, value >> 8]
             port.write(_packet(_SYNC_WRITE, data))
             port.write(ask)

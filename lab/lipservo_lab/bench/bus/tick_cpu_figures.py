@@ -29,6 +29,7 @@ from lipservo_lab.bench.bus.servo_clients import (
 )
 
 N_SERVOS: Final = 20
+_MODEL: Final = servo_models()["XL330-M288"]
 _IDS: Final = list(range(1, N_SERVOS + 1))
 #: What the ratios over each of them are called: cpu_tick*_ratio.
 _KEYS: Final = {"sdk": "", "sdk_all_fast": "_all_fast", "rustypot": "_rustypot"}
@@ -140,9 +141,8 @@ class OwnTick:
     """A bridge as `run` makes it, on a clock that moves 10 ms a tick and never waits."""
 
     def __init__(self, port: str) -> None:
-        model = servo_models()["XL330-M288"]
         joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in _IDS]
-        servos = [MountedServo(joint, model, 1 if n % 2 else -1) for n, joint in enumerate(joints)]
+        servos = [MountedServo(joint, _MODEL, 1 if n % 2 else -1) for n, joint in enumerate(joints)]
         self._clock = ManualClock()
         self._channel = MemoryTargetChannel()
         self._time_s = 0.0
@@ -169,7 +169,7 @@ class OthersTick:
 
     def prepare(self, n: int) -> None:
         """Prepare twenty registers."""
-        pulses = 2048 + moving_deg(n) * (4096 / 360)
+        pulses = _MODEL.center_pulse + moving_deg(n) * _MODEL.pulses_per_deg
         self._goals = pulses.astype(np.int64).tolist()
 
     def work(self) -> object:

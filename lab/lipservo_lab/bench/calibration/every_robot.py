@@ -28,7 +28,8 @@ from lipservo_lab.bench.calibration.elastic_figures import (
     elastic_robot,
 )
 from lipservo_lab.bench.calibration.hard_captures import fault_figures
-from lipservo_lab.bench.calibration.shipped_ways import way_figures
+from lipservo_lab.bench.calibration.killed_captures import killed_captures, resumed_figures
+from lipservo_lab.bench.calibration.shipped_ways import hobby_over_positions, way_figures
 from lipservo_lab.worker_pool import worker_pool
 from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
 
@@ -53,12 +54,14 @@ def bench_figures(
     families: Sequence[RobotFamily],
     *,
     ways: bool = False,
+    kills: int = 0,
     advance: Callable[[int, int], None] = lambda _, __: None,
 ) -> dict[str, object]:
     """What one run counts: of healthy robots, of faults, of mouths that cannot close.
 
     With both families the figures of the second are in `elastic`, and `refused`, `faults_named`
-    and `faults_misnamed` are of both. ways: every shipped way, on robots of the first seed.
+    and `faults_misnamed` are of both. ways: every shipped way, on robots of the first seed. kills:
+    so many captures with each of three trackers are killed and go on.
     """
     of_family: Mapping[RobotFamily, _Task] = {
         RobotFamily.OWN: own_robot,
@@ -81,7 +84,11 @@ def bench_figures(
         figures["refused"] = sum(int(str(each["refused"])) for each in found)
     figures |= closing_figures(_of(TriedMouth, outcomes))
     if ways:
-        figures["ways"] = outcomes[-1]
+        figures["ways"] = found_ways = outcomes[-1]
+        assert isinstance(found_ways, dict)
+        figures["hobby_over_positions"] = hobby_over_positions(found_ways)
+    if kills:
+        figures |= resumed_figures(killed_captures(_model(), seeds[0], kills))
     return figures
 
 

@@ -1,7 +1,8 @@
 """Every way to a calibration that is shipped, on elastic robots of every number of servos.
 
 measured: a plan, markers, a fit, by files; guided: a person's eye; practise: as the command of that
-name; port: servos simulated to the byte behind a wire, their lags as well; dots: pictures.
+name; port: servos simulated to the byte behind a wire, their lags as well; hobby: the same robot's
+servos on a Maestro, which report no positions; dots: pictures.
 
 Pictures of blue dots on a simulated face, one a pose, for the way by coloured dots.
 
@@ -27,6 +28,7 @@ from calibration.fit.retargeting import nearest_poses_deg
 from calibration.mouth_servos import MouthServos
 from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.robot import SimulatedRobot
+from firmware_bridge.maestro.simulator import watched_servos
 from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.measured_calibration import CalibrationResult, fit_capture, with_lags
 from lipservo.runtime.servos.assembly import simulated_wire
@@ -188,11 +190,65 @@ def _port(task: _Task) -> Calibration:
         return with_lags(task.setup, held, result).calibration
 
 
+def _hobby(task: _Task) -> Calibration:
+    """As `_port`, but servos report no position: goals count as positions."""
+    robot, settings = task.robot(), _on_maestro(task.setup.settings)
+    on = watched_servos(settings.wiring)
+    with HeldFace(settings, on.clock, bus=on.bus, speed_deg_s=_PORT_SPEED_DEG_S) as held:
+
+        def move(goal_deg: Array) -> Array:
+            reached_deg = held.move(goal_deg)
+            robot.move(on.shafts_deg())
+            return reached_deg
+
+        return _whole_procedure(task, Robot(move, robot.measure)).calibration
+
+
+def _on_maestro(settings: FaceSettings) -> FaceSettings:
+    """Return a face of Dynamixels with hobby servos in their place."""
+    servos = {
+        name: {
+            "channel": channel,
+            "positive": servo.positive,
+            "min_deg": servo.min_deg,
+            "max_deg": servo.max_deg,
+            "max_speed_deg_s": servo.max_speed_deg_s,
+            "us_per_deg": 10.0,
+        }
+        for channel, (name, servo) in enumerate(settings.servos.items())
+    }
+    return FaceSettings.model_validate(
+        {
+            "name": settings.name,
+            "rate_hz": 50.0,
+            "bus": {"kind": "maestro", "model": "mini12"},
+            "servos": servos,
+        }
+    )
+
+
+def hobby_over_positions(ways: Mapping[str, Mapping[str, float | str]]) -> float:
+    """Return the median error on hobby servos over that on servos with positions, of each size.
+
+    Infinite where a robot of hobby servos was refused.
+    """
+    ratios = [
+        _ratio(hobby, ways["port"][size])
+        for size, hobby in ways["hobby"].items()
+        if not isinstance(ways["port"][size], str)
+    ]
+    return float(np.median(ratios)) if ratios else np.nan
+
+
+def _ratio(hobby_mm: float | str, positions_mm: float | str) -> float:
+    return np.inf if isinstance(hobby_mm, str) else hobby_mm / float(positions_mm)
+
+
 def _whole_procedure(task: _Task, on: Robot) -> CalibrationResult:
     """Both parts of the capture, the fit, and the grade."""
     procedure = task.setup.procedure(task.seed)
     capture = procedure.capture(MARKERS_47.names, on.move, on.measure)
-    return fit_capture(task.setup, capture).graded_by(task.setup, on)
+    return fit_capture(task.setup, capture).graded_by(task.setup, on, capture.n_planned)
 
 
 def _dots(task: _Task) -> Calibration:
@@ -215,5 +271,6 @@ WAYS: Mapping[str, Callable[[_Task], Calibration]] = {
     "guided": _guided,
     "practise": _practise,
     "port": _port,
+    "hobby": _hobby,
     "dots": _dots,
 }

@@ -11,7 +11,10 @@ write that clears the register of torque: the server and the owner of the contro
 stop-path` follows them, then the loop's thread from the beginning of the tick in which it comes.
 
 `loaded`: modules of ours, and their code lines, that `lipservo run --wav FILE` has loaded when it
-waits for its first tick. `processor_s`: user and system time of a whole process, least of some.
+waits for its first tick; its `processor_s`: user and system time until then. `processor_s`: that of
+a whole process, least of some.
+
+`installed_mb`: of the disk, by what is installed: wheel and client, with the page, client alone.
 
 `words`: as `word_figures` counts them.
 """
@@ -30,6 +33,7 @@ import lipservo
 from firmware_bridge.stopping import StopLevel
 from lipservo_lab.bench.house import traced_ticks
 from lipservo_lab.bench.house.code_lines import budgets, code_lines, house_table, room_lines
+from lipservo_lab.bench.house.installed import installed_mb
 from lipservo_lab.bench.house.whole_objects import SourceTree, late_attributes, mixin_bases
 from lipservo_lab.bench.house.word_figures import word_figures
 from lipsync.errors import UserError
@@ -62,6 +66,9 @@ def house_figures(progress: Callable[[str], None] = lambda _what: None) -> dict[
     figures["loaded"] = loaded_figures()
     progress("processes")
     figures["processor_s"] = {name: processor_s(line) for name, line in COMMANDS.items()}
+    figures["installed_mb"] = {
+        each: round(installed_mb(ROOT, each), 1) for each in table["installed_mb"]
+    }
     progress("stop")
     figures["stop_files"] = stop_files()
     progress("source")
@@ -82,8 +89,9 @@ def above_bars(figures: dict[str, Any]) -> list[str]:
     rows += [(f"loaded {key}", figures["loaded"][key], bar) for key, bar in table["loaded"].items()]
     rows += [(key, len(figures[key]), bar) for key, bar in table["unfinished"].items()]
     rows += [
-        (f"processor_s {key}", figures["processor_s"][key], bar)
-        for key, bar in table["processor_s"].items()
+        (f"{kind} {key}", figures[kind][key], bar)
+        for kind in ("processor_s", "installed_mb")
+        for key, bar in table[kind].items()
     ]
     rows += [
         (f"code_lines {name}", figures["code_lines"][name], row.budget)
@@ -99,15 +107,17 @@ def tick_figures(face: str) -> dict[str, Any]:
     return found
 
 
-def loaded_figures() -> dict[str, int]:
-    """Modules of ours, all their lines and their code lines, at the first tick."""
+def loaded_figures() -> dict[str, float]:
+    """Modules of ours at a first tick, their lines and code lines, and the processor time to it."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        modules = _traced("loaded", "run", "--wav", str(clip), "--quiet")
+        found = _traced("loaded", "run", "--wav", str(clip), "--quiet")
+    modules: dict[str, str] = found["modules"]
     texts = [Path(file).read_text("utf-8") for file in modules.values()]
     return {
         "modules": len(modules),
         "lines": sum(len(text.splitlines()) for text in texts),
         "code_lines": sum(code_lines(text) for text in texts),
+        "processor_s": found["processor_s"],
     }
 
 

@@ -8,6 +8,7 @@ the next call of one: bridge and speech side in a `run` or `replay`. Waiting thr
 import contextlib
 import json
 import os
+import resource
 import statistics
 import sys
 from pathlib import Path
@@ -76,8 +77,11 @@ class _FirstTick(BaseException):
     """Unwinds a command at its first tick."""
 
 
-def loaded_modules(root: str) -> dict[str, str]:
-    """Run the command line until its first tick; return our modules that are loaded, with files."""
+def loaded_modules(root: str) -> dict[str, Any]:
+    """Run the command line until its first tick.
+
+    Return our modules that are loaded, with files, and the processor time until then in s.
+    """
     from firmware_bridge import clock
     from lipservo.__main__ import main
 
@@ -87,9 +91,11 @@ def loaded_modules(root: str) -> dict[str, str]:
     clock.MonotonicClock.sleep_until = stop  # type: ignore[method-assign, assignment]
     with contextlib.suppress(_FirstTick):
         main()
+    used = resource.getrusage(resource.RUSAGE_SELF)
     prefixes = tuple(os.path.join(root, each) + os.sep for each in _PACKAGES)
     found = {name: getattr(module, "__file__", None) or "" for name, module in sys.modules.items()}
-    return {name: file for name, file in found.items() if file.startswith(prefixes)}
+    modules = {name: file for name, file in found.items() if file.startswith(prefixes)}
+    return {"modules": modules, "processor_s": round(used.ru_utime + used.ru_stime, 3)}
 
 
 if __name__ == "__main__":

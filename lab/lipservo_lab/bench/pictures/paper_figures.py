@@ -1,7 +1,8 @@
-"""The figures of Wei and Deng that can be drawn; needs matplotlib, the extra `plots`.
+"""The papers' figures that can be drawn; needs matplotlib, the extra `plots`.
 
-Figure 1: how much a live recogniser agrees with the labels. Figure 6: how often no AnimPho is both
-right and connected. Figures 4 and 5: what the two strategies choose in the paper's example.
+Wei and Deng's Figure 1: how much a live recogniser agrees with the labels. Figure 6: how often no
+AnimPho is both right and connected. Figures 4 and 5: what the two strategies choose in the paper's
+example. Edge, Hilton and Jackson's: how much of the variance so many modes of lip shape hold.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,17 +20,24 @@ from lipsync.animpho.selection import STRATEGIES
 Rows = Sequence[Mapping[str, object]]
 
 #: What is drawn into the folder.
-PAPER_PICTURES: Final = ("figure-1.png", "figure-4-5.png", "figure-6.png")
+PAPER_PICTURES: Final = (
+    "figure-1.png", "figure-4-5.png", "figure-6.png", "edge-modes.png",
+)  # fmt: skip
 _BAR_WIDTH: Final = 0.8
 
 
 def draw_paper(folder: Path, tables: Mapping[str, Rows]) -> None:
-    """Draw figure_1 and figure_6 of `paper_tables`, what the paper prints as grey; the example."""
-    agreement, example, misses = PAPER_PICTURES
+    """Draw figure_1 and figure_6 of `paper_tables`, what the paper prints as grey; the example.
+
+    And edge_modes of `edge_tables`, where the corpus holds what the model learned from.
+    """
+    agreement, example, misses, modes = PAPER_PICTURES
     _draw_example(folder / example)
     _bars(folder / agreement, tables["figure_1"], "agrees with the labels", PRINTED_AGREEMENT)
     printed = (PRINTED_PRIORITY_MISSES - 0.01, PRINTED_PRIORITY_MISSES + 0.01)
     _bars(folder / misses, tables["figure_6"], "misses", printed)
+    if "edge_modes" in tables:
+        _draw_modes(folder / modes, tables["edge_modes"])
 
 
 def _bars(path: Path, rows: Rows, label: str, printed: tuple[float, float]) -> None:
@@ -49,6 +57,25 @@ def _bars(path: Path, rows: Rows, label: str, printed: tuple[float, float]) -> N
     axis.set_ylim(0.0, 1.0)
     axis.set_ylabel(label)
     figure.legend(loc="outside upper center", ncols=1 + len(names), fontsize=8)
+    save_picture(figure, path)
+    plt.close(figure)
+
+
+def _draw_modes(path: Path, rows: Rows) -> None:
+    """The share of the variance over the number of modes: a line for ours, a dot as printed."""
+    without_screen()
+    from matplotlib import pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    axis.plot(*zip(*((row["modes"], row["ours"]) for row in rows), strict=True), label="ours")
+    printed = [(row["modes"], row["printed"]) for row in rows if row["printed"] is not None]
+    if printed:
+        axis.plot(*zip(*printed, strict=True), "o", color="0.5", label="printed")
+    axis.set_xscale("log")
+    axis.set_ylim(0.0, 1.02)
+    axis.set_xlabel("modes")
+    axis.set_ylabel("share of the variance of all modes")
+    axis.legend(loc="lower right")
     save_picture(figure, path)
     plt.close(figure)
 

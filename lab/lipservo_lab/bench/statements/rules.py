@@ -43,7 +43,7 @@ _IS_OFF, _IS_ON = Torque(on=False, who="who"), Torque(on=True, who="who")
 _NOT_OF_TORQUE: Final = (
     r"status (?:name|config|sounds|port|pid|bridge_pid|plugged|jogged|word|words|sound|recognizer"
     r"|engine|weights|strategy|hears|moved_by|output|output_lost|listens_on|speaking|arousal"
-    r"|mouth_closes|is_resting|delay_ms|fallback_level|fallback_reasons|stopped|stopped_by"
+    r"|units_shifted_ms|mouth_closes|is_resting|delay_ms|fallback_level|fallback_reasons|stopped|stopped_by"
     r"|can_start|torque\.\w+\.age_s|stop_report|n_\w+|\w+_total|(?:settings|expression|capabilities)\.\w+"
     r"|pulses\.\w+\.(?:neutral_us|us_per_deg|min_us|max_us)"
     r"|health\.\w+\.(?:servo_id|temperature_degc|load|voltage_v|current_ma|hardware_errors"
@@ -196,7 +196,7 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}recogniser .*", nothing),
     (r"{S}(?:\d+ lines were lost).*", nothing),
     (r"{S}simulated.*", nothing),
-    (r"{S}\S+: (?:no such port|no such I2C bus|no Maestro answers|used by another).*", unknown),
+    (r"{S}\S+: (?:no such port|no such I2C bus|no \w+ answers|used by another).*", unknown),
     (r"{S}\S+, address \S+: .*", unknown),
     (r"{S}could not be started .*", nothing),
 )

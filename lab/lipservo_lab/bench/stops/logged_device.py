@@ -14,9 +14,9 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG
 from firmware_bridge.pca9685.registers import Mode1, Register, counts_of
 from firmware_bridge.pulse_servos import PulseScale
+from firmware_bridge.simulator.motors import PULSES_PER_DEG
 from firmware_bridge.simulator.ports import SimulatedDevice
 
 #: Shafts are logged this often.

@@ -118,7 +118,7 @@ def _stand_away(robot: RobotAtPort) -> None:
 def _forget_limits(robot: RobotAtPort) -> None:
     """Four registers of every servo differ from what the face asks for."""
     for servo in robot.chain.servos:
-        servo["min_position_limit"], servo["max_position_limit"] = 0, 4095
+        servo["min_position_limit"], servo["max_position_limit"] = 0, servo.model.n_positions - 1
         servo["return_delay_time"], servo["operating_mode"] = 250, 3
 
 
@@ -126,6 +126,12 @@ def _without_current_limits(robot: RobotAtPort) -> None:
     """As from the factory, which is what new servos are like."""
     for servo in robot.chain.servos:
         servo["operating_mode"] = 3
+
+
+def _measure(robot: RobotAtPort) -> list[str]:
+    """Wait at the first pose for a file that no program writes."""
+    markers = str(robot.folder / "markers.csv")
+    return _calibrate_at_port("measure", "--tracker", markers)(robot)
 
 
 def _performance(robot: RobotAtPort) -> Path:
@@ -161,7 +167,7 @@ COMMANDS: Final = {
         Command("jog", _at_port("jog", "jaw", "10", "--hold-s", "30")),
         Command("neutral", _at_port("calibrate", "neutral"), _stand_away),
         Command("new-face", _new_face, _without_current_limits, answers="jaw\nopens\ny\n"),
-        Command("calibrate-typed", _calibrate_at_port("measure", "--tracker", "typed")),
+        Command("calibrate-measure", _measure),
         Command("calibrate-guided", _calibrate_at_port("guided")),
         Command("setup-servos", _at_port("setup-servos"), _forget_limits, arms=False),
         Command(
@@ -201,7 +207,7 @@ def signal_cases() -> Iterator[SignalCase]:
     for name, ending in zip(arming, itertools.cycle(SIGNALS), strict=False):
         yield SignalCase(name, ending, Moment.UNPLUGGED, twice=True)
         yield SignalCase(name, ending, Moment.DEAF)
-    for name in ("run", "daemon", "calibrate-typed"):  # these wait for the port for half a minute
+    for name in ("run", "daemon", "calibrate-measure"):  # these wait for the port for half a minute
         yield SignalCase(name, Ending.TERM, Moment.UNPLUGGED)
 
 

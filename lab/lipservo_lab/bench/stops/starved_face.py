@@ -197,7 +197,10 @@ class StarvedFace:
         status = self.face.status()
         self.face.robot.seen.clear()
         if kind == "bridge":  # only one that beats is asked, and answers so
-            return status.get("bridge_pid") == self.face.child("bridge")
+            try:
+                return status.get("bridge_pid") == self.face.child("bridge")
+            except RuntimeError:  # killed, and the next one waits its turn: restarts back off
+                return False
         output = self.face.robot.output
         # The first began before anything was starved; the later ones say where they go on.
         return output.count("speech runs as process") <= output.count(" goes on at ") + 1

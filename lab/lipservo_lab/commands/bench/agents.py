@@ -3,30 +3,62 @@
 `lipservo bench day`: whether an agent speaks all day through whatever happens.
 """
 
-from typing import Annotated
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from lipservo.commands.options import Json, Quiet
 from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
-from lipsync.errors import check_extra
+from lipsync.errors import UserError, check_extra
+
+if TYPE_CHECKING:
+    from lipservo_lab.bench.agents.agent_figures import Speaks
 
 
 def agent(
-    turns: Annotated[int, typer.Option(min=1, help="How many the agent says.")] = 2_000,
-    barge_ins: Annotated[int, typer.Option(min=0, help="How many of them are cut off.")] = 300,
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", help="Of these alone: pipecat, livekit, openai, wyoming."),
+    ] = None,
+    turns: Annotated[int, typer.Option(min=3, max=300, help="How many an agent says.")] = 60,
+    barge_ins: Annotated[int, typer.Option(min=0, help="How many of them are cut off.")] = 30,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Let a Pipecat agent speak and be interrupted, and compare what it remembers."""
+    """Let agents speak, be interrupted, lose their face, and compare what they remember.
+
+    Of each framework, with its own packages (`make agents`).
+    """
     if barge_ins > turns:
         raise typer.BadParameter("at most one barge-in a turn")
-    check_extra("pipecat", "`bench agent`")
     from lipservo_lab.bench.agents.agent_figures import agent_figures
 
+    names = tuple(only or _AGENTS)
+    if unknown := [name for name in names if name not in _AGENTS]:
+        raise UserError(f"--only {unknown[0]}: there are {', '.join(_AGENTS)}")
+    figures: dict[str, object] = {}
     with progress_bar(quiet=quiet) as advance:
-        figures = agent_figures(turns, barge_ins, lambda done, of: advance("turns", done, of))
+        for name in names:
+            speaks = _agent(name)
+            figures[name] = agent_figures(speaks, turns, barge_ins, partial(advance, name))
     _print({**figures, "machine": machine_class()}, as_json=as_json)
+
+
+_AGENTS: Final = ("pipecat", "livekit", "openai", "wyoming")
+
+
+def _agent(name: str) -> "Speaks":
+    """Return what speaks as an agent of a framework. Raises MissingExtraError."""
+    if name != "openai":
+        check_extra(name, "`bench agent`")
+    try:
+        module = import_module(f"lipservo_lab.bench.agents.{name}_agent")
+    except ImportError as missing:
+        raise UserError(f"{name}: {missing}; `make agents` installs what it needs") from missing
+    speaks: Speaks = getattr(module, f"{name}_agent")
+    return speaks
 
 
 def day(

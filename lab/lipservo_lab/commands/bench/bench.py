@@ -16,7 +16,7 @@ from rich.progress import Progress
 from calibration.simulated.robot_family import RobotFamily
 from lipservo.commands.options import Json, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
-from lipsync.errors import UserError
+from lipsync.errors import UserError, check_extra
 
 #: What the replay figure replays: a sentence of 3 s and an utterance of 20 s.
 _REPLAYED = ("grid_s1/audio/bbaf3s.flac", "librispeech/audio/1089-134691-0011.opus")
@@ -73,14 +73,14 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
     """Measure a bridge's process, its tick, and the bare line, on simulated servos.
 
     Against the wire and dynamixel-sdk; against rustypot too, when that is installed. Feetech servos
-    against a loop by hand; hobby servos too, with smbus2 installed.
+    against a loop by hand, and hobby servos.
     """
-    from importlib.util import find_spec
-
+    check_extra("smbus2", "bench bus")
     from lipservo_lab.bench.bus import bus_figures as measure
     from lipservo_lab.bench.bus.bus_figures import cpu_ratios
     from lipservo_lab.bench.bus.feetech_tick_figures import feetech_tick_ratios
     from lipservo_lab.bench.bus.process_cpu_figures import process_ratios
+    from lipservo_lab.bench.bus.pulse_tick_figures import pulse_tick_ratios
     from lipservo_lab.bench.bus.stall_figures import stall_figures
     from lipservo_lab.bench.bus.tick_cpu_figures import tick_ratios
 
@@ -95,11 +95,8 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
         measure.replug_figures,
         stall_figures,
         feetech_tick_ratios,
+        pulse_tick_ratios,
     ]
-    if find_spec("smbus2") is not None:
-        from lipservo_lab.bench.bus.pulse_tick_figures import pulse_tick_ratios
-
-        parts.append(pulse_tick_ratios)
     figures: dict[str, float | str] = {"scheduling": measure.scheduling()}
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("bus", total=len(parts))
@@ -320,10 +317,14 @@ def calibration(
         bool,
         typer.Option(
             "--ways",
-            help="elastic: also every shipped way (measured, guided, practise, port, dots) on "
-            "robots of 1 to 12 servos, drawn by the first seed.",
+            help="elastic: also every shipped way (measured, guided, practise, port, hobby, dots) "
+            "on robots of 1 to 12 servos, drawn by the first seed.",
         ),
     ] = False,
+    kills: Annotated[
+        int,
+        typer.Option(min=0, help="Kill so many captures with each of three trackers; they go on."),
+    ] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -343,6 +344,7 @@ def calibration(
             numbers,
             list(RobotFamily) if family is None else [family],
             ways=ways,
+            kills=kills,
             advance=lambda done, of: progress.update(robots, completed=done, total=of),
         )
     _print(figures, time.perf_counter() - began_s, as_json=as_json)

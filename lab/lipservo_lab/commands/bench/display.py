@@ -8,7 +8,7 @@ import typer
 
 from lipservo.commands.options import Json, Quiet
 from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
-from lipsync.errors import UserError, check_extra
+from lipsync.errors import UserError, check_extra, check_inputs
 
 
 def display(
@@ -34,6 +34,7 @@ def display(
 
     Every recorded frame of random_test is shown. Without --track no tracker is needed.
     """
+    check_inputs(corpus, landmarker)
     check_extra("cv2", "drawing a photograph")
     check_extra("av", "making a film")
     from lipservo.display.photo_display import PhotoDisplay

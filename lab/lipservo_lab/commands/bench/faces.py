@@ -10,6 +10,7 @@
 """
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -122,7 +123,7 @@ def scans(
 
 def shapes(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
-    phonemes: Annotated[Path, typer.Argument(help="TextGrid with its true phones.")],
+    phonemes: Annotated[Path, typer.Argument(help="File of its true phones.")],
     picture: Annotated[
         Path | None, typer.Option(help="Draw 3 s of it as PNG.", show_default=False)
     ] = None,
@@ -134,12 +135,13 @@ def shapes(
     from lipservo.runtime.motion_options import ChosenMotion
     from lipservo.terminal.pictures import check_picture
     from lipservo_lab.bench.shape_figures import closing_figures, compared_shapes
+    from lipsync.phoneme_files.label_file import LabelFile
 
     if picture is not None:
         check_picture(picture, [sound, phonemes])
     from_text, heard = (
         spoken_sound(sound, script, ChosenMotion(), DEFAULT_FACE, model)
-        for script in (phonemes, None)
+        for script in (LabelFile(phonemes), None)
     )
     compared = compared_shapes(from_text, heard)
     rows = {name: closing_figures(compared.phones, each) for name, each in compared.closed.items()}
@@ -172,6 +174,13 @@ def sync(
             show_default=False,
         ),
     ] = None,
+    timings: Annotated[
+        bool,
+        typer.Option(
+            "--timings",
+            help="Instead: the visemes shown of that clip beside wrong times of its phonemes.",
+        ),
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -182,11 +191,15 @@ def sync(
     """
     from lipservo_lab.bench.sync.closures_at_shaft import closures_at_shaft
     from lipservo_lab.bench.sync.sync_figures import sync_figures
+    from lipservo_lab.bench.sync.timed_units import timed_figures
 
     figures: dict[str, object]
-    if face is not None:
-        if quick:
-            raise UserError("--quick and --face: give one of them")
+    if quick + timings + (face is not None) > 1:
+        raise UserError("--quick, --face, --timings: give one of them")
+    if timings:
+        with progress_bar(quiet=quiet) as advance:
+            figures = {"timed": timed_figures(partial(advance, "defects"))}
+    elif face is not None:
         figures = dict(closures_at_shaft(face))
     else:
         with progress_bar(quiet=quiet) as advance:

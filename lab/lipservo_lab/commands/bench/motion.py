@@ -6,6 +6,7 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -13,11 +14,11 @@ import typer
 from rich.progress import Progress
 from rich.table import Table
 
-from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad, UnitShare
+from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
 from lipservo_lab.commands.other_weights import OtherWeights
-from lipsync.errors import UserError, check_extra
+from lipsync.errors import UserError, check_extra, check_inputs
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Question
@@ -45,8 +46,8 @@ def measure_video(
     from lipsync.video.face_tracker import open_tracker
 
     began_s = time.perf_counter()
-    check_extra("ai_edge_litert", "bench motion --video")
     clips = find_clips(folder)
+    check_extra("ai_edge_litert", "bench motion --video")
     tracker = open_tracker(landmarker)
     with progress_bar(quiet=quiet) as advance:
         figures = foreign_figures(clips, tracker, model, advance)
@@ -126,7 +127,12 @@ def motion(
     phonemes: Annotated[
         str, typer.Option(help="true, recognized live, or text: live with the words known.")
     ] = "true",
-    unit_share: UnitShare = None,
+    random_units: Annotated[
+        bool,
+        typer.Option(
+            "--random-units", help="Score AnimPhos drawn by lot too: what their choice is worth."
+        ),
+    ] = False,
     published_derivatives: Annotated[
         bool,
         typer.Option(
@@ -182,6 +188,11 @@ def motion(
     from lipsync.offline.line_methods import DEFAULT_METHOD
 
     began_s = time.perf_counter()
+    if not corpus.is_dir():
+        raise UserError(f"{corpus}: no such folder; docs/motion.md says what is in one")
+    given = None if model is None else load_trained_model(shipped)
+    if offline:
+        check_extra("dtaidistance", "bench motion --offline")
     if plots is not None:
         check_folder(plots, (*PICTURES, *LINE_PICTURES) if offline else PICTURES)
     if leave_words_out and strategy is None:
@@ -192,7 +203,7 @@ def motion(
         phonemes,
         words,
         published_derivatives=published_derivatives,
-        unit_share=unit_share,
+        random_units=random_units,
     )
     if leave_words_out:
         if model is not None or words is not None or plots is not None:
@@ -206,9 +217,12 @@ def motion(
         return
     if also:
         raise typer.BadParameter("--also is of models trained here: give --leave-words-out too")
-    given = None
-    if model is not None:
-        given = load_trained_model(shipped)
+    if question.compares and find_spec("pocketsphinx") is None:
+        MESSAGES.print(
+            "the paper's tables are without pocketsphinx, which is not installed: `pip install "
+            "'lipservo[align]'`",
+            soft_wrap=True,
+        )
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         answer = _answer(
             corpus, given, question, plots, progress, skip_bad=skip_bad, with_offline=offline
@@ -284,7 +298,7 @@ def _answer(
             MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
     progress.update(step, description="the paper's tables", visible=True)
     # One method alone is a quick question, and the tables are a comparison.
-    paper = measure.paper_rows(model, unseen) if question.compares else None
+    paper = measure.paper_rows(model, unseen, sentences) if question.compares else None
     progress.update(step, description="self-correction")
     recovery = measure.recovery(model, unseen, sentences, question)
     errors = None
@@ -443,21 +457,24 @@ def figures(
         ),
     ],
     plots: Annotated[
-        Path | None, typer.Option(help="Draw Figures 1, 4, 5 and 6 here.", show_default=False)
+        Path | None, typer.Option(help="Draw the figures here.", show_default=False)
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Print the tables and draw the figures of Wei and Deng, beside what they printed.
 
-    Of the sentences that the model has not learned; times are of the processor.
+    Of the sentences that the model has not learned; times are of the processor. Of those that it
+    has, what Edge, Hilton and Jackson print of their recordings and modes.
     """
     from lipservo.terminal.pictures import check_folder
     from lipservo_lab.bench import motion_figures as measure
     from lipservo_lab.bench.pictures.paper_figures import PAPER_PICTURES, draw_paper
     from lipservo_lab.corpus.grid import read_grid
+    from lipservo_lab.evaluation.motion.edge_tables import edge_tables
     from lipservo_lab.learning.motion.trained_model import load_trained_model
 
+    check_inputs(corpus, model)
     if plots is not None:
         check_folder(plots, PAPER_PICTURES)
     face = load_trained_model(model)
@@ -475,7 +492,9 @@ def figures(
                 f"{model}: has learned every sentence of {corpus}; make one that has not with "
                 "`lipservo learn face --without FILE`"
             )
-        tables = measure.paper_rows(face, sentences.keep(unseen))
+        tables = measure.paper_rows(face, sentences.keep(unseen), sentences)
+        if learned := sentences.keep(set(face.training_sentences)).utterances:
+            tables |= edge_tables(face, learned)
     if plots is not None:
         draw_paper(plots, tables)
     if as_json:

@@ -13,6 +13,7 @@ from lipservo.commands.options import Json, Quiet, SkipBad
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
 from lipservo_lab.commands.other_weights import OtherWeights
+from lipsync.errors import check_inputs
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Row
@@ -95,6 +96,7 @@ def readability(
     )
 
     began_s = time.perf_counter()
+    check_inputs(corpus)
     if plots is not None:
         check_folder(plots, PICTURES)
     if leave_words_out and (words is not None or models is not None):

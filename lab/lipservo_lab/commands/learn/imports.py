@@ -13,7 +13,7 @@ import typer
 
 from lipservo.commands.options import Json, Landmarker, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
-from lipsync.errors import UserError, check_extra
+from lipsync.errors import UserError, check_extra, check_inputs
 
 if TYPE_CHECKING:
     from lipservo_lab.scans.scan_import import Advance, ScanImport
@@ -39,6 +39,7 @@ def import_video(
     from lipsync.video.face_tracker import open_tracker
 
     began_s = time.perf_counter()
+    check_inputs(source, landmarker)
     check_extra("ai_edge_litert", "learn import-video")
     check_extra("matplotlib", "the picture sheet of import-video")
     check_corpus_folder(output)
@@ -126,6 +127,7 @@ def import_scans(
     NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt gives the words, else
     they are recognised; NAME.markers.csv gives named points. docs/own-face.md says more.
     """
+    check_inputs(folder, template)
     check_extra("trimesh", "learn import-scans")
     check_extra("matplotlib", "the picture sheet of import-scans")
     from lipservo.terminal.pictures import check_picture

@@ -18,7 +18,7 @@ from rich.table import Table
 from lipservo.commands.options import Json, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
 from lipservo.terminal.pictures import save_picture, without_screen
-from lipsync.errors import UserError, check_extra
+from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.output_file import check_output
 from lipsync.recognition.network import DEFAULT_WEIGHTS
 
@@ -151,6 +151,7 @@ def train_recognizer(
     quiet: Quiet = False,
 ) -> None:
     """Learn the recogniser's weights (needs the extra `train`: torch)."""
+    check_inputs(*corpora)
     check_extra("torch", "learn recognizer")
     from lipservo_lab.corpus.transcribed import read_names
     from lipservo_lab.learning.recognition.synthetic_corpus import read_voices

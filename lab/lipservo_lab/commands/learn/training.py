@@ -41,12 +41,6 @@ def train(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
-    animphos: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="How many AnimPhos; default: so many that each has 3.45 successors."
-        ),
-    ] = None,
     components: Annotated[
         int | None,
         typer.Option(help="How many principal components a face has; default: 8, the paper: 5."),
@@ -57,6 +51,9 @@ def train(
             help="The points of a face: 39, 47 (default) or 478, or a JSON file (docs/motion.md)."
         ),
     ] = None,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="As Wei and Deng: --components 5 --markers 39.")
+    ] = False,
     phonemes: Annotated[
         Phonemes,
         typer.Option(
@@ -112,6 +109,10 @@ def train(
     from lipsync.markers import MARKERS_47, find_layout
     from lipsync.recognition.network import load_shipped_weights
 
+    if paper:
+        if markers is not None or components is not None:
+            raise typer.BadParameter("--paper is --components 5 --markers 39; leave these out")
+        markers, components = "39", 5
     layout = MARKERS_47 if markers is None else find_layout(markers)
     n_components = DEFAULT_COMPONENTS if components is None else components
     check_components(n_components, layout)
@@ -147,7 +148,6 @@ def train(
             sentences,
             seed=seed,
             n_components=n_components,
-            n_animphos=animphos,
             heard=heard,
             progress=lambda step: progress.update(learning, description=step),
         )

@@ -19,7 +19,7 @@ from lipservo.commands.options import (
     SkipBad,
 )
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
-from lipsync.errors import check_extra
+from lipsync.errors import check_extra, check_inputs
 
 if TYPE_CHECKING:
     from lipservo.display.film import Display
@@ -89,6 +89,7 @@ def make(
 
     size = Size(ratings, pairs, readings, sentences)
     names = chosen_methods(methods)
+    check_inputs(corpus, consent, model, landmarker)
     check_output_folder(folder, "study")
     check_extra("av", "filming a study")
     plan = Plan(names, size, seed or secrets.token_hex(8), title, _consent_text(consent))
@@ -284,6 +285,7 @@ def report(
     from lipservo_lab.study.study_figures import machine_tables, study_figures
     from lipsync.output_file import check_output, write_whole
 
+    check_inputs(folder, answers)
     check_extra("matplotlib", "the pictures of a report")
     if mixed:
         check_extra("statsmodels", "a linear mixed model (--no-mixed leaves it out)")

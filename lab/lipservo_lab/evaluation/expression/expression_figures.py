@@ -113,7 +113,7 @@ _PAUSE_S = 0.3
 class ShownExpression:
     """A track of n cues, CUE_PERIOD_S apart.
 
-    values: (n, 9), columns by NAMES, NaN where absent. is_speaking: (n,). loudness_z, pitch_z:
+    values: (n, 10), columns by NAMES, NaN where absent. is_speaking: (n,). loudness_z, pitch_z:
     (n,), of the voice. step_ms: (n,), the cost of each step.
     """
 

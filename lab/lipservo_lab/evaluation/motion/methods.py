@@ -1,9 +1,10 @@
 """The methods that are compared: each turns a heard sentence into faces at given times."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -14,11 +15,18 @@ from lipservo_lab.baselines.baselines import (
     viseme_centres,
 )
 from lipservo_lab.learning.motion.trained_model import TrainedModel
-from lipsync.animpho.selection import STRATEGIES, SelectionStrategy
+from lipsync.animpho.selection import (
+    STRATEGIES,
+    Choice,
+    GuidedSelection,
+    Joint,
+    SelectionStrategy,
+)
 from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.animpho.units import AnimPhoUnits
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import contexts, track_of
-from lipsync.motion.finishing import DEFAULT_UNIT_SHARE, Style
+from lipsync.motion.finishing import Style
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY, LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
@@ -221,14 +229,14 @@ class RegressionMethod:
 class LiveMethod:
     """Ours, as it runs live: every 10 ms it learns what is known by then, and moves on.
 
-    unit_share: of AnimPhos; None: the strategy that has none.
+    selection: of AnimPhos; None: the strategy that has none.
     """
 
     name: str = LIVE_STRATEGY
     looks_ahead: bool = True
     strength: float = 1.0
     smoothness: float = 0.0
-    unit_share: float | None = None
+    selection: Callable[[AnimPhoUnits], GuidedSelection] | None = None
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
         """Return faces decided at t by the sound up to t + L; see `Method`.
@@ -257,11 +265,49 @@ class LiveMethod:
 
     def synthesizer(self, model: TrainedModel, lookahead_s: float) -> LiveSynthesizer:
         """Return a fresh synthesiser."""
-        if self.unit_share is None:
-            style = Style(lookahead_s, self.strength, self.smoothness)
-            return LiveSynthesizer(model, model.expectation, style, soft=model.soft)
-        style = Style(lookahead_s, self.strength, self.smoothness, self.unit_share)
-        return LiveSynthesizer(model, model.expectation, style, model.animphos, model.soft)
+        style = Style(lookahead_s, self.strength, self.smoothness)
+        selection = self.selection and self.selection(model.animphos)
+        return LiveSynthesizer(model, model.expectation, style, selection, model.soft)
+
+
+class _RandomSelection(GuidedSelection):
+    """Instead of the nearest AnimPho any, by lot: what the choice is worth."""
+
+    def __init__(self, units: AnimPhoUnits, *, of_all: bool) -> None:
+        super().__init__(units)
+        self._of_all = of_all
+        self._chance = np.random.default_rng(0)
+
+    def choose(self, phoneme: str, target: Array, joint: Joint) -> Choice:
+        """Return any AnimPho of the phoneme, or of all.
+
+        Parameters
+        ----------
+        phoneme : str
+            One of the model's known phonemes.
+        target : Array
+            (5, n_components).
+        joint : Joint
+            State of the mouth.
+
+        Returns
+        -------
+        Choice
+            As `GuidedSelection.choose`.
+        """
+        candidates = range(len(self.units)) if self._of_all else self.units.of_phoneme(phoneme)
+        chosen = super().choose(phoneme, target, joint)
+        return replace(chosen, animpho=int(self._chance.choice(candidates)))
+
+
+#: The default with AnimPhos drawn by lot, from those of the phoneme, or from all.
+RANDOM_UNITS: Final = tuple(
+    LiveMethod(
+        f"{UNIT_STRATEGY}:random-of-{pool}",
+        selection=partial(_RandomSelection, of_all=pool == "all"),
+    )
+    for pool in ("phoneme", "all")
+)
 
 
 def all_methods() -> dict[str, Method]:
@@ -273,7 +319,7 @@ def all_methods() -> dict[str, Method]:
         MeanFaceMethod(),
         *(PublishedMethod(strategy) for strategy in STRATEGIES.values()),
         RegressionMethod(),
-        LiveMethod(UNIT_STRATEGY, unit_share=DEFAULT_UNIT_SHARE),
+        LiveMethod(UNIT_STRATEGY, selection=GuidedSelection),
         LiveMethod(),
     )
     return {method.name: method for method in methods}

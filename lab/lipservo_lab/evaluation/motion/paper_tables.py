@@ -5,8 +5,8 @@ three clips, drawn at random, with true phonemes (case 1) and live recognised on
 each recogniser), over the baseline's. Table 3: what a phoneme costs in processor time. Figure 6:
 miss rates of eight phrases. Only ratios compare: the paper's RMSE has no unit.
 
-What the paper prints of its data beside the model's, and how much of the default motion AnimPhos
-are. How often selection finds no AnimPho that is both right and connected.
+What the paper prints of its data beside the model's, and what AnimPhos do to the default motion.
+How often selection finds no AnimPho that is both right and connected.
 
 Table 3 of Wei and Deng: what a phoneme costs, stage by stage, beside the printed numbers.
 
@@ -21,7 +21,14 @@ import numpy as np
 
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo_lab.corpus.utterance import Utterance, speech_frames
-from lipservo_lab.evaluation.motion.methods import Heard, LiveMethod, all_methods, script_of
+from lipservo_lab.evaluation.motion.as_printed import PrintedMethod
+from lipservo_lab.evaluation.motion.methods import (
+    Heard,
+    LiveMethod,
+    Method,
+    all_methods,
+    script_of,
+)
 from lipservo_lab.evaluation.motion.motion_scores import Listen, Scores, add_scores, true_phonemes
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.animpho.selection import (
@@ -41,13 +48,8 @@ from lipsync.animpho.trajectory import (
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import track_of
-from lipsync.motion.finishing import (
-    DEFAULT_LOOKAHEAD_S,
-    DEFAULT_UNIT_SHARE,
-    FINE_SHARE,
-    N_COARSE,
-)
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
+from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
+from lipsync.motion.live_synthesizer import UNIT_STRATEGY
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, stand_in
 
 
@@ -224,12 +226,14 @@ def paper_tables(
     model: TrainedModel,
     utterances: Sequence[Utterance],
     recognizers: Mapping[str, Listen],
+    printed: PrintedMethod | None,
     *,
     seed: int = 0,
 ) -> dict[str, list[Row]]:
     """Rows of data, figure_1, table_2, table_3, figure_6 and animphos; ours beside the paper's own.
 
-    recognizers: by name; the first is the one in use, whose columns end in `case_2`, the others'
+    printed: the paper's method as printed, where the model's sentences are at hand. recognizers:
+    by name; the first is the one in use, whose columns end in `case_2`, the others'
     in `case_2_NAME`.
     """
     rng = np.random.default_rng(seed)
@@ -239,14 +243,14 @@ def paper_tables(
     return {
         "data": _data_rows(model),
         "figure_1": [_agreement(sentence, recognizers) for sentence in picked],
-        "table_2": [_ratios(model, clip, i, recognizers) for i, clip in enumerate(clips)],
+        "table_2": [_ratios(model, clip, i, recognizers, printed) for i, clip in enumerate(clips)],
         "table_3": [
             row
             for number, clip in enumerate(clips)
             for row in cost_rows(model, clip, number, next(iter(recognizers.values())))
         ],
-        "figure_6": [_misses(model, phrase) for phrase in drawn],
-        "animphos": animpho_rows(model, picked),
+        "figure_6": [_misses(model, phrase, printed) for phrase in drawn],
+        "animphos": [animpho_use(model, picked)],
     }
 
 
@@ -264,38 +268,51 @@ def _data_rows(model: TrainedModel) -> list[Row]:
     ]
 
 
-def animpho_rows(model: TrainedModel, sentences: Sequence[Utterance]) -> list[Row]:
-    """How much of the default motion of sentences is by AnimPhos: shares of its variance.
+class _CountedSelection(GuidedSelection):
+    """Counts plans, and those in which b_t is another AnimPho than a_t."""
 
-    share_of_variance: each component's weighs as much as AnimPhos do in it. added: what they add to
-    the expectation alone. In frames of speech, with true phonemes and `LOOKAHEAD_MS`.
+    n_plans = n_used = 0
+
+    def choose(self, phoneme: str, target: Array, joint: Joint) -> Choice:
+        """Return the choice, counted; see `GuidedSelection.choose`."""
+        chosen = super().choose(phoneme, target, joint)
+        self.n_plans += 1
+        if joint.previous is not None:
+            connected = choose_connected(self.units, joint.previous.animpho, chosen.animpho)
+            self.n_used += connected != chosen.animpho
+        return chosen
+
+
+def animpho_use(model: TrainedModel, sentences: Sequence[Utterance]) -> Row:
+    """What AnimPhos do to the default motion of sentences.
+
+    animpho_variance: the mean square by which they move it from the expectation, over the variance
+    of the expectation, all components together; transition_used: the share of plans in which b_t,
+    eq. (3), is not a_t. In frames of speech, with true phonemes and `LOOKAHEAD_MS`.
     """
-    methods = all_methods()
-    whole, added = [], []
+    counted: list[_CountedSelection] = []
+
+    def selection(units: AnimPhoUnits) -> GuidedSelection:
+        counted.append(_CountedSelection(units))
+        return counted[-1]
+
+    ours = LiveMethod(UNIT_STRATEGY, selection=selection)
+    expected, added = [], []
     for sentence in sentences:
         times_s = np.arange(len(sentence.markers_mm)) / sentence.frame_rate_hz
-        ours, expected = (
-            methods[name].faces(model, Heard(sentence.phones), times_s, LOOKAHEAD_MS / 1e3)
-            for name in (UNIT_STRATEGY, LIVE_STRATEGY)
+        heard, spoken = Heard(sentence.phones), speech_frames(sentence)
+        played, alone = (
+            method.faces(model, heard, times_s, LOOKAHEAD_MS / 1e3)[spoken]
+            for method in (ours, LiveMethod())
         )
-        spoken = speech_frames(sentence)
-        whole.append(ours[spoken])
-        added.append((ours - expected)[spoken])
-    of_whole, of_added = (np.concatenate(each).var(axis=0) for each in (whole, added))
-    n_components = len(of_whole)
-    by_animphos = np.full(n_components, DEFAULT_UNIT_SHARE)
-    by_animphos[N_COARSE:] *= FINE_SHARE
-    by_animphos = np.minimum(1.0, by_animphos) * of_whole
-    shown = {"all": slice(None), f"{N_COARSE + 1} to {n_components}": slice(N_COARSE, None)}
-    return [
-        {
-            "components": name,
-            "share_of_variance": float(by_animphos[part].sum() / of_whole[part].sum()),
-            "added": float(of_added[part].sum() / of_whole[part].sum()),
-        }
-        for name, part in shown.items()
-        if of_whole[part].sum() > 0.0
-    ]
+        expected.append(alone)
+        added.append(played - alone)
+    variance = np.concatenate(expected).var(axis=0).sum()
+    return {
+        "animpho_variance": float((np.concatenate(added) ** 2).mean(axis=0).sum() / variance),
+        "transition_used": sum(each.n_used for each in counted)
+        / max(1, sum(each.n_plans for each in counted)),
+    }
 
 
 def _agreement(sentence: Utterance, recognizers: Mapping[str, Listen]) -> Row:
@@ -317,14 +334,20 @@ def _phonemes_at(events: Sequence[PhonemeEvent], times_s: Array) -> list[str]:
 
 
 def _ratios(
-    model: TrainedModel, clip: Utterance, number: int, recognizers: Mapping[str, Listen]
+    model: TrainedModel,
+    clip: Utterance,
+    number: int,
+    recognizers: Mapping[str, Listen],
+    printed: PrintedMethod | None,
 ) -> Row:
     row: Row = {
         "clip": clip.name,
         "printed_case_1": PRINTED_CASE_1[number],
         "printed_case_2": PRINTED_CASE_2[number],
     }
-    methods = [all_methods()["priority"], *_ours()]
+    methods: list[Method] = [all_methods()["priority"], *_ours()]
+    if printed is not None:
+        methods.append(printed)
     cases: dict[str, Listen] = {"case_1": true_phonemes}
     for name, listen in recognizers.items():
         cases[f"case_2_{name}" if "case_2" in cases else "case_2"] = listen
@@ -336,12 +359,16 @@ def _ratios(
     return row
 
 
-def _misses(model: TrainedModel, phrase: Utterance) -> Row:
+def _misses(model: TrainedModel, phrase: Utterance, printed: PrintedMethod | None) -> Row:
     rates = {
         name: miss_rate(model.animphos, strategy, [phrase.phones])
         for name, strategy in STRATEGIES.items()
     }
     rates[UNIT_STRATEGY] = guided_misses(model, phrase.phones)
+    if printed is not None:
+        priority = STRATEGIES["priority"]
+        each = [miss_rate(units, priority, [phrase.phones]) for units in printed.units]
+        rates[printed.name] = sum(each) / len(each)
     return {"phrase": phrase.name, "printed_priority": PRINTED_PRIORITY_MISSES, **rates}
 
 
@@ -349,7 +376,7 @@ def guided_misses(model: TrainedModel, phones: Sequence[PhonemeEvent]) -> float:
     """The miss rate of AnimPhos chosen near the expectation, each phone whole and planned once."""
     units, track = model.animphos, track_of(phones)
     selection = GuidedSelection(units)
-    previous: int | None = None
+    previous: Choice | None = None
     misses = total = 0
     for event in phones:
         if event.phoneme == SILENCE or event.end_s is None:
@@ -367,7 +394,7 @@ def guided_misses(model: TrainedModel, phones: Sequence[PhonemeEvent]) -> float:
             joint = Joint(0.0, target[0], speed, spacing_s, previous)
             chosen = selection.choose(part, target, joint)
             if previous is not None:
-                misses += chosen not in units.successors[previous]
+                misses += chosen.missed
                 total += 1
             previous = chosen
     return misses / total if total else 0.0

@@ -1,8 +1,6 @@
 """Scores of what was read; intervals: 95 % bootstrap over sentences (Efron 1979), percentiles.
 
 What is read: known words of held-out sentences, and sets of words that a model never saw.
-
-The readability of one method's motion on one model, in one call.
 """
 
 import json
@@ -17,21 +15,13 @@ from lipservo_lab.evaluation.motion.methods import Method
 from lipservo_lab.evaluation.motion.motion_scores import (
     Listen,
     Part,
-    Progress,
-    true_phonemes,
     words_part,
 )
 from lipservo_lab.evaluation.readability.readers import (
-    COMPONENT_READER,
     MARGIN_S,
     Motions,
     ReaderKind,
     Reading,
-    known_fold,
-    new_word_folds,
-    read_words,
-    sentences_with,
-    slotted,
     spoken_words,
 )
 from lipservo_lab.learning.motion.trained_model import TrainedModel
@@ -173,56 +163,6 @@ def percentiles(samples: Array) -> tuple[float, float]:
     """The 95 % between."""
     low, high = np.percentile(samples, [2.5, 97.5])
     return float(low), float(high)
-
-
-def known_readability(
-    model: TrainedModel,
-    utterances: Sequence[Utterance],
-    test: frozenset[str],
-    method: Method | None,
-    *,
-    lookahead_s: float = 0.1,
-    listen: Listen = true_phonemes,
-    kind: ReaderKind = COMPONENT_READER,
-    progress: Progress = iter,
-) -> ReadingScore:
-    """How well the test's words are read off the method's motion; None: off the recorded one.
-
-    utterances: test and what the reader is fitted on, in the model's points. The model must not
-    have learned the test.
-    """
-    sentences = slotted(utterances)
-    recorded = recorded_motions(model, sentences, kind)
-    folds = known_fold(kind, sentences, test, recorded)
-    made = recorded
-    if method is not None:
-        read = [u for u in sentences if u.name in test]
-        faces = made_faces(model, progress(read), method, lookahead_s, listen)
-        made = seen_motions(model, faces, kind)
-    return known_score(read_words(folds, made, recorded))
-
-
-def new_word_readability(
-    model: TrainedModel,
-    utterances: Sequence[Utterance],
-    words: frozenset[str],
-    method: Method | None,
-    *,
-    lookahead_s: float = 0.1,
-    listen: Listen = true_phonemes,
-    kind: ReaderKind = COMPONENT_READER,
-    progress: Progress = iter,
-) -> ReadingScore:
-    """The same of words that the model has not learned, in all sentences that hold one of them."""
-    sentences = slotted(utterances)
-    recorded = recorded_motions(model, sentences, kind)
-    folds = new_word_folds(kind, sentences, words, recorded)
-    made = recorded
-    if method is not None:
-        read = sentences_with(words, sentences)
-        faces = made_faces(model, progress(read), method, lookahead_s, listen)
-        made = seen_motions(model, faces, kind)
-    return new_word_score(read_words(folds, made, recorded), words)
 
 
 def recorded_motions(model: FaceModel, sentences: Iterable[Utterance], kind: ReaderKind) -> Motions:

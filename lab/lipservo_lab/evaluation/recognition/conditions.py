@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from firmware_bridge.dynamixel.control_table import servo_models
 from lipservo_lab.learning.recognition import noise
 from lipservo_lab.learning.recognition.noise import unit_power
 from lipsync.arrays import Array, Array32
@@ -147,7 +148,7 @@ def servo_noise(rng: np.random.Generator, n: int, robot: int = 0) -> tuple[Array
 
 
 def encoder_readings_deg(speeds_deg_s: Array) -> Array:
-    """Return where encoders of 4096 steps see the joints at the end of each 10 ms.
+    """Return where encoders of XL330 see the joints at the end of each 10 ms.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ def encoder_readings_deg(speeds_deg_s: Array) -> Array:
     Array
         (n_frames, n_servos) degrees.
     """
-    step_deg = 360.0 / 4096
+    step_deg = 1.0 / servo_models()["XL330-M288"].pulses_per_deg
     places_deg = np.cumsum(speeds_deg_s, axis=0) / FRAMES_PER_S
     return np.asarray(np.rint(places_deg / step_deg) * step_deg)
 

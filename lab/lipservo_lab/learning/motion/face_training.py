@@ -4,6 +4,7 @@ Wei and Deng, sections "data preprocessing" and "AnimPho". The only module of th
 loads scikit-learn.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -30,6 +31,8 @@ from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, IndexLists, face_fields
 from lipsync.arrays import Array
 from lipsync.errors import UserError
+from lipsync.expectation.back_off import BackOff
+from lipsync.expectation.expectation import UNKNOWN, track_of
 from lipsync.face.model import FaceModel
 from lipsync.markers import CLOSED_GAP_MM, PointLayout
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF, PhonemeEvent, stand_in
@@ -40,13 +43,10 @@ Progress = Callable[[str], None]
 #: here 5 hold 94.8 %, 7 hold 97.0 %. Of what phonemes say about a face the sixth to eighth hold
 #: more than the fifth (docs/decisions/0007).
 DEFAULT_COMPONENTS = 8
-#: Successors of an AnimPho on average in the paper; decides how many AnimPhos there are.
-TARGET_SUCCESSORS = 3.45
-_SUCCESSORS_TOLERANCE = 0.05
-_SEARCH_ROUNDS = 6
-#: Where the search starts: m / n that gave 3.3 successors on grid_s1.
-_FIRST_RATIO = 0.25
-_KMEANS_ITERATIONS = 50
+#: Of each phoneme, for each of its segments. Chosen on inner splits: 0.2 gives an AnimPho the
+#: paper's 3.45 successors, and faces .007 of the ratio farther off.
+_ANIMPHOS_PER_SEGMENT = 0.26
+_KMEANS_ITERATIONS = 20
 
 
 class TrainingError(UserError):
@@ -73,7 +73,6 @@ def train(
     *,
     seed: int = 0,
     n_components: int = DEFAULT_COMPONENTS,
-    n_animphos: int | None = None,
     heard: Mapping[str, Sequence[PhonemeEvent]] | None = None,
     progress: Progress = lambda _: None,
 ) -> TrainedModel:
@@ -81,7 +80,6 @@ def train(
 
     corpus: of one speaker, or of several on one face (`several_speakers.on_one_face`).
     n_components: principal components of the face, from 1 on.
-    n_animphos: None searches for the number that gives an AnimPho 3.45 successors, as in the paper.
     heard: what the recogniser makes of the sentences, by name (`hearing.hear_sentences`); from it
     the expectation learns beside the labels what to do with a recogniser's errors.
     Raises TrainingError for a corpus without labelled motion, or with too little of it for so many
@@ -115,7 +113,6 @@ def train(
     if len(segments.samples) < 2:
         raise TrainingError(f"corpus {corpus.name}: only {len(segments.samples)} phoneme in it")
     with threadpool_limits(limits=1):
-        animphos, cluster = _cluster(segments, n_animphos, seed, progress)
         centres, counts = phone_centres(segments)
         from_labels = counted_training_set(labelled.utterances, coefficients)
         from_hearing = counted_training_set(labelled.utterances, coefficients, heard or {})
@@ -127,23 +124,16 @@ def train(
             [coefficients[i] for i in each],
         )
         expectation = with_deviation(expectation, utterances_of, motion)
+        expectation = replace(expectation, back_off=BackOff(centres, diphones(labelled.utterances)))
         progress("baselines")
         dominance = tune_dominance(utterances_of, motion, centres)
         regression = fit_regression(
             from_labels.phonemes, from_labels.times_s, from_labels.lookahead_s, from_labels.faces
         )
-    successors = _successors(segments, cluster, len(animphos))
     face = _face(corpus, pca, labelled.utterances, coefficients)
-    samples = animphos.reshape(len(animphos), SAMPLES_PER_ANIMPHO, n_components)
     return TrainedModel(
         **face_fields(face),
-        animphos=AnimPhoUnits(
-            rest=face.rest,
-            samples=samples,
-            successors=successors,
-            predecessors=successors.transposed(len(animphos)),
-            phoneme_table=IndexLists.from_pairs(segments.phonemes, cluster, len(PHONEMES)),
-        ),
+        animphos=animphos_of(segments, face.rest, seed),
         expectation=expectation,
         baselines=Baselines(centres, counts, dominance, regression),
         training_sentences=tuple(sentence_name(u.name) for u in labelled.utterances),
@@ -241,6 +231,27 @@ def phone_centres(segments: Segments) -> tuple[Array, Array]:
     return centres, counts
 
 
+def diphones(utterances: Iterable[Utterance]) -> NDArray[np.bool_]:
+    """Return which phoneme followed which, as `BackOff` has it; gaps count as silence.
+
+    Parameters
+    ----------
+    utterances : Iterable[Utterance]
+        Labelled.
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (41, 41), True for those unknown.
+    """
+    followed = np.zeros((UNKNOWN + 1, UNKNOWN + 1), dtype=np.bool_)
+    followed[UNKNOWN], followed[:, UNKNOWN] = True, True
+    for utterance in utterances:
+        phonemes = np.array(track_of(utterance.phones).phonemes)
+        followed[phonemes[:-1], phonemes[1:]] = True
+    return followed
+
+
 def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> Segments:
     """Return one segment a phoneme, resampled to five evenly spaced frames.
 
@@ -278,39 +289,93 @@ def _five_samples(phone: PhonemeEvent, motion: Array, frame_rate_hz: float) -> A
     return np.stack([np.interp(frame, numbers, component) for component in motion.T], axis=1)
 
 
-def _cluster(
-    segments: Segments, n_animphos: int | None, seed: int, progress: Progress
-) -> tuple[Array, NDArray[np.int64]]:
-    """AnimPhos (m, 25) and the AnimPho of each segment (n,)."""
-    vectors = segments.samples.reshape(len(segments.samples), -1)
+def animphos_of(segments: Segments, rest: Array, seed: int) -> AnimPhoUnits:
+    """Return the AnimPhos: the centres of k-means over the segments of each phoneme.
 
-    def cluster(m: int) -> tuple[Array, NDArray[np.int64]]:
-        progress(f"clustering {len(vectors)} segments into {m} AnimPhos")
-        kmeans = KMeans(m, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=seed)
-        kmeans.fit(vectors, sample_weight=segments.weights)
-        return kmeans.cluster_centers_, kmeans.labels_.astype(np.int64)
+    Wei and Deng cluster all segments together, so that half of their AnimPhos have several labels.
 
-    n_distinct = len(np.unique(vectors, axis=0))
-    if n_animphos is not None:
-        return cluster(min(n_animphos, n_distinct))
-    # More AnimPhos have fewer successors each, nearly in proportion to 1 / m. A tiny corpus cannot
-    # give 3.45 each, but every phoneme deserves an AnimPho of its own.
-    fewest = min(n_distinct, len(np.unique(segments.phonemes)))
-    m = max(fewest, min(n_distinct, round(_FIRST_RATIO * len(vectors))))
-    for _ in range(_SEARCH_ROUNDS):
-        centres, labels = cluster(m)
-        mean = len(_successors(segments, labels, m).indices) / m
-        better = max(fewest, min(n_distinct, round(m * mean / TARGET_SUCCESSORS)))
-        if abs(mean - TARGET_SUCCESSORS) <= _SUCCESSORS_TOLERANCE or better == m:
-            break
-        m = better
-    return centres, labels
+    Parameters
+    ----------
+    segments : Segments
+        (n, 5, n_components), of the corpus.
+    rest : Array
+        (n_components,), the closed mouth.
+    seed : int
+        Of the clustering.
+
+    Returns
+    -------
+    AnimPhoUnits
+        With the tables T, which followed which in a sentence, and L, one phoneme each.
+    """
+    cluster = np.empty(len(segments.samples), dtype=np.int64)
+    centres: list[Array] = []
+    phonemes: list[int] = []
+    for phoneme in np.unique(segments.phonemes).tolist():
+        rows = np.flatnonzero(segments.phonemes == phoneme)
+        vectors = segments.samples[rows].reshape(len(rows), -1)
+        found, which = _clustered(vectors, segments.weights[rows], seed)
+        cluster[rows] = len(phonemes) + which
+        centres.append(found)
+        phonemes += [phoneme] * len(found)
+    return _units(np.concatenate(centres), np.array(phonemes), cluster, segments, rest)
 
 
-def _successors(segments: Segments, cluster: NDArray[np.int64], m: int) -> IndexLists:
-    """T: which AnimPho directly follows which in some sentence."""
+def clustered_alike(segments: Segments, rest: Array, component: int, seed: int) -> AnimPhoUnits:
+    """Return the AnimPhos of one component as Wei and Deng print them: clusters of all segments.
+
+    The paper does not say which of the labels in a cluster L holds: here the commonest.
+
+    Parameters
+    ----------
+    segments : Segments
+        (n, 5, n_components), of the corpus.
+    rest : Array
+        (n_components,), the closed mouth.
+    component : int
+        Which of the components.
+    seed : int
+        Of the clustering.
+
+    Returns
+    -------
+    AnimPhoUnits
+        Samples (m, 5, 1).
+    """
+    vectors = segments.samples[:, :, component]
+    with threadpool_limits(limits=1):
+        centres, cluster = _clustered(vectors, segments.weights, seed)
+    counts = np.zeros((len(centres), len(PHONEMES)))
+    np.add.at(counts, (cluster, segments.phonemes), segments.weights)
+    return _units(centres, counts.argmax(axis=1), cluster, segments, rest[[component]])
+
+
+def _clustered(vectors: Array, weights: Array, seed: int) -> tuple[Array, NDArray[np.int64]]:
+    """k-means: centres (m, d), and of each vector its cluster."""
+    m = min(len(np.unique(vectors, axis=0)), math.ceil(_ANIMPHOS_PER_SEGMENT * len(vectors)))
+    kmeans = KMeans(m, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=seed)
+    cluster = kmeans.fit_predict(vectors, None, weights)
+    return kmeans.cluster_centers_, np.asarray(cluster, dtype=np.int64)
+
+
+def _units(
+    centres: Array,
+    phonemes: NDArray[np.int64],
+    cluster: NDArray[np.int64],
+    segments: Segments,
+    rest: Array,
+) -> AnimPhoUnits:
+    """centres: (m, 5 n_components); phonemes: (m,), the label of each; cluster: of each segment."""
+    m = len(centres)
     same_sentence = segments.sentence[:-1] == segments.sentence[1:]
-    return IndexLists.from_pairs(cluster[:-1][same_sentence], cluster[1:][same_sentence], m)
+    successors = IndexLists.from_pairs(cluster[:-1][same_sentence], cluster[1:][same_sentence], m)
+    return AnimPhoUnits(
+        rest=rest,
+        samples=centres.reshape(m, SAMPLES_PER_ANIMPHO, len(rest)),
+        successors=successors,
+        predecessors=successors.transposed(m),
+        phoneme_table=IndexLists.from_pairs(phonemes, np.arange(m), len(PHONEMES)),
+    )
 
 
 def _flat(utterance: Utterance) -> Array:

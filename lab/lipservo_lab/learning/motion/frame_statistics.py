@@ -38,7 +38,7 @@ _FEWEST = 5
 
 @dataclass(frozen=True, slots=True)
 class Closures:
-    """labiodental_gap_mm: the median smallest gap of F and V; tightest_s: (40,), see FaceModel."""
+    """labiodental_gap_mm: the mean gap of F and V; tightest_s: (40,); see FaceModel."""
 
     labiodental_gap_mm: float
     tightest_s: Array
@@ -62,7 +62,7 @@ def observe_closures(
         Gap in mm and times in s.
     """
     at_s: dict[str, list[float]] = {phoneme: [] for phoneme in _CLOSING}
-    labiodental_mm: list[float] = []
+    labiodental: list[tuple[str, Array, Array]] = []
     for utterance in utterances:
         gaps_mm = lip_gaps_mm(utterance.markers_mm)
         frames_s = np.arange(len(gaps_mm)) / utterance.frame_rate_hz
@@ -74,14 +74,18 @@ def observe_closures(
             tight = around_mm <= around_mm.min() + _AS_TIGHT_MM
             at_s[phone.phoneme].append(float(times_s[tight].mean() - phone.start_s))
             if phone.phoneme in ("F", "V"):
-                labiodental_mm.append(float(around_mm.min()))
+                labiodental.append((phone.phoneme, times_s - phone.start_s, around_mm))
     everything = [m for list_ in at_s.values() for m in list_] or [0.0]
     tightest_s = np.zeros(len(PHONEMES))
     for phoneme, list_ in at_s.items():
         enough = list_ if len(list_) >= _FEWEST else everything
         # Inside the phone, or a closure would belong to the phone before.
         tightest_s[PHONEMES.index(phoneme)] = max(0.0, float(np.median(enough)))
-    gap_mm = float(np.median(labiodental_mm)) if labiodental_mm else CLOSED_GAP_MM
+    at_moment_mm = [
+        np.interp(tightest_s[PHONEMES.index(phoneme)], since_s, around_mm)
+        for phoneme, since_s, around_mm in labiodental
+    ]
+    gap_mm = float(np.mean(at_moment_mm)) if at_moment_mm else CLOSED_GAP_MM
     return Closures(gap_mm, tightest_s)
 
 

@@ -69,7 +69,7 @@ class _Learner:
     losses: list[float] = field(default_factory=list)
 
     def save(self, path: Path, about: str) -> None:
-        """Write the state, whole or not at all. Raises OutputError, on a full disk for one."""
+        """Write the state, whole or not at all. Raises OutputError, for example on a full disk."""
         state = {
             "about": about,
             "step": self.step,

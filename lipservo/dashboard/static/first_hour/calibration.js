@@ -42,25 +42,21 @@ export class Calibration {
     const accept = failed
       ? '<p><button type="button" class="act" data-do="accept">Go on with what was captured, and take it as it is</button></p>'
       : "";
-    if (!state.face.has_place) {
-      draw(
-        this.body,
-        `${made}<p>These servos cannot say where they stand, so nothing can be measured on them: a map for a face of usual shape, with your limits. The robot speaks, coarsely.</p>` +
-          '<button type="button" class="act first" data-do="drawn">Begin with a drawn face</button>',
-      );
-      return;
-    }
+    const places = state.face.has_place;
+    const drawn = places
+      ? ""
+      : '<div><h3>Drawn</h3><p>A map for a face of usual shape, with your limits: the robot speaks at once, coarsely.</p><button type="button" class="act" data-do="drawn">Begin with a drawn face</button></div>';
     const computed = state.simulated ? '<option value="computed">computed from the simulated servos</option>' : "";
     draw(
       this.body,
       `${made}${accept}<div class="ways"><div><h3>By eye</h3><p>You see the mouth that is wanted, and bring the robot's there with sliders: 14 shapes, some ten minutes. Usable, and coarse.</p>` +
-        `${lags(false)}<button type="button" class="act first" data-do="by-eye">${state.keeps ? "Go on by eye" : "Begin by eye"}</button></div>` +
+        `${places ? lags(false) : ""}<button type="button" class="act first" data-do="by-eye">${state.keeps ? "Go on by eye" : "Begin by eye"}</button></div>` +
         '<form><h3>Measured</h3><p>A tracker sees points on the face while the robot goes through some 150 poses, slowly: it knows millimetres, and whether the lips meet.</p>' +
         `<label>Who sees the markers<select class="field" name="tracker">${computed}<option value="camera">a camera, human enough faces</option><option value="file">a file or folder that another program fills</option></select></label>` +
         '<label class="of-camera">Camera<input class="field" name="camera" placeholder="0"></label>' +
         '<label class="of-camera">Between the outer corners of the eyes, mm<input class="field" name="eye_distance_mm" inputmode="decimal" placeholder="92"></label>' +
         '<label class="of-file">File or folder<input class="field" name="path" placeholder="/home/me/markers.csv" autocapitalize="off"></label>' +
-        `${lags(true)}<button class="act first">Measure</button></form></div>` +
+        `${places ? lags(true) : ""}<button class="act first">Measure</button></form>${drawn}</div>` +
         '<p class="hint">The robot moves by itself in both. Keep hands away; STOP and Esc stop it at any moment, and what was made is kept.</p>',
     );
     this.choose();
@@ -89,7 +85,7 @@ export class Calibration {
     draw(
       this.body,
       '<div class="eye"><figure><figcaption>Wanted: <b class="name"></b><span class="what"></span></figcaption><div class="wanted"></div></figure>' +
-        `<figure><figcaption>${state.simulated ? "The robot's mouth, computed" : "The robot, as its encoders say"}</figcaption><div class="made">${state.simulated ? "" : "<face-robot></face-robot>"}</div></figure></div>` +
+        `<figure><figcaption>${state.simulated ? "The robot's mouth, computed" : state.face.has_place ? "The robot, as its encoders say" : "The robot, as it was sent"}</figcaption><div class="made">${state.simulated ? "" : "<face-robot></face-robot>"}</div></figure></div>` +
         `<div class="sliders">${names.map((name) => slider(name, state.face.servos[name])).join("")}</div>` +
         '<div class="buttons end"><button type="button" class="act first" data-key="keep">It looks like that: next</button><button type="button" class="act" data-key="back">Back</button><button type="button" class="act" data-key="skip">Leave it out</button><button type="button" class="act" data-key="finish">Finish</button></div>' +
         '<ol class="poses"></ol>',

@@ -51,9 +51,18 @@ class FaceFacts extends HTMLElement {
 
 /** The words around the one that is said, which stands out; as HTML. Pure. */
 export function caption(status) {
-  return (status?.words ?? [])
-    .map((word, n) => (n === status.word ? `<b>${escaped(word)}</b>` : escaped(word)))
-    .join(" ");
+  const words = status?.words ?? [];
+  return words
+    .map((word, n) => {
+      const gap = n === 0 || (isUnspaced(words[n - 1]) && isUnspaced(word)) ? "" : " ";
+      return gap + (n === status.word ? `<b>${escaped(word)}</b>` : escaped(word));
+    })
+    .join("");
+}
+
+/** Whether a word is of a script that is written without spaces. Pure. */
+function isUnspaced(word) {
+  return /^[\p{Script=Han}\p{Script=Hiragana}\p{Script=Katakana}\p{Script=Thai}]/u.test(word);
 }
 
 const MOVED_BY = {

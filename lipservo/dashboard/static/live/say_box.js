@@ -1,7 +1,7 @@
-// A text for the face to say; where it has no voice, how to give it one.
-import { postJson } from "../calls.js";
+// A text for the face to say, and by which voice; where it has no voice, how to give it one.
+import { getJson, postJson } from "../calls.js";
 import { onStatus } from "../link.js";
-import { whyStill } from "../words.js";
+import { escaped, whyStill } from "../words.js";
 
 const HOW =
   "This face was started without a voice. Start it as <code>lipservo daemon --config FACE " +
@@ -10,15 +10,38 @@ const HOW =
 /** Lips shut, bitten, rounded and wide in each. */
 const EXAMPLES = ["My name is Pepper.", "Five blue bees move my lips.", "How warm is it by the window?"];
 
+/** As the voice was made. */
+const USUAL = { rate_wpm: 175, pitch: 50 };
+
+/** Each language by its own name, in the order of these; first the face's. As HTML. Pure. */
+export function languageOptions(tags, own) {
+  const nameOf = (tag) => {
+    try {
+      return new Intl.DisplayNames([tag], { type: "language", fallback: "code" }).of(tag);
+    } catch {
+      return tag; // a tag of the synthesiser's that is none of the standard's
+    }
+  };
+  const named = tags.map((tag) => [tag, nameOf(tag)]).sort((one, other) => one[1].localeCompare(other[1]));
+  const options = named.map(([tag, name]) => `<option value="${escaped(tag)}">${escaped(name)}</option>`);
+  return `<option value="">${escaped(own ? nameOf(own) : "usual language")}</option>${options.join("")}`;
+}
+
 class FaceSay extends HTMLElement {
   connectedCallback() {
     this.innerHTML =
       '<form><input class="field" name="text" maxlength="2000" autocomplete="off" ' +
       'aria-label="a text to say" placeholder="Good morning, I am the robot.">' +
+      '<select class="field language" name="language" aria-label="language" hidden></select>' +
       '<button class="act first">Say</button></form>' +
+      '<details class="voice" hidden><summary>Voice</summary><div class="choices">' +
+      '<label>Voice<select class="field" name="voice"></select></label>' +
+      `<label>Speed<input type="range" name="rate_wpm" min="80" max="400" value="${USUAL.rate_wpm}"></label>` +
+      `<label>Pitch<input type="range" name="pitch" min="0" max="99" value="${USUAL.pitch}"></label></div></details>` +
       `<p class="examples">Try: ${EXAMPLES.map((text) => `<button type="button" class="act">${text}</button>`).join(" ")}</p>` +
       `<p class="hint how" hidden>${HOW}</p><p class="said" role="status"></p>`;
     this.form = this.querySelector("form");
+    this.voice = this.querySelector(".voice");
     this.how = this.querySelector(".how");
     this.said = this.querySelector(".said");
     this.form.addEventListener("submit", (event) => {
@@ -40,9 +63,35 @@ class FaceSay extends HTMLElement {
     const still = whyStill(status);
     const canSay = still === null && Boolean(status?.listens_on);
     this.form.hidden = this.examples.hidden = !canSay;
+    this.voice.hidden = !canSay || !this.told;
+    if (canSay && !this.asked) this.ask();
     this.how.hidden = canSay || status === null;
     const text = still ?? HOW;
     if (this.how.innerHTML !== text) this.how.innerHTML = text;
+  }
+
+  /** What there is to choose: once, and not before the face can speak. */
+  async ask() {
+    this.asked = true;
+    const told = await getJson("/api/sound", 20000).catch(() => null);
+    if (!told?.languages) return;
+    const { language } = this.form.elements;
+    language.innerHTML = languageOptions(told.languages, told.chosen.language);
+    language.hidden = told.languages.length < 2;
+    const voices = ["", ...told.voices].map((name) => `<option value="${escaped(name)}">${escaped(name || "its own choice")}</option>`);
+    this.voice.querySelector("select").innerHTML = voices.join("");
+    this.told = true;
+    this.voice.hidden = this.form.hidden;
+  }
+
+  /** What differs from the face's own voice. */
+  chosen() {
+    const asked = { language: this.form.elements.language.value };
+    asked.voice = this.voice.querySelector("select").value;
+    for (const { name, value } of this.voice.querySelectorAll("input")) {
+      if (Number(value) !== USUAL[name]) asked[name] = Number(value);
+    }
+    return Object.fromEntries(Object.entries(asked).filter(([, value]) => value !== ""));
   }
 
   async say(text) {
@@ -51,8 +100,8 @@ class FaceSay extends HTMLElement {
     button.disabled = true;
     this.show("", "Asking for it …");
     try {
-      await postJson("/api/say", { text }, { patienceMs: 20000 });
-      this.form.reset();
+      await postJson("/api/say", { text, ...this.chosen() }, { patienceMs: 20000 });
+      this.form.elements.text.value = "";
       this.show("good", `It says: ${text}`);
     } catch (error) {
       this.show("bad", error.message);

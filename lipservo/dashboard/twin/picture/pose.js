@@ -31,6 +31,7 @@ export function poseOf(frame, asset) {
   }
   targets.brow = within(said("brow"), BROW);
   targets.smile = within(said("smile"), SMILE);
+  targets.lip_tuck = within(said("lip_tuck"), [0, 1]);
   return {
     targets,
     neckDeg: {

@@ -34,7 +34,7 @@ def test_pictures_of_dots_say_where_the_markers_are_across_and_up(tmp_path):
 def test_every_way_calibrates_robots_of_one_and_four_servos():
     pytest.importorskip("cv2", reason="dots need OpenCV, the extra `dots`")
     found = way_figures(MODEL, 3, (1, 4))
-    assert set(found) == set(WAYS) == {"measured", "guided", "practise", "port", "dots"}
+    assert set(found) == set(WAYS) == {"measured", "guided", "practise", "port", "hobby", "dots"}
     for way, by_size in found.items():
         assert set(by_size) == {"1", "4"}
         for off_mm in by_size.values():

@@ -12,8 +12,6 @@ from lipservo.cli import app
 @pytest.mark.parametrize(
     "name",
     [
-        "face_jaw_maestro",
-        "face_jaw_pca9685",
         "face_jaw_feetech",
         "face_head_mixed",
     ],

@@ -66,7 +66,7 @@ def test_a_goal_follows_the_microphone_within_150_ms_of_low_latency():
     assert 0.0 < clip_to_bus_s(LOW_LATENCY, 1).max() <= 0.150
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_every_point_has_its_row_with_delay_closures_and_accuracy():
     face = load_trained_model()
     clip = [(CLIP_PATH, ())]

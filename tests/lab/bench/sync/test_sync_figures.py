@@ -10,7 +10,7 @@ from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 # Minutes of computing.
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.campaign
 
 #: The bars that hold for the short run, too; three sentences are few for a median.
 MOST = {

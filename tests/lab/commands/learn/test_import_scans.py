@@ -87,7 +87,8 @@ def test_folders_without_motion_are_refused(tmp_path, capsys):
 
     assert "holds no scan" in refused(capsys, tmp_path, empty, "-o", tmp_path / "c")
     assert "one scan only" in refused(capsys, tmp_path, one, "-o", tmp_path / "c")
-    assert "no such folder" in refused(capsys, tmp_path, tmp_path / "x", "-o", tmp_path / "c")
+    absent = refused(capsys, tmp_path, tmp_path / "x", "-o", tmp_path / "c")
+    assert "x: cannot be read: No such file or directory" in absent
 
 
 def test_what_is_wrong_beside_the_scans_is_told(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """Visemes of a vendor alone, without sound or phonemes: the mouth that they drive."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from lipsync.export.arkit import ArkitMap, lip_measures
 from lipsync.face.frame import Frame
 from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.motion.tick_plan import TICK_S
-from lipsync.phoneme_files.reader import phonemes_in
+from lipsync.phoneme_files.label_file import LabelFile
+from lipsync.phoneme_files.reader import labels_in
 from lipsync.phonemes import VISEME_OF
 from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
@@ -50,7 +52,8 @@ def test_visemes_with_starts_alone_close_the_lips_for_every_p_b_m_f_v(name, mode
         {"viseme": viseme_for(each.phoneme, rows), "start": each.start_s}
         for each in spoken.phonemes
     ]
-    events = phonemes_in(json.dumps({"alphabet": name, "visemes": told}).encode(), name)
+    content = json.dumps({"alphabet": name, "visemes": told}).encode()
+    events = labels_in(content, LabelFile(Path(name))).phones
     assert all(closures_met(events, model, spoken))
 
 
@@ -60,7 +63,9 @@ def test_blendshapes_at_60_hz_close_the_lips_but_for_one(model, spoken):
     shown = shown_faces(spoken.phonemes, model, np.arange(0.0, spoken.duration_s, 1 / 60))
     frames = [arkit.values(Frame(0.0, face)).tolist() for face in shown]
 
-    events = phonemes_in(json.dumps({"BlendShapes": frames}).encode(), "arkit")
+    events = labels_in(
+        json.dumps({"BlendShapes": frames}).encode(), LabelFile(Path("arkit"))
+    ).phones
     assert closures_met(events, model, spoken).count(False) <= 1
 
 

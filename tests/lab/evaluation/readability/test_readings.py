@@ -18,18 +18,18 @@ from lipservo_lab.evaluation.readability.readers import (
     known_fold,
     new_word_folds,
     read_words,
+    sentences_with,
     slotted,
     spoken_words,
     word_motion,
 )
 from lipservo_lab.evaluation.readability.reading_scores import (
     gain,
-    known_readability,
     known_score,
     made_faces,
-    new_word_readability,
     new_word_score,
     recorded_motions,
+    seen_motions,
 )
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from places import ROOT
@@ -44,6 +44,30 @@ SLOTS = ({"far": "AA", "see": "IY", "you": "UW"}, {"pa": "AA", "fee": "IY"})
 #: When each slot begins and ends.
 TIMES_S = ((0.4, 0.8), (0.8, 1.2))
 _OPENING = {"AA": 0, "IY": 1, "UW": 2}
+
+
+def known_readability(model, utterances, test, method, kind=COMPONENT_READER):
+    """How well the test's words are read off the method's motion; None: off the recorded one."""
+    sentences = slotted(utterances)
+    recorded = recorded_motions(model, sentences, kind)
+    folds = known_fold(kind, sentences, test, recorded)
+    made = recorded
+    if method is not None:
+        read = [u for u in sentences if u.name in test]
+        made = seen_motions(model, made_faces(model, read, method, 0.1, true_phonemes), kind)
+    return known_score(read_words(folds, made, recorded))
+
+
+def new_word_readability(model, utterances, words, method):
+    """The same of words that the model has not learned, in all sentences that hold one of them."""
+    sentences, kind = slotted(utterances), COMPONENT_READER
+    recorded = recorded_motions(model, sentences, kind)
+    made = recorded
+    if method is not None:
+        read = sentences_with(words, sentences)
+        made = seen_motions(model, made_faces(model, read, method, 0.1, true_phonemes), kind)
+    folds = new_word_folds(kind, sentences, words, recorded)
+    return new_word_score(read_words(folds, made, recorded), words)
 
 
 def slotted_sentence(name: str, words: tuple[str, ...], rng: np.random.Generator) -> Utterance:

@@ -11,8 +11,8 @@ from speech import CLIP_LABELS_PATH
 from typer.testing import CliRunner
 
 from lipservo.cli import app
+from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.phonemes import PhonemeEvent
-from lipsync.textgrid import read_phonemes
 
 
 def test_a_phone_is_met_where_the_lips_come_near_enough_within_40_ms_of_it():

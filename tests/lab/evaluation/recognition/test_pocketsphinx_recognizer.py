@@ -14,8 +14,9 @@ from speech import (
 )
 
 from lipsync.audio_block import AudioBlock
+from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.textgrid import LabelError, read_phonemes
+from lipsync.textgrid import LabelError
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000

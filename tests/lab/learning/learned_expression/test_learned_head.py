@@ -28,7 +28,7 @@ class Steady:
         return self.expression
 
 
-PLAIN = Steady(Expression(1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, 0.5, 0.7))
+PLAIN = Steady(Expression(1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, 0.5, 0.7, 0.0))
 LEARNED = Steady(Expression(9.0, 9.0, 9.0, None, None, 0.3, 0.3))
 
 
@@ -39,7 +39,7 @@ def shown(cues):
 
 def test_in_conversation_the_head_is_learned_and_what_tracks_do_not_tell_is_as_ever():
     last = shown([ExpressionCue(0.0, is_speaking=True)] * 200)[-1]
-    assert last.tolist() == pytest.approx([9.0, 9.0, 9.0, 1.0, 1.0, 0.3, 0.3, 0.5, 0.7])
+    assert last.tolist() == pytest.approx([9.0, 9.0, 9.0, 1.0, 1.0, 0.3, 0.3, 0.5, 0.7, 0.0])
 
 
 @pytest.mark.parametrize(

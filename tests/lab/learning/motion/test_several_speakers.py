@@ -163,7 +163,7 @@ def test_everything_learned_counts_frames_by_their_weight():
         FIRST.utterances[0],
         *(replace(u, name=f"x{u.name}", weight=2.5) for u in second.utterances[:2]),
     ]
-    model = train(replace(FIRST, utterances=tuple(said)), n_animphos=5)
+    model = train(replace(FIRST, utterances=tuple(said)))
     weights = np.repeat([1.0, 2.5, 2.5], [len(u.markers_mm) for u in said])
     expected = np.average(np.concatenate([u.markers_mm for u in said]), axis=0, weights=weights)
     np.testing.assert_allclose(model.mean_mm, expected, atol=1e-3)

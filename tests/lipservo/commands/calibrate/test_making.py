@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from calibration.calibration import CalibrationError
 from calibration.files.calibration_file import load_calibration
 from calibration.grade import Grade
 from lipservo.calibrating.measured_calibration import CalibrationResult
-from lipservo.commands.calibrate.making import finish, load_setup
+from lipservo.commands.calibrate.making import finish, going_on, load_setup, save_so_far
 from lipsync.errors import UserError
 
 CONFIG = Path(__file__).parents[4] / "config"
@@ -50,3 +51,63 @@ def test_a_bad_grade_is_taken_when_accepted_and_is_kept_in_the_file(setup, tmp_p
     finished(replace(setup, accept=True), BAD, output)
     assert load_calibration(output).grade == BAD
     assert json.loads(capsys.readouterr().out)["grade"]["gap_slope"] == 0.3
+
+
+def result_of(grade):
+    calibration = load_calibration(CONFIG / "face_sim.calibration.yaml")
+    fit = SimpleNamespace(face=SimpleNamespace(left_out_rms_mm=0.5))
+    return CalibrationResult(replace(calibration, grade=grade), fit)
+
+
+def test_a_calibration_is_saved_before_it_is_graded_and_the_file_before_it_stays_the_previous(
+    setup, tmp_path
+):
+    output = tmp_path / "face.calibration.yaml"
+    output.write_bytes((CONFIG / "face_lips.calibration.yaml").read_bytes())
+    earlier = output.read_bytes()
+
+    save_so_far(setup, result_of(None), output)
+    assert load_calibration(output).grade is None
+    save_so_far(setup, result_of(GOOD), output)
+    finished(setup, GOOD, output)
+
+    assert load_calibration(output).grade == GOOD
+    assert output.with_name("face.calibration.yaml.previous").read_bytes() == earlier
+
+
+def test_a_grade_that_is_too_bad_brings_back_the_file_before_the_ungraded_one(setup, tmp_path):
+    output = tmp_path / "face.calibration.yaml"
+    output.write_bytes((CONFIG / "face_lips.calibration.yaml").read_bytes())
+    earlier = output.read_bytes()
+    save_so_far(setup, result_of(None), output)
+    save_so_far(setup, result_of(BAD), output)
+    assert load_calibration(output).grade is None
+
+    with pytest.raises(UserError, match="is not written: only 30% of an opening"):
+        finished(setup, BAD, output)
+
+    assert output.read_bytes() == earlier
+
+
+def test_kept_poses_are_put_aside_when_all_is_done_and_named_when_it_is_refused(tmp_path):
+    output = tmp_path / "face.calibration.yaml"
+    kept = output.with_name("face.calibration.yaml.poses")
+    kept.write_text("a pose")
+
+    def refused():
+        with going_on(output, None):
+            raise CalibrationError("'jaw' is reversed")
+
+    with pytest.raises(CalibrationError, match=r"reversed; the poses are kept in .*poses: the sam"):
+        refused()
+    assert kept.exists()
+
+    with going_on(output, None) as again:
+        assert again == kept
+    assert [path.name for path in tmp_path.iterdir()] == ["face.calibration.yaml.poses.previous"]
+
+    own = tmp_path / "mine.jsonl"
+    own.write_text("a pose")
+    with going_on(output, own) as again:
+        assert again == own
+    assert own.exists()

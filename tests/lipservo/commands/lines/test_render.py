@@ -10,6 +10,7 @@ from small_corpus import write_corpus
 from typer.testing import CliRunner
 
 from lipservo.cli import app
+from lipservo.rendering import rendered
 from lipsync.face.model import load_face
 from lipsync.offline.offline_model_file import load_offline_model
 from lipsync.offline.performance import read_performance, sound_file
@@ -135,6 +136,79 @@ def test_a_folder_on_all_cores_is_the_same_as_one_by_one(made, tmp_path):
     for number in range(3):
         name = f"s{number}.perf"
         assert (both[0] / name).read_bytes() == (both[1] / name).read_bytes()
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """Two lines, rendered; and how they are rendered again: what is told, and the files' times."""
+    lines, output = tmp_path / "lines", tmp_path / "out"
+    lines.mkdir()
+    for number in range(2):
+        for path in one(made, number):
+            shutil.copy(path, lines / path.name)
+
+    def again(*options):
+        asked = ["lines", "render-folder", lines, "-o", output, "--jobs", 1, "--json", "-q"]
+        done = invoke(*asked, *of(made), *options)
+        assert done.exit_code == 0, done.exception
+        said = json.loads(done.stdout)
+        return said["rendered"], said["kept"]
+
+    assert again() == (2, 0)
+    return lines, output, again
+
+
+def test_a_folder_that_is_rendered_is_not_rendered_again(folder):
+    _, output, again = folder
+    before = {path: path.stat().st_mtime_ns for path in output.iterdir()}
+
+    assert again() == (0, 2)
+    assert {path: path.stat().st_mtime_ns for path in output.iterdir()} == before
+
+
+def test_a_line_of_another_sound_script_or_option_is_rendered_anew(folder):
+    lines, _, again = folder
+    soundfile.write(lines / "s0.flac", 0.5 * soundfile.read(lines / "s0.flac")[0], 16_000)
+    assert again() == (1, 1)
+    labels = lines / "s1.TextGrid"
+    labels.write_text(labels.read_text().replace("AA", "IY"))
+    assert again() == (1, 1)
+    labels.unlink()
+    assert again() == (1, 1)
+    for options in (["--strength", 0.5], ["--reference-sound"], ["--expression", "face_head"]):
+        assert again(*options) == (2, 0)
+    assert again("--method", "live") == (2, 0)
+    assert again("--method", "live") == (0, 2)
+
+
+def test_a_line_of_another_model_or_version_is_rendered_anew(folder, made, tmp_path, monkeypatch):
+    again = folder[2]
+    same, other = tmp_path / "same.npz", tmp_path / "other.npz"
+    shutil.copy(made[2], same)
+    recipe = ["--model", made[1], "--states", 19, "--components", 4, "-q"]
+    invoke("learn", "offline", made[0], "-o", other, *recipe)
+
+    assert again("--offline", same) == (0, 2)  # its bytes count, not its name
+    assert again("--offline", other) == (2, 0)
+    monkeypatch.setattr("lipservo.rendering.rendered.version", lambda _name: "0.0.1")
+    rendered._origin_of_all.cache_clear()
+    assert again("--offline", other) == (2, 0)
+
+
+@pytest.mark.parametrize("place", [0.3, 0.7])
+def test_half_a_file_and_a_wrong_byte_are_never_taken_for_a_whole_one(folder, place):
+    _, output, again = folder
+    whole = (output / "s0.perf").read_bytes()
+    at = round(place * len(whole))
+    (output / "s0.perf").write_bytes(whole[:at])
+    (output / "s1.perf.partial").write_bytes(whole[:at])  # what a killed run leaves
+    assert again() == (1, 1)
+    assert (output / "s0.perf").read_bytes() == whole
+    wrong = bytearray(whole)
+    wrong[at] ^= 0xFF
+    (output / "s0.perf").write_bytes(wrong)
+    assert again() == (1, 1)
+    assert (output / "s0.perf").read_bytes() == whole
 
 
 @pytest.mark.slow

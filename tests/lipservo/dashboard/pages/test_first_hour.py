@@ -136,13 +136,13 @@ def speak(page):
     """
     page.uncheck("[name=play]")  # a computer that tests has no loudspeaker
     page.click("[data-do=start]")
-    page.locator("face-say input").wait_for()
+    page.locator("face-say [name=text]").wait_for()
     page.evaluate(WATCHED)
     for _ in range(PATIENCE_MS // SPOKEN_MS):
         page.wait_for_function(
             "Object.values(dashboard.status?.servos ?? {}).every((state) => state === 'driven')"
         )
-        page.fill("face-say input", "Good morning, I am the robot.")
+        page.fill("face-say [name=text]", "Good morning, I am the robot.")
         page.click("face-say button")
         with contextlib.suppress(sync_api.TimeoutError):
             # A status comes twice a second, and a word may be shorter: some of them are seen.

@@ -4,7 +4,7 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-PAGES = ("/", "/show", "/servos", "/calibrate", "/lines", "/settings")
+PAGES = ("/", "/show", "/kiosk", "/servos", "/calibrate", "/lines", "/settings")
 SOUND = {
     "inputs": [], "outputs": ["USB Audio"], "synthesizers": ["espeak", "flite"], "voices": [],
     "languages": ["de", "en-us"], "is_shipped": False,

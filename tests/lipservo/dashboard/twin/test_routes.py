@@ -1,13 +1,17 @@
 import asyncio
 import threading
+from dataclasses import replace
 
 import httpx
+import numpy as np
 import pytest
 from fastapi import FastAPI
 
 from lipservo.dashboard.twin.element import HEAD_PATH, PackedHead, twin_routes
+from lipsync import errors
 from lipsync.face.model import load_face
-from lipsync.twin.packed import unpack
+from lipsync.twin.packed import pack, unpack
+from lipsync.twin.twin import make_twin
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +36,28 @@ def test_the_head_is_served_compressed_and_as_it_was_packed(get):
     assert answer.headers["content-encoding"] == "gzip"
     assert len(unpack(answer.content)["skin"]["triangles"]) == 29_184
     assert int(answer.headers["content-length"]) < 1_300_000
+
+
+def test_the_head_that_ships_is_that_of_the_model_that_ships(get):
+    """A page makes none, which needs scipy; `packed_head` of the lab packs it anew."""
+    kept, made = unpack(get().content), unpack(pack(make_twin(load_face())))
+    for name, part in made.items():
+        np.testing.assert_array_equal(kept[name]["triangles"], part["triangles"])
+        np.testing.assert_allclose(kept[name]["places_mm"], part["places_mm"], atol=1e-3)
+        for morph, moves in part["morphs"].items():
+            np.testing.assert_allclose(kept[name]["morphs"][morph], moves, atol=1e-2)
+
+
+def test_a_model_of_ones_own_without_scipy_is_told_what_to_install(monkeypatch):
+    monkeypatch.setattr(errors, "find_spec", lambda _: None)
+    face = load_face()
+    own = replace(face, mean_mm=face.mean_mm + 0.5)
+    app = FastAPI()
+    twin_routes(app, own)
+    transport = httpx.ASGITransport(app=app)
+    client = httpx.AsyncClient(transport=transport, base_url="http://face")
+    with pytest.raises(errors.MissingExtraError, match="lipservo\\[fit\\]"):
+        asyncio.run(client.get(HEAD_PATH))
 
 
 def test_a_browser_that_has_it_is_told_so(get):

@@ -114,6 +114,8 @@ def test_settings_change_together_or_not_at_all(client, dashboard):
         ("/api/stop", {"level": "soft", "twice": True}),
         ("/api/say", {"text": ""}),
         ("/api/say", {"text": "a" * 20_001}),
+        ("/api/say", {"text": "a", "rate_wpm": 9000}),
+        ("/api/say", {"text": "a", "pitch": -1}),
         ("/api/play", {"file": "../../etc/passwd"}),
         ("/api/play", {"file": "/etc/passwd"}),
         ("/api/play", {"file": "a.txt"}),

@@ -80,10 +80,32 @@ def test_a_held_face_waits_until_the_last_hobby_servo_got_its_pulse(kind):
         assert robot.torque_on == [True] * 4
         assert 3 * STAGGER_S <= on.clock.now() < 8.0
         reached = robot.move(np.array([5.0, -5.0, 5.0, -5.0]))
-        assert np.isnan(reached).all()
+        assert reached == pytest.approx([5.0, -5.0, 5.0, -5.0])
         assert robot.sent_deg == pytest.approx([5.0, -5.0, 5.0, -5.0])
         assert on.shafts_deg() == pytest.approx([5.0, -5.0, 5.0, -5.0], abs=0.5)
     assert on.bus.torque.as_json() == [False] * 4
+
+
+@pytest.mark.parametrize("kind", HOBBY)
+def test_a_hobby_servo_gets_the_time_that_its_speed_needs_for_the_way(kind):
+    of, simulator = HOBBY[kind]
+    face = load_shipped_face("face_four")
+    servos = {name: {"max_speed_deg_s": 20.0} for name in face.servos}
+    slow = FaceSettings.model_validate(
+        parse_face(of(face), "face.yaml").model_dump()
+        | {
+            "servos": {
+                name: servo | servos[name]
+                for name, servo in parse_face(of(face), "face.yaml").model_dump()["servos"].items()
+            }
+        }
+    )
+    on = simulator.watched_servos(slow.wiring)
+    with HeldFace(slow, on.clock, bus=on.bus, speed_deg_s=400.0) as robot:
+        began_s = on.clock.now()
+        robot.move(np.array([0.0, -20.0, 0.0, 0.0]))
+        assert on.clock.now() - began_s > 20.0 / 20.0
+        assert on.shafts_deg() == pytest.approx([0.0, -20.0, 0.0, 0.0], abs=0.5)
 
 
 def test_a_hobby_servo_that_gets_no_pulse_is_named_and_nothing_is_held():

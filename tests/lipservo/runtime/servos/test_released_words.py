@@ -3,7 +3,7 @@
 from hobby_bus import PULSES, WORDS
 
 from firmware_bridge.capabilities import IN_MEMORY, mixed_capabilities
-from lipservo.commands.run.stop import _state
+from lipservo.commands.run.status_words import state_words
 from lipservo.dashboard.servo_remedies import listed_servos
 from lipservo.runtime.servos.letting_go import Outcome
 
@@ -30,7 +30,7 @@ def test_a_stop_says_the_words_of_the_bus():
 
 
 def test_status_says_them_too():
-    assert _state(STATUS) == f"stopped by stop (1, root): {WORDS}; `lipservo start` drives it"
+    assert state_words(STATUS) == f"stopped by stop (1, root): {WORDS}; `lipservo start` drives it"
 
 
 def test_the_page_calls_such_a_servo_neither_limp_nor_silent():
@@ -59,4 +59,6 @@ def test_a_stop_of_two_buses_says_what_was_confirmed_and_what_cannot_be():
     report = {**REPORT, "confirmed": ["yaw"]}
 
     assert outcome.text("limp") == f"face: {WORDS} (2 servos); confirmed by 1 servos"
-    assert f"{WORDS}; limp, confirmed by 1 servos;" in _state({**STATUS, "stop_report": report})
+    assert f"{WORDS}; limp, confirmed by 1 servos;" in state_words(
+        {**STATUS, "stop_report": report}
+    )

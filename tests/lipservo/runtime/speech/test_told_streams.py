@@ -1,12 +1,15 @@
 """What a sender tells beside its sound: phonemes move the mouth, words are looked for in it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lipservo.runtime.speech.phoneme_sources import SpokenPhonemes
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream, PlayoutTextError
-from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import PHONEMES as INVENTORY
+from lipsync.phonemes import FramePosteriors, PhonemeEvent, PhonemeUpdate
 from lipsync.spoken_text import PronouncedWord, SpokenText, SpokenUnit
 from lipsync.timeline import PhonemeTimeline
 
@@ -44,8 +47,8 @@ class Follows:
 class Face:
     """A playout that somebody tells what it says, and what its phonemes are believed to be."""
 
-    def __init__(self):
-        self.playout, self.timeline, self.ears = Playout(), PhonemeTimeline(), Follows()
+    def __init__(self, ears=None):
+        self.playout, self.timeline, self.ears = Playout(), PhonemeTimeline(), ears or Follows()
         self.source = SpokenPhonemes(self.playout, self.ears)
         self.until_s = 0.0
 
@@ -66,6 +69,28 @@ class Face:
     def shown(self, *times_s):
         events = [self.timeline.event_at(time_s) for time_s in times_s]
         return [None if event is None else event.phoneme for event in events]
+
+
+class Evident(Follows):
+    """The same, with the posteriors of what is truly said: `said`, of phonemes in seconds."""
+
+    moved_by, saying, hearing = "sound", ((), 0), "speech"
+
+    def __init__(self, said):
+        super().__init__()
+        self.said, self.n_frames = said, 0
+
+    def updates(self):
+        (update,) = super().updates()
+        rows = []
+        for frame in range(self.n_frames, round(self.heard_s * 100)):
+            at_s = (frame - 7 + 0.5) / 100
+            row = np.full(len(INVENTORY), 0.002, np.float32)
+            row[INVENTORY.index(next((p for p, a, b in self.said if a <= at_s < b), "SIL"))] = 0.9
+            rows.append(row)
+        first, self.n_frames = self.n_frames, self.n_frames + len(rows)
+        heard = FramePosteriors(100, first, (7,), np.array(rows)[:, None]) if rows else None
+        return [replace(update, evidence=heard)]
 
 
 def told(kind, *units):
@@ -156,6 +181,53 @@ def test_words_are_looked_for_where_their_stream_sounds():
 
     assert face.ears.told[1:] == ["forget", ("later", pytest.approx(0.7), 0.0)]
     assert face.source.moved_by == "words"
+
+
+SAID = [("M", 0.3, 0.5), ("IY", 0.5, 0.8), ("P", 0.8, 0.9), ("AA", 0.9, 1.3), ("F", 1.3, 1.5)]
+
+
+def told_events(face):
+    return [
+        (e.kind, e.name or round(e.shifted_s, 2), e.reason)
+        for e in face.playout.events
+        if e.kind in ("moved_by", "units_shifted", "text_dropped")
+    ]
+
+
+def test_units_that_are_early_are_moved_and_their_sender_is_told_by_how_much():
+    face = Face(Evident(SAID))
+    units = [(p, round((a - 0.2) * RATE_HZ), round((b - 0.2) * RATE_HZ)) for p, a, b in SAID]
+    face.say(2.0).tell(told("viseme", *units))
+    face.go_on(1.6)
+
+    assert face.shown(0.42, 0.6, 0.86, 1.1, 1.4) == ["M", "IY", "P", "AA", "F"]
+    assert ("units_shifted", 0.2, "told") in told_events(face)
+    assert ("moved_by", "visemes", "told") in told_events(face)
+    assert face.source.units_shifted_s == pytest.approx(0.2, abs=0.011)
+
+
+def test_units_that_are_not_said_are_left_and_their_sender_is_told_so():
+    face = Face(Evident(SAID))
+    others = ("SH", "UW", "K", "OW", "TH")
+    units = [
+        (p, int(a * RATE_HZ), int(b * RATE_HZ)) for p, (_, a, b) in zip(others, SAID, strict=True)
+    ]
+    face.say(2.0).tell(told("phoneme", *units))
+    face.go_on(1.8)
+
+    assert face.shown(1.1, 1.4) == ["AA", "AA"]
+    assert told_events(face)[-1] == ("moved_by", "sound", "not_said")
+
+
+def test_a_text_that_is_not_said_is_told_to_be_dropped_once():
+    ears = Evident(SAID)
+    ears.saying = (("mama",), 0)
+    face = Face(ears)
+    face.say(4.0).tell(told("text", ("ma",)), [MAMA])
+    face.go_on(3.5)
+
+    assert [kind for kind, *_ in told_events(face)].count("text_dropped") == 1
+    assert ("moved_by", "sound", "not_said") in told_events(face)
 
 
 def test_a_text_that_comes_late_and_a_correction_from_the_beginning_which_says_how_late():

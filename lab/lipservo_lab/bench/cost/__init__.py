@@ -1,0 +1,1 @@
+"""Processor time of a face at rest and speaking, against another checkout of the program."""

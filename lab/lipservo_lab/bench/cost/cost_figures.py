@@ -1,0 +1,150 @@
+"""What a face's speech process costs at rest and speaking, beside another checkout of the program.
+
+Both checkouts run their own `run_speech_process`, whole, on a virtual clock (`speech_turns`), the
+same speech and the same rest in turns, so that a busy computer slows both alike.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from importlib import resources
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+import numpy as np
+
+from lipservo_lab.bench.cost import speech_turns
+from lipsync.errors import UserError
+
+_ROOT: Final = Path(speech_turns.__file__).parents[4]
+#: The turns of a cycle, in order.
+TURNS: Final = ("speaking", "idle")
+_END_S: Final = 60.0
+
+
+class _Process:
+    """The speech process of a checkout, which runs one turn at a time."""
+
+    def __init__(self, root: Path, output: Path, face: str, sound: str, n_cycles: int) -> None:
+        with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+            command = [sys.executable, speech_turns.__file__, root, output, face, sound, clip]
+            self._process = subprocess.Popen(
+                [*map(str, command), str(n_cycles)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+        self._root, self._output = root, output
+
+    def turn(self, *, counts_calls: bool) -> dict[str, float]:
+        """Run the next turn; return its seconds, processor time, and calls if they are counted."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        line = ""
+        try:
+            self._process.stdin.write("count\n" if counts_calls else "run\n")
+            self._process.stdin.flush()
+            line = self._process.stdout.readline()
+        except BrokenPipeError:
+            pass
+        if not line:
+            raise UserError(
+                f"{self._root}: its speech process ended; is it a checkout of lipservo?"
+            )
+        found: dict[str, float] = json.loads(line)
+        return found
+
+    def targets(self) -> tuple[np.ndarray, np.ndarray]:
+        """End the process; return when targets were published and due (n, 2), and these (n, k)."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(_END_S)
+        with np.load(self._output) as stored:
+            return stored["times_s"], stored["goals_deg"]
+
+    def __enter__(self) -> "_Process":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+def cost_figures(
+    against: Path | None,
+    face: str,
+    sound: str,
+    n_cycles: int,
+    advance: Callable[[], None] = lambda: None,
+) -> dict[str, Any]:
+    """Return the figures of a face that speaks and rests in turns. Raises UserError.
+
+    against: another checkout; None: no ratios. face: a shipped one. sound: `voice` or `file`, as in
+    `speech_turns`. n_cycles: cycles of speech and rest; one more counts calls. advance: called
+    after each turn.
+
+    `speaking_ms`, `idle_ms`: processor time a second of sound, medians. `calls_per_step`: calls of
+    C and of Python functions in 10 ms. `speaking_ratio`, `idle_ratio`: of processor time, ours over
+    the other's in the same cycle, medians. `goals_apart_deg`: the farthest that a target is from
+    the other's. `goals_apart_s`: the same of when targets are published, and are due.
+    """
+    roots = {"own": _ROOT} if against is None else {"own": _ROOT, "other": against}
+    turns: dict[str, list[dict[str, float]]] = {name: [] for name in roots}
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-bench-")))
+        running = {
+            name: stack.enter_context(
+                _Process(root, folder / f"{name}.npz", face, sound, n_cycles + 1)
+            )
+            for name, root in roots.items()
+        }
+        for number in range((n_cycles + 1) * len(TURNS)):
+            is_counted = number >= n_cycles * len(TURNS)
+            for name, process in running.items():
+                turns[name].append(process.turn(counts_calls=is_counted))
+            advance()
+        targets = [process.targets() for process in running.values()]
+    figures = turn_figures(turns)
+    if len(targets) > 1:
+        figures |= differences(*targets)
+    return figures
+
+
+def turn_figures(turns: Mapping[str, list[dict[str, float]]]) -> dict[str, Any]:
+    """Return costs, calls and ratios of the turns of `own` process, and of an `other` if given."""
+    figures: dict[str, Any] = {"calls_per_step": {}}
+    for first, what in enumerate(TURNS):
+        cost = {
+            name: [turn["spent_s"] / turn["seconds"] for turn in found[first :: len(TURNS)]][:-1]
+            for name, found in turns.items()
+        }
+        figures[f"{what}_ms"] = median(cost["own"]) * 1e3
+        if "other" in cost:
+            pairs = zip(cost["own"], cost["other"], strict=True)
+            figures[f"{what}_ratio"] = median(own / other for own, other in pairs)
+        counted = turns["own"][first - len(TURNS)]
+        figures["calls_per_step"][what] = {
+            kind: round(counted[f"{kind}_calls"] / counted["seconds"] / 100.0)
+            for kind in ("c", "python")
+        }
+    return figures
+
+
+def differences(
+    own: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]
+) -> dict[str, float]:
+    """Return how far targets (times (n, 2), goals (n, k)) are apart. Raises UserError."""
+    if own[1].shape != other[1].shape:
+        raise UserError(
+            f"{len(own[1])} targets of {own[1].shape[1:]} joints were published, "
+            f"{len(other[1])} of {other[1].shape[1:]} by the other"
+        )
+    (times_s, goals_deg), (other_times_s, other_goals_deg) = own, other
+    return {
+        "goals_apart_deg": float(np.abs(goals_deg - other_goals_deg).max()),
+        "goals_apart_s": float(np.abs(times_s - other_times_s).max()),
+    }

@@ -1,0 +1,52 @@
+"""What an installation brings: megabytes of a distribution and of all that it requires."""
+
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from typing import Final
+
+from packaging.requirements import Requirement
+
+#: Ours run from the checkout, where a wheel would have copies of these folders.
+_OURS: Final = {
+    "lipservo": ("calibration", "firmware_bridge", "lipservo", "lipsync", "config"),
+    "lipservo-client": ("client/lipservo_client",),
+}
+
+
+def installed_mb(root: Path, required: str) -> float:
+    """Return the MB that a requirement (`lipservo[dashboard]`) takes on the disk, byte code too.
+
+    root: the checkout's. What is not installed here is counted as nothing.
+    """
+    needed: set[tuple[str, str]] = set()
+    _require(required, needed)
+    files = {path for name in {name for name, _ in needed} for path in _files(root, name)}
+    return sum(path.stat().st_blocks for path in files if path.is_file()) * 512 / 2**20
+
+
+def _require(text: str, needed: set[tuple[str, str]], extra: str = "") -> None:
+    """Add what a requirement of a distribution's extra needs: (name, extra), "" for all."""
+    requirement = Requirement(text)
+    if requirement.marker and not requirement.marker.evaluate({"extra": extra}):
+        return
+    name = requirement.name.lower()
+    for wanted in {"", *requirement.extras} - {e for n, e in needed if n == name}:
+        needed.add((name, wanted))
+        try:
+            requires = distribution(name).requires or ()
+        except PackageNotFoundError:
+            requires = ()
+        for each in requires:
+            _require(each, needed, wanted)
+
+
+def _files(root: Path, name: str) -> Iterator[Path]:
+    if folders := _OURS.get(name):
+        for folder in folders:
+            yield from (root / folder).rglob("*")
+        return
+    try:
+        yield from (Path(str(each.locate())) for each in distribution(name).files or ())
+    except PackageNotFoundError:
+        return

@@ -1,0 +1,1 @@
+"""Odd inputs by the thousand, each with what is right about it."""

@@ -1,0 +1,100 @@
+"""An odd input and what is right about it, known by who made it and never by the reader."""
+
+import math
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Final, Literal
+
+import numpy as np
+
+from lipsync.errors import UserError
+
+#: The right answer is a refusal in one line.
+REFUSED: Final = "refused"
+#: A reader that takes longer hangs.
+LONGEST_S: Final = 20.0
+
+Verdict = Literal["right", "traceback", "hang", "silently_wrong", "refused_wrongly"]
+
+
+@dataclass(frozen=True, slots=True)
+class OddInput:
+    """read: returns what a reader makes of the input, and lines that it tells a person.
+
+    right: the value that is right, or `REFUSED`. reported: a line has to say so. may_refuse: a
+    refusal is right, too. tolerance: of numbers.
+    """
+
+    about: str
+    read: Callable[[], tuple[object, Sequence[str]]]
+    right: object
+    reported: bool = False
+    may_refuse: bool = False
+    tolerance: float = 1e-6
+
+
+#: Makes an input of its kind in an empty folder.
+Maker = Callable[[np.random.Generator, Path], OddInput]
+
+
+class _HangError(Exception):
+    """A reader that does not come back."""
+
+
+def verdict(odd: OddInput) -> tuple[Verdict, str]:
+    """Return what became of an input, and in words why that is wrong."""
+    try:
+        with _in_time():
+            value, lines = odd.read()
+    except UserError as error:
+        if "\n" in str(error).strip() or len(str(error)) > 1000:
+            return "traceback", f"{odd.about}: no single line: {str(error)[:200]!r}"
+        if odd.right == REFUSED or odd.may_refuse:
+            return "right", ""
+        return "refused_wrongly", f"{odd.about}: {error}"
+    except _HangError:
+        return "hang", odd.about
+    except Exception as error:  # of whatever kind: that is what is counted
+        return "traceback", f"{odd.about}: {type(error).__name__}: {error}"
+    if odd.right == REFUSED:
+        is_reported = odd.may_refuse and lines
+        return (
+            ("right", "") if is_reported else ("silently_wrong", f"{odd.about}: read as {value!r}")
+        )
+    if not _alike(value, odd.right, odd.tolerance) and not (odd.may_refuse and lines):
+        return "silently_wrong", f"{odd.about}: {value!r} for {odd.right!r}"
+    if odd.reported and not lines:
+        return "silently_wrong", f"{odd.about}: nothing is reported"
+    return "right", ""
+
+
+def _alike(value: object, right: object, tolerance: float) -> bool:
+    if isinstance(right, float) and isinstance(value, int | float):
+        return math.isclose(value, right, abs_tol=tolerance) or (value != value and right != right)
+    if isinstance(right, dict) and isinstance(value, dict):
+        return list(value) == list(right) and all(
+            _alike(value[key], each, tolerance) for key, each in right.items()
+        )
+    if isinstance(right, list | tuple) and isinstance(value, list | tuple):
+        return len(value) == len(right) and all(
+            _alike(one, other, tolerance) for one, other in zip(value, right, strict=True)
+        )
+    return value == right
+
+
+@contextmanager
+def _in_time() -> Iterator[None]:
+    def late(_signal: int, _frame: FrameType | None) -> None:
+        raise _HangError
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

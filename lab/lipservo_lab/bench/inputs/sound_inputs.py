@@ -1,0 +1,139 @@
+"""Sound files as people have them, each made of a voice-like sound that is known."""
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import soundfile
+
+from lipservo_lab.bench.inputs.odd_input import REFUSED, Maker, OddInput
+from lipsync.arrays import Array
+from lipsync.audio.channels import MIX
+from lipsync.audio.file import checked_sound, read_sound
+
+_RATE_HZ: Final = 16_000
+_BITS: Final = (16, 24, 32)
+#: Of codecs that keep the shape of the wave: the name of libsndfile, and the ending.
+_CODECS: Final = (
+    *(("GSM610", "wav"), ("G721_32", "wav"), ("IMA_ADPCM", "wav"), ("MS_ADPCM", "wav")),
+    *(("ULAW", "wav"), ("ALAW", "wav"), ("PCM_U8", "wav"), ("VORBIS", "ogg"), ("PCM_16", "flac")),
+)
+
+
+def _voice(rng: np.random.Generator, seconds: float) -> Array:
+    """Harmonics of a voice that rises and falls."""
+    time_s = np.arange(round(seconds * _RATE_HZ)) / _RATE_HZ
+    pitch_hz = float(rng.uniform(90, 250))
+    parts = [np.sin(2 * np.pi * pitch_hz * n * time_s) / n for n in range(1, 6)]
+    return np.asarray(float(rng.uniform(0.1, 0.4)) * np.sum(parts, axis=0) / 2)
+
+
+def _write(path: Path, samples: Array, subtype: str = "PCM_16", rate_hz: int = _RATE_HZ) -> Path:
+    soundfile.write(path, samples, rate_hz, subtype=subtype)
+    return path
+
+
+def _heard(path: Path, expected: Array, channel: str = MIX) -> tuple[object, Sequence[str]]:
+    """Whether the file is heard as `expected` (n,), and the line that is reported."""
+    lines = [line for line in [checked_sound(path, channel).warning] if line]
+    samples = read_sound(path, channel)[0]
+    n = min(len(samples), len(expected))
+    is_whole = abs(len(samples) - len(expected)) <= _RATE_HZ // 8
+    return bool(is_whole and np.abs(samples[:n] - expected[:n]).max() < 2e-3), lines
+
+
+def _antiphase(rng: np.random.Generator, folder: Path) -> OddInput:
+    voice = _voice(rng, 0.4)
+    quieter = float(rng.uniform(0.95, 1.0))
+    path = _write(folder / "a.wav", np.stack([voice, -quieter * voice], axis=1))
+    return OddInput("antiphase", lambda: _heard(path, voice), right=True, reported=True)
+
+
+def _whole_numbers(rng: np.random.Generator, folder: Path) -> OddInput:
+    bits, voice = int(rng.choice(_BITS)), _voice(rng, 0.4)
+    path = _write(folder / "a.wav", voice * 2.0 ** (bits - 1), "FLOAT")
+    return OddInput(f"{bits} bits", lambda: _heard(path, voice), right=True, reported=True)
+
+
+def _no_size(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Sizes that were never written, or that promise up to 4 GB."""
+    voice = _voice(rng, 0.4)
+    path = _write(folder / "a.wav", voice)
+    content = bytearray(path.read_bytes())
+    size = int(rng.choice([0, 0xFFFF_FFFF, 0x7FFF_F000, 0x7FFF_FFFF]))
+    at = content.find(b"data") + 4
+    content[at : at + 4] = content[4:8] = struct.pack("<I", size)
+    path.write_bytes(content)
+    return OddInput(f"size {size:x}", lambda: _heard(path, voice), right=True)
+
+
+def _channels(rng: np.random.Generator, folder: Path) -> OddInput:
+    n = int(rng.integers(1, 5))
+    voices = np.stack([_voice(rng, 0.3) for _ in range(n)], axis=1)
+    path = _write(folder / "a.wav", voices)
+    channel = str(rng.choice(["left", "right", "mix", "1", "2", "3", "4", "5"]))
+    if channel == MIX:
+        return OddInput(f"mix of {n}", lambda: _heard(path, voices.mean(axis=1)), right=True)
+    index = {"left": 1, "right": 2}.get(channel) or int(channel)
+    about = f"{channel} of {n}"
+    if index > n:
+        return OddInput(about, lambda: _heard(path, voices[:, 0], channel), REFUSED)
+    return OddInput(about, lambda: _heard(path, voices[:, index - 1], channel), right=True)
+
+
+def _cut(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Cut anywhere in its middle: refused or reported."""
+    kind, subtype = (("wav", "PCM_16"), ("mp3", "MPEG_LAYER_III"), ("ogg", "VORBIS"))[
+        int(rng.integers(3))
+    ]
+    voice = _voice(rng, 1.5)
+    path = _write(folder / f"a.{kind}", voice, subtype)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(len(content) * rng.uniform(0.3, 0.85))])
+    read: Any = lambda: _heard(path, voice)  # noqa: E731 - as all others here
+    return OddInput(f"cut {kind}", read, REFUSED, may_refuse=True)
+
+
+def _broken(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Samples that are no numbers, silence, nothing, other bytes."""
+    path, voice = folder / "a.wav", _voice(rng, 0.4)
+    kind = int(rng.integers(4))
+    if kind == 0:
+        voice[int(rng.integers(len(voice)))] = float(rng.choice([np.nan, np.inf]))
+        _write(path, voice, "FLOAT")
+    elif kind == 1:
+        _write(path, 0 * voice)
+    elif kind == 2:
+        _write(path, voice[: int(rng.integers(0, 300))])
+    else:
+        path.write_bytes(rng.bytes(int(rng.integers(0, 2000))))
+    return OddInput(f"broken {kind}", lambda: _heard(path, voice), REFUSED)
+
+
+def _codec(rng: np.random.Generator, folder: Path) -> OddInput:
+    subtype, ending = _CODECS[int(rng.integers(len(_CODECS)))]
+    voice = _voice(rng, 0.6)
+    try:
+        path = _write(folder / f"a.{ending}", voice, subtype)
+    except (soundfile.LibsndfileError, ValueError):  # this libsndfile cannot write it
+        path = _write(folder / "a.wav", voice)
+
+    def read() -> tuple[object, Sequence[str]]:
+        samples = read_sound(path)[0]
+        n = min(len(samples), len(voice))
+        return bool(np.corrcoef(samples[:n], voice[:n])[0, 1] > 0.8), ()
+
+    return OddInput(subtype, read, right=True)
+
+
+SOUND_KINDS: Final[dict[str, Maker]] = {
+    "sound: antiphase": _antiphase,
+    "sound: whole numbers": _whole_numbers,
+    "sound: no size": _no_size,
+    "sound: channels": _channels,
+    "sound: cut": _cut,
+    "sound: broken": _broken,
+    "sound: codecs": _codec,
+}

@@ -1,0 +1,72 @@
+"""`lipservo bench fleet`: many faces at once; `lipservo bench cluster`: lines while workers die."""
+
+from typing import Annotated
+
+import typer
+
+from lipservo.commands.options import Json, Quiet
+from lipservo.commands.run.dashboard import check_dashboard
+from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
+from lipsync.errors import check_extra
+
+#: Of all faces that are asked so many are real or answer as such.
+_N_FACES = 100
+
+
+def fleet(
+    daemons: Annotated[
+        int, typer.Option(min=1, max=_N_FACES, help="Of 100 faces so many are real daemons.")
+    ] = 12,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure status and stop of 100 faces, real daemons among them, and five dead or hung ones.
+
+    Exit status 1 unless all confirm and all five are named.
+    """
+    check_dashboard()
+    from lipservo_lab.bench.fleet_figures import fleet_figures
+
+    n_done = 0
+    with progress_bar(quiet=quiet) as advance:
+
+        def step() -> None:
+            nonlocal n_done
+            n_done += 1
+            advance("fleet", n_done, 4)
+
+        figures = fleet_figures(daemons, _N_FACES - daemons, step)
+    _print({**figures, "machine": machine_class()}, as_json=as_json)
+    if figures["confirmed"] < 1.0 or figures["named"] < figures["dead_and_hung"]:
+        raise typer.Exit(1)
+
+
+def cluster(
+    lines: Annotated[int, typer.Option(min=10, help="Short lines to render.")] = 2000,
+    kill_every_s: Annotated[
+        float, typer.Option(min=1.0, help="A worker is killed so often; once the scheduler.")
+    ] = 60.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Count lines that are lost or computed twice while workers and the scheduler are killed.
+
+    `lines render-folder` on a Dask cluster of this computer. Exit status 1 where one is lost.
+    """
+    for library in ("distributed", "joblib"):
+        check_extra(library, "bench cluster")
+    from lipservo_lab.campaigns.cluster_campaign import cluster_figures
+
+    with progress_bar(quiet=quiet) as advance:
+        figures = cluster_figures(lines, kill_every_s, advance)
+    _print({**figures, "machine": machine_class()}, as_json=as_json)
+    if figures["lost"]:
+        raise typer.Exit(1)
+
+
+def _print(figures: dict[str, object], *, as_json: bool) -> None:
+    if as_json:
+        print_json(figures)
+        return
+    for name, value in figures.items():
+        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)

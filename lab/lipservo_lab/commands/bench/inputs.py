@@ -1,0 +1,42 @@
+"""`lipservo bench inputs`: odd files and texts of every kind, and what becomes of each."""
+
+import time
+from typing import Annotated, cast
+
+import typer
+
+from lipservo.commands.options import Json, Quiet
+from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
+from lipsync.errors import check_extra
+
+
+def inputs(
+    each: Annotated[int, typer.Option(min=1, help="So many inputs of each kind.")] = 84,
+    seed: Annotated[int, typer.Option(help="Of the inputs.")] = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Try odd labels, sounds, ranges, texts, markers, photographs and names, each made by rule.
+
+    What is right is known by who made the input, never by the reader. Exit status 1 if one
+    ended in a traceback, hung, or was read wrongly without a word.
+    """
+    for library in ("ezc3d", "PIL"):
+        check_extra(library, "bench inputs")
+    from lipservo_lab.bench.inputs.input_figures import input_figures
+
+    began_s = time.perf_counter()
+    with progress_bar(quiet=quiet) as advance:
+        figures = input_figures(each, seed, advance)
+    figures |= {"machine": machine_class(), "seconds": round(time.perf_counter() - began_s, 1)}
+    if as_json:
+        print_json(figures)
+    else:
+        wrong = cast("dict[str, list[object]]", figures.pop("wrong"))
+        for name, value in figures.items():
+            RESULTS.print(f"{name}: {value}", highlight=False)
+        for kind, lines in wrong.items():
+            for line in lines:
+                RESULTS.print(f"{kind}: {line}", soft_wrap=True, highlight=False, markup=False)
+    if any(figures[name] for name in ("tracebacks", "hangs", "silently_wrong")):
+        raise typer.Exit(1)

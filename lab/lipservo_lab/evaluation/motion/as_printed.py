@@ -1,0 +1,63 @@
+"""Wei and Deng's method as printed: each component is clustered, selected and blended by itself.
+
+Five principal components; an AnimPho is a cluster of all segments, of the phoneme that is commonest
+in it; derivatives of eq. (5) in samples. docs/motion.md names what differs all the same.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from lipservo_lab.corpus.utterance import Corpus
+from lipservo_lab.evaluation.motion.methods import Heard
+from lipservo_lab.learning.motion.face_training import clustered_alike, cut_segments
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.animpho.selection import STRATEGIES
+from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.animpho.units import AnimPhoUnits
+from lipsync.arrays import Array
+from lipsync.phonemes import PhonemeUpdate
+
+AS_PRINTED: Final = "as-printed"
+COMPONENTS: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedMethod:
+    """The priority strategy, once for each of the first components; the others stay at rest.
+
+    units: for each component its AnimPhos, samples (m, 5, 1).
+    """
+
+    units: tuple[AnimPhoUnits, ...]
+    name: str = AS_PRINTED
+    looks_ahead: bool = False
+
+    @classmethod
+    def of(cls, model: TrainedModel, corpus: Corpus, *, seed: int = 0) -> "PrintedMethod":
+        """The AnimPhos of the sentences of a labelled corpus that the model was trained on."""
+        learned = corpus.keep(set(model.training_sentences)).utterances
+        segments = cut_segments(learned, [model.coefficients(u.markers_mm) for u in learned])
+        n = min(COMPONENTS, model.n_components)
+        return cls(tuple(clustered_alike(segments, model.rest, c, seed) for c in range(n)))
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
+        """Return faces with every phone known when it begins; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
+        faces = np.tile(model.rest, (len(times_s), 1))
+        for component, units in enumerate(self.units):
+            moving = PublishedSynthesizer(units, STRATEGIES["priority"], published_derivatives=True)
+            moving.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
+            faces[:, component] = [moving.frame_at(float(t)).coefficients[0] for t in times_s]
+        return faces

@@ -1,0 +1,260 @@
+"""The faces of other computers: a YAML of their addresses, and one request to all of them at once.
+
+The request goes to each face's dashboard, which admits it by its token (`admission.py`). A token
+leaves this computer inside TLS alone. Every face has a thread of its own, so that none that is dead
+or hangs delays another; what has not answered in time is named and left.
+"""
+
+import http.client
+import json
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import lru_cache
+from http import HTTPStatus
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Annotated, Any, Final
+from urllib.parse import SplitResult, urlsplit
+
+from lipservo_client.local_token import is_loopback
+from pydantic import Field, ValidationError, field_validator
+
+from firmware_bridge.bus_settings import Strict, Text
+from firmware_bridge.process.control_client import printable
+from lipservo.access.token_file import read_token
+from lipservo.settings.strict_yaml import SettingsError, explain, read_mapping
+from lipsync.errors import UserError, shown
+
+#: A computer in the same building answers in milliseconds; one that is switched off, never.
+_CONNECTING_S: Final = 2.0
+#: Who has not answered by then is named while it is still waited for.
+_SOON_S: Final = 3.0
+_LATE_S: Final = 0.5
+#: Longer than the status of 252 servos.
+_MOST_BYTES: Final = 1 << 20
+#: YAML's own mark of a document's end (https://yaml.org/spec/1.2.2/#914-explicit-documents).
+_END: Final = "..."
+_PORTS: Final = {"http": 80, "https": 443}
+
+Answer = dict[str, Any]
+
+
+class KioskError(UserError):
+    """Why a face of another computer did not answer; one line without its name."""
+
+
+class Kiosk(Strict):
+    """One face: the URL of its dashboard, and the files of its token and of its certificate.
+
+    certificate: in PEM, of its server or of who signed it; None: as the system trusts.
+    """
+
+    url: Text
+    token_file: Text
+    certificate: Text | None = None
+
+    @field_validator("url")
+    @classmethod
+    def _is_safe(cls, url: str) -> str:
+        try:
+            split = urlsplit(url)
+            port = split.port
+        except ValueError:
+            raise ValueError(f"{shown(url)} is no URL") from None
+        odd = split.username is not None or split.query or split.fragment or port == 0
+        if split.scheme not in _PORTS or not split.hostname or odd:
+            raise ValueError(f"{shown(url)}: write https://HOST:PORT")
+        if split.scheme == "http" and not is_loopback(split.hostname):
+            raise ValueError(
+                f"{shown(url)}: the token would cross the network unencrypted; give the face a TLS "
+                "proxy and write https://"
+            )
+        return url.rstrip("/")
+
+
+class _Kiosks(Strict):
+    kiosks: Annotated[dict[Text, Kiosk], Field(min_length=1)]
+
+    @field_validator("kiosks")
+    @classmethod
+    def _are_different(cls, kiosks: dict[str, Kiosk]) -> dict[str, Kiosk]:
+        names: dict[str, str] = {}
+        for name, kiosk in kiosks.items():
+            other = names.setdefault(kiosk.url, name)
+            if other != name:
+                raise ValueError(f"{other} and {name} have the same url")
+        return kiosks
+
+
+def read_kiosks(path: Path) -> dict[str, Kiosk]:
+    """Return the faces that a YAML lists, by name; paths of their files are relative to it.
+
+    The file must end with the line `...`: one that was copied or pulled by half would name some of
+    the faces alone, and the others would not be stopped. Raises SettingsError, a line for each
+    error.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path}: cannot be read: {error}") from error
+    content = read_mapping(text, path.name)
+    if text.rstrip().rpartition("\n")[2] != _END:
+        raise SettingsError(
+            f"{path}: does not end with the line `{_END}`, so it may be the first half of a list; "
+            "get it whole, or add the line if it is"
+        )
+    try:
+        found = _Kiosks.model_validate(content).kiosks
+    except ValidationError as error:
+        raise SettingsError("\n".join(explain(error, _Kiosks, path.name))) from error
+    return {name: _beside(path.parent, kiosk) for name, kiosk in found.items()}
+
+
+def _beside(folder: Path, kiosk: Kiosk) -> Kiosk:
+    certificate = None if kiosk.certificate is None else str(folder / kiosk.certificate)
+    files = {"token_file": str(folder / kiosk.token_file), "certificate": certificate}
+    return kiosk.model_copy(update=files)
+
+
+@dataclass(frozen=True, slots=True)
+class KioskRequest:
+    """A request to faces: its method and path, the JSON of its body, the seconds that it may take.
+
+    body: None: none.
+    """
+
+    method: str
+    path: str
+    patience_s: float
+    body: Mapping[str, object] | None = None
+
+
+def ask_kiosks(
+    kiosks: Mapping[str, Kiosk],
+    request: KioskRequest,
+    tell_waiting: Callable[[Sequence[str]], None] = lambda _names: None,
+) -> Iterator[tuple[str, Answer | KioskError, float]]:
+    """Send a request to all faces at once; yield name, answer and its seconds as each answers.
+
+    A KioskError in place of an answer says why there is none. Faces that hang come last, when the
+    request's patience is over. tell_waiting: called once, with the names of those from whom nothing
+    has come after 3 s.
+    """
+    began_s = time.monotonic()
+    answered: SimpleQueue[tuple[str, Answer | KioskError]] = SimpleQueue()
+
+    def ask(name: str, kiosk: Kiosk) -> None:
+        try:
+            answered.put((name, _answer(kiosk, request)))
+        except KioskError as error:
+            answered.put((name, error))
+
+    for name, kiosk in kiosks.items():
+        # A look-up of a name cannot be ended: such a thread is left to end with the program.
+        threading.Thread(target=ask, args=(name, kiosk), name=f"kiosk {name}", daemon=True).start()
+    waiting = list(kiosks)
+    give_up_s = began_s + _CONNECTING_S + request.patience_s + _LATE_S
+    soon_s = began_s + _SOON_S
+    while waiting:
+        now_s = time.monotonic()
+        if now_s >= soon_s:
+            tell_waiting(waiting)
+            soon_s = give_up_s
+        try:
+            name, answer = answered.get(timeout=max(0.0, min(soon_s, give_up_s) - now_s))
+        except Empty:
+            if time.monotonic() < give_up_s:
+                continue
+            break
+        waiting.remove(name)
+        yield name, answer, time.monotonic() - began_s
+    for name in waiting:
+        yield name, _hangs(request), time.monotonic() - began_s
+
+
+def _hangs(request: KioskRequest) -> KioskError:
+    return KioskError(f"hangs: no answer within {request.patience_s:g} s")
+
+
+def _answer(kiosk: Kiosk, request: KioskRequest) -> Answer:
+    """Send a request to one face and return its answer. Raises KioskError."""
+    split = urlsplit(kiosk.url)
+    try:
+        token = read_token(kiosk.token_file)
+        context = None if split.scheme == "http" else _tls(kiosk.certificate)
+    except UserError as error:
+        raise KioskError(str(error)) from error
+    headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
+    body = None if request.body is None else json.dumps(request.body)
+    try:
+        with closing(_connected(split, context, request.patience_s)) as connection:
+            path = f"{split.path}{request.path}"
+            connection.request(request.method, path, body, headers)
+            response = connection.getresponse()
+            content = response.read(_MOST_BYTES + 1)
+    except KioskError:
+        raise
+    except TimeoutError:
+        raise _hangs(request) from None
+    except (OSError, ValueError, http.client.HTTPException) as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise KioskError(f"breaks off before it has answered ({why})") from error
+    try:
+        answer = printable(json.loads(content))
+    except (ValueError, RecursionError):
+        answer = None
+    if response.status == HTTPStatus.UNAUTHORIZED:
+        raise KioskError(f"refuses the token in {kiosk.token_file}; copy the face's own there")
+    if not isinstance(answer, dict) or response.status != HTTPStatus.OK:
+        reason = answer.get("error") if isinstance(answer, dict) else None
+        raise KioskError(
+            f"answers: {reason or f'HTTP {response.status}, nothing that a face says'}"
+        )
+    return answer
+
+
+def _connected(
+    split: SplitResult, context: ssl.SSLContext | None, patience_s: float
+) -> http.client.HTTPConnection:
+    """Return a connection to a URL's server, checked by `context` if given. Raises KioskError."""
+    host, port = str(split.hostname), split.port or _PORTS[split.scheme]
+    try:
+        plain = socket.create_connection((host, port), _CONNECTING_S)
+    except (OSError, UnicodeError) as error:
+        why = "no answer" if isinstance(error, TimeoutError) else error
+        why = getattr(error, "strerror", None) or why
+        raise KioskError(f"is dead, or not at {host}:{port} ({why})") from error
+    plain.settimeout(patience_s)
+    connection = http.client.HTTPConnection(host, port)
+    try:
+        connection.sock = (
+            plain if context is None else context.wrap_socket(plain, server_hostname=host)
+        )
+    except ssl.SSLCertVerificationError as error:
+        plain.close()
+        raise KioskError(
+            f"has a certificate that is not trusted ({error.verify_message}): nothing was sent; "
+            "name its own by `certificate:`"
+        ) from error
+    except ssl.SSLError as error:
+        plain.close()
+        raise KioskError(f"speaks no TLS at {host}:{port} ({error.reason})") from error
+    except OSError:
+        plain.close()
+        raise
+    return connection
+
+
+@lru_cache
+def _tls(certificate: str | None) -> ssl.SSLContext:
+    """Return how servers are checked, one for all faces that share it. Raises KioskError."""
+    try:
+        return ssl.create_default_context(cafile=certificate)
+    except (OSError, ssl.SSLError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise KioskError(f"{certificate}: cannot be read as certificates in PEM: {why}") from error

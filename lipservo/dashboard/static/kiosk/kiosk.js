@@ -1,0 +1,51 @@
+// The kiosk: what the face says, under it, and a screen that dims when nobody speaks or touches.
+import { onFrame, onStatus } from "../link.js";
+import { caption } from "../live/live_facts.js";
+
+/** Nobody has spoken or touched the screen for so long: it dims. */
+const ASLEEP_AFTER_MS = 300_000;
+
+class FaceCaption extends HTMLElement {
+  connectedCallback() {
+    this.kiosk = this.closest(".kiosk");
+    // `/kiosk?text=none`: visitors listen, and nobody types.
+    const asks = new URLSearchParams(location.search).get("text") !== "none";
+    this.kiosk.classList.toggle("asks-hidden", !asks);
+    this.wake = () => this.woken();
+    addEventListener("pointerdown", this.wake);
+    addEventListener("keydown", this.wake);
+    this.undo = [
+      onStatus((status) => this.tell(status)),
+      onFrame((frame) => frame.speaking && this.woken()),
+    ];
+    this.woken();
+    keepScreenOn();
+  }
+
+  disconnectedCallback() {
+    this.undo.forEach((each) => each());
+    removeEventListener("pointerdown", this.wake);
+    removeEventListener("keydown", this.wake);
+    clearTimeout(this.dims);
+  }
+
+  tell(status) {
+    const words = caption(status);
+    if (this.innerHTML !== words) this.innerHTML = words;
+  }
+
+  woken() {
+    this.kiosk.classList.remove("asleep");
+    clearTimeout(this.dims);
+    this.dims = setTimeout(() => this.kiosk.classList.add("asleep"), ASLEEP_AFTER_MS);
+  }
+}
+
+/** The computer's own screen saver would hide the face; it is asked again whenever it is seen. */
+function keepScreenOn() {
+  const ask = () => document.visibilityState === "visible" && navigator.wakeLock?.request("screen").catch(() => {});
+  document.addEventListener("visibilitychange", ask);
+  ask();
+}
+
+customElements.define("face-caption", FaceCaption);

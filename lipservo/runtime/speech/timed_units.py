@@ -1,0 +1,204 @@
+"""Phonemes and visemes that came with times, moved to where they are heard."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import (
+    EventKind,
+    KnownStretch,
+    MoverReason,
+    PlayoutEvent,
+    TimedUnits,
+)
+from lipsync.phonemes import FramePosteriors, PhonemeEvent
+from lipsync.recognition.text_decoder import MovedBy
+from lipsync.recognition.unit_follower import UnitFollower
+from lipsync.spoken_text import SpokenText
+
+#: Units this far from the present are looked up, which is more than they are ever moved by; and
+#: again so often.
+_AROUND_S, _LOOKED_UP_S = 3.0, 0.5
+#: Who follows the sound of a stream is asked so long after it has ended.
+_KEPT_S: Final = 1.0
+#: A smaller change of the shift is not told, nor one that changes by so much within `_HELD_S`.
+_NEWS_SHIFT_S, _SAME_SHIFT_S = 0.03, 0.015
+
+
+@dataclass(slots=True)
+class _Followed:
+    """A stretch of a stream's sound, its units, and who follows them."""
+
+    timed: TimedUnits
+    follower: UnitFollower
+    looked_up_s: float
+
+    def look_up(self, now_s: float) -> None:
+        """Give the follower the units around timeline position `now_s`."""
+        self.looked_up_s = now_s
+        if self.timed.units is not None:
+            self.follower.tell(_around(self.timed.units, now_s, self.timed.shift_s))
+
+
+class FollowedUnits:
+    """The timed units of what a playout plays, as they are heard."""
+
+    def __init__(self, playout: Playout) -> None:
+        self._playout = playout
+        self._followed: list[_Followed] = []
+        self._stretches: list[tuple[float, float, MovedBy]] = []
+        self._shifted: tuple[str, float] = ("", 0.0)
+        self._held: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no units came for what sounds, or sounded a moment ago."""
+        return not self._followed
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether the units of the newest sound, if there are any, agree with what is heard."""
+        return not self._followed or self._followed[-1].follower.is_believed
+
+    @property
+    def shifted_s(self) -> float | None:
+        """How much later than sent the newest units sound, s; None: none move the mouth."""
+        return self._followed[-1].follower.shifted_s if self._stretches and self._followed else None
+
+    def kind_at(self, timeline_s: float) -> MovedBy | None:
+        """Return which units move the mouth at a timeline position; None: none do, or it is past.
+
+        As of the last `stretches`.
+        """
+        kinds = (kind for a, b, kind in self._stretches if a <= timeline_s < b)
+        return next(kinds, None)
+
+    def take(self) -> None:
+        """Take the units of the sound that the playout has committed."""
+        now_s = self._playout.committed_s
+        for timed in self._playout.take_timed():
+            last = self._followed[-1] if self._followed else None
+            if last is not None and timed.units is not None and last.timed.start_s == timed.start_s:
+                last.timed = timed
+                last.look_up(now_s)
+                continue
+            if last is not None:
+                last.follower.end_s = min(last.follower.end_s, timed.from_s)
+            if timed.units is not None:
+                self._followed.append(_Followed(timed, UnitFollower(timed.start_s), now_s))
+                self._followed[-1].look_up(now_s)
+        self._followed = [each for each in self._followed if each.follower.end_s > now_s - _KEPT_S]
+        for each in self._followed[-1:]:
+            if now_s >= each.looked_up_s + _LOOKED_UP_S:
+                each.look_up(now_s)
+
+    def hear(self, heard: FramePosteriors) -> None:
+        """Hold the units against what is heard."""
+        for each in self._followed:
+            each.follower.hear(heard)
+
+    def newly_shifted(self) -> tuple[str, float] | None:
+        """Return (stream, seconds later than sent) once that has changed and stays."""
+        if not self._followed:
+            return None
+        last, (name, reported_s) = self._followed[-1], self._shifted
+        if name != last.timed.stream:
+            reported_s = 0.0
+        shifted_s, now_s = last.follower.shifted_s, self._playout.committed_s
+        if abs(shifted_s - self._held[0]) > _SAME_SHIFT_S:
+            self._held = shifted_s, now_s
+        is_held = now_s >= self._held[1] + _HELD_S
+        if not is_held or abs(shifted_s - reported_s) < _NEWS_SHIFT_S:
+            return None
+        self._shifted = last.timed.stream, shifted_s
+        return self._shifted
+
+    def stretches(self, from_s: float, until_s: float) -> list[KnownStretch]:
+        """Return what units say between two timeline positions; elsewhere what is heard counts."""
+        found = [
+            (stretch, _KIND[each.timed.units.kind])
+            for each in self._followed
+            if each.timed.units is not None
+            for stretch in each.follower.stretches(from_s, until_s)
+        ]
+        self._stretches = [(start_s, end_s, kind) for (start_s, end_s, _), kind in found]
+        return [stretch for stretch, _ in found]
+
+
+#: What moves the mouth, by the kind of the units.
+_KIND: Final[dict[str, MovedBy]] = {"phoneme": "phonemes", "viseme": "visemes"}
+
+
+def _around(units: SpokenText, now_s: float, shift_s: float) -> tuple[PhonemeEvent, ...]:
+    """Return the units around timeline position `now_s` as events of the timeline."""
+    samples = (
+        round((now_s + by_s - shift_s) * units.sample_rate_hz) for by_s in (-_AROUND_S, _AROUND_S)
+    )
+    first, end = (max(0, sample) for sample in samples)
+    return tuple(event.later(shift_s) for event in units.events(first, end))
+
+
+#: What moves the mouth is told once it has done so for so long; that a text is not said, once it
+#: was not found in so much speech.
+_HELD_S, _UNSAID_S = 0.3, 1.0
+
+
+class MoverNews:
+    """The news for the sender of a stream of its text and units, as events of the playout."""
+
+    def __init__(self, playout: Playout) -> None:
+        self._playout = playout
+        self._stream: str | None = None
+        self._reported: MovedBy | None = None
+        self._since: tuple[MovedBy | None, float] = (None, 0.0)
+        self._unsaid_s: float = 0.0
+        self._heard_s = 0.0
+
+    def shifted(self, stream: str, by_s: float) -> None:
+        """Tell that units sound so much later than sent."""
+        self._put("units_shifted", stream, shifted_s=by_s)
+
+    def moved(
+        self, moved_by: MovedBy | None, *, is_speech: bool, has_text: bool, are_spoken: bool
+    ) -> None:
+        """Tell what moves the mouth, where it is another than before; and of a text not spoken.
+
+        has_text: words are known that may come next. are_spoken: the units are what is heard, if
+        there are any.
+        """
+        stream, now_s = self._playout.speaking, self._playout.committed_s
+        passed_s, self._heard_s = now_s - self._heard_s, now_s
+        if stream != self._stream:
+            self._stream, self._reported, self._unsaid_s = stream, None, 0.0
+            self._since = (None, now_s)
+        if stream is None or moved_by is None:
+            return
+        if moved_by != self._since[0]:
+            self._since = moved_by, now_s
+        if moved_by != self._reported and now_s >= self._since[1] + _HELD_S:
+            self._reported = moved_by
+            is_unsaid = not are_spoken or (moved_by == "sound" and has_text)
+            reason: MoverReason = "not_told" if moved_by == "sound" else "told"
+            self._put("moved_by", stream, moved_by, "not_said" if is_unsaid else reason)
+        if moved_by == "sound" and is_speech and has_text:
+            before_s, self._unsaid_s = self._unsaid_s, self._unsaid_s + passed_s
+            if before_s < _UNSAID_S <= self._unsaid_s:
+                self._put("text_dropped", stream)
+
+    def _put(
+        self,
+        kind: EventKind,
+        stream: str,
+        name: str = "",
+        reason: MoverReason = "told",
+        shifted_s: float = 0.0,
+    ) -> None:
+        n_played = self._playout.n_played(stream)
+        if n_played is None:  # it is over
+            return
+        position_s = self._playout.position_s
+        self._playout.events.append(
+            PlayoutEvent(
+                kind, stream, position_s, n_played, name=name, reason=reason, shifted_s=shifted_s
+            )
+        )

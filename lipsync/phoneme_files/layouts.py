@@ -1,0 +1,151 @@
+"""Formats of label files: each a row of a table, known by its text, and a function of that alone.
+
+A layout gives tiers: labels with their times as written, before anything is joined or spelled.
+docs/text.md lists the formats.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, Literal
+
+from lipservo_client.vendors import Kind, TimedUnit, vendor_units
+
+from lipsync.errors import shown
+from lipsync.textgrid import LabelError, intervals_by_tier, is_textgrid
+
+
+@dataclass(frozen=True, slots=True)
+class Tier:
+    """Labels of one kind with their times; kind "": of phonemes, unless the user says of words.
+
+    alphabet: "" where the file does not say which. untimed: words without a time.
+    """
+
+    name: str
+    kind: Kind | Literal[""]
+    units: tuple[TimedUnit, ...]
+    alphabet: str = ""
+    untimed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A format with one label a line. row: an expression that each line matches.
+
+    Its groups: start; end, or lasts (neither: up to the next start); label; tier; speaker. unit_s:
+    seconds per unit of its times.
+    """
+
+    name: str
+    row: str
+    kind: Kind | Literal[""] = ""
+    alphabet: str = ""
+    unit_s: float = 1.0
+
+
+_TIME: Final = r"-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+#: The first that all lines match counts: whole numbers may be HTK's, and Audacity's as well.
+LAYOUTS: Final = (
+    Layout(
+        "Montreal aligner's CSV",
+        rf"(?P<start>{_TIME}),(?P<end>{_TIME}),(?P<label>\"[^\"]*\"|[^,]*),(?P<tier>[^,]*)"
+        r"(?:,(?P<speaker>.*))?",
+    ),
+    Layout(
+        "NIST's CTM",
+        rf"(?P<tier>\S+)\s+\S+\s+(?P<start>{_TIME})\s+(?P<lasts>{_TIME})\s+(?P<label>\S+).*",
+    ),
+    Layout("HTK", r"(?P<start>\d+)\s+(?P<end>\d+)\s+(?P<label>\S+).*", unit_s=1e-7),
+    Layout("Rhubarb's TSV", rf"(?P<start>{_TIME})\s+(?P<label>[A-HX])", "viseme", "rhubarb"),
+    Layout("Audacity's label track", rf"(?P<start>{_TIME})\s+(?P<end>{_TIME})(?P<label>(?:\s.*)?)"),
+)
+#: Headers and comments of those, and Audacity's frequencies of the label before.
+_NO_ROW: Final = re.compile(r"begin,end,label.*|;;.*|\\.*|", re.IGNORECASE)
+_NAMES: Final[Mapping[Kind, str]] = {"phoneme": "phones", "viseme": "visemes", "word": "words"}
+#: The last word of a tier's name, as in `speaker 1 - phones`.
+_KINDS: Final[Mapping[str, Kind]] = {
+    **dict.fromkeys(("phones", "phone", "phonemes", "phoneme", "mau"), "phoneme"),
+    **dict.fromkeys(("words", "word", "ort"), "word"),
+}
+
+
+def tiers_in(text: str, alphabet: str = "") -> tuple[Tier, ...]:
+    """Return the tiers of a file's text.
+
+    alphabet: of phonemes where the file names none; "": not known. Raises LabelError or VendorError
+    without the file's name.
+    """
+    if is_textgrid(text[:200].encode()) or re.match(r'\s*{(?=.*"tiers"\s*:)', text, re.DOTALL):
+        tiers = intervals_by_tier(text)
+        return tuple(Tier(n, kind_of(n), tuple(map(TimedUnit._make, t))) for n, t in tiers.items())
+    numbered = enumerate(map(str.strip, text.splitlines()), start=1)
+    lines = [(n, line) for n, line in numbered if not _NO_ROW.fullmatch(line)]
+    begun = [each for each in LAYOUTS if lines and re.fullmatch(each.row, lines[0][1])]
+    for layout in begun:
+        rows = [(n, re.fullmatch(layout.row, line)) for n, line in lines]
+        if all(row for _, row in rows):
+            return _of_rows(layout, [(n, row.groupdict("")) for n, row in rows if row])
+    for layout in begun:
+        number, line = next(e for e in lines if not re.fullmatch(layout.row, e[1]))
+        raise LabelError(f"line {number}: {shown(line)} is not as the lines before it; mend it")
+    return _of_json(_documents(text), alphabet)
+
+
+def kind_of(name: str) -> Kind | Literal[""]:
+    """Return what a tier holds, as the last word of its `name` says; "": it says nothing."""
+    return _KINDS.get((re.findall(r"\w+", name.lower()) or [""])[-1], "")
+
+
+def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Tier, ...]:
+    """Return the tiers of rows, (number of the line, groups by name)."""
+    several = len({row.get("speaker") for _, row in rows}) > 1
+    tiers: dict[str, list[TimedUnit]] = {}
+    for (number, row), (_, after) in pairwise([*rows, (0, {})]):
+        start_s = layout.unit_s * float(row["start"])
+        lasts = row.get("lasts")
+        end = row.get("end") or after.get("start")
+        end_s = start_s + float(lasts) if lasts else layout.unit_s * float(end) if end else None
+        if start_s < 0 or (end_s or start_s) < start_s:
+            raise LabelError(f"line {number}: from {start_s:g} to {end_s or 0:g} s; mend it")
+        name = f"{row['speaker']} - {row['tier']}" if several else row.get("tier", layout.name)
+        unit = TimedUnit(row["label"].strip(' \t"'), start_s, end_s)
+        tiers.setdefault(name, []).append(unit)
+    return tuple(
+        Tier(name, layout.kind or kind_of(name), tuple(units), layout.alphabet)
+        for name, units in tiers.items()
+    )
+
+
+def _of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
+    if isinstance(document, dict) and "facsNames" in document and "weightMat" in document:
+        raise LabelError(
+            "weights of face shapes, as Audio2Face exports them, not labels; no command reads "
+            "them: give the sound itself, or its labels"
+        )
+    found = vendor_units(document, alphabet=alphabet)
+    if not found:
+        raise LabelError(f"no times of words, phonemes or visemes; {_KNOWN}")
+    return tuple(Tier(_NAMES[u.kind], u.kind, u.units, u.alphabet or "", u.untimed) for u in found)
+
+
+def _documents(text: str) -> object:
+    """Return the parsed JSON document, or for JSON Lines a dict of parsed lines by `line N`."""
+    if not text.strip():
+        raise LabelError(f"empty; {_KNOWN}")
+    lines: dict[str, object] = {}
+    # Numbers of thousands of digits are a ValueError, brackets in thousands a RecursionError.
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        for number, line in enumerate(text.split("\n"), start=1):
+            try:
+                lines |= {f"line {number}": json.loads(line)} if line.strip() else {}
+            except (ValueError, RecursionError):
+                raise LabelError(f"line {number}: no JSON; {_KNOWN}") from None
+    return lines
+
+
+_KNOWN: Final = "docs/text.md, Files of labels, lists what is known"

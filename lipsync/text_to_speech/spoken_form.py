@@ -1,0 +1,206 @@
+"""What a person would say of a text as language models write it.
+
+Markdown is read by markdown-it-py (docs/decisions/0092-said-text.md). Left out are marks, addresses
+behind links, pictures, code blocks, formulas, smileys, footnotes, stage directions in brackets,
+what is struck out, and what a model thinks; spoken are the words between SSML tags, hosts of bare
+links, and in English times, money, dates and ranges as they are read out.
+"""
+
+import html
+import re
+import unicodedata
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from markdown_it import MarkdownIt
+
+#: Letters, spaces and plain punctuation alone are said as they stand.
+_PLAIN: Final = re.compile(r"(?:[^\W\d_]|[ \n.,!?'\"\u2019]|(?<=\w)[-;:](?=[\w ]))*\Z")
+#: Not said with all that is between the tags.
+_SILENT_TAGS: Final = "think|thinking|reasoning|scratchpad|script|style|tool_call|function_call"
+_Rule = tuple[re.Pattern[str], str | Callable[[re.Match[str]], str]]
+
+
+def _rules(*rules: tuple[str, str | Callable[[re.Match[str]], str]]) -> tuple[_Rule, ...]:
+    flags = re.MULTILINE | re.DOTALL
+    return tuple((re.compile(pattern, flags), by) for pattern, by in rules)
+
+
+#: Before Markdown, which would take these apart.
+_MARKUP: Final = _rules(
+    (rf"<({_SILENT_TAGS})\b[^>]*>.*?(?:</\1>|\Z)", " "),
+    (r"<!--.*?(?:-->|\Z)", " "),
+    (r"\A---\n(?:[A-Za-z_][\w-]*:[^\n]*\n|[ \t-]+[^\n]*\n)+?---\n", ""),
+    (r"<sub\b[^>]*\balias=[\"']([^\"']*)[\"'][^>]*>[^<]*</sub>", r"\1"),
+    (
+        r"<say-as\b[^>]*\"(?:characters|spell-out|verbatim)\"[^>]*>([^<]*)</say-as>",
+        lambda found: " ".join(found[1]),
+    ),
+    (r"(?<=\w)[ \t]*<break\b[^>]*>[ \t]*(?=\w)", "; "),
+    (r"</?[A-Za-z][\w:-]*(?:\s[^<>]*)?/?>", " "),
+    (r"\$\$.*?\$\$|\\\[.*?\\\]|\\\(.*?\\\)|\$[^$\n]*[\\^_{}=][^$\n]*\$", " "),
+    (r"【[^】]*】", " "),
+    (r"^\[\^[^\]]+\]:.*?$", " "),
+    (r"^(\s*(?:[-*+]|\d+[.)])\s+)\[[ xX]\]\s", r"\1"),
+    (r"\[\^[^\]\s]+\]|(?<!\])(?:\[\d+(?:\s?[,\u2013-]\s?\d+)*\])+(?![(:])", " "),
+    (r"\[[a-z][a-z ,'\u2019-]*\](?![(\[:])", " "),
+    (
+        r"(?<![\w*])(?:[:;=]['\u2019]?-?[)(DPpOo3/\\*\]\[]+|[xX]D|<3+|\^_?\^|-_-|T_T|[oO]_[oO])(?!\w)",
+        " ",
+    ),
+    (r"¯\\+_\(ツ\)_/+¯", " "),
+    (r"(?<!\w):[a-z][a-z0-9_+-]+:(?!\w)", " "),
+    (r"^\s*[•‣◦▪●○\u2013—]\s+", "- "),
+)
+_LINKS: Final = _rules(
+    (r"(?:mailto:)?\b([\w.+-]+)@([\w-]+(?:\.[\w-]+)+)", lambda m: f"{m[1]} at {_host(m[2])}"),
+    (
+        r"\b(?:(?:https?|ftp|wss?)://(?:www\.)?|www\.)([\w.-]+\w)(?::\d+)?"
+        r"(?:[/?#](?:[^\s)>\]]*[^\s)>\].,;:!?])?)?",
+        lambda m: _host(m[1]),
+    ),
+)
+#: A number of two digits, or a year.
+_FEW: Final = r"\d{1,2}|1\d{3}|20\d\d"
+#: How figures are read out in English.
+_ENGLISH: Final = _rules(
+    (r"\b(\d{4})-(0[1-9]|1[0-2])-([0-2]\d|3[01])\b", lambda m: _date(m[1], m[2], m[3])),
+    (
+        r"([$€£])\s?(\d[\d,]*)(?:\.(\d\d)(?!\d)|(\.\d+))?(\s(?:thousand|million|billion|trillion))?",
+        lambda m: _money(m),
+    ),
+    (r"\b([01]?\d|2[0-3]):([0-5]\d)(?!\d|:\d)(?:\s?([AaPp])\.?[Mm]\b\.?)?", lambda m: _clock(m)),
+    (r"\b(\d{1,2})\s?([AaPp])\.?[Mm]\b", lambda m: f"{m[1]} {m[2].upper()} M"),
+    (rf"(?<![\d.-])({_FEW})\s?[-\u2013]\s?({_FEW})(?![\d-]|\.\d)", r"\1 to \2"),
+    (r"(?<=\d)\s?\u2013\s?(?=\d)", " to "),
+    (r"(?<=\d)-(?=\d)", " "),
+    (r"(?<![\d/])1/2(?![\d/])", "a half"),
+    (r"(?<![\d/])1/4(?![\d/])", "a quarter"),
+    (r"(?<![\d/])3/4(?![\d/])", "three quarters"),
+    (r"(?<=\d)\s?[*\u00d7]\s?(?=\d)", " times "),
+    (r"(?<!\S)[~≈]\s?(?=\d)", "about "),
+    (r"(?<=\S)\s?&\s?(?=\S)", " and "),
+    (r"\b([A-G])#(?!\w)", r"\1 sharp"),
+    (r"(?<!\w)#(?=\d)", "number "),
+)
+_LEFTOVERS: Final = _rules(
+    (r"(?<=\d)\s?[*\u00d7]\s?(?=\d)", " \u00d7 "),
+    (r"(?<!\S)[@#](?=\w)", ""),
+    (r"(?<=\w)/(?=\w)", " "),
+    (r"[-=]{2,}>?|=>|->|<-|[←-⇿]", " "),
+    (r"[*_`~#|\\^{}<>•]+", " "),
+    (r"(?<!\w)=+(?!\s?\w)|\(\s*\)|\]\[[^\]]*\]|[\[\]]", " "),
+    (r"[ \t]+", " "),
+    (r" (?=[,.;:!?)])", ""),
+    (r"(?<=[(]) ", ""),
+    (r"[,;:]+(?=[.!?])|^[ ,.;:)]+(?=\s|$)| +$|^ +", ""),
+    (r"\n{3,}", "\n\n"),
+)
+_MONTHS: Final = (
+    *("January", "February", "March", "April", "May", "June", "July", "August", "September"),
+    *("October", "November", "December"),
+)
+_CURRENCY: Final = {"$": "dollar", "€": "euro", "£": "pound"}
+#: Symbols that voices read out; all others of their kind are pictures.
+_READ_OUT: Final = "°"
+_PICTURES: Final = ("So", "Sk", "Cf", "Co")
+
+
+def spoken_form(text: str, language: str = "en-us") -> str:
+    """Return the words of `text` as a person would read them out; "" where no one would say any.
+
+    A text of plain words and punctuation is returned as it is. What was spoken once is spoken again
+    alike: `spoken_form` of it is the same for texts that the marks above do not make by chance.
+    """
+    if _PLAIN.match(text):
+        return text
+    found = _changed(html.unescape(text), _MARKUP)
+    found = "\n\n".join(_blocks(found))
+    found = "".join(
+        " " if unicodedata.category(each) in _PICTURES and each not in _READ_OUT else each
+        for each in found
+    )
+    found = _changed(found, _LINKS)
+    if language.partition("-")[0] in ("en", ""):
+        found = _changed(found, _ENGLISH)
+    found = _changed(found, _LEFTOVERS).strip()
+    return found if any(map(str.isalnum, found)) else ""
+
+
+def _changed(text: str, rules: Sequence[_Rule]) -> str:
+    for pattern, by in rules:
+        text = pattern.sub(by, text)
+    return text
+
+
+@cache
+def _markdown() -> "MarkdownIt":
+    from markdown_it import MarkdownIt
+
+    # What stands far to the right is no code: people and models indent speech, too.
+    return (
+        MarkdownIt("commonmark", {"html": False}).enable(["table", "strikethrough"]).disable("code")
+    )
+
+
+def _blocks(text: str) -> Iterator[str]:
+    """Yield the words of each paragraph, heading, list item and row of a table."""
+    cells: list[str] | None = None
+    number = ""
+    for token in _markdown().parse(text):
+        if token.type == "tr_open":
+            cells = []
+        elif token.type == "tr_close" and cells is not None:
+            yield ", ".join(filter(None, cells))
+            cells = None
+        elif token.type == "list_item_open" and len(token.info) > 2:
+            number = f"{token.info}. "  # "1984. A good year." is no list
+        elif token.type == "inline":
+            words = number + "".join(_inline(token.children or ()))
+            number = ""
+            if cells is None:
+                yield words
+            else:
+                cells.append(words.strip())
+
+
+def _inline(tokens: Sequence[Any]) -> Iterator[str]:
+    struck = 0
+    for token in tokens:
+        struck += token.nesting if token.type in ("s_open", "s_close") else 0
+        if struck:
+            continue
+        if token.type in ("text", "code_inline"):
+            yield token.content
+        elif token.type in ("softbreak", "hardbreak"):
+            yield "\n"
+
+
+def _host(name: str) -> str:
+    return name.strip(".").replace(".", " dot ")
+
+
+def _date(year: str, month: str, day: str) -> str:
+    return f"{_MONTHS[int(month) - 1]} {int(day)}, {year}"
+
+
+def _money(found: re.Match[str]) -> str:
+    sign, whole, cents, part, scale = found.groups()
+    unit = _CURRENCY[sign]
+    number = whole.rstrip(",") + (part or "")
+    if scale:
+        return f"{number}{'.' + cents if cents else ''}{scale} {unit}s"
+    plural = "" if number == "1" else "s"
+    comma = "," if whole.endswith(",") else ""
+    rest = f" {int(cents)} cent{'s' * (cents != '01')}" if cents and int(cents) else ""
+    return f"{number} {unit}{plural}{rest}{comma}"
+
+
+def _clock(found: re.Match[str]) -> str:
+    hour, minute, half = found.groups()
+    after = f" {half.upper()} M" if half else ""
+    if minute == "00":
+        return f"{int(hour)}" + (after or " o'clock")
+    return f"{int(hour)} {'oh ' if minute[0] == '0' else ''}{int(minute)}{after}"
