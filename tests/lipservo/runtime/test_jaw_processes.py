@@ -241,12 +241,14 @@ def test_a_frozen_face_holds_where_it_was_sent(jaw):
 
 
 def test_a_plug_that_was_out_brings_it_back(bus, tmp_path):
-    faults = tmp_path / "faults.yaml"
-    faults.write_text("faults: [{kind: unplug, at_s: 8.0, lasts_s: 1.5}]")
-    with simulated(bus, tmp_path, "--faults", str(faults)) as jaw:
+    with contextlib.ExitStack() as plugged:
+        jaw = plugged.enter_context(simulated(bus, tmp_path))
         with jaw.driven() as daemon:
+            plugged.close()
             wait_for(lambda: "port of the servos is gone" in log(daemon))
-            wait_for(lambda: all_driven(daemon) and not jaw.is_off())
+            jaw.log.unlink()
+            plugged.enter_context(simulated(bus, tmp_path))
+            wait_for(lambda: all_driven(daemon) and jaw.rows() and not jaw.is_off())
         assert jaw.is_off()
 
 

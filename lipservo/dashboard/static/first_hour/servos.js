@@ -24,7 +24,7 @@ export class Servos {
     body.addEventListener("click", (event) => this.click(event.target.closest("button")));
     body.addEventListener("submit", (event) => {
       event.preventDefault();
-      this.submit(event.target);
+      this.submit(event.target, event.submitter);
     });
     body.addEventListener("change", (event) => this.change(event.target));
   }
@@ -55,8 +55,7 @@ export class Servos {
     }
     const ids = Object.keys(servos);
     const left = ids.filter((id) => !state.named[id]);
-    if (this.id === null || !ids.includes(this.id) || (this.just && state.named[this.id])) this.id = left[0] ?? null;
-    this.just = false;
+    if (this.id === null || !ids.includes(this.id)) this.id = left[0] ?? null;
     const chips = ids
       .map((id) => {
         const named = state.named[id];
@@ -145,15 +144,17 @@ export class Servos {
     return kind ? { kind } : {};
   }
 
-  async submit(form) {
+  /** button: the one pressed; not what has the focus, which Safari gives no button. */
+  async submit(form, button) {
     const value = (name) => form.elements[name]?.value.trim() ?? "";
     if (form.dataset.form === "port") {
       this.hour.post("port", value("port") ? { port: value("port"), ...this.kind() } : this.kind());
     } else if (form.dataset.form === "name") {
-      this.just = true;
-      const same = document.activeElement?.value !== "no";
+      const same = button?.value !== "no";
       const body = { id: Number(this.id), name: value("name"), positive: value("positive"), part: value("part"), same };
-      await this.hour.post("name", body);
+      if (!(await this.hour.post("name", body))) return;
+      this.id = null; // the next one that has no name
+      this.update(this.hour.state);
     } else if (form.dataset.form === "wire") {
       if (await this.hour.post("wire", { channel: `${value("name")}=${value("channel")}:${value("positive")}` })) form.reset();
     } else this.hour.post("face", value("board") ? { board: value("board") } : {});

@@ -1,6 +1,7 @@
 """From the box to the first words in a browser alone, on simulated servos."""
 
 import contextlib
+import time
 
 import pytest
 from first_hour_server import served
@@ -48,6 +49,12 @@ def page(browser, path):
 
 
 def name_servos(page):
+    def answer_late(route):
+        """The page asks for the state twice before a name is stored."""
+        time.sleep(1.5)
+        route.continue_()
+
+    page.route("**/api/first-hour/name", answer_late)
     page.click("[data-do=simulate]")
     for n, (name, word, _, _) in enumerate(JOINTS):
         page.click("[data-do=move]")
@@ -56,6 +63,7 @@ def name_servos(page):
         page.select_option("[name=positive]", word)
         page.click(".naming button[name=same][value=yes]")
         page.locator(".chip.done").nth(n).wait_for()
+    page.unroute("**/api/first-hour/name")
     page.click("[data-do=write]")
 
 
