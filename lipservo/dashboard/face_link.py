@@ -320,8 +320,8 @@ class FaceLink:
         """Yield a client of the face's agent server, for one call. Raises FaceError."""
         url = (self.status or {}).get("listens_on")
         if url is None:
-            hint = "it speaks when it was started by `lipservo daemon`, with --play"
-            raise FaceError("not_available", f"the face takes no speech: {hint}")
+            hint = "it is starting, or was not started by `lipservo daemon` with --play"
+            raise FaceError("not_available", f"the face takes no speech now: {hint}")
         try:
             async with asyncio.timeout(_SAYING_S), AsyncFace(_reached(url), self._token) as face:
                 yield face

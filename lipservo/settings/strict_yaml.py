@@ -185,7 +185,12 @@ def _lines(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
     elif kind == "value_error":
         yield from str(detail["ctx"]["error"]).splitlines()
     elif kind in _WANTED:
-        yield f"{shown(value)} is not {_WANTED[kind]}"
+        why = ""
+        if kind == "string_type" and isinstance(value, bool):
+            why = "; YAML reads on, off, yes and no as true and false: put it in quotes"
+        elif kind == "string_type" and isinstance(value, int | float):
+            why = "; put it in quotes"
+        yield f"{shown(value)} is not {_WANTED[kind]}{why}"
     else:
         yield detail["msg"]
 

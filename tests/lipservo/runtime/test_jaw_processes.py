@@ -74,8 +74,8 @@ class Jaw:
             n_before = len(self.rows())
             time.sleep(0.3)
             return len(self.rows()) == n_before
-        n_before = len(self.rows())
-        return n_before > 0 and not self.sent()[-1][0]
+        sent = self.sent()
+        return not sent or not sent[-1][0]
 
     def was_off_since(self, n_before):
         if self.bus == "pca9685":
@@ -86,7 +86,7 @@ class Jaw:
     def driven(self):
         arguments = ["--config", self.face, "--wav", CLIP]
         with running(self.port, self.folder, *arguments) as daemon:
-            wait_for(lambda: all_driven(daemon) and len(self.rows()) > 20)
+            wait_for(lambda: all_driven(daemon) and not self.is_off())
             yield daemon
 
 
@@ -248,7 +248,7 @@ def test_a_plug_that_was_out_brings_it_back(bus, tmp_path):
             wait_for(lambda: "port of the servos is gone" in log(daemon))
             jaw.log.unlink()
             plugged.enter_context(simulated(bus, tmp_path))
-            wait_for(lambda: all_driven(daemon) and jaw.rows() and not jaw.is_off())
+            wait_for(lambda: all_driven(daemon) and not jaw.is_off())
         assert jaw.is_off()
 
 
@@ -258,7 +258,7 @@ def test_run_at_a_terminal_ends_by_a_signal(jaw):
         stderr=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
     ) as process:
-        wait_for(lambda: len(jaw.rows()) > 20)
+        wait_for(lambda: not jaw.is_off())
         process.terminate()
         assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
     assert jaw.is_off()

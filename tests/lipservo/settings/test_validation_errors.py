@@ -43,7 +43,12 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
             f"servos.jaw.model: 'XL330-M289' is not known here; use one of {MODELS}",
         ),
         ("positive: opens", 'positive: ""', "servos.jaw.positive: is empty"),
-        ("positive: opens", "positive: on", "servos.jaw.positive: True is not text"),
+        (
+            "positive: opens",
+            "positive: on",
+            "servos.jaw.positive: True is not text; YAML reads on, off, yes and no as true and "
+            "false: put it in quotes",
+        ),
         (
             "min_deg: -2",
             "min_deg: 26",
@@ -99,9 +104,9 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
             "name, rate_hz, servos, bus, buses, calibration, prevent, stale, tracking, motion, "
             "sound, expression, access, avatars, start_after_power_cut, eye_distance_mm",
         ),
-        ("name: test face", "name: 3", "name: 3 is not text"),
+        ("name: test face", "name: 3", "name: 3 is not text; put it in quotes"),
         ("  jaw:", "  Jaw:", "servos.Jaw: 'Jaw' does not have the form ^[a-z][a-z0-9_]*$"),
-        ("  jaw:", "  3:", "servos.3: 3 is not text"),
+        ("  jaw:", "  3:", "servos.3: 3 is not text; put it in quotes"),
         (
             "face.calibration.yaml",
             "/etc/face.yaml",
