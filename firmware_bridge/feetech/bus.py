@@ -264,13 +264,21 @@ class FeetechBus(SerialBus[Line]):
 
     def enable_torque(self, index: int) -> str:
         """Switch one servo's torque on without motion; return why it stays off, "" if confirmed."""
-        self._behind[index] = False
-        return super().enable_torque(index)
+        obstacle = super().enable_torque(index)
+        self._begin_where_it_stands(index)
+        return obstacle
 
     def keep_torque(self, index: int) -> bool:
         """Hold a servo whose torque is on at its present position; return whether it confirmed."""
+        is_kept = super().keep_torque(index)
+        self._begin_where_it_stands(index)
+        return is_kept
+
+    def _begin_where_it_stands(self, index: int) -> None:
+        """Count the place of a servo whose torque came on as its last goal, which it is."""
         self._behind[index] = False
-        return super().keep_torque(index)
+        self._sent = self._sent.copy()
+        self._sent[index] = self._cache.pulses[index]
 
     def reboot(self, index: int) -> None:
         """Switch one servo's torque off, which clears its errors, in place of a restart.

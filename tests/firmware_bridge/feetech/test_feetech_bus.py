@@ -320,6 +320,34 @@ def test_one_who_is_silent_costs_only_its_own_samples_and_comes_back():
         assert not health.n_unanswered[1:].any()
 
 
+@pytest.mark.parametrize("is_kept", [False, True])
+def test_a_servo_that_misses_an_answer_before_its_first_goal_begins_where_it_stands(is_kept):
+    """Goals since then are approached from the last one; there is none, or one of long ago."""
+    silence = ChainFault(kind="silence", at_s=2.0, servo=0, lasts_s=0.05)
+    on = wired(faults=[silence], period_s=0.02)
+    with on.bus as bus:
+        enabled(on)
+        if is_kept:
+            run(on, 0.3, 4.0)
+            assert bus.disable_torque(0)
+            on.chain.servos[0].stand_at(on.chain.servos[0].place + 150)
+            assert bus.enable_torque(0) == ""
+        place = on.chain.servos[0].place
+        while not bus.feedback().age_s[0]:
+            on.clock.advance(TICK_S)
+        on.frames.clear()
+        run(on, 0.1, 0.0)
+        goals = [
+            int.from_bytes(data[:2], "little")
+            for servo_id, address, data in writes(on.frames)
+            if (servo_id, address) == (1, 42)
+        ]
+
+    reach_deg = 0.02 * on.servos[0].joint.max_speed_deg_s
+    assert goals
+    assert abs(goals[0] - place) <= 1 + reach_deg * on.servos[0].model.pulses_per_deg
+
+
 @pytest.mark.parametrize("kind", ["lost", "spoilt"])
 def test_answers_that_are_lost_or_spoilt_are_old_and_never_wrong(kind):
     on = wired(faults=[ChainFault(kind=kind, at_s=1.0, lasts_s=0.5)])

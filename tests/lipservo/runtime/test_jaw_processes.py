@@ -253,12 +253,16 @@ def test_a_plug_that_was_out_brings_it_back(bus, tmp_path):
 
 
 def test_run_at_a_terminal_ends_by_a_signal(jaw):
-    with subprocess.Popen(
-        [*LIPSERVO, "run", "--config", jaw.face, "--port", jaw.port, "--wav", CLIP],
-        stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-    ) as process:
-        wait_for(lambda: not jaw.is_off())
+    said = jaw.folder / "said.txt"
+    with (
+        said.open("w") as errors,
+        subprocess.Popen(
+            [*LIPSERVO, "run", "--config", jaw.face, "--port", jaw.port, "--wav", CLIP],
+            stderr=errors,
+            stdout=subprocess.DEVNULL,
+        ) as process,
+    ):
+        wait_for(lambda: process.poll() is not None or not jaw.is_off())
         process.terminate()
-        assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
+        assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM, said.read_text()
     assert jaw.is_off()
