@@ -131,14 +131,13 @@ def children_of(pid):
 def test_a_second_program_at_one_maestro_is_refused_and_the_first_goes_on(tmp_path, monkeypatch):
     own_folder(monkeypatch)
     with simulated("maestro", tmp_path) as jaw:
-        with jaw.driven():
+        with jaw.driven() as daemon:
             for command in (("run", "--wav", CLIP), ("jog", "jaw", "2"), ("calibrate", "neutral")):
                 done = run(*command, "--config", jaw.face, "--port", jaw.port)
                 assert done.returncode == 1
                 assert "another program" in done.stderr, done.stderr
                 assert "Traceback" not in done.stderr
-            n_before = len(jaw.rows())
-            wait_for(lambda: len(jaw.rows()) > n_before)
+            assert all_driven(daemon)
             assert not jaw.is_off()
         assert jaw.is_off()
 
