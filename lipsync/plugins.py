@@ -76,7 +76,6 @@ SYNTHESIZERS: Final = Plugins(
     "synthesiser",
     {
         "espeak": "lipsync.text_to_speech.espeak:Espeak",
-        "flite": "lipsync.text_to_speech.flite:Flite",
         "piper": "lipsync.text_to_speech.piper:Piper",
         "command": "lipsync.text_to_speech.command_voice:CommandVoice",
     },

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from lipsync.text_to_speech.flite import segments
+from lipservo_lab.learning.recognition.flite import segments
 from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
     SynthesisError,

@@ -6,7 +6,7 @@ pytestmark = pytest.mark.slow
 
 PAGES = ("/", "/show", "/kiosk", "/servos", "/calibrate", "/lines", "/settings")
 SOUND = {
-    "inputs": [], "outputs": ["USB Audio"], "synthesizers": ["espeak", "flite"], "voices": [],
+    "inputs": [], "outputs": ["USB Audio"], "synthesizers": ["espeak", "piper"], "voices": [],
     "languages": ["de", "en-us"], "is_shipped": False,
     "chosen": {"output": None, "input": None, "synthesizer": "espeak", "voice": "",
                "language": "", "volume": 0.5},

@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from lipservo_lab.learning.recognition.flite import Flite, segments
 from spoken_phonemes import check_spoken, closures
 
-from lipsync.text_to_speech.flite import Flite, segments
 from lipsync.text_to_speech.synthesis import (
     SynthesisError,
     TimedPhones,
