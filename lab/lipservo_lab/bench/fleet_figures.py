@@ -16,13 +16,14 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from lipservo.access.kiosks import Kiosk, KioskError, KioskRequest, ask_kiosks
+from lipservo.terminal.output import Advance
 from lipsync.errors import UserError
 
 N_DEAD: Final = 3
@@ -43,18 +44,18 @@ class _Answers:
     of: dict[str, tuple[dict[str, Any], float]]
 
 
-def fleet_figures(n_daemons: int, n_endpoints: int, advance: Callable[[], None]) -> dict[str, Any]:
+def fleet_figures(n_daemons: int, n_endpoints: int, advance: Advance) -> dict[str, Any]:
     """Return the figures of `lipservo bench fleet`.
 
     status_s, stop_s: from the start of the command until the last of the good faces is printed.
     confirmed: share of the good faces whose servos all confirmed. named: of the dead and hung ones,
-    how many are named correctly. advance: called after each of four steps. Raises UserError
+    how many are named correctly. advance: as `progress_bar` yields it. Raises UserError
     where a daemon does not start.
     """
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-fleet-")))
         daemons = _daemons(n_daemons + 1, folder, stack)
-        advance()
+        advance("fleet", 1, 4)
         # One more daemon is stopped first, and says what the endpoints answer.
         certificate = _certificate(folder)
         recorded = _recorded(daemons.pop(), folder)
@@ -72,11 +73,11 @@ def fleet_figures(n_daemons: int, n_endpoints: int, advance: Callable[[], None])
         bad = {f"dead-{n}": f'"{url}"' for n, url in enumerate(dead)}
         bad |= {f"hung-{n}": f'"{url}"' for n, url in enumerate(hung)}
         listed.write_text(_yaml({**bad, **good}), "utf-8")
-        advance()
+        advance("fleet", 2, 4)
         status_s, _, status_named = _run_on_all("status", listed, good)
-        advance()
+        advance("fleet", 3, 4)
         stop_s, faces, stop_named = _run_on_all("stop", listed, good)
-        advance()
+        advance("fleet", 4, 4)
     confirmed = [
         name in good and not (face.get("error") or face["problem"] or face["unconfirmed"])
         for name, face in faces.items()

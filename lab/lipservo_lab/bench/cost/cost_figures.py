@@ -79,13 +79,13 @@ def cost_figures(
     face: str,
     sound: str,
     n_cycles: int,
-    advance: Callable[[], None] = lambda: None,
+    advance: Callable[[int, int], None] = lambda _n_done, _n_all: None,
 ) -> dict[str, Any]:
     """Return the figures of a face that speaks and rests in turns. Raises UserError.
 
     against: another checkout; None: no ratios. face: a shipped one. sound: `voice` or `file`, as in
     `speech_turns`. n_cycles: cycles of speech and rest; one more counts calls. advance: called
-    after each turn.
+    with the turns done and all of them.
 
     `speaking_ms`, `idle_ms`: processor time a second of sound, medians. `calls_per_step`: calls of
     C and of Python functions in 10 ms. `speaking_ratio`, `idle_ratio`: of processor time, ours over
@@ -102,11 +102,12 @@ def cost_figures(
             )
             for name, root in roots.items()
         }
-        for number in range((n_cycles + 1) * len(TURNS)):
+        n_turns = (n_cycles + 1) * len(TURNS)
+        for number in range(n_turns):
             is_counted = number >= n_cycles * len(TURNS)
             for name, process in running.items():
                 turns[name].append(process.turn(counts_calls=is_counted))
-            advance()
+            advance(number + 1, n_turns)
         targets = [process.targets() for process in running.values()]
     figures = turn_figures(turns)
     if len(targets) > 1:

@@ -8,7 +8,6 @@ the process that owns the control socket.
 import contextlib
 import http.client
 import json
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -25,40 +24,23 @@ MOST_CALLS: Final = 40
 #: The tracer in each process has seen the flag after this.
 _FLAG_S: Final = 0.2
 _COMES_S: Final = 10.0
-_COMES_BACK_S: Final = 20.0
 _TIMEOUT_S: Final = 10.0
 _OWNER: Final = "bridge-process"
 
 Walk = dict[str, Any]
 
 
-def stop_path_figures(
-    levels: Sequence[StopLevel] = tuple(StopLevel),
-    progress: Callable[[int, int], None] = lambda _n_done, _n_all: None,
-) -> dict[str, Any]:
-    """files, calls: of the worst client; by_client: of each, with its walk, and its worst level.
+def stop_path_figures() -> dict[str, Any]:
+    """files, calls: of a freeze by the worst client; by_client: of each, with its walk.
 
-    Where the program has no start, only the first of the levels, since a second stop of another
-    level finds no face. Raises RuntimeError where a stop does not come to the queue.
+    Raises RuntimeError where a stop does not come to the queue.
     """
-    worst: dict[str, dict[str, Any]] = {}
     with running_face(page=True, agents=True, tracer=traced) as face:
-        if not face.knows_start():
-            levels = (StopLevel.FREEZE,)
-        n_all, n_done = len(levels) * len(_CLIENTS), 0
-        for level in levels:
-            for name, stop in _CLIENTS.items():
-                found = {"level": level.value, **_traced(face, level, stop)}
-                if name not in worst or found["calls"] > worst[name]["calls"]:
-                    worst[name] = found
-                if len(levels) > 1:
-                    _start_again(face)
-                n_done += 1
-                progress(n_done, n_all)
+        found = {name: _traced(face, StopLevel.FREEZE, stop) for name, stop in _CLIENTS.items()}
     return {
-        "files": max(each["files"] for each in worst.values()),
-        "calls": max(each["calls"] for each in worst.values()),
-        "by_client": worst,
+        "files": max(each["files"] for each in found.values()),
+        "calls": max(each["calls"] for each in found.values()),
+        "by_client": found,
     }
 
 
@@ -118,20 +100,6 @@ def _walks(folder: Path, kind: str = "walk") -> list[Walk]:
 
 def _comes_to_queue(folder: Path) -> bool:
     return any(walk["calls"][-1][1] == traced.QUEUE for walk in _walks(folder))
-
-
-def _start_again(face: RunningFace) -> None:
-    """Driven, as before the stop. Raises RuntimeError."""
-    give_up_s = time.monotonic() + _COMES_BACK_S
-    while time.monotonic() < give_up_s:
-        with contextlib.suppress(OSError):
-            if face.request("start").get("accepted") and face.look_until_state(
-                "driven", _COMES_BACK_S
-            ):
-                face.robot.look(0.5)
-                return
-        face.robot.look(0.2)
-    raise RuntimeError(f"the face does not start again: {face.status().get('state')}")
 
 
 def _by_socket(face: RunningFace, level: StopLevel) -> None:

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
+from lipservo.terminal.output import progress_bar
+from lipservo_lab.commands.bench.printing import print_figures
 from lipsync.errors import UserError, check_extra, check_inputs
 
 
@@ -70,9 +71,4 @@ def display(
             shown = PhotoDisplay(twin_face(face, SIZE))
             tracks = tracked_film(shown, face, motions, tracker, advance)
             figures |= seen_figures(face, tracks, motions, recorded)
-    figures |= {"machine": machine_class(), "seconds": round(time.perf_counter() - began_s, 1)}
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value}")
+    print_figures(figures, as_json=as_json, began_s=began_s)

@@ -15,17 +15,10 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import typer
-from rich.table import Column, Table
 
 from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
-from lipservo.terminal.output import (
-    MESSAGES,
-    RESULTS,
-    Advance,
-    machine_class,
-    print_json,
-    progress_bar,
-)
+from lipservo.terminal.output import MESSAGES, Advance, print_json, progress_bar
+from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
 
 Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
@@ -152,7 +145,7 @@ def recognition(
         "text": text,
         "late_s": late_s,
     }
-    _print({**figures, **settings, "machine": machine_class()}, as_json=as_json)
+    print_figures({**figures, **settings}, as_json=as_json)
 
 
 def listening(
@@ -243,7 +236,7 @@ def listening(
                 lambda done, whole: advance("enduring", done, whole),
             )
         figures |= endured.as_dict()
-    _print({**figures, "engine": engine, "machine": machine_class()}, as_json=as_json)
+    print_figures({**figures, "engine": engine}, as_json=as_json)
 
 
 def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_Item]:
@@ -252,14 +245,6 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
         advance(what, number, len(items))
         yield item
     advance(what, len(items), len(items))
-
-
-def _print(figures: dict[str, object], *, as_json: bool) -> None:
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
 
 
 def texts(
@@ -281,12 +266,18 @@ def texts(
         for number, each in enumerate(score_texts(utterances, learned), start=1):
             scores.append(each)
             advance("aligning", number, len(utterances))
-    figures = {**text_figures(scores), "weights": weights, "machine": machine_class()}
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+    print_figures({**text_figures(scores), "weights": weights}, as_json=as_json)
+
+
+#: What is printed of a language.
+_LANGUAGE_HEADINGS = {
+    "language": "language",
+    "closure_recall": "closure recall",
+    "closure_precision": "closure precision",
+    "opening_recall": "opening recall",
+    "opening_precision": "opening precision",
+    "viseme_speech": "visemes of speech",
+}
 
 
 def languages(
@@ -325,13 +316,23 @@ def languages(
     figures = {tag: score.figures() for tag, score in scores.items()}
     if as_json:
         settings = {"engine": engine, "weights": weights, "latency_ms": latency_ms}
-        print_json({"languages": figures, **settings, "machine": machine_class()})
+        print_json(with_machine({"languages": figures, **settings}))
         return
-    columns = ("closure_recall", "closure_precision", "opening_recall", "opening_precision")
-    table = Table("language", *(name.replace("_", " ") for name in columns), "visemes of speech")
-    for tag, row in figures.items():
-        table.add_row(tag, *(f"{row[name]:.2f}" for name in (*columns, "viseme_speech")))
-    RESULTS.print(table)
+    print_table([{"language": tag, **row} for tag, row in figures.items()], _LANGUAGE_HEADINGS)
+
+
+#: What is printed of a voice.
+_VOICE_HEADINGS = {
+    "voice": "voice",
+    "viseme_speech": "visemes",
+    "per": "PER",
+    "closure_recall": "P B M recall",
+    "closure_precision": "and prec.",
+    "boundary_ms_p50": "ms p50",
+    "boundary_ms_p90": "ms p90",
+    "closing_onset_ms_p50": "P B M ms",
+    "found": "found",
+}
 
 
 def voices(
@@ -389,14 +390,7 @@ def voices(
         for tag in tags:
             figures[tag] = followed_language(tag, make, tells=not heard, progress=count).figures()
     if as_json:
-        settings = {"told": not heard, "weights": weights, "machine": machine_class()}
-        print_json({"voices": figures, "sentences": len(texts), **settings})
+        settings = {"told": not heard, "weights": weights}
+        print_json(with_machine({"voices": figures, "sentences": len(texts), **settings}))
         return
-    scores = ("viseme_speech", "per", "closure_recall", "closure_precision")
-    columns = (*scores, "boundary_ms_p50", "boundary_ms_p90")
-    heads = ("visemes", "PER", "P B M recall", "and prec.", "ms p50", "ms p90", "P B M ms", "found")
-    table = Table(Column("voice", overflow="fold"), *heads, box=None)
-    for voice_name, row in figures.items():
-        cells = (*(f"{row[name]:.3g}" for name in columns), f"{row['closing_onset_ms_p50']:.3g}")
-        table.add_row(voice_name, *cells, f"{row['found']:.2f}")
-    RESULTS.print(table)
+    print_table([{"voice": name, **row} for name, row in figures.items()], _VOICE_HEADINGS)

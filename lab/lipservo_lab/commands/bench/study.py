@@ -1,13 +1,14 @@
 """`lipservo bench study`: whether the figures of a study hold the truth, by simulated studies."""
 
 import time
+from functools import partial
 from typing import Annotated
 
 import typer
-from rich.progress import Progress
 
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+from lipservo.terminal.output import progress_bar
+from lipservo_lab.commands.bench.printing import print_figures
 
 
 def study(
@@ -30,17 +31,8 @@ def study(
     from lipservo_lab.study.sheets import Size
 
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+    with progress_bar(quiet=quiet) as advance:
         found = coverage_figures(
-            studies,
-            Crew(honest, lazy, lazy, lazy, inverted),
-            Size(),
-            lambda n: progress.track(range(n), description="studies"),
+            studies, Crew(honest, lazy, lazy, lazy, inverted), Size(), partial(advance, "studies")
         )
-    seconds = round(time.perf_counter() - began_s, 1)
-    if as_json:
-        print_json({**found, "machine": machine_class(), "seconds": seconds})
-        return
-    for name, value in found.items():
-        RESULTS.print(f"{name}: {value}")
-    RESULTS.print(f"{machine_class()}; {seconds:.0f} s")
+    print_figures(found, as_json=as_json, began_s=began_s)

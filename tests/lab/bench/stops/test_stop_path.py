@@ -10,8 +10,6 @@ import pytest
 from lipservo_lab.bench.stops.stop_path import MOST_CALLS, MOST_FILES, counted, stop_path_figures
 from lipservo_lab.bench.stops.traced import MARKER, StopTracer, has_marker
 
-from firmware_bridge.stopping import StopLevel
-
 #: A program in small: a server that gives a stop to a thread, and the owner of a command queue.
 PROGRAM = """
 class CommandQueue:
@@ -144,7 +142,7 @@ def test_the_files_of_all_processes_are_counted_once_and_the_calls_each_time():
 
 @pytest.mark.slow
 def test_a_stop_passes_few_files_and_calls_of_ours_until_it_is_in_the_queue():
-    figures = stop_path_figures((StopLevel.FREEZE,))
+    figures = stop_path_figures()
 
     assert figures["files"] <= MOST_FILES, figures["by_client"]
     assert figures["calls"] <= MOST_CALLS, figures["by_client"]
