@@ -24,6 +24,7 @@ from typing import Any, Final
 
 from lipservo.access.kiosks import Kiosk, KioskError, KioskRequest, ask_kiosks
 from lipservo.terminal.output import Advance
+from lipservo_lab.bench.own_processes import started
 from lipsync.errors import UserError
 
 N_DEAD: Final = 3
@@ -33,7 +34,6 @@ _PAGE: Final = re.compile(r"dashboard: (http://[\d.]+:\d+)")
 #: A dozen daemons start together on two cores, beside whatever else runs there.
 _START_S: Final = 1200.0
 _LOOK_S: Final = 0.2
-_END_S: Final = 20.0
 _COMMAND_S: Final = 120.0
 
 
@@ -104,13 +104,9 @@ def _daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
     options = ["--listen", "none", "--dashboard", "--dashboard-listen", "127.0.0.1:0"]
     logs = [folder / f"daemon-{n}.log" for n in range(n)]
     for log in logs:
-        process = subprocess.Popen(
-            [*_LIPSERVO, "daemon", *options],
-            stdout=stack.enter_context(log.open("wb")),
-            stderr=subprocess.STDOUT,
-            env=environment,
-        )
-        stack.callback(_ended, process)
+        output = {"stdout": stack.enter_context(log.open("wb")), "stderr": subprocess.STDOUT}
+        daemon = started([*_LIPSERVO, "daemon", *options], env=environment, **output)
+        stack.enter_context(daemon)
     give_up_s = time.monotonic() + _START_S
     while not all(_PAGE.search(log.read_text(errors="replace")) for log in logs):
         if time.monotonic() > give_up_s:
@@ -126,15 +122,6 @@ def _daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
             return urls
         time.sleep(_LOOK_S)
     raise UserError(f"not all daemons were driven within {_START_S:g} s")
-
-
-def _ended(process: "subprocess.Popen[bytes]") -> None:
-    process.terminate()
-    try:
-        process.wait(_END_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
 
 
 def _recorded(url: str, folder: Path) -> _Answers:
@@ -233,7 +220,7 @@ def _run_on_all(
     output = listed.with_name(f"{command}.json")
     with (
         output.open("w") as out,
-        subprocess.Popen(
+        started(
             [*_LIPSERVO, command, "--on", str(listed), "--json"],
             stdout=out,
             stderr=subprocess.PIPE,

@@ -49,8 +49,6 @@ def feetech_tick_ratios() -> dict[str, float]:
         }
         middle = {name: statistics.median(each) for name, each in calls_us(calls).items()}
     return {
-        "cpu_goals_feetech_us": middle["bus"],
-        "cpu_goals_feetech_by_hand_us": middle["by hand"],
         "cpu_goals_feetech_ratio": middle["bus"] / middle["by hand"],
         "cpu_tick_feetech_ratio": middle["whole"] / middle["by hand"],
     }

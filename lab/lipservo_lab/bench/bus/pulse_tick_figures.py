@@ -50,9 +50,8 @@ def pulse_tick_ratios() -> dict[str, float]:
     examples of the makers. `cpu_pulses_*`: our bus in its place, which also brings servos up one
     by one, keeps their pulses, and asks the controller five times a second what it sends.
     `cpu_tick_*`: all of `Bridge.tick`, with targets, gate and supervision, which a loop by hand has
-    not; `_limited`: over a loop that bounds the speed of each servo as well. Thread CPU time, in
-    interleaved blocks of ten; the system call to the adapter is in the Maestro's (a
-    pseudo-terminal), that of I2C is left out on either side.
+    not. Thread CPU time, in interleaved blocks of ten; the system call to the adapter is in the
+    Maestro's (a pseudo-terminal), that of I2C is left out on either side.
     """
     with ExitStack() as stack:
         calls: dict[str, Call] = {}
@@ -61,8 +60,7 @@ def pulse_tick_ratios() -> dict[str, float]:
             ("pca9685", _pca9685(), _pca9685_by_hand()),
         ):
             calls[name] = stack.enter_context(_bus_tick(*controller))
-            calls[f"{name} by hand"] = _loop(by_hand, limits_speed=False)
-            calls[f"{name} limited"] = _loop(by_hand, limits_speed=True)
+            calls[f"{name} by hand"] = _loop(by_hand)
         for name, controller in (("maestro", _maestro(stack)), ("pca9685", _pca9685())):
             calls[f"{name} whole"] = stack.enter_context(_whole_tick(*controller))
         spent_us = calls_us(calls)
@@ -71,11 +69,8 @@ def pulse_tick_ratios() -> dict[str, float]:
     for name in ("maestro", "pca9685"):
         by_hand_us = middle[f"{name} by hand"]
         figures |= {
-            f"cpu_pulses_{name}_us": middle[name],
-            f"cpu_pulses_{name}_by_hand_us": by_hand_us,
             f"cpu_pulses_{name}_ratio": middle[name] / by_hand_us,
             f"cpu_tick_{name}_ratio": middle[f"{name} whole"] / by_hand_us,
-            f"cpu_tick_{name}_limited_ratio": middle[f"{name} whole"] / middle[f"{name} limited"],
         }
     return figures
 
@@ -188,26 +183,18 @@ def _whole_tick(
         yield tick
 
 
-def _loop(send: Callable[[list[float]], None], *, limits_speed: bool) -> Call:
-    """Angles to pulses within the range of each servo, and within reach of the last, and out."""
+def _loop(send: Callable[[list[float]], None]) -> Call:
+    """Angles to pulses within the range of each servo, and out."""
     servos = _wiring(None).servos
-    sent_us = [each.neutral_us for each in servos]
-    reach_us = [abs(each.us_per_deg) * each.max_speed_deg_s / _RATE_HZ for each in servos]
-
-    def pulse_us(servo: PulseServo, deg: float) -> float:
-        return min(max(servo.neutral_us + servo.us_per_deg * deg, servo.min_us), servo.max_us)
 
     def work(goals_deg: list[float]) -> None:
-        send([pulse_us(servo, deg) for servo, deg in zip(servos, goals_deg, strict=True)])
+        pulses_us = []
+        for each, deg in zip(servos, goals_deg, strict=True):
+            wanted_us = each.neutral_us + each.us_per_deg * deg
+            pulses_us.append(min(max(wanted_us, each.min_us), each.max_us))
+        send(pulses_us)
 
-    def limited_work(goals_deg: list[float]) -> None:
-        for n, (servo, deg) in enumerate(zip(servos, goals_deg, strict=True)):
-            before_us, reach = sent_us[n], reach_us[n]
-            sent_us[n] = min(max(pulse_us(servo, deg), before_us - reach), before_us + reach)
-        send(sent_us)
-
-    done = limited_work if limits_speed else work
-    return lambda n: timed(done, moving_deg(n).tolist())
+    return lambda n: timed(work, moving_deg(n).tolist())
 
 
 def _maestro_by_hand(stack: ExitStack) -> Callable[[list[float]], None]:

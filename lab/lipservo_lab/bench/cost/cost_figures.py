@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from lipservo_lab.bench.cost import speech_turns
+from lipservo_lab.bench.own_processes import started_alone
 from lipsync.errors import UserError
 
 _ROOT: Final = Path(speech_turns.__file__).parents[4]
@@ -32,7 +33,7 @@ class _Process:
     def __init__(self, root: Path, output: Path, face: str, sound: str, n_cycles: int) -> None:
         with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
             command = [sys.executable, speech_turns.__file__, root, output, face, sound, clip]
-            self._process = subprocess.Popen(
+            self._process = started_alone(
                 [*map(str, command), str(n_cycles)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

@@ -91,7 +91,6 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
         cpu_ratios,
         measure.wire_figures,
         measure.fault_figures,
-        measure.silent_cycle_figures,
         measure.replug_figures,
         stall_figures,
         feetech_tick_ratios,

@@ -1,6 +1,6 @@
 """`lipservo bench sync`: whether lips and sound meet, at the encoders.
 
-`lipservo bench face`: the twin, the page, and what head, eyes and lids do.
+`lipservo bench face`: the page, and what head, eyes and lids do.
 
 `lipservo bench line`: whether a late answer is ever taken for that to another question.
 
@@ -36,7 +36,7 @@ def face(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure the twin's mesh, the dashboard's streams, and expression against published ranges.
+    """Measure what the dashboard's streams cost, and expression against published ranges.
 
     A page that is shown is timed in a Chromium without a screen, where one is installed.
     """
