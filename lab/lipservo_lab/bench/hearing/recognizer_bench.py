@@ -22,7 +22,7 @@ from lipservo_lab.corpus.transcribed import (
     read_transcribed,
 )
 from lipservo_lab.evaluation.recognition.stream_observers import KnownText
-from lipsync.errors import UserError, check_extra
+from lipsync.errors import UserError
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
@@ -65,16 +65,8 @@ def measured_recognizer(
 ) -> Callable[[], LiveRecognizer]:
     """A function that makes the engine itself.
 
-    `energy` has a latency of its own. Raises MissingExtraError for pocketsphinx where it is not
-    installed, WeightsError.
+    `energy` has a latency of its own. Raises WeightsError.
     """
-    if engine == "pocketsphinx":
-        check_extra("pocketsphinx", "comparing with pocketsphinx")
-        from lipservo_lab.evaluation.recognition.pocketsphinx_recognizer import (
-            PocketsphinxRecognizer,
-        )
-
-        return lambda: PocketsphinxRecognizer(latency_s)
     if engine == "energy":
         return EnergyRecognizer
     learned = find_weights(weights)

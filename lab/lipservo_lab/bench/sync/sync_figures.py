@@ -148,10 +148,6 @@ def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
     return {
         f"{name}_median_ms": _ms(np.median(error_s)),
         f"{name}_p95_ms": _ms(np.percentile(error_s, 95)),
-        f"{name}_p95_ms_by_closed_mm": {
-            str(closed_mm): _ms(np.percentile(np.abs(errors_s), 95))
-            for closed_mm, errors_s in timing.errors_by_closed_mm_s.items()
-        },
         f"{name}_late_ms": _ms(np.median(timing.errors_s)),
         f"{name}_unmatched": round(timing.n_unmatched / timing.n_wanted, 4),
         f"{name}_events": timing.n_wanted,

@@ -6,7 +6,6 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -208,12 +207,6 @@ def motion(
         return
     if also:
         raise typer.BadParameter("--also is of models trained here: give --leave-words-out too")
-    if question.compares and find_spec("pocketsphinx") is None:
-        MESSAGES.print(
-            "the paper's tables are without pocketsphinx, which is not installed: `pip install "
-            "'lipservo[align]'`",
-            soft_wrap=True,
-        )
     with work_bars(quiet=quiet) as bars:
         answer = _answer(
             corpus, given, question, plots, bars, skip_bad=skip_bad, with_offline=offline

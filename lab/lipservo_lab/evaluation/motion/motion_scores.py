@@ -5,7 +5,7 @@ Which sentences train and which are scored.
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -164,19 +164,5 @@ def seen_in_training(model: TrainedModel, utterances: Iterable[Utterance]) -> li
     return [u.name for u in utterances if u.name in trained]
 
 
-def table(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> str:
-    """A Markdown table of some columns of rows."""
-    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    for row in rows:
-        lines.append("| " + " | ".join(_cell(row.get(c)) for c in columns) + " |")
-    return "\n".join(lines)
-
-
 def _motion(model: FaceModel, faces: Array) -> Motion:
     return Motion(model.markers_mm(faces), faces)
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    return "" if value is None else str(value)
