@@ -40,6 +40,7 @@ from lipservo.runtime.status.live_board import (
     ServoBoard,
     expression_values,
 )
+from lipservo_lab.seen_processes import child_of, processor_s
 from lipsync.phonemes import PHONEMES
 
 RATE_HZ: Final = 100.0
@@ -137,7 +138,14 @@ def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
         face.run(_START_S, until=lambda: asking.poll() is not None)
         if asking.wait() != 0:
             raise RuntimeError("the dashboard did not start")
-        yield face, address, lambda: _child_of(os.getpid(), "dashboard")
+        yield face, address, _dashboard
+
+
+def _dashboard() -> int:
+    """The process of the dashboard. Raises RuntimeError where it has ended."""
+    if (pid := child_of(os.getpid(), "dashboard")) is None:
+        raise RuntimeError("the dashboard has ended")
+    return pid
 
 
 #: Waits until the dashboard says that its face ticks.
@@ -191,24 +199,5 @@ def _settle(face: BenchedFace, pid: int) -> None:
             return
 
 
-def processor_s(pid: int) -> float:
-    """Processor time that a process has used so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def _share(pid: int, spent_s: float, began_s: float) -> float:
     return (processor_s(pid) - spent_s) / (time.monotonic() - began_s)
-
-
-def _child_of(parent: int, word: str) -> int:
-    """The process that a process has started with that word on its command line."""
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            its_parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
-            words = (folder / "cmdline").read_text().split("\0")
-        except OSError:
-            continue
-        if int(its_parent) == parent and word in words:
-            return int(folder.name)
-    raise RuntimeError("the dashboard has ended")

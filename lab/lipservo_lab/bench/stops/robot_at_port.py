@@ -27,6 +27,7 @@ from lipservo.settings.settings import FaceSettings, load_face, load_shipped_fac
 from lipservo_lab.bench.own_processes import started_alone
 from lipservo_lab.bench.stops.faces_on_buses import face_yaml, logged_servos
 from lipservo_lab.bench.stops.logged_device import LoggedDevice
+from lipservo_lab.seen_processes import children_of
 
 FACE: Final = "face_four"
 CLIP: Final = Path(lipservo.__file__).parent / "clips" / "welcome.flac"
@@ -197,14 +198,6 @@ class RobotAtPort:
         environment["XDG_DATA_HOME"] = str(self.folder / "data")
         environment["TMPDIR"] = str(self.folder / "tmp")
         return environment | self.environment
-
-
-def children_of(pid: int) -> list[int]:
-    """The processes that it started."""
-    try:
-        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except OSError:
-        return []
 
 
 def kill_all(process: subprocess.Popen[bytes]) -> None:

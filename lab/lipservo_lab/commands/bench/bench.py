@@ -33,35 +33,23 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
     Without the corpora: the speeds on the bundled clip, and no miss rates.
     """
-    from lipservo.runtime.settled_phonemes import settled_events
     from lipservo_lab.bench import speed_figures as measure
-    from lipservo_lab.learning.motion.trained_model import load_trained_model
-    from lipsync.audio.file import FileSource
-    from lipsync.recognition.recognizers import make_recognizer
 
     began_s = time.perf_counter()
-    model = load_trained_model()
     if corpora is not None and not corpora.is_dir():
         raise UserError(f"{corpora}: no such folder; give the one that holds grid_s1")
-    figures: dict[str, float] = {
-        "mean_successors": model.animphos.mean_successors,
-        "variance_held": float(model.provenance["variance_held"]),
-    }
+    known = [] if corpora is None else [corpora / name for name in _REPLAYED]
+    recordings = [path for path in known if path.is_file()]
+    figures: dict[str, float] = {}
     with (
         resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
         progress_bar(quiet=quiet) as advance,
     ):
-        advance("synthesis", 0, 4)
-        figures |= measure.synthesis_times_ms(
-            model.animphos, [list(settled_events(FileSource(clip), make_recognizer("network")))]
-        )
-        advance("synthesis", 1, 4)
-        known = [] if corpora is None else [corpora / name for name in _REPLAYED]
-        recordings = [path for path in known if path.is_file()]
+        advance("synthesis", 0, 3)
         figures["replay_speed"] = measure.replay_speed(recordings or [clip])
-        advance("synthesis", 2, 4)
+        advance("synthesis", 1, 3)
         figures |= measure.live_figures()
-        advance("synthesis", 3, 4)
+        advance("synthesis", 2, 3)
         if corpora is not None and (corpora / "grid_s1").is_dir():
             figures |= measure.miss_rates(corpora / "grid_s1")
         else:
@@ -293,16 +281,14 @@ def replay(
     times: Annotated[int, typer.Option(min=1, help="The median of so many replays counts.")] = 5,
     as_json: Json = False,
 ) -> None:
-    """Measure the speed of `replay`, and of its recogniser with sound ahead and without."""
-    from lipservo_lab.bench.speed_figures import replay_figures
+    """Measure the speed of `replay`."""
+    from lipservo_lab.bench.speed_figures import replay_speed
     from lipservo_lab.repeated_recording import repeated
 
-    if sound is not None:
-        figures = replay_figures(sound, times)
-    else:
-        with (
-            resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
-            tempfile.TemporaryDirectory() as folder,
-        ):
-            figures = replay_figures(repeated(clip, Path(folder) / "welcome.wav"), times)
+    with (
+        resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        replayed = sound or repeated(clip, Path(folder) / "welcome.wav")
+        figures = {"replay_speed": replay_speed([replayed], times)}
     print_figures(figures, as_json=as_json)

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 from lipservo_lab.bench.face.face_figures import browser, page_ready_s
-from lipservo_lab.bench.face.streams import clients, processor_s
+from lipservo_lab.bench.face.streams import clients
+from lipservo_lab.seen_processes import processor_s
 from served_dashboard import served
 
 
