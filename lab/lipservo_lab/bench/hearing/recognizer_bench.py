@@ -21,7 +21,6 @@ from lipservo_lab.corpus.transcribed import (
     read_speakers,
     read_transcribed,
 )
-from lipservo_lab.evaluation.recognition.stream_observers import KnownText
 from lipsync.errors import UserError
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
@@ -74,23 +73,17 @@ def measured_recognizer(
 
 
 def known_texts(
-    utterances: Sequence[TranscribedUtterance],
-    which: Literal["own", "another", "pieces"] | None,
-    late_s: float,
-) -> dict[str, KnownText]:
+    utterances: Sequence[TranscribedUtterance], which: Literal["own", "another"] | None
+) -> dict[str, str]:
     """The text that the recogniser gets for each utterance, by name; None: none.
 
-    another: the text of the utterance half the list away. pieces: its own, in pieces of three
-    words. late_s: so long after the sound began; what came before it is not scored.
+    another: the text of the utterance half the list away.
     """
     if which is None:
-        return {u.name: KnownText("", late_s) for u in utterances}
+        return {u.name: "" for u in utterances}
     shift = max(1, len(utterances) // 2) if which == "another" else 0
     others = [*utterances[shift:], *utterances[:shift]]
-    return {
-        u.name: KnownText(other.text.lower(), late_s, which == "pieces")
-        for u, other in zip(utterances, others, strict=True)
-    }
+    return {u.name: other.text.lower() for u, other in zip(utterances, others, strict=True)}
 
 
 class SpeakerGroupError(UserError):

@@ -19,7 +19,7 @@ import typer
 from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, print_json, progress_bar
 from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
-from lipservo_lab.commands.bench.recognition import Cache, Limit, Speakers
+from lipservo_lab.commands.options import Cache, Limit, Speakers
 from lipsync.errors import UserError
 from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S, check_weights, find_weights

@@ -9,11 +9,12 @@ import typer
 from lipservo.commands.options import Json, Quiet
 from lipservo.terminal.output import progress_bar
 from lipservo_lab.commands.bench.printing import print_figures
+from lipservo_lab.commands.options import GridCorpus
 from lipsync.errors import UserError, check_extra, check_inputs
 
 
 def display(
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    corpus: GridCorpus,
     sentences: Annotated[
         int | None,
         typer.Option(min=1, help="Of random_test, the first so many.", show_default="all"),

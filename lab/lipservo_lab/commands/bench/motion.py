@@ -15,7 +15,13 @@ from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
 from lipservo_lab.commands.bench.printing import print_table, with_machine
-from lipservo_lab.commands.other_weights import OtherWeights
+from lipservo_lab.commands.options import (
+    GridCorpus,
+    LookaheadsMs,
+    OtherWeights,
+    Plots,
+    WordLimit,
+)
 from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import UserError, check_extra, check_inputs
 
@@ -113,7 +119,7 @@ def motion(
             show_default=False,
         ),
     ] = None,
-    lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
+    lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
         str, typer.Option(help="true, recognized live, or text: live with the words known.")
     ] = "true",
@@ -147,13 +153,8 @@ def motion(
             "Their models are kept in the user's cache.",
         ),
     ] = False,
-    limit: Annotated[
-        int,
-        typer.Option(min=1, help="--leave-words-out: at most so many sentences of each word."),
-    ] = 40,
-    plots: Annotated[
-        Path | None, typer.Option(help="Draw pictures into this folder.", show_default=False)
-    ] = None,
+    limit: WordLimit = 40,
+    plots: Plots = None,
     also: OtherWeights = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,
@@ -379,16 +380,14 @@ def _print_answer(answer: Mapping[str, Any]) -> None:
 
 
 def figures(
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    corpus: GridCorpus,
     model: Annotated[
         Path,
         typer.Option(
             help="One that has not learned the sentences: `learn face --without`, `--without-words`"
         ),
     ],
-    plots: Annotated[
-        Path | None, typer.Option(help="Draw the figures here.", show_default=False)
-    ] = None,
+    plots: Plots = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

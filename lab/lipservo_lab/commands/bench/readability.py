@@ -11,7 +11,13 @@ from lipservo.commands.options import Json, Quiet, SkipBad
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import RESULTS, machine_class, print_json
 from lipservo_lab.commands.bench.printing import print_table
-from lipservo_lab.commands.other_weights import OtherWeights
+from lipservo_lab.commands.options import (
+    GridCorpus,
+    LookaheadsMs,
+    OtherWeights,
+    Plots,
+    WordLimit,
+)
 from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import check_inputs
 
@@ -36,7 +42,7 @@ _COLUMNS = {
 
 
 def readability(
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    corpus: GridCorpus,
     words: Annotated[
         str | None,
         typer.Option(help="Only these words, comma between, as new ones; no known words."),
@@ -56,10 +62,7 @@ def readability(
             help="Instead: every word, by a model that never met it; as `bench motion`.",
         ),
     ] = False,
-    limit: Annotated[
-        int,
-        typer.Option(min=1, help="--leave-words-out: at most so many sentences of each word."),
-    ] = 20,
+    limit: WordLimit = 20,
     strategy: Annotated[
         str,
         typer.Option(
@@ -67,7 +70,7 @@ def readability(
             "`render`."
         ),
     ] = f"{DEFAULT_STRATEGY},expected,priority",
-    lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
+    lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
         str,
         typer.Option(
@@ -77,9 +80,7 @@ def readability(
     robot: Annotated[
         bool, typer.Option(help="Also read known words from the encoders of face_sim.")
     ] = True,
-    plots: Annotated[
-        Path | None, typer.Option(help="Draw a picture into this folder.", show_default=False)
-    ] = None,
+    plots: Plots = None,
     also: OtherWeights = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,

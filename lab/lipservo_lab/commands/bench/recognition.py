@@ -19,15 +19,9 @@ import typer
 from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, Advance, print_json, progress_bar
 from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
+from lipservo_lab.commands.options import Cache, LatencyMs, Limit, Speakers
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
 
-Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
-Limit = Annotated[
-    int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
-]
-Cache = Annotated[
-    Path | None, typer.Option(help="File of alignments, as `lipservo lines align` writes it.")
-]
 _Item = TypeVar("_Item")
 
 
@@ -45,7 +39,7 @@ def recognition(
         ),
     ] = None,
     limit: Limit = None,
-    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    latency_ms: LatencyMs = 95.0,
     engine: MeasuredEngineChoice = "network",
     noise: Annotated[
         str | None,
@@ -58,16 +52,13 @@ def recognition(
         ),
     ] = False,
     text: Annotated[
-        Literal["own", "another", "pieces"] | None,
+        Literal["own", "another"] | None,
         typer.Option(
-            help="The recogniser is told the words: those said, at once or in pieces of three, or "
-            "another utterance's; then also how soon a text is left that is not said.",
+            help="The recogniser is told the words: those said, or another utterance's; then also "
+            "how soon a text is left that is not said.",
             show_default=False,
         ),
     ] = None,
-    late_s: Annotated[
-        float, typer.Option(min=0.0, help="With --text: told so long after the sound began.")
-    ] = 0.0,
     by: Annotated[
         Literal["speaker", "group"] | None,
         typer.Option(help="Also the figures of each speaker, or of each group of speakers."),
@@ -119,7 +110,7 @@ def recognition(
             heard.append(name)
             advance("listening", len(heard), len(utterances))
 
-        texts = known_texts(utterances, text, late_s)
+        texts = known_texts(utterances, text)
         figures = measure(
             utterances, alignments, make, condition, count, groups_of, lambda u: texts[u.name]
         ).as_dict()
@@ -143,14 +134,13 @@ def recognition(
         "noise": noise,
         "servo_speeds": servo_speeds,
         "text": text,
-        "late_s": late_s,
     }
     print_figures({**figures, **settings}, as_json=as_json)
 
 
 def listening(
     engine: MeasuredEngineChoice = "network",
-    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    latency_ms: LatencyMs = 95.0,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     corpus: Annotated[
         Path | None,
@@ -179,7 +169,6 @@ def listening(
         own_servo_figures,
         quiet_sounds,
     )
-    from lipservo_lab.evaluation.recognition.stream_observers import KnownText
     from lipsync.audio.file import read_speech
 
     utterances = None
@@ -198,7 +187,7 @@ def listening(
     text = (resources.files("lipservo.clips") / "welcome.txt").read_text(encoding="utf-8")
     costs_s = {
         "": block_costs_s(recognizer, speech),
-        "_with_text": block_costs_s(recognizer, speech, KnownText(text)),
+        "_with_text": block_costs_s(recognizer, speech, text),
     }
     for name, percent in itertools.product(costs_s, (50, 99)):
         value_s = float(np.percentile(costs_s[name], percent))
@@ -285,7 +274,7 @@ def languages(
         str, typer.Option(help="Only these, with commas between: de,fr,ja.", show_default=False)
     ] = "",
     engine: MeasuredEngineChoice = "network",
-    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    latency_ms: LatencyMs = 95.0,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
     quiet: Quiet = False,

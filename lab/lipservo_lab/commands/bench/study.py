@@ -9,17 +9,14 @@ import typer
 from lipservo.commands.options import Json, Quiet
 from lipservo.terminal.output import progress_bar
 from lipservo_lab.commands.bench.printing import print_figures
+from lipservo_lab.commands.options import Inverted, Lazy
 
 
 def study(
     studies: Annotated[int, typer.Option(min=1, max=100_000, help="How many.")] = 200,
     honest: Annotated[int, typer.Option(min=2, max=1000, help="Raters who do as asked.")] = 16,
-    lazy: Annotated[
-        int, typer.Option(min=0, max=1000, help="Who do not, of each of three kinds.")
-    ] = 1,
-    inverted: Annotated[
-        int, typer.Option(min=0, max=1000, help="Who read the scale backwards.")
-    ] = 1,
+    lazy: Lazy = 1,
+    inverted: Inverted = 1,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -15,7 +15,7 @@ import typer
 
 from lipservo.commands.options import Json, Model, Quiet, SkipBad, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
-from lipservo_lab.commands.other_weights import OtherWeights
+from lipservo_lab.commands.options import ModelOutput, OtherWeights, Seed
 from lipservo_lab.commands.work_bars import work_bars
 from lipsync.errors import UserError
 from lipsync.output_file import check_output
@@ -38,8 +38,8 @@ def train(
             help="Folder of recordings: sounds, landmarks, labels; one for each speaker.",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
-    seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
+    output: ModelOutput,
+    seed: Seed = 0,
     components: Annotated[
         int | None,
         typer.Option(help="How many principal components a face has; default: 8, the paper: 5."),
@@ -227,7 +227,7 @@ def train_soft(
     corpus: Annotated[
         Path, typer.Argument(help="Folder of recordings that the model was made of.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    output: ModelOutput,
     model: Model = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     also: OtherWeights = None,
@@ -349,7 +349,7 @@ def train_offline(
     corpus: Annotated[
         Path, typer.Argument(help="Folder of recordings: sounds, landmarks, labels.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    output: ModelOutput,
     model: Model = None,
     states: Annotated[
         int | None, typer.Option(min=2, help="How many states; default: 100.", show_default=False)
@@ -368,7 +368,7 @@ def train_offline(
             show_default=False,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
+    seed: Seed = 0,
     skip_bad: SkipBad = False,
     as_json: Json = False,
     quiet: Quiet = False,

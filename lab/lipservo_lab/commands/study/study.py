@@ -19,6 +19,7 @@ from lipservo.commands.options import (
 )
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
 from lipservo_lab.commands.bench.printing import print_table
+from lipservo_lab.commands.options import Inverted, Lazy, Seed
 from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import check_extra, check_inputs
 
@@ -329,13 +330,9 @@ def rehearse(
         ),
     ] = None,
     raters: Annotated[int, typer.Option(min=1, max=1000, help="Who does what is asked.")] = 20,
-    lazy: Annotated[
-        int, typer.Option(min=0, max=1000, help="Who does not, of each of three kinds.")
-    ] = 1,
-    inverted: Annotated[
-        int, typer.Option(min=0, max=1000, help="Who reads the scale backwards.")
-    ] = 1,
-    seed: Annotated[int, typer.Option(help="The same gives the same.")] = 0,
+    lazy: Lazy = 1,
+    inverted: Inverted = 1,
+    seed: Seed = 0,
 ) -> None:
     """Let simulated raters of known taste sit a study, before people do.
 

@@ -2,8 +2,6 @@
 
 Blinks found in the track of a lid, and how often they come.
 
-Saccades found in a track of gaze, with their sizes and durations.
-
 What a source of expressions shows to a voice, as arrays, and how long it takes.
 
 How a head's motion goes with the voice: how much later, and how closely.
@@ -61,46 +59,6 @@ def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
         return float("nan")
     minutes = float(counts.sum()) * CUE_PERIOD_S / 60.0
     return float(counts[blink_cues(lid)].sum()) / minutes
-
-
-#: Between two saccades gaze holds; rounding alone moves it less.
-_HOLDS_DEG = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class GazeShifts:
-    """(k,) each: when they begin, how large they are, how long they take."""
-
-    start_s: Array
-    magnitude_deg: Array
-    duration_s: Array
-
-    @property
-    def seconds_per_deg(self) -> float:
-        """Slope of duration over magnitude, least squares."""
-        return float(np.polyfit(self.magnitude_deg, self.duration_s, 1)[0])
-
-
-def gaze_shifts(gaze_deg: Array) -> GazeShifts:
-    """Find the saccades of a source whose gaze holds between them.
-
-    Parameters
-    ----------
-    gaze_deg : Array
-        (n, 2), in the robot's frame.
-
-    Returns
-    -------
-    GazeShifts
-        Starts and durations in s, sizes in degrees.
-    """
-    moves = np.hypot(*np.diff(gaze_deg, axis=0).T) > _HOLDS_DEG
-    edges = np.diff(np.concatenate([[False], moves, [False]]).astype(int))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    way_deg = gaze_deg[ends] - gaze_deg[starts]
-    magnitude_deg = np.asarray(np.hypot(way_deg[:, 0], way_deg[:, 1]), np.float64)
-    duration_s = np.asarray((ends - starts) * CUE_PERIOD_S, np.float64)
-    return GazeShifts(np.asarray(starts * CUE_PERIOD_S, np.float64), magnitude_deg, duration_s)
 
 
 #: Columns of a track of expressions.
@@ -247,8 +205,6 @@ def _centred(values: Array) -> Array:
     return np.asarray(values - values.mean())
 
 
-#: Of a dialogue: this much of the voice, then as much silence.
-_TURN_S = 5.0
 _COUNTED_S = 1200.0
 
 
@@ -256,23 +212,14 @@ _COUNTED_S = 1200.0
 class ExpressionFigures:
     """Of one source and one voice.
 
-    blink_per_min_dialogue: turns of 5 s of the voice and of silence. saccade_*: in talk, sizes at
-    percentiles 50 and 90, share below 15 degrees, milliseconds a degree, median time between two.
-    canonical_r: at the lag found; shuffled: at the same lag. expression_step_ms: 95th percentile.
+    canonical_r: at the lag found; shuffled: at the same lag.
     """
 
     blink_per_min_talking: float
     blink_per_min_silent: float
-    blink_per_min_dialogue: float
-    saccade_median_deg: float
-    saccade_p90_deg: float
-    saccade_share_below_15_deg: float
-    saccade_ms_per_deg: float
-    saccade_interval_s: float
     prosody_lag_ms: float
     canonical_r: float
     canonical_r_shuffled: float
-    expression_step_ms: float
 
 
 def expression_figures(
@@ -288,33 +235,19 @@ def expression_figures(
     n_counted = round(_COUNTED_S / CUE_PERIOD_S)
     talking = _shown(make_source(), islice(cycle(frames), n_counted))
     silent = _shown(make_source(), islice(_pauses(frames), n_counted))
-    dialogue = _shown(make_source(), islice(_turns(frames), n_counted))
     once = _first(talking, min(len(frames), n_counted))
     lag = lag_ms(once)
-    shifts = gaze_shifts(talking.gaze_deg)
     return ExpressionFigures(
         blinks_per_min(talking.column("lid_left"), talking.is_speaking),
         blinks_per_min(silent.column("lid_left"), ~silent.is_speaking),
-        blinks_per_min(dialogue.column("lid_left"), np.ones_like(dialogue.is_speaking)),
-        *_saccade_figures(shifts),
         lag,
         canonical_r(once, max(0.0, lag * 1e-3)),
         canonical_r_shuffled(once, max(0.0, lag * 1e-3)),
-        float(np.percentile(talking.step_ms, 95)),
     )
 
 
 def _shown(source: ExpressionSource, voice: Iterable[VoiceFrame]) -> ShownExpression:
     return shown(source, cues_of(voice))
-
-
-def _turns(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
-    """The voice in turns, with silence between them, without end."""
-    heard = cycle(frames)
-    n_turn = round(_TURN_S / CUE_PERIOD_S)
-    while True:
-        yield from islice(heard, n_turn)
-        yield from (SILENT_VOICE for _ in range(n_turn))
 
 
 def _pauses(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
@@ -334,14 +267,4 @@ def _first(whole: ShownExpression, n: int) -> ShownExpression:
         whole.loudness_z[:n],
         whole.pitch_z[:n],
         whole.step_ms[:n],
-    )
-
-
-def _saccade_figures(shifts: GazeShifts) -> tuple[float, float, float, float, float]:
-    return (
-        float(np.median(shifts.magnitude_deg)),
-        float(np.percentile(shifts.magnitude_deg, 90)),
-        float(np.mean(shifts.magnitude_deg < 15.0)),
-        shifts.seconds_per_deg * 1e3,
-        float(np.median(np.diff(shifts.start_s))),
     )
