@@ -13,8 +13,9 @@ import numpy as np
 import serial
 import smbus2
 
+from firmware_bridge.bus import ServoBus
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.clock import ManualClock
+from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
@@ -40,7 +41,8 @@ _WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 120, 10
 #: Until the last servo has come on and has caught up.
 _SETTLES_TICKS: Final = 400
 
-Call = Callable[[int], object]
+#: Does the work of call n; its thread CPU time, in nanoseconds.
+Call = Callable[[int], int]
 
 
 def pulse_tick_ratios() -> dict[str, float]:
@@ -82,7 +84,6 @@ def calls_us(calls: Mapping[str, Call]) -> dict[str, list[float]]:
         for name, call in calls.items():
             for n in range(block * _CALLS, (block + 1) * _CALLS):
                 spent_ns = call(n)
-                assert isinstance(spent_ns, int)
                 if block >= _WARM_UP_BLOCKS:
                     spent_us[name].append(spent_ns * 1e-3)
     return spent_us
@@ -145,18 +146,7 @@ def _bus_tick(
     with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
         for index in range(N_SERVOS):
             bus.enable_torque(index)
-
-        def work(goals_deg: np.ndarray) -> None:
-            bus.write_positions(goals_deg)
-            bus.feedback()
-            bus.look_after()
-
-        def tick(n: int) -> int:
-            clock.advance(1.0 / _RATE_HZ)
-            return timed(work, moving_deg(n))
-
-        for n in range(_SETTLES_TICKS):
-            tick(n)
+        tick = settled(_on_time(bus_tick(bus), clock), _SETTLES_TICKS)
         assert bus.torque.as_json() == [True] * N_SERVOS
         yield tick
 
@@ -166,21 +156,53 @@ def _whole_tick(
     wiring: Wiring, controller: PulseController, clock: ManualClock, kind: Any
 ) -> Iterator[Call]:
     """Run a whole tick."""
-    can, channel = kind.capabilities(wiring.settings), MemoryTargetChannel()
+    can = kind.capabilities(wiring.settings)
     with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
-        bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(_RATE_HZ))
-        bridge.start()
-
-        def tick(n: int) -> int:
-            clock.advance(1.0 / _RATE_HZ)
-            channel.publish(ServoTargets(clock.now(), moving_deg(n)))
-            return timed(bridge.tick, clock.now())
-
-        for n in range(_SETTLES_TICKS):
-            tick(n)
+        bridge, call = whole_tick(bus, wiring, clock)
+        tick = settled(_on_time(call, clock), _SETTLES_TICKS)
         assert bridge.settled
         assert not bridge.troubles
         yield tick
+
+
+def _on_time(tick: Call, clock: ManualClock) -> Call:
+    def later(n: int) -> int:
+        clock.advance(1.0 / _RATE_HZ)
+        return tick(n)
+
+    return later
+
+
+def bus_tick(bus: ServoBus) -> Call:
+    """Return the bus's part of a tick."""
+
+    def work(goals_deg: np.ndarray) -> None:
+        bus.write_positions(goals_deg)
+        bus.feedback()
+        bus.look_after()
+
+    return lambda n: timed(work, moving_deg(n))
+
+
+def whole_tick(bus: ServoBus, wiring: Wiring, clock: Clock) -> tuple[Bridge, Call]:
+    """Return a bridge that drives, and its whole tick."""
+    channel = MemoryTargetChannel()
+    bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(wiring.rate_hz))
+    bridge.start()
+
+    def tick(n: int) -> int:
+        time_s = clock.now()
+        channel.publish(ServoTargets(time_s, moving_deg(n)))
+        return timed(bridge.tick, time_s)
+
+    return bridge, tick
+
+
+def settled(tick: Call, n_ticks: int) -> Call:
+    """Return the same, after so many of them."""
+    for n in range(n_ticks):
+        tick(n)
+    return tick
 
 
 def _loop(send: Callable[[list[float]], None]) -> Call:

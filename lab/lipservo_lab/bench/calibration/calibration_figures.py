@@ -106,7 +106,7 @@ N_POSES = 60
 REACHABLE_MM = 0.5
 #: A person who puts a mouth into a pose by eye, with keys of one degree: off by so much, rms
 #: (assumed, not observed: three key presses, one for a jaw, which moves the lip by 1.6 mm).
-PERSON_DEG, PERSON_JAW_DEG = 3.0, 1.0
+_PERSON_DEG, _PERSON_JAW_DEG = 3.0, 1.0
 _LARGE_IS_GOOD = ("reachable", "gap_r", "closure_touch")
 
 
@@ -281,16 +281,13 @@ def _guided_apart_mm(
 ) -> Array:
     """A person makes the landmark poses by eye; the score's targets are the measured ones.
 
-    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual, finds
-    the pose nearest to it, and is off by a few key presses.
+    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual.
     """
 
     def truth(output_deg: Array) -> Array:
         return true_markers_mm(draw, output_deg)
 
-    limits = servos.limits_deg
-    poses = landmark_poses(model)
-    shown_mm = model.markers_mm(np.array([pose.coefficients for pose in poses]))
+    shown_mm = model.markers_mm(np.array([pose.coefficients for pose in landmark_poses(model)]))
     neutral_mm, closed_mm = truth(np.zeros((1, len(servos.joints))))[0], shown_mm[0]
     right, left = fit.names.corners
     size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
@@ -298,12 +295,28 @@ def _guided_apart_mm(
     gaps_mm = scale * fit.names.shape_features.gaps_mm(shown_mm)
     gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
     wanted = fit.names.shape_features.of(neutral_mm + scale * (shown_mm - closed_mm), gaps_mm)
-    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, limits)
-    off_deg = np.where([j.name == JAW for j in servos.joints], PERSON_JAW_DEG, PERSON_DEG)
-    noise = np.random.default_rng([seed, 2]).normal(size=best_deg.shape)
-    made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)
-    made_deg[[pose.name == CLOSED for pose in poses]] = best_deg[0]  # lips are felt to touch
-    made = {pose.name: degrees for pose, degrees in zip(poses, made_deg, strict=True)}
-    guided = fit_guided(model, servos, made)
+    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, servos.limits_deg)
+    is_jaw = np.array([joint.name == JAW for joint in servos.joints])
+    guided = guided_by_eye(model, servos, best_deg, is_jaw, seed)
     angles_deg = np.array([guided.positions_deg(frame) for frame in fit.held_out])
     return lips_apart_mm(truth(angles_deg), targets_mm, list(MARKERS_47.lips))
+
+
+def guided_by_eye(
+    model: FaceWithAnimPhos,
+    servos: MouthServos,
+    nearest_deg: Array,
+    is_jaw: NDArray[np.bool_],
+    seed: int,
+) -> Calibration:
+    """The guided fit of a person who is off by a few key presses, but feels lips touch.
+
+    nearest_deg (n_poses, n_servos): what looks most like each of the landmark poses. is_jaw
+    (n_servos,): of which a person is off by less.
+    """
+    off_deg = np.where(is_jaw, _PERSON_JAW_DEG, _PERSON_DEG)
+    noise = np.random.default_rng([seed, 2]).normal(size=nearest_deg.shape)
+    made_deg = np.clip(np.rint(nearest_deg + off_deg * noise), *servos.limits_deg)
+    names = [pose.name for pose in landmark_poses(model)]
+    made_deg[[name == CLOSED for name in names]] = nearest_deg[0]
+    return fit_guided(model, servos, dict(zip(names, made_deg, strict=True)))

@@ -5,7 +5,6 @@ Sentences that `bench sync` says: every P, B and M beside many neighbours.
 How far lips and sound drift apart over minutes, where the sound card's clock is wrong.
 """
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -19,6 +18,7 @@ from lipservo.runtime.motion_options import (
 )
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.speech_side import make_speech_side
+from lipservo.terminal.output import Advance
 from lipservo_lab.bench.sync.microphone_latency import clip_to_bus_s
 from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf, SimulatedLoudspeaker
 from lipservo_lab.bench.sync.speech_timing import SpeechTiming, performances_of, speech_timing
@@ -73,9 +73,6 @@ def drift_s(skew: float, duration_s: float, *, jitter_s: float = 0.005) -> float
     heard_s = np.interp(now_s[settled], left_s, positions_s)
     return float(np.abs(shown_s[settled] - heard_s).max())
 
-
-#: How one says how far it has got: what, number, of how many.
-Advance = Callable[[str, int, int], None]
 
 #: The largest error of a sound card's clock.
 _SKEW: Final = 200e-6
