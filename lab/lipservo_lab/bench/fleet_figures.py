@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from lipservo.access.kiosks import Kiosk, KioskError, KioskRequest, ask_kiosks
 from lipservo.terminal.output import Advance
-from lipservo_lab.bench.own_processes import started
+from lipservo_lab.own_processes import started
 from lipsync.errors import UserError
 
 N_DEAD: Final = 3

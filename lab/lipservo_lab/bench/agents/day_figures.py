@@ -25,7 +25,7 @@ from typing import Any, Final
 
 from firmware_bridge.process.control_client import ask, start_face
 from lipservo_lab.bench.agents.cable import Cable
-from lipservo_lab.bench.own_processes import end, started, started_alone
+from lipservo_lab.own_processes import end, started, started_alone
 from lipsync.errors import UserError
 
 _PERIOD_S: Final = 12.0

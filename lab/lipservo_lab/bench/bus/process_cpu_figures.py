@@ -34,7 +34,7 @@ from lipservo.runtime.status.status_board import StatusBoard
 from lipservo_lab.bench.bus import servo_clients
 from lipservo_lab.bench.bus.host_witness import HostWitness
 from lipservo_lab.bench.bus.servo_clients import canned_peer
-from lipservo_lab.bench.own_processes import started_alone
+from lipservo_lab.own_processes import started_alone
 from lipsync.errors import UserError
 
 N_SERVOS: Final = 10

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from lipservo_lab.bench.cost import speech_turns
-from lipservo_lab.bench.own_processes import started_alone
+from lipservo_lab.own_processes import started_alone
 from lipsync.errors import UserError
 
 _ROOT: Final = Path(speech_turns.__file__).parents[4]

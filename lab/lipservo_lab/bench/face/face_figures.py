@@ -26,8 +26,8 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from lipservo.terminal.output import Advance
 from lipservo_lab.bench.face.streams import stream_figures
-from lipservo_lab.bench.own_processes import started
 from lipservo_lab.evaluation.expression.expression_figures import expression_figures
+from lipservo_lab.own_processes import started
 from lipsync.audio.file import FileSource
 from lipsync.expression.live_expression import LiveExpression
 from lipsync.prosody.voice_frame import VoiceFrame

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from firmware_bridge.process.control_client import ask
 from lipservo.runtime.settled_phonemes import settled_events
-from lipservo_lab.bench.own_processes import started
+from lipservo_lab.own_processes import started
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource, read_speech
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock

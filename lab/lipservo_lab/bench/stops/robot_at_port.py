@@ -24,9 +24,9 @@ import lipservo
 from firmware_bridge.dynamixel.mounting import MountedServo, mounted_servos
 from firmware_bridge.simulator.ports import PtyHost
 from lipservo.settings.settings import FaceSettings, load_face, load_shipped_face
-from lipservo_lab.bench.own_processes import started_alone
 from lipservo_lab.bench.stops.faces_on_buses import face_yaml, logged_servos
 from lipservo_lab.bench.stops.logged_device import LoggedDevice
+from lipservo_lab.own_processes import started_alone
 from lipservo_lab.seen_processes import children_of
 
 FACE: Final = "face_four"

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from lipservo_lab.bench.own_processes import started
+from lipservo_lab.own_processes import started
 
 SLEEPS = [sys.executable, "-c", "import time; print('up', flush=True); time.sleep(600)"]
 #: Sleeps on when it is asked to end.
@@ -19,7 +19,7 @@ STUBBORN = [
 ]
 BENCH = (
     "import sys, time\n"
-    "from lipservo_lab.bench.own_processes import started\n"
+    "from lipservo_lab.own_processes import started\n"
     "with started([sys.executable, '-c', 'import time; time.sleep(600)']) as process:\n"
     "    print(process.pid, flush=True); time.sleep(600)\n"
 )
@@ -34,7 +34,7 @@ def is_alive(pid):
 
 @pytest.mark.parametrize("command", [SLEEPS, STUBBORN])
 def test_a_process_is_gone_after_its_block(command, monkeypatch):
-    monkeypatch.setattr("lipservo_lab.bench.own_processes.end.__defaults__", (0.2,))
+    monkeypatch.setattr("lipservo_lab.own_processes.end.__defaults__", (0.2,))
     with started(command, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"up\n"
 
