@@ -56,8 +56,8 @@ def measure_video(
     with progress_bar(quiet=quiet) as advance:
         figures = foreign_figures(clips, tracker, model, advance)
     if as_json:
-        took = {"wall_s": round(time.perf_counter() - began_s, 1)}
-        print_json(with_machine({**figures, "default_strategy": DEFAULT_STRATEGY, **took}))
+        duration = {"wall_s": round(time.perf_counter() - began_s, 1)}
+        print_json(with_machine({**figures, "default_strategy": DEFAULT_STRATEGY, **duration}))
         return
     rows = cast("list[dict[str, Any]]", figures["clips"])
     heard = [row for row in rows if not row["left_out"]]

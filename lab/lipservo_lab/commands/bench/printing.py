@@ -13,7 +13,7 @@ def print_figures(
 ) -> None:
     """Print figures and the machine that they are of.
 
-    began_s: of `time.perf_counter`, when the bench began; None: how long it took is not printed.
+    began_s: of `time.perf_counter`, when the bench began; None: its duration is not printed.
     """
     result = with_machine(figures, began_s)
     if as_json:
@@ -24,8 +24,8 @@ def print_figures(
 
 def with_machine(figures: Mapping[str, object], began_s: float | None = None) -> dict[str, object]:
     """Return the figures with `machine` and, since `began_s`, `seconds`."""
-    took = {} if began_s is None else {"seconds": round(time.perf_counter() - began_s, 1)}
-    return {**figures, "machine": machine_class(), **took}
+    duration = {} if began_s is None else {"seconds": round(time.perf_counter() - began_s, 1)}
+    return {**figures, "machine": machine_class(), **duration}
 
 
 def print_lines(figures: Mapping[str, object]) -> None:
