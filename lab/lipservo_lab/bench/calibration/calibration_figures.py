@@ -309,10 +309,25 @@ def guided_by_eye(
     is_jaw: NDArray[np.bool_],
     seed: int,
 ) -> Calibration:
-    """The guided fit of a person who is off by a few key presses, but feels lips touch.
+    """Return the guided fit of a person who is off by a few key presses, but feels lips touch.
 
-    nearest_deg (n_poses, n_servos): what looks most like each of the landmark poses. is_jaw
-    (n_servos,): of which a person is off by less.
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        The speaker's.
+    servos : MouthServos
+        Of the robot.
+    nearest_deg : Array
+        (n_poses, n_servos), what looks most like each of the landmark poses.
+    is_jaw : Array
+        (n_servos,), of which a person is off by less.
+    seed : int
+        Of the key presses.
+
+    Returns
+    -------
+    Calibration
+        As `fit_guided` makes it.
     """
     off_deg = np.where(is_jaw, _PERSON_JAW_DEG, _PERSON_DEG)
     noise = np.random.default_rng([seed, 2]).normal(size=nearest_deg.shape)
