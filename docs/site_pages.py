@@ -9,7 +9,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from lipservo_lab.bench.house.word_figures import pages
+from lipservo_lab.bench.house.code_lines import pages
 
 ROOT = Path(__file__).parents[1]
 #: Of Markdown; titles after the address, and addresses in angle brackets, are not used here.

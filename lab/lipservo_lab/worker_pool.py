@@ -7,8 +7,9 @@ import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.context import BaseContext
-from pathlib import Path
 from typing import Final
+
+from lipservo_lab.seen_processes import descendants_of
 
 #: Between two looks whether the parent is still there.
 _LOOK_S: Final = 0.5
@@ -31,17 +32,7 @@ def _watch(parent: int) -> None:
 def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(_LOOK_S)
-    for pid in _descendants(os.getpid()):
+    for pid in descendants_of(os.getpid()):
         with contextlib.suppress(OSError):
             os.kill(pid, signal.SIGKILL)
     os._exit(1)
-
-
-def _descendants(pid: int) -> list[int]:
-    """What a process has started, and what that has, as far as the system tells."""
-    found: list[int] = []
-    for children in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(OSError):
-            for child in map(int, children.read_text().split()):
-                found += [child, *_descendants(child)]
-    return found

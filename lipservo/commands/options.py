@@ -216,7 +216,7 @@ _WEIGHTS = typer.Option(
 EngineChoice = Annotated[str, _ENGINE]
 MeasuredEngineChoice = Annotated[
     MeasuredEngine,
-    typer.Option(help="Recogniser; pocketsphinx needs the extra align.", show_default=False),
+    typer.Option(help="Recogniser.", show_default=False),
 ]
 WeightsChoice = Annotated[str, _WEIGHTS]
 #: The same where the face's YAML may say it; then None is `not typed`.

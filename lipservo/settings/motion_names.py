@@ -6,8 +6,8 @@ load, and the command line and the face YAML need the names only.
 
 from typing import Final, Literal, get_args
 
-#: What the benchmarks compare; pocketsphinx needs the extra `align`.
-MeasuredEngine = Literal["network", "energy", "pocketsphinx"]
+#: What the benchmarks measure.
+MeasuredEngine = Literal["network", "energy"]
 #: How phonemes become motion: our two, and the two of Wei and Deng.
 Strategy = Literal["expected", "animpho", "priority", "naive"]
 

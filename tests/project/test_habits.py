@@ -5,8 +5,9 @@ import tomllib
 
 import pytest
 import yaml
-from lipservo_lab.bench.house.word_figures import dead_links, dead_paths, pages
+from lipservo_lab.bench.house.code_lines import pages
 from places import ROOT
+from word_figures import dead_links, dead_paths
 
 DECISIONS = sorted(path.name for path in (ROOT / "docs" / "decisions").glob("[0-9]*.md"))
 

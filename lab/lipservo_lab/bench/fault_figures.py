@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -21,8 +21,11 @@ from lipservo_lab.bench.stops.started_again import LEVELS, play_starts
 from lipservo_lab.bench.stops.starved_face import play_starved
 from lipservo_lab.bench.stops.stop_campaign import play_batch
 from lipservo_lab.bench.stops.stop_cases import batches, stop_cases, stop_figures
-from lipservo_lab.campaigns.fault_campaign import Outcome, cases, play, trials_of
+from lipservo_lab.campaigns.fault_campaign import cases, play, trials_of
 from lipservo_lab.worker_pool import worker_pool
+
+_Case = TypeVar("_Case")
+_Outcome = TypeVar("_Outcome")
 
 
 def campaign_figures(
@@ -31,11 +34,7 @@ def campaign_figures(
     """Play one case in `every`; what was survived, and a line for each case that was not."""
     trials = trials_of(bus)
     chosen = list(cases(bus, whole=whole))[::every]
-    outcomes: list[Outcome] = []
-    with worker_pool(2) as pool:
-        for outcome in pool.map(play, chosen, chunksize=4):
-            outcomes.append(outcome)
-            progress(len(outcomes), len(chosen))
+    outcomes = _in_turn(play, chosen, progress, chunksize=4)
     recovered_s = [o.recovery_s for o in outcomes if o.recovery_s is not None]
     unstopped = [o for o in outcomes if o.case.stop is None]
     figures: dict[str, float] = {
@@ -96,11 +95,7 @@ def _statements(
 
 def _restarts(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str, Any], list[str]]:
     chosen = list(restarts())[::every]
-    over: list[float] = []
-    with worker_pool(2) as pool:
-        for each in pool.map(over_bound, chosen, chunksize=4):
-            over.append(each)
-            progress(len(over), len(chosen))
+    over = _in_turn(over_bound, chosen, progress, chunksize=4)
     fast = [
         f"{one}: {by:.2f} times" for one, by in zip(chosen, over, strict=True) if by > MOST_OVER
     ]
@@ -122,6 +117,21 @@ STOP_PARTS: Final[dict[str, Part]] = {
     "stops": _stops,
     "idle": _beside_idle,
 }
+
+
+def _in_turn(
+    play_one: Callable[[_Case], _Outcome],
+    cases: Sequence[_Case],
+    progress: Callable[[int, int], None],
+    chunksize: int = 1,
+) -> list[_Outcome]:
+    """The outcomes of cases in their order, played two at a time."""
+    outcomes: list[_Outcome] = []
+    with worker_pool(2) as pool:
+        for outcome in pool.map(play_one, cases, chunksize=chunksize):
+            outcomes.append(outcome)
+            progress(len(outcomes), len(cases))
+    return outcomes
 
 
 def _played(
@@ -147,11 +157,7 @@ def signal_campaign_figures(
     Each in a process of its own, so that simulated servos answer in time.
     """
     chosen = list(signal_cases())[::every]
-    outcomes = []
-    with worker_pool(2) as pool:
-        for outcome in pool.map(play_signal, chosen):
-            outcomes.append(outcome)
-            progress(len(outcomes), len(chosen))
+    outcomes = _in_turn(play_signal, chosen, progress)
     return signal_figures(outcomes), [str(o) for o in outcomes if not o.kept]
 
 

@@ -16,13 +16,15 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from lipservo.access.kiosks import Kiosk, KioskError, KioskRequest, ask_kiosks
+from lipservo.terminal.output import Advance
+from lipservo_lab.own_processes import started
 from lipsync.errors import UserError
 
 N_DEAD: Final = 3
@@ -32,7 +34,6 @@ _PAGE: Final = re.compile(r"dashboard: (http://[\d.]+:\d+)")
 #: A dozen daemons start together on two cores, beside whatever else runs there.
 _START_S: Final = 1200.0
 _LOOK_S: Final = 0.2
-_END_S: Final = 20.0
 _COMMAND_S: Final = 120.0
 
 
@@ -43,18 +44,18 @@ class _Answers:
     of: dict[str, tuple[dict[str, Any], float]]
 
 
-def fleet_figures(n_daemons: int, n_endpoints: int, advance: Callable[[], None]) -> dict[str, Any]:
+def fleet_figures(n_daemons: int, n_endpoints: int, advance: Advance) -> dict[str, Any]:
     """Return the figures of `lipservo bench fleet`.
 
     status_s, stop_s: from the start of the command until the last of the good faces is printed.
     confirmed: share of the good faces whose servos all confirmed. named: of the dead and hung ones,
-    how many are named correctly. advance: called after each of four steps. Raises UserError
+    how many are named correctly. advance: as `progress_bar` yields it. Raises UserError
     where a daemon does not start.
     """
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-fleet-")))
         daemons = _daemons(n_daemons + 1, folder, stack)
-        advance()
+        advance("fleet", 1, 4)
         # One more daemon is stopped first, and says what the endpoints answer.
         certificate = _certificate(folder)
         recorded = _recorded(daemons.pop(), folder)
@@ -72,11 +73,11 @@ def fleet_figures(n_daemons: int, n_endpoints: int, advance: Callable[[], None])
         bad = {f"dead-{n}": f'"{url}"' for n, url in enumerate(dead)}
         bad |= {f"hung-{n}": f'"{url}"' for n, url in enumerate(hung)}
         listed.write_text(_yaml({**bad, **good}), "utf-8")
-        advance()
+        advance("fleet", 2, 4)
         status_s, _, status_named = _run_on_all("status", listed, good)
-        advance()
+        advance("fleet", 3, 4)
         stop_s, faces, stop_named = _run_on_all("stop", listed, good)
-        advance()
+        advance("fleet", 4, 4)
     confirmed = [
         name in good and not (face.get("error") or face["problem"] or face["unconfirmed"])
         for name, face in faces.items()
@@ -103,13 +104,9 @@ def _daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
     options = ["--listen", "none", "--dashboard", "--dashboard-listen", "127.0.0.1:0"]
     logs = [folder / f"daemon-{n}.log" for n in range(n)]
     for log in logs:
-        process = subprocess.Popen(
-            [*_LIPSERVO, "daemon", *options],
-            stdout=stack.enter_context(log.open("wb")),
-            stderr=subprocess.STDOUT,
-            env=environment,
-        )
-        stack.callback(_ended, process)
+        output = {"stdout": stack.enter_context(log.open("wb")), "stderr": subprocess.STDOUT}
+        daemon = started([*_LIPSERVO, "daemon", *options], env=environment, **output)
+        stack.enter_context(daemon)
     give_up_s = time.monotonic() + _START_S
     while not all(_PAGE.search(log.read_text(errors="replace")) for log in logs):
         if time.monotonic() > give_up_s:
@@ -125,15 +122,6 @@ def _daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
             return urls
         time.sleep(_LOOK_S)
     raise UserError(f"not all daemons were driven within {_START_S:g} s")
-
-
-def _ended(process: "subprocess.Popen[bytes]") -> None:
-    process.terminate()
-    try:
-        process.wait(_END_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
 
 
 def _recorded(url: str, folder: Path) -> _Answers:
@@ -232,7 +220,7 @@ def _run_on_all(
     output = listed.with_name(f"{command}.json")
     with (
         output.open("w") as out,
-        subprocess.Popen(
+        started(
             [*_LIPSERVO, command, "--on", str(listed), "--json"],
             stdout=out,
             stderr=subprocess.PIPE,

@@ -5,7 +5,7 @@ compared with the one tracked in the pictures, in frames of speech, as both were
 between them is reported and not put right in the headline.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lipservo.commands.options import DEFAULT_FACE
 from lipservo.rendering.spoken_sound import SpokenSound, spoken_sound
 from lipservo.runtime.motion_options import ChosenMotion
+from lipservo.terminal.output import Advance
 from lipservo_lab.video.face_track import FaceTrack, track_face, tracked_gaps_mm, usual_step_s
 from lipservo_lab.video.sound_shift import ShiftCurve, correlation, shift_curve
 from lipservo_lab.video.track_quality import picture_fault, usable_pictures
@@ -29,8 +30,6 @@ from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.video.face_tracker import FaceTracker
 from lipsync.video.video_file import VideoError, VideoSound, video_sound
-
-Advance = Callable[[str, int, int], None]
 
 #: Of fewer pictures of speech no correlation is told.
 _LEAST_PICTURES = 10

@@ -3,11 +3,8 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from importlib.util import find_spec
 from pathlib import Path
 
-from lipservo.settings.motion_names import MeasuredEngine
-from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
 from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
 from lipservo_lab.evaluation.motion.as_printed import PrintedMethod
 from lipservo_lab.evaluation.motion.methods import (
@@ -45,15 +42,14 @@ from lipsync.errors import UserError
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.offline.line_methods import PLANNED_METHODS
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent
-from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S
+from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S, find_weights
+from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.text_to_speech.pronunciation import pronounced
 
 Row = dict[str, object]
 Train = Callable[[Corpus], TrainedModel]
 Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
 
-#: Compared in the paper's tables, each with its latency.
-_COMPARED: dict[MeasuredEngine, float] = {"network": LATENCY_S, "pocketsphinx": 0.09}
 PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
 #: Recognised where the words are known beforehand, and followed in the sound.
 PHONEMES_TEXT = "text"
@@ -156,18 +152,15 @@ def score_model(model: TrainedModel, corpus: Corpus, question: Question, track: 
 
 
 def paper_rows(model: TrainedModel, unseen: Corpus, corpus: Corpus) -> dict[str, list[Row]]:
-    """Figures 1 and 6 and Tables 2 and 3 of the paper; with our recogniser and with pocketsphinx.
+    """Figures 1 and 6 and Tables 2 and 3 of the paper, with our recogniser.
 
     unseen: what is scored. corpus: with the sentences of the model, for the method as printed,
-    which is left out where there are none. Without pocketsphinx (the extra `align`) its columns are
-    left out.
+    which is left out where there are none.
     """
     utterances = check_scorable(model, unseen)
     taught = bool(seen_in_training(model, corpus.utterances))
     printed = PrintedMethod.of(model, corpus.labelled()) if taught else None
-    engines = [each for each in _COMPARED if each != "pocketsphinx" or find_spec(each) is not None]
-    recognizers: dict[str, Listen] = {engine: live_listener(engine) for engine in engines}
-    return paper_tables(model, utterances, recognizers, printed)
+    return paper_tables(model, utterances, live_listener(), printed)
 
 
 def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, question: Question) -> list[Row]:
@@ -294,12 +287,9 @@ def _miss_rate(
 
 
 def live_listener(
-    engine: MeasuredEngine = "network",
-    *,
-    with_text: bool = False,
-    weights: str = DEFAULT_WEIGHTS,
+    *, with_text: bool = False, weights: str = DEFAULT_WEIGHTS
 ) -> Callable[[Utterance], Heard]:
-    """What a live recogniser finds in a sentence's sound; made at the first call.
+    """What the live recogniser finds in a sentence's sound; made at the first call.
 
     with_text: it gets the words beforehand, without their times. weights: a name or a file.
     """
@@ -311,6 +301,6 @@ def live_listener(
 
     @cache
     def recognizer() -> LiveRecognizer:
-        return measured_recognizer(engine, _COMPARED.get(engine, LATENCY_S), weights)()
+        return NetworkRecognizer(find_weights(weights), LATENCY_S)
 
     return listen

@@ -18,8 +18,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.transform import Rotation
 
+from lipservo.terminal.output import Advance
 from lipservo_lab.scans.head_alignment import Template, rigid_motion, shipped_template
-from lipservo_lab.scans.scan import scan_of, vertex_normals
+from lipservo_lab.scans.scan import scan_of
 from lipservo_lab.scans.surface_fit import Markers, Registration, worn_template
 from lipsync.arrays import Array, Indices
 from lipsync.face.model import FaceModel
@@ -164,8 +165,6 @@ _MOVED_MM = 1.0
 #: Seen markers are off by so much along each axis.
 _MARKER_NOISE_MM = 0.2
 
-Advance = Callable[[str, int, int], None]
-
 
 @dataclass(frozen=True, slots=True)
 class ScanFigures:
@@ -173,7 +172,7 @@ class ScanFigures:
 
     All of the face, most of which speech hardly moves; its lips and 6 mm round them; what speech
     moved by more than 1 mm. unregistered: what laying the resting face on the true head gives,
-    without any registration. surface_median_mm: along the normal alone, which tells no sliding.
+    without any registration.
     """
 
     median_mm: float
@@ -183,9 +182,6 @@ class ScanFigures:
     moved_median_mm: float
     moved_p95_mm: float
     unregistered_median_mm: float
-    unregistered_lips_median_mm: float
-    unregistered_moved_median_mm: float
-    surface_median_mm: float
     scans: int
     seconds_per_scan: float
 
@@ -223,7 +219,7 @@ def registered_figures(
     mean = load_mean_face()
     shipped = shipped_template(mean)
     rows = np.where(shipped.landmarks < N_SKIN, shipped.landmarks, shipped.landmarks - 1000)
-    off, along, unmoved, seconds = [], [], [], []
+    off, unmoved, seconds = [], [], []
     registration: Registration | None = None
     at_rest: Array = shipped.vertices_mm
     for number, known in enumerate(known_scans(face, mean, n_scans, seed, spread=spread), start=1):
@@ -237,18 +233,16 @@ def registered_figures(
         registered = registration.register(scan, markers).in_scan_mm
         seconds.append(time.perf_counter() - began_s)
         rotation, shift = rigid_motion(at_rest[shipped.still], truth[shipped.still])
-        missed = registered - truth
-        off.append(np.linalg.norm(missed, axis=1))
-        along.append(np.abs((missed * vertex_normals(truth, shipped.triangles)).sum(axis=1)))
+        off.append(np.linalg.norm(registered - truth, axis=1))
         unmoved.append(np.linalg.norm(at_rest @ rotation.T + shift - truth, axis=1))
         advance(number)
-    errors, still, lips = np.array(off), np.array(unmoved), shipped.lips
-    moved = still > _MOVED_MM
+    errors, still = np.array(off), np.array(unmoved)
     figures = {
-        "": errors, "lips_": errors[:, lips], "moved_": errors[moved], "surface_": np.array(along),
-        "unregistered_": still, "unregistered_lips_": still[:, lips],
-        "unregistered_moved_": still[moved],
-    }  # fmt: skip
+        "": errors,
+        "lips_": errors[:, shipped.lips],
+        "moved_": errors[still > _MOVED_MM],
+        "unregistered_": still,
+    }
     found = {
         f"{name}{key}": round(float(np.percentile(values, share)), 3) if values.size else 0.0
         for name, values in figures.items()

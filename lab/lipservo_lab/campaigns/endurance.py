@@ -21,6 +21,7 @@ from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.ports import MemoryTransport
+from lipservo.runtime.summary import resident_mb
 from lipservo_lab.campaigns.auditor import Auditor
 from lipservo_lab.campaigns.chain_trials import BAUD_RATE, face
 from lipservo_lab.campaigns.fault_campaign import wanted_deg
@@ -138,15 +139,6 @@ def endure(
             bridge.tick(time_s, late)
             n_done += 1
     return so_far()
-
-
-def resident_mb() -> float:
-    """Resident memory of this process now, MB; 0 where /proc does not tell."""
-    try:
-        n_pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except OSError:
-        return 0.0
-    return n_pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def open_descriptors() -> int:

@@ -25,7 +25,6 @@ class BenchGroup(LazyGroup):
             ),
             "figures": Command(f"{_BENCH}.motion:figures", "The paper's tables.", _MOTION),
             "closures": Command(f"{_BENCH}.closures:closures", "Whether lips close.", _MOTION),
-            "speeds": Command(f"{_BENCH}.motion:speeds", "Motion of slow joints.", _MOTION),
             "sync": Command(f"{_BENCH}.faces:sync", "Lips against their sound.", _MOTION),
             "synthesis": Command(f"{_BENCH}.bench:synthesis", "Speed of the motion.", _MOTION),
             "line": Command(f"{_BENCH}.faces:line", "Rendering of scripted lines.", _MOTION),
@@ -49,9 +48,7 @@ class BenchGroup(LazyGroup):
                 f"{_BENCH}.closures:ladder", "The recogniser on a busy computer.", _HEARING
             ),
             "bus": Command(f"{_BENCH}.bench:bus", "The servo bus beside its rivals.", _SERVOS),
-            "loop": Command(f"{_BENCH}.bench:loop", "Jitter of the servo loop.", _SERVOS),
             "faults": Command(f"{_BENCH}.bench:faults", "Faults, stops and signals.", _SERVOS),
-            "stop-path": Command(f"{_BENCH}.bench:stop_path", "Files on a stop's way.", _SERVOS),
             "endurance": Command(f"{_BENCH}.bench:endurance", "Many cycles of one face.", _SERVOS),
             "cost": Command(f"{_BENCH}.cost:cost", "Cost of a face at rest.", _SERVOS),
             "fleet": Command(f"{_BENCH}.fleet:fleet", "A hundred faces at once.", _SERVOS),

@@ -6,7 +6,7 @@ Named points that were seen in scans: painted dots, lipstick, or a tracker's.
 """
 
 import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lipservo.terminal.output import Advance
 from lipservo_lab.scans.head_alignment import Template, check_face, shipped_template
 from lipservo_lab.scans.scan import (
     Scan,
@@ -115,9 +116,6 @@ def _place(line: Mapping[str, str | None], where: str) -> list[float]:
         raise ScanError(f"{where}: x, y and z are not three numbers")
     return [float(each) for each in place]
 
-
-#: What is done, how much of it, of how much.
-Advance = Callable[[str, int, int], None]
 
 #: Scans that are missing for longer are not bridged.
 _LONGEST_HOLE_S = 0.1

@@ -81,10 +81,13 @@ def simulated_study(
     return counted(study, key, parse_answers(Path("simulated"), content, study.identity))
 
 
-def coverage_figures(n_studies: int, crew: Crew, size: Size, track: Track) -> dict[str, Any]:
+def coverage_figures(
+    n_studies: int, crew: Crew, size: Size, advance: Callable[[int, int], None]
+) -> dict[str, Any]:
     """How often intervals hold the truth, and who is left out, over many simulated studies.
 
-    Every study has other raters, sentences and instants of the same population.
+    Every study has other raters, sentences and instants of the same population. advance: called
+    with the studies done and all of them.
     """
     methods = tuple(METHODS)
     study, key = trial_study(methods, size)
@@ -93,7 +96,8 @@ def coverage_figures(n_studies: int, crew: Crew, size: Size, track: Track) -> di
     held: dict[str, list[bool]] = {name: [] for name in truth}
     out: Counter[tuple[Character, bool]] = Counter()
     ranks: list[float] = []
-    for seed in track(n_studies):
+    for seed in range(n_studies):
+        advance(seed, n_studies)
         found = simulated_study(study, key, taste, crew.characters, seed)
         for number, character in enumerate(crew.characters):
             out[character, f"{character}-{number}" in found.left_out] += 1

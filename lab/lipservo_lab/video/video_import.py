@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from lipservo.terminal.output import Advance
 from lipservo_lab.output_folder import check_output_folder, folder_written_whole
 from lipservo_lab.video.clip_labels import ClipLabels
 from lipservo_lab.video.face_track import (
@@ -33,9 +34,6 @@ from lipsync.recognition.alignment import check_aligner
 from lipsync.textgrid import write_tiers
 from lipsync.video.face_tracker import FaceTracker
 from lipsync.video.video_file import VideoError, video_duration_s
-
-#: What is done, how much of it, of how much.
-Advance = Callable[[str, int, int], None]
 
 #: Fewer pictures are no sentence.
 _LEAST_PICTURES = 10
@@ -259,7 +257,7 @@ def write_corpus(
     folder: Path,
     imported: VideoImport,
     about: Mapping[str, object],
-    advance: Callable[[str, int, int], None],
+    advance: Advance,
     draw: Callable[[Path], None],
 ) -> None:
     """All of it or nothing. about: for import.json, beside the reports; draw: the picture sheet.

@@ -12,7 +12,6 @@ from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.evaluation.motion.as_printed import AS_PRINTED
 from lipservo_lab.evaluation.motion.methods import Heard, all_methods
 from lipservo_lab.evaluation.motion.paper_tables import cost_rows
-from lipservo_lab.evaluation.motion.recovery import KINDS
 from lipservo_lab.learning.motion.face_training import train
 from lipservo_lab.learning.motion.trained_model import load_trained_model, save_model
 from small_corpus import RIGID, write_corpus, write_sentence
@@ -71,7 +70,7 @@ def test_without_a_model_every_method_is_cross_validated(folder):
 
 
 @pytest.mark.slow
-def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser(folder, model):
+def test_the_papers_tables_stand_beside_the_printed_numbers_(folder, model):
     paper = bench("--corpus", folder, "--model", model, "--lookahead-ms", "0")["paper"]
     assert set(paper) == {"data", "figure_1", "table_2", "table_3", "figure_6", "animphos"}
     assert {row["figure"]: row["ours"] for row in paper["data"]}["sentences"] == 2
@@ -80,7 +79,7 @@ def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser
     cases = {
         f"{strategy}_{case}"
         for strategy in ("priority", LIVE_STRATEGY, AS_PRINTED)
-        for case in ("case_1", "case_2", "case_2_pocketsphinx")
+        for case in ("case_1", "case_2")
     }
     assert cases < set(paper["table_2"][0])
     assert all(0.0 <= row[AS_PRINTED] <= 1.0 for row in paper["figure_6"])
@@ -208,11 +207,8 @@ def test_recognized_phonemes_are_those_of_the_live_recogniser(folder, model):
 def test_pictures_are_drawn(folder, model, tmp_path):
     pytest.importorskip("matplotlib", reason="the extra `plots` is not installed")
     drawn = ("--corpus", folder, "--model", model, "--plots", tmp_path / "p")
-    result = bench(*drawn, "--strategy", LIVE_STRATEGY, "--lookahead-ms", "0")
-    assert {row["kind"] for row in result["errors"]} == set(KINDS)
+    bench(*drawn, "--strategy", LIVE_STRATEGY, "--lookahead-ms", "0")
     assert sorted(os.listdir(tmp_path / "p")) == [
-        "errors.png",
-        "lookahead.png",
         "mouths.png",
         "recovery.png",
         "trajectory.png",

@@ -288,7 +288,6 @@ def test_a_face_hears_where_pocketsphinx_is_not_installed(monkeypatch):
     [
         ("lines", "align", CLIP_PATH, CLIP_TEXT),
         ("lines", "render", CLIP_PATH, "--text", CLIP_TEXT, "-o", "line.perf"),
-        ("bench", "languages", "--engine", "pocketsphinx"),
     ],
 )
 def test_what_needs_pocketsphinx_says_so_in_one_line(arguments, tmp_path, monkeypatch):

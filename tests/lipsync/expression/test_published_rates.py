@@ -4,11 +4,11 @@ from random import Random
 
 import numpy as np
 import pytest
+from gaze_shifts import gaze_shifts
 from lipservo_lab.evaluation.expression.expression_figures import (
     blink_cues,
     blinks_per_min,
     cues_of,
-    gaze_shifts,
     shown,
 )
 from scipy import stats

@@ -10,6 +10,7 @@ import json
 import os
 import random
 import secrets
+import shutil
 import socket
 import subprocess
 import sys
@@ -17,12 +18,14 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from firmware_bridge.process.control_client import ask, start_face
 from lipservo_lab.bench.agents.cable import Cable
+from lipservo_lab.own_processes import end, started, started_alone
 from lipsync.errors import UserError
 
 _PERIOD_S: Final = 12.0
@@ -179,11 +182,10 @@ class _Day:
     def _play(self, name: str) -> None:
         from_s = time.monotonic()
         if name == "load":
-            burning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in "four"]
-            time.sleep(_LOAD_S)
-            for each in burning:
-                each.kill()
-                each.wait()
+            with ExitStack() as burning:
+                for _ in "four":
+                    burning.enter_context(started([sys.executable, "-c", "while True: pass"]))
+                time.sleep(_LOAD_S)
         elif name == "cable pulled":
             self._cable.pull()
             self._pulled.append(from_s)
@@ -221,7 +223,7 @@ class _Day:
             url = f"ws://127.0.0.1:{self._cable.port}"
             token = self._token.read_text().strip()
             arguments = ["-m", "lipservo_lab.bench.agents.day_agent", url, token, str(_PERIOD_S)]
-        process = subprocess.Popen(
+        process = started_alone(
             [sys.executable, "-P", *arguments],
             env=self._environment,
             stdout=subprocess.PIPE,
@@ -234,13 +236,7 @@ class _Day:
         threading.Thread(target=self._read, args=(process,), daemon=True).start()
 
     def _end(self, name: str) -> None:
-        process = self._processes[name]
-        process.terminate()
-        try:
-            process.wait(_PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        end(self._processes[name], _PATIENCE_S)
 
     def _read(self, process: "subprocess.Popen[str]") -> None:
         assert process.stdout is not None
@@ -282,22 +278,13 @@ def _sink(folder: Path) -> Iterator[dict[str, str]]:
     }
     command = ["pulseaudio", "-n", "-F", str(folder / "server.pa"), "--daemonize=no"]
     command += ["--exit-idle-time=-1", "--disable-shm=yes", "--use-pid-file=no", "--realtime=no"]
-    try:
-        server = subprocess.Popen(
-            command,
-            env={**environment, "PULSE_SERVER": "", "HOME": str(folder)},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-    except FileNotFoundError as error:
-        raise UserError("bench day needs pulseaudio: apt install pulseaudio") from error
-    try:
+    if shutil.which(command[0]) is None:
+        raise UserError("bench day needs pulseaudio: apt install pulseaudio")
+    quiet, own = subprocess.DEVNULL, {**environment, "PULSE_SERVER": "", "HOME": str(folder)}
+    with started(command, env=own, stdout=quiet, stderr=quiet) as server:
         give_up_s = time.monotonic() + _PATIENCE_S
         while not address.exists():
             if server.poll() is not None or time.monotonic() > give_up_s:
                 raise UserError("bench day: pulseaudio does not start")
             time.sleep(_LOOK_S)
         yield environment
-    finally:
-        server.terminate()
-        server.wait()

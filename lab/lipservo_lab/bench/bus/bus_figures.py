@@ -1,6 +1,6 @@
 """What the servo bus gives: against the wire, with faults, and after the plug was pulled.
 
-Processor time of the bare line with prepared packets, beside dynamixel-sdk and rustypot.
+Processor time of the bare line with prepared packets, beside dynamixel-sdk.
 
 What users run, a whole tick, is `tick_cpu_figures`.
 """
@@ -9,7 +9,6 @@ import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,7 +19,6 @@ from firmware_bridge.clock import MonotonicClock, ticks
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import CommonFrame, GoalWrite, SpanRead, Status
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
@@ -50,7 +48,7 @@ _AFTER_STALL_S = 0.05
 
 
 def cpu_ratios() -> dict[str, float]:
-    """CPU of the same work, the bare line over the SDK; over rustypot, too, when it is installed.
+    """CPU of the same work, the bare line over the SDK.
 
     Writes, reads of a frame each, and a cycle: a write and a fast read, on either side. No gate, no
     supervision; our packets are prepared. No wire time. The least of interleaved rounds each: what
@@ -60,10 +58,6 @@ def cpu_ratios() -> dict[str, float]:
     with ExitStack() as peers:
         calls = _own_calls(peers.enter_context(canned_peer(N_SERVOS)))
         calls |= _sdk_calls(peers.enter_context(canned_peer(N_SERVOS)))
-        others = {"": "sdk"}
-        if find_spec("rustypot") is not None:
-            calls |= _rustypot_calls(peers.enter_context(canned_peer(N_SERVOS)))
-            others["_rustypot"] = "rustypot"
         spent: dict[str, list[float]] = {name: [] for name in calls}
         for _ in range(_ROUNDS):
             for name, call in calls.items():
@@ -71,8 +65,7 @@ def cpu_ratios() -> dict[str, float]:
     least_us = {name: min(each) for name, each in spent.items()}
     kinds = {"sync_write": "write", "sync_read": "read", "cycle": "cycle"}
     return {
-        f"cpu_{kind}_ratio{suffix}": least_us[f"own {call}"] / least_us[f"{other} {call}"]
-        for suffix, other in others.items()
+        f"cpu_{kind}_ratio": least_us[f"own {call}"] / least_us[f"sdk {call}"]
         for kind, call in kinds.items()
     }
 
@@ -154,29 +147,6 @@ def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
     return {"sdk write": write, "sdk read": read, "sdk cycle": cycle}
 
 
-def _rustypot_calls(port: str) -> dict[str, Callable[[], object]]:
-    """Read and write by rustypot, which decodes single registers only: spans come as bytes."""
-    import rustypot
-
-    bus = rustypot.Xl330PyController(port, 4_000_000, 0.1)
-    goals = [_CENTER] * N_SERVOS
-
-    def write() -> None:
-        bus.sync_write_raw_goal_position(_IDS, goals)
-
-    def read(fast: bool = False) -> list[list[int]]:
-        bus.set_fast_sync_read(fast)
-        data = b"".join([bytes(each) for each in bus.sync_read_raw_data(_IDS, _ADDRESS, _SIZE)])
-        values = np.frombuffer(data, dtype=_MOTION)
-        return [values[name].tolist() for name in ("current", "velocity", "position")]
-
-    def cycle() -> None:
-        write()
-        read(fast=True)
-
-    return {"rustypot write": write, "rustypot read": read, "rustypot cycle": cycle}
-
-
 def _cpu_us(call: Callable[[], object], n_calls: int = _CALLS) -> float:
     start_s = time.process_time()
     for _ in range(n_calls):
@@ -185,9 +155,6 @@ def _cpu_us(call: Callable[[], object], n_calls: int = _CALLS) -> float:
 
 
 BAUD_RATE = 1_000_000
-#: present_current, present_velocity, present_position
-#: torque_enable .. bus_watchdog: what a tick reads of one servo, the next in turn.
-_HEALTH_ADDRESS, _HEALTH_SIZE = 64, 35
 _SILENT = "faults: [{kind: silence, servos: [7], at_s: [0.0]}]"
 _SILENT_ID = 8
 _REPLUG_RATE_HZ = 50.0
@@ -242,35 +209,6 @@ def fault_figures(n_cycles: int = 1_000) -> dict[str, float]:
     figures = {"silent_samples": share, "silent_over_wire_ms": over_ms, "silent_kept": kept}
     share, over_ms, kept = _heard(lossy, _IDS, n_cycles)
     return {**figures, "loss_samples": share, "loss_p99_over_wire_ms": over_ms, "loss_kept": kept}
-
-
-def silent_cycle_figures(n_cycles: int = 1_200) -> dict[str, float]:
-    """Time beyond the wire of the cycles in which a silent servo is read, in ms: median and most.
-
-    A cycle is what the bus asks in a tick: the places of all, and the health of one, in turns. The
-    silent one is read now and then among all, and whenever it is its turn; the other cycles, 19 of
-    20, would hide these in any percentile of all.
-    """
-    over_ms = []
-    with _faulty_line(_SILENT) as line:
-        group = SpanGroup(_IDS, _ADDRESS, _SIZE)
-        for n in range(n_cycles):
-            time.sleep(0.002)
-            servo_id = _IDS[n % N_SERVOS]
-            question = codec.read(servo_id, _HEALTH_ADDRESS, _HEALTH_SIZE)
-            start_s = time.monotonic()
-            group.ask(line)
-            line.read(servo_id, _HEALTH_ADDRESS, _HEALTH_SIZE)
-            elapsed_s = time.monotonic() - start_s
-            if servo_id == _SILENT_ID or _SILENT_ID in group.request.ids:
-                n_bytes = len(group.request.request) + group.request.reply_size + len(question)
-                n_bytes += codec.EMPTY_STATUS_SIZE + _HEALTH_SIZE
-                over_ms.append((elapsed_s - n_bytes * line.byte_s) * 1e3)
-    return {
-        "silent_asked_cycle_median_ms": statistics.median(over_ms),
-        "silent_asked_cycle_max_ms": max(over_ms),
-        "silent_asked_cycles": len(over_ms),
-    }
 
 
 @contextmanager

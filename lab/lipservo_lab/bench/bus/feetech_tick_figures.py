@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Final
 
-import numpy as np
 import serial
 
 from firmware_bridge.bus import ServoBus
@@ -15,11 +14,17 @@ from firmware_bridge.feetech.control_table import servo_models
 from firmware_bridge.feetech.kind import FEETECH
 from firmware_bridge.feetech.settings import FeetechServo, FeetechSettings
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import BridgeSettings
-from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from lipservo.runtime.servos.sim_process import simulated_port
-from lipservo_lab.bench.bus.pulse_tick_figures import N_SERVOS, Call, calls_us, moving_deg, timed
+from lipservo_lab.bench.bus.pulse_tick_figures import (
+    N_SERVOS,
+    Call,
+    bus_tick,
+    calls_us,
+    moving_deg,
+    settled,
+    timed,
+    whole_tick,
+)
 
 _RATE_HZ: Final = 50.0
 _BAUD_RATE: Final = 1_000_000
@@ -49,8 +54,6 @@ def feetech_tick_ratios() -> dict[str, float]:
         }
         middle = {name: statistics.median(each) for name, each in calls_us(calls).items()}
     return {
-        "cpu_goals_feetech_us": middle["bus"],
-        "cpu_goals_feetech_by_hand_us": middle["by hand"],
         "cpu_goals_feetech_ratio": middle["bus"] / middle["by hand"],
         "cpu_tick_feetech_ratio": middle["whole"] / middle["by hand"],
     }
@@ -83,32 +86,16 @@ def _bus_tick(wiring: Wiring) -> Iterator[Call]:
         assert all(
             any(not bus.enable_torque(index) for _ in range(_TRIES)) for index in range(N_SERVOS)
         )
-
-        def work(goals_deg: np.ndarray) -> None:
-            bus.write_positions(goals_deg)
-            bus.feedback()
-            bus.look_after()
-
-        for n in range(_SETTLES_TICKS):
-            work(moving_deg(n))
-        yield lambda n: timed(work, moving_deg(n))
+        yield settled(bus_tick(bus), _SETTLES_TICKS)
 
 
 @contextmanager
 def _whole_tick(wiring: Wiring) -> Iterator[Call]:
     """Run a whole tick."""
-    clock, channel = MonotonicClock(), MemoryTargetChannel()
+    clock = MonotonicClock()
     with FEETECH.open(wiring, clock) as bus:
-        bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(_RATE_HZ))
-        bridge.start()
-
-        def tick(n: int) -> int:
-            time_s = clock.now()
-            channel.publish(ServoTargets(time_s, moving_deg(n)))
-            return timed(bridge.tick, time_s)
-
-        for n in range(_SETTLES_TICKS):
-            tick(n)
+        bridge, call = whole_tick(bus, wiring, clock)
+        tick = settled(call, _SETTLES_TICKS)
         assert not bridge.troubles
         yield tick
 

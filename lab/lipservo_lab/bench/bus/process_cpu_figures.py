@@ -34,6 +34,7 @@ from lipservo.runtime.status.status_board import StatusBoard
 from lipservo_lab.bench.bus import servo_clients
 from lipservo_lab.bench.bus.host_witness import HostWitness
 from lipservo_lab.bench.bus.servo_clients import canned_peer
+from lipservo_lab.own_processes import started_alone
 from lipsync.errors import UserError
 
 N_SERVOS: Final = 10
@@ -143,7 +144,7 @@ class _BridgeTicks:
 
 @contextmanager
 def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """A loop with dynamixel-sdk or rustypot, its servos at rest; kind: of `client_loop`."""
+    """A loop with dynamixel-sdk or rustypot, its servos at rest; kind: of `CLIENTS`."""
     with ExitStack() as stack:
         writer, reader = (stack.enter_context(end) for end in channel_pair())
         count = os.memfd_create("rounds")
@@ -217,12 +218,11 @@ def _running(
     environment = dict(os.environ)
     if folder is not None:
         environment |= {"XDG_STATE_HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
-    process = subprocess.Popen(command, pass_fds=list(fds), env=environment)
-    try:
-        yield process
-    finally:
-        process.kill()  # its peer has no other client, and holds no servo
-        process.wait()
+    with started_alone(command, pass_fds=list(fds), env=environment) as process:
+        try:
+            yield process
+        finally:
+            process.kill()  # it stands still by SIGSTOP; its peer holds no servo
 
 
 def _wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
@@ -250,7 +250,7 @@ _SIMULATED: Final = ("--servos", str(N_SERVOS), "--baud-rate", str(_WIRE_BAUD_RA
 class Comparison:
     """The same servos for our process and for others.
 
-    peer: opens their port. loops: what the ratio over each loop of `client_loop` is called.
+    peer: opens their port. loops: what the ratio over the loop of each client is called.
     """
 
     peer: Callable[[], AbstractContextManager[str]]
@@ -262,24 +262,13 @@ class Comparison:
 AT_ONCE = Comparison(
     partial(canned_peer, N_SERVOS, on_time=True),
     servo_clients.BAUD_RATE,
-    {
-        "sdk": "cpu_process_ratio",
-        "sdk_all_fast": "cpu_process_all_fast_ratio",
-        "sdk_in_turn": "cpu_process_in_turn_ratio",
-        "sdk_waiting": "cpu_process_waiting_ratio",
-        "sdk_in_turn_waiting": "cpu_process_in_turn_waiting_ratio",
-        "rustypot_in_turn": "cpu_process_ratio_rustypot",
-    },
+    {"sdk": "cpu_process_ratio"},
     n_turns=30,
 )
 ON_THE_WIRE = Comparison(
     partial(simulated_port, _SIMULATED),
     _WIRE_BAUD_RATE,
-    {
-        "sdk": "cpu_process_wire_ratio",
-        "sdk_in_turn": "cpu_process_wire_in_turn_ratio",
-        "rustypot_in_turn": "cpu_process_wire_ratio_rustypot",
-    },
+    {"sdk": "cpu_process_wire_ratio", "rustypot": "cpu_process_wire_ratio_rustypot"},
     n_turns=10,
 )
 
@@ -289,17 +278,17 @@ def process_ratios() -> dict[str, float]:
 
     Ours is the process that a daemon starts, whole: grid, control socket, lifeline, targets through
     a socket, gate, goals written, places read (fast), one servo's health read, supervision, live
-    board. The others: goals through the same socket, written; places read (fast); voltage and
-    temperature of all read (`GroupSyncRead`; `all_fast`: in one frame, too), or, `in_turn`, the
-    very reads of our tick: one servo's health; no gate, no stop, no status.
+    board. The others: goals through the same socket, written; places read (fast); with
+    dynamixel-sdk voltage and temperature of all read (`GroupSyncRead`), with rustypot one servo's
+    health, as in our tick; no gate, no stop, no status.
 
     User and system time of all threads of a process, by its own clock, in turns of some sixty
     ticks, while the others stand still. Ratios are of two turns of the same round; their median and
     quartiles. Turns in which a core stood still are left out; `kept`: the share of the rounds that
     have both of the first ratio. Each has a peer of its own, which answers at once, with real-time
-    scheduling where permitted. dynamixel-sdk polls while it waits for it, which is in its figures;
-    `waiting`: with a port that sleeps instead, which is not the SDK's. `wire`: with simulated
-    servos that take the time of 1 Mbaud, as real ones do; the SDK polls all the while.
+    scheduling where permitted. dynamixel-sdk polls while it waits for it, which is in its figures.
+    `wire`: with simulated servos that take the time of 1 Mbaud, as real ones do; the SDK polls all
+    the while.
 
     Raises UserError where the computer stood still in all rounds.
     """
@@ -336,7 +325,7 @@ def _turns_us(comparison: Comparison, witness: HostWitness) -> dict[str, np.ndar
         ours = bridge_process(Path(folder), port, rate)
         loops: dict[str, MeasuredProcess] = {"own": stack.enter_context(ours)}
         for kind in comparison.loops:
-            if "rustypot" not in kind or find_spec("rustypot") is not None:
+            if kind != "rustypot" or find_spec("rustypot") is not None:
                 port = stack.enter_context(comparison.peer())
                 loops[kind] = stack.enter_context(client_process(kind, port, rate))
         rounds = [

@@ -13,8 +13,9 @@ import numpy as np
 import serial
 import smbus2
 
+from firmware_bridge.bus import ServoBus
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.clock import ManualClock
+from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
@@ -40,7 +41,8 @@ _WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 120, 10
 #: Until the last servo has come on and has caught up.
 _SETTLES_TICKS: Final = 400
 
-Call = Callable[[int], object]
+#: Does the work of call n; its thread CPU time, in nanoseconds.
+Call = Callable[[int], int]
 
 
 def pulse_tick_ratios() -> dict[str, float]:
@@ -50,9 +52,8 @@ def pulse_tick_ratios() -> dict[str, float]:
     examples of the makers. `cpu_pulses_*`: our bus in its place, which also brings servos up one
     by one, keeps their pulses, and asks the controller five times a second what it sends.
     `cpu_tick_*`: all of `Bridge.tick`, with targets, gate and supervision, which a loop by hand has
-    not; `_limited`: over a loop that bounds the speed of each servo as well. Thread CPU time, in
-    interleaved blocks of ten; the system call to the adapter is in the Maestro's (a
-    pseudo-terminal), that of I2C is left out on either side.
+    not. Thread CPU time, in interleaved blocks of ten; the system call to the adapter is in the
+    Maestro's (a pseudo-terminal), that of I2C is left out on either side.
     """
     with ExitStack() as stack:
         calls: dict[str, Call] = {}
@@ -61,8 +62,7 @@ def pulse_tick_ratios() -> dict[str, float]:
             ("pca9685", _pca9685(), _pca9685_by_hand()),
         ):
             calls[name] = stack.enter_context(_bus_tick(*controller))
-            calls[f"{name} by hand"] = _loop(by_hand, limits_speed=False)
-            calls[f"{name} limited"] = _loop(by_hand, limits_speed=True)
+            calls[f"{name} by hand"] = _loop(by_hand)
         for name, controller in (("maestro", _maestro(stack)), ("pca9685", _pca9685())):
             calls[f"{name} whole"] = stack.enter_context(_whole_tick(*controller))
         spent_us = calls_us(calls)
@@ -71,11 +71,8 @@ def pulse_tick_ratios() -> dict[str, float]:
     for name in ("maestro", "pca9685"):
         by_hand_us = middle[f"{name} by hand"]
         figures |= {
-            f"cpu_pulses_{name}_us": middle[name],
-            f"cpu_pulses_{name}_by_hand_us": by_hand_us,
             f"cpu_pulses_{name}_ratio": middle[name] / by_hand_us,
             f"cpu_tick_{name}_ratio": middle[f"{name} whole"] / by_hand_us,
-            f"cpu_tick_{name}_limited_ratio": middle[f"{name} whole"] / middle[f"{name} limited"],
         }
     return figures
 
@@ -87,7 +84,6 @@ def calls_us(calls: Mapping[str, Call]) -> dict[str, list[float]]:
         for name, call in calls.items():
             for n in range(block * _CALLS, (block + 1) * _CALLS):
                 spent_ns = call(n)
-                assert isinstance(spent_ns, int)
                 if block >= _WARM_UP_BLOCKS:
                     spent_us[name].append(spent_ns * 1e-3)
     return spent_us
@@ -150,18 +146,7 @@ def _bus_tick(
     with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
         for index in range(N_SERVOS):
             bus.enable_torque(index)
-
-        def work(goals_deg: np.ndarray) -> None:
-            bus.write_positions(goals_deg)
-            bus.feedback()
-            bus.look_after()
-
-        def tick(n: int) -> int:
-            clock.advance(1.0 / _RATE_HZ)
-            return timed(work, moving_deg(n))
-
-        for n in range(_SETTLES_TICKS):
-            tick(n)
+        tick = settled(_on_time(bus_tick(bus), clock), _SETTLES_TICKS)
         assert bus.torque.as_json() == [True] * N_SERVOS
         yield tick
 
@@ -171,43 +156,67 @@ def _whole_tick(
     wiring: Wiring, controller: PulseController, clock: ManualClock, kind: Any
 ) -> Iterator[Call]:
     """Run a whole tick."""
-    can, channel = kind.capabilities(wiring.settings), MemoryTargetChannel()
+    can = kind.capabilities(wiring.settings)
     with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
-        bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(_RATE_HZ))
-        bridge.start()
-
-        def tick(n: int) -> int:
-            clock.advance(1.0 / _RATE_HZ)
-            channel.publish(ServoTargets(clock.now(), moving_deg(n)))
-            return timed(bridge.tick, clock.now())
-
-        for n in range(_SETTLES_TICKS):
-            tick(n)
+        bridge, call = whole_tick(bus, wiring, clock)
+        tick = settled(_on_time(call, clock), _SETTLES_TICKS)
         assert bridge.settled
         assert not bridge.troubles
         yield tick
 
 
-def _loop(send: Callable[[list[float]], None], *, limits_speed: bool) -> Call:
-    """Angles to pulses within the range of each servo, and within reach of the last, and out."""
-    servos = _wiring(None).servos
-    sent_us = [each.neutral_us for each in servos]
-    reach_us = [abs(each.us_per_deg) * each.max_speed_deg_s / _RATE_HZ for each in servos]
+def _on_time(tick: Call, clock: ManualClock) -> Call:
+    def later(n: int) -> int:
+        clock.advance(1.0 / _RATE_HZ)
+        return tick(n)
 
-    def pulse_us(servo: PulseServo, deg: float) -> float:
-        return min(max(servo.neutral_us + servo.us_per_deg * deg, servo.min_us), servo.max_us)
+    return later
+
+
+def bus_tick(bus: ServoBus) -> Call:
+    """Return the bus's part of a tick."""
+
+    def work(goals_deg: np.ndarray) -> None:
+        bus.write_positions(goals_deg)
+        bus.feedback()
+        bus.look_after()
+
+    return lambda n: timed(work, moving_deg(n))
+
+
+def whole_tick(bus: ServoBus, wiring: Wiring, clock: Clock) -> tuple[Bridge, Call]:
+    """Return a bridge that drives, and its whole tick."""
+    channel = MemoryTargetChannel()
+    bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(wiring.rate_hz))
+    bridge.start()
+
+    def tick(n: int) -> int:
+        time_s = clock.now()
+        channel.publish(ServoTargets(time_s, moving_deg(n)))
+        return timed(bridge.tick, time_s)
+
+    return bridge, tick
+
+
+def settled(tick: Call, n_ticks: int) -> Call:
+    """Return the same, after so many of them."""
+    for n in range(n_ticks):
+        tick(n)
+    return tick
+
+
+def _loop(send: Callable[[list[float]], None]) -> Call:
+    """Angles to pulses within the range of each servo, and out."""
+    servos = _wiring(None).servos
 
     def work(goals_deg: list[float]) -> None:
-        send([pulse_us(servo, deg) for servo, deg in zip(servos, goals_deg, strict=True)])
+        pulses_us = []
+        for each, deg in zip(servos, goals_deg, strict=True):
+            wanted_us = each.neutral_us + each.us_per_deg * deg
+            pulses_us.append(min(max(wanted_us, each.min_us), each.max_us))
+        send(pulses_us)
 
-    def limited_work(goals_deg: list[float]) -> None:
-        for n, (servo, deg) in enumerate(zip(servos, goals_deg, strict=True)):
-            before_us, reach = sent_us[n], reach_us[n]
-            sent_us[n] = min(max(pulse_us(servo, deg), before_us - reach), before_us + reach)
-        send(sent_us)
-
-    done = limited_work if limits_speed else work
-    return lambda n: timed(done, moving_deg(n).tolist())
+    return lambda n: timed(work, moving_deg(n).tolist())
 
 
 def _maestro_by_hand(stack: ExitStack) -> Callable[[list[float]], None]:

@@ -1,10 +1,11 @@
 """dynamixel-sdk and rustypot as servo clients: goals out, places and health back in one call.
 
-A servo loop as one writes it with dynamixel-sdk or rustypot, a process of its own.
+A servo loop as one writes it with either, a process of its own.
 
 Run as `python -m lipservo_lab.bench.bus.servo_clients KIND PORT BAUD_RATE N RATE_HZ TARGETS COUNT`,
-the last two inherited descriptors: a socket that goals come through, in degrees, as they come to
-the bridge; and eight bytes of memory in which it counts its rounds. It ends when the socket closes.
+KIND one of `CLIENTS`, the last two inherited descriptors: a socket that goals come through, in
+degrees, as they come to the bridge; and eight bytes of memory in which it counts its rounds. It
+ends when the socket closes.
 """
 
 import gc
@@ -15,9 +16,9 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -28,12 +29,6 @@ _HEALTH, _HEALTH_SIZE, _ERROR_AT = 64, 35, 6
 _MOTION_TYPE = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 _WARMTH_TYPE = np.dtype([("voltage", "<u2"), ("temperature", "u1")])
 BAUD_RATE: Final = 4_000_000
-#: How long a port that waits in the kernel waits for bytes before the SDK looks at its own timeout.
-_WAIT_MS: Final = 5
-
-#: How voltage and temperature are read: of all, a frame each (the SDK's `txRxPacket`); of all in
-#: one frame; or, as our tick does, of one servo, the next in turn, and its torque and errors.
-HealthRead = Literal["all_plain", "all_fast", "in_turn"]
 
 
 class AnswerLost(Exception):  # noqa: N818 - no mistake of anybody: the computer was busy
@@ -48,58 +43,42 @@ class ServoClient(Protocol):
 
 
 class SdkClient:
-    """dynamixel-sdk, as its own examples use it."""
+    """dynamixel-sdk, as its own examples use it: voltage and temperature of all, a frame each."""
 
-    def __init__(
-        self,
-        port: str,
-        n_servos: int,
-        health: HealthRead = "all_plain",
-        *,
-        baud_rate: int = BAUD_RATE,
-        in_kernel: bool = False,
-    ) -> None:
-        """in_kernel: wait for bytes in `poll` and not, as the SDK does, by reading again."""
+    def __init__(self, port: str, n_servos: int, baud_rate: int = BAUD_RATE) -> None:
         import dynamixel_sdk as sdk
 
         self._success = sdk.COMM_SUCCESS
         self._ids = range(1, n_servos + 1)
-        self._handler = _waiting_port(sdk, port) if in_kernel else sdk.PortHandler(port)
-        self._handler.openPort()
-        self._handler.setBaudRate(baud_rate)
-        self._packets = sdk.PacketHandler(2.0)
-        self._write = sdk.GroupSyncWrite(self._handler, self._packets, _GOAL, 4)
-        self._motion = sdk.GroupSyncRead(self._handler, self._packets, _MOTION, _MOTION_SIZE)
-        self._warmth = sdk.GroupSyncRead(self._handler, self._packets, _WARMTH, _WARMTH_SIZE)
+        handler = sdk.PortHandler(port)
+        handler.openPort()
+        handler.setBaudRate(baud_rate)
+        packets = sdk.PacketHandler(2.0)
+        self._write = sdk.GroupSyncWrite(handler, packets, _GOAL, 4)
+        self._motion = sdk.GroupSyncRead(handler, packets, _MOTION, _MOTION_SIZE)
+        self._warmth = sdk.GroupSyncRead(handler, packets, _WARMTH, _WARMTH_SIZE)
         for servo_id in self._ids:
             self._write.addParam(servo_id, [0, 8, 0, 0])
             self._motion.addParam(servo_id)
             self._warmth.addParam(servo_id)
-        self._health: HealthRead = health
-        self._ask_warmth = (
-            self._warmth.txRxPacket if health == "all_plain" else self._warmth.fastSyncRead
-        )
-        self._turn = 0
 
     def work(self, goals: Sequence[int]) -> list[list[int]]:
-        """Currents, positions, then voltages and temperatures of all, or what was read in turn."""
+        """Run one round; currents, positions, voltages and temperatures of all."""
         for servo_id, goal in zip(self._ids, goals, strict=True):
             self._write.changeParam(servo_id, list(goal.to_bytes(4, "little")))
         self._write.txPacket()
         try:
-            requests = [self._motion.fastSyncRead()]
-            if self._health != "in_turn":
-                requests.append(self._ask_warmth())
+            requests = [self._motion.fastSyncRead(), self._warmth.txRxPacket()]
         except IndexError as error:  # it took a late answer for that to another question
             raise AnswerLost from error
         if requests != [self._success] * len(requests):
             raise AnswerLost
-        found = [self._values(self._motion, _MOTION, 2), self._values(self._motion, _MOTION + 6, 4)]
-        if self._health == "in_turn":
-            return [*found, self._next_health()]
-        found.append(self._values(self._warmth, _WARMTH, 2))
-        found.append(self._values(self._warmth, _WARMTH + 2, 1))
-        return found
+        return [
+            self._values(self._motion, _MOTION, 2),
+            self._values(self._motion, _MOTION + 6, 4),
+            self._values(self._warmth, _WARMTH, 2),
+            self._values(self._warmth, _WARMTH + 2, 1),
+        ]
 
     def _values(self, group: Any, address: int, size: int) -> list[int]:
         return [
@@ -108,47 +87,29 @@ class SdkClient:
             if group.isAvailable(servo_id, address, size)
         ]
 
-    def _next_health(self) -> list[int]:
-        """Torque, hardware error and watchdog of a servo; the next time its voltage and heat."""
-        turn, kind = divmod(self._turn, 2)
-        self._turn = (self._turn + 1) % (2 * len(self._ids))
-        address, size = (_WARMTH, _WARMTH_SIZE) if kind else (_HEALTH, _HEALTH_SIZE)
-        data, result, _ = self._packets.readTxRx(self._handler, self._ids[turn], address, size)
-        if result != self._success:
-            raise AnswerLost
-        return [data[0] | data[1] << 8, data[2]] if kind else [data[0], data[_ERROR_AT], data[-1]]
-
 
 class RustypotClient:
-    """rustypot, which decodes single registers only: spans come as bytes, by fast reads."""
+    """rustypot, which decodes single registers only: spans come as bytes, by fast reads.
 
-    def __init__(
-        self,
-        port: str,
-        n_servos: int,
-        health: HealthRead = "all_fast",
-        *,
-        baud_rate: int = BAUD_RATE,
-    ) -> None:
+    Health is read as our tick does: of one servo, the next in turn.
+    """
+
+    def __init__(self, port: str, n_servos: int, baud_rate: int = BAUD_RATE) -> None:
         import rustypot
 
         self._ids = list(range(1, n_servos + 1))
         self._bus = rustypot.Xl330PyController(port, baud_rate, 0.1)
         self._bus.set_fast_sync_read(True)
-        self._in_turn = health == "in_turn"
         self._turn = 0
 
     def work(self, goals: Sequence[int]) -> list[list[int]]:
-        """Run one round of reads and writes, as `SdkClient.work`."""
+        """Run one round; currents and positions of all, and the health of one."""
         self._bus.sync_write_raw_goal_position(self._ids, list(goals))
         motion = self._read(self._ids, _MOTION, _MOTION_SIZE, _MOTION_TYPE)
-        found = [motion["current"].tolist(), motion["position"].tolist()]
-        if self._in_turn:
-            return [*found, self._next_health()]
-        warmth = self._read(self._ids, _WARMTH, _WARMTH_SIZE, _WARMTH_TYPE)
-        return [*found, warmth["voltage"].tolist(), warmth["temperature"].tolist()]
+        return [motion["current"].tolist(), motion["position"].tolist(), self._next_health()]
 
     def _next_health(self) -> list[int]:
+        """Torque, hardware error and watchdog of a servo; the next time its voltage and heat."""
         turn, kind = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
         if kind:
@@ -168,18 +129,11 @@ class RustypotClient:
         return np.frombuffer(b"".join([bytes(each) for each in data]), dtype=kind)
 
 
-def _waiting_port(sdk: Any, port: str) -> Any:
-    """The SDK's port, but for its polling: a read sleeps until there is something to read."""
-
-    class WaitingPort(sdk.PortHandler):  # type: ignore[misc]  # the SDK has no types
-        def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
-            if not hasattr(self, "ready"):
-                self.ready = select.poll()
-                self.ready.register(self.ser.fileno(), select.POLLIN)
-            self.ready.poll(_WAIT_MS)
-            return bytes(super().readPort(length))
-
-    return WaitingPort(port)
+#: By name.
+CLIENTS: Final[dict[str, Callable[[str, int, int], ServoClient]]] = {
+    "sdk": SdkClient,
+    "rustypot": RustypotClient,
+}
 
 
 @contextmanager
@@ -206,18 +160,6 @@ _HEAD_BYTES: Final = 16
 _LONGEST: Final = 4096
 _COUNT: Final = struct.Struct("<Q")
 _CENTER, _PULSES_PER_DEG = 2048, 4096 / 360
-
-
-def make_client(kind: str, port: str, baud_rate: int, n_servos: int) -> ServoClient:
-    """`sdk`, `sdk_all_fast`, `sdk_in_turn`, `rustypot_in_turn`; the SDK's also with `_waiting`."""
-    name, _, health = kind.removesuffix("_waiting").partition("_")
-    reads: HealthRead = "in_turn" if health == "in_turn" else "all_plain"
-    if health == "all_fast" or (name == "rustypot" and not health):
-        reads = "all_fast"
-    if name == "rustypot":
-        return RustypotClient(port, n_servos, reads, baud_rate=baud_rate)
-    in_kernel = kind.endswith("_waiting")
-    return SdkClient(port, n_servos, reads, baud_rate=baud_rate, in_kernel=in_kernel)
 
 
 def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count: int) -> int:
@@ -256,5 +198,5 @@ def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count:
 if __name__ == "__main__":
     kind, port, *numbers = sys.argv[1:]
     baud_rate, n_servos, targets, count = (int(numbers[n]) for n in (0, 1, 3, 4))
-    client = make_client(kind, port, baud_rate, n_servos)
+    client = CLIENTS[kind](port, n_servos, baud_rate)
     run(client, n_servos, float(numbers[2]), targets, count)

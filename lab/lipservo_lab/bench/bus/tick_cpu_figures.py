@@ -3,8 +3,7 @@
 import statistics
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from importlib.util import find_spec
+from contextlib import contextmanager
 from typing import Final, Protocol
 
 import numpy as np
@@ -22,7 +21,6 @@ from firmware_bridge.transport import Transport
 from lipservo_lab.bench.bus.servo_clients import (
     BAUD_RATE,
     AnswerLost,
-    RustypotClient,
     SdkClient,
     ServoClient,
     canned_peer,
@@ -31,8 +29,6 @@ from lipservo_lab.bench.bus.servo_clients import (
 N_SERVOS: Final = 20
 _MODEL: Final = servo_models()["XL330-M288"]
 _IDS: Final = list(range(1, N_SERVOS + 1))
-#: What the ratios over each of them are called: cpu_tick*_ratio.
-_KEYS: Final = {"sdk": "", "sdk_all_fast": "_all_fast", "rustypot": "_rustypot"}
 _RATE_HZ: Final = 100.0
 #: Until every servo has its full strength, which takes a second; the others get as many calls.
 _SETTLES_S: Final = 0.1
@@ -54,34 +50,24 @@ def tick_ratios() -> dict[str, float]:
 
     Ours: targets, gate, goals written, places read, one servo's health read, supervision, tracking.
     dynamixel-sdk: goals written, places read (fast sync read), voltage and temperature of all read
-    (sync read; `all_fast`: fast, too); each value fetched as its examples do; no gate, and no
-    hardware errors, which lie elsewhere. rustypot, where installed: the same, all fast.
-    Thread CPU time of every call, in interleaved blocks of ten, beside peers that answer at once:
-    wire time, during which dynamixel-sdk polls and we sleep, is left out. It polls while it waits
-    for a peer, too: least calls have the least of that, medians the usual. Its LATENCY_TIMER only
-    says when it gives up, so it is left as it comes; calls whose answer was lost do not count.
+    (sync read); each value fetched as its examples do; no gate, and no hardware errors, which lie
+    elsewhere. Thread CPU time of every call, in interleaved blocks of ten, beside peers that answer
+    at once: wire time, during which dynamixel-sdk polls and we sleep, is left out. It polls while
+    it waits for a peer, too: least calls have the least of that, medians the usual. Its
+    LATENCY_TIMER only says when it gives up, so it is left as it comes; calls whose answer was lost
+    do not count.
     """
-    with ExitStack() as stack:
-        clients: dict[str, Client] = {
-            "own": stack.enter_context(own_tick()),
-            "sdk": OthersTick(SdkClient(_peer(stack), N_SERVOS)),
-            "sdk_all_fast": OthersTick(SdkClient(_peer(stack), N_SERVOS, "all_fast")),
-        }
-        if find_spec("rustypot") is not None:
-            clients["rustypot"] = OthersTick(RustypotClient(_peer(stack), N_SERVOS))
+    with own_tick() as own, canned_peer(N_SERVOS) as port:
+        clients: dict[str, Client] = {"own": own, "sdk": OthersTick(SdkClient(port, N_SERVOS))}
         spent_us = _calls_us(clients)
     least = {name: min(each) for name, each in spent_us.items()}
     middle = {name: statistics.median(each) for name, each in spent_us.items()}
-    figures = {"cpu_tick_us": least["own"], "cpu_tick_median_us": middle["own"]}
-    for name in [name for name in clients if name != "own"]:
-        key = f"cpu_tick{_KEYS[name]}_ratio"
-        figures[key] = least["own"] / least[name]
-        figures[f"{key}_median"] = middle["own"] / middle[name]
-    return figures
-
-
-def _peer(stack: ExitStack) -> str:
-    return stack.enter_context(canned_peer(N_SERVOS))
+    return {
+        "cpu_tick_us": least["own"],
+        "cpu_tick_median_us": middle["own"],
+        "cpu_tick_ratio": least["own"] / least["sdk"],
+        "cpu_tick_ratio_median": middle["own"] / middle["sdk"],
+    }
 
 
 def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:

@@ -34,7 +34,6 @@ from lipservo_lab.bench.calibration.hard_captures import (
     count_measured_faults,
     fault_figures,
 )
-from lipservo_lab.bench.calibration.intervals import median_interval
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
@@ -47,14 +46,10 @@ _WINDOW_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SyncErrors:
-    """Time between the speaker's lip gap and the robot's, rms over windows.
-
-    gap_r: correlation of the two gaps in motion, after compensation.
-    """
+    """Time between the speaker's lip gap and the robot's, rms over windows."""
 
     before_rms_ms: float
     after_rms_ms: float
-    gap_r: float
 
 
 def sync_errors(
@@ -73,16 +68,10 @@ def sync_errors(
     backlash = BacklashCompensation(following.backlash_deg)
     lag = LagCompensation(following.lag_s, 1.0 / _RATE_HZ, look_ahead_s=LOOK_AHEAD_S)
     goals_deg = np.array([lag.feed(backlash.feed(pose[None])[0]) for pose in poses_deg])
-    # Fed in advance: what is asked for at one instant is shown so much later.
-    early = round(lag.advance_s * _RATE_HZ)
     after_mm = _gap_mm(draw, servos, goals_deg)
+    # Fed in advance: what is asked for at one instant is shown so much later.
     late_s = _lags_s(wanted_mm, after_mm) - lag.advance_s
-    shown = slice(early, None)
-    return SyncErrors(
-        before_rms_ms=_rms(_lags_s(wanted_mm, before_mm)) * 1e3,
-        after_rms_ms=_rms(late_s) * 1e3,
-        gap_r=float(np.corrcoef(wanted_mm[: len(after_mm) - early], after_mm[shown])[0, 1]),
-    )
+    return SyncErrors(_rms(_lags_s(wanted_mm, before_mm)) * 1e3, _rms(late_s) * 1e3)
 
 
 def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:
@@ -117,8 +106,8 @@ N_POSES = 60
 REACHABLE_MM = 0.5
 #: A person who puts a mouth into a pose by eye, with keys of one degree: off by so much, rms
 #: (assumed, not observed: three key presses, one for a jaw, which moves the lip by 1.6 mm).
-PERSON_DEG, PERSON_JAW_DEG = 3.0, 1.0
-_LARGE_IS_GOOD = ("reachable", "literal_copy_reachable", "gap_r", "closure_touch", "moving_gap_r")
+_PERSON_DEG, _PERSON_JAW_DEG = 3.0, 1.0
+_LARGE_IS_GOOD = ("reachable", "gap_r", "closure_touch")
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,10 +115,7 @@ class SeedFigures:
     """One robot. Names as in the table of docs/benchmarks.md; rms over frames and lip markers."""
 
     heldout_rms_mm: float
-    heldout_all_markers_rms_mm: float
-    heldout_every_shape_rms_mm: float
     reachable: float
-    literal_copy_reachable: float
     guided_rms_mm: float
     gap_r: float
     closure_touch: float
@@ -137,7 +123,6 @@ class SeedFigures:
     procedure_s: float
     sync_error_rms_ms: float
     sync_error_before_rms_ms: float
-    moving_gap_r: float
 
 
 def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
@@ -201,17 +186,14 @@ def own_figures(robots: Sequence[OwnRobot]) -> dict[str, object]:
     """
     found = [robot.figures for robot in robots if robot.figures is not None]
     figures: dict[str, object] = {}
-    intervals = {}
     for field in fields(SeedFigures):
         values = [float(getattr(seed, field.name)) for seed in found] or [math.nan]
         figures[field.name] = float(np.median(values))
         figures[f"worst_{field.name}"] = (min if field.name in _LARGE_IS_GOOD else max)(values)
-        intervals[field.name] = median_interval(values)
     figures["worst_rms_mm"] = figures.pop("worst_heldout_rms_mm")
     refused = {str(robot.seed): robot.refused for robot in robots if robot.refused}
     return {
         **figures,
-        "intervals": intervals,
         "robots": len(robots),
         "refused": len(refused),
         "refused_why": refused,
@@ -236,10 +218,8 @@ def _map_time_us(model: FaceWithAnimPhos, fit: MeasuredFit) -> float:
 @dataclass(frozen=True, slots=True)
 class _ShapeScores:
     apart_mm: Array
-    all_apart_mm: Array
     guided_apart_mm: Array
     reachable: NDArray[np.bool_]
-    literal: NDArray[np.bool_]
     gap_mm: Array
     human_gap_mm: Array
 
@@ -251,10 +231,7 @@ def _figures(
     reached = shapes.reachable
     return SeedFigures(
         heldout_rms_mm=_rms(shapes.apart_mm[reached]),
-        heldout_all_markers_rms_mm=_rms(shapes.all_apart_mm[reached]),
-        heldout_every_shape_rms_mm=_rms(shapes.apart_mm),
         reachable=float(reached.mean()),
-        literal_copy_reachable=float(shapes.literal.mean()),
         guided_rms_mm=_rms(shapes.guided_apart_mm[reached]),
         gap_r=float(np.corrcoef(shapes.gap_mm, shapes.human_gap_mm)[0, 1]),
         closure_touch=float((shapes.gap_mm[closed] <= 0.0).mean()),
@@ -262,7 +239,6 @@ def _figures(
         procedure_s=procedure_s,
         sync_error_rms_ms=sync.after_rms_ms,
         sync_error_before_rms_ms=sync.before_rms_ms,
-        moving_gap_r=sync.gap_r,
     )
 
 
@@ -278,27 +254,18 @@ def _score_shapes(
     targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
     shape_features, lips = fit.names.shape_features, list(MARKERS_47.lips)
 
-    def best_apart_mm(wanted_mm: Array) -> Array:
-        best_deg = nearest_poses_deg(truth, shape_features.of(wanted_mm), shape_features, limits)
-        return lips_apart_mm(truth(best_deg), wanted_mm, lips)
-
+    best_deg = nearest_poses_deg(truth, shape_features.of(targets_mm), shape_features, limits)
     robot = SimulatedRobot(draw)
     backlash = BacklashCompensation(fit.face.backlash_deg)
     seen_mm = np.empty_like(targets_mm)
     for frame, coefficients in enumerate(fit.held_out):
         robot.move(backlash.feed(fit.calibration.poses_deg(coefficients[None]))[0])
         seen_mm[frame] = robot.true_markers_mm()
-    rest_mm = model.markers_mm(model.rest[None])
-    copies_mm = draw.face.neutral_mm + fit.retargeting.scale * (
-        model.markers_mm(fit.held_out) - rest_mm
-    )
     guided = _guided_apart_mm(model, fit, draw, servos, targets_mm, seed)
     return _ShapeScores(
         apart_mm=lips_apart_mm(seen_mm, targets_mm, lips),
-        all_apart_mm=lips_apart_mm(seen_mm, targets_mm, list(range(len(MARKERS_47.names)))),
         guided_apart_mm=guided,
-        reachable=best_apart_mm(targets_mm) <= REACHABLE_MM,
-        literal=best_apart_mm(copies_mm) <= REACHABLE_MM,
+        reachable=lips_apart_mm(truth(best_deg), targets_mm, lips) <= REACHABLE_MM,
         gap_mm=seen_mm[:, MARKERS_47.upper_lip, 1] - seen_mm[:, MARKERS_47.lower_lip, 1],
         human_gap_mm=np.array([model.lip_gap_mm(frame) for frame in fit.held_out]),
     )
@@ -314,16 +281,13 @@ def _guided_apart_mm(
 ) -> Array:
     """A person makes the landmark poses by eye; the score's targets are the measured ones.
 
-    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual, finds
-    the pose nearest to it, and is off by a few key presses.
+    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual.
     """
 
     def truth(output_deg: Array) -> Array:
         return true_markers_mm(draw, output_deg)
 
-    limits = servos.limits_deg
-    poses = landmark_poses(model)
-    shown_mm = model.markers_mm(np.array([pose.coefficients for pose in poses]))
+    shown_mm = model.markers_mm(np.array([pose.coefficients for pose in landmark_poses(model)]))
     neutral_mm, closed_mm = truth(np.zeros((1, len(servos.joints))))[0], shown_mm[0]
     right, left = fit.names.corners
     size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
@@ -331,12 +295,43 @@ def _guided_apart_mm(
     gaps_mm = scale * fit.names.shape_features.gaps_mm(shown_mm)
     gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
     wanted = fit.names.shape_features.of(neutral_mm + scale * (shown_mm - closed_mm), gaps_mm)
-    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, limits)
-    off_deg = np.where([j.name == JAW for j in servos.joints], PERSON_JAW_DEG, PERSON_DEG)
-    noise = np.random.default_rng([seed, 2]).normal(size=best_deg.shape)
-    made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)
-    made_deg[[pose.name == CLOSED for pose in poses]] = best_deg[0]  # lips are felt to touch
-    made = {pose.name: degrees for pose, degrees in zip(poses, made_deg, strict=True)}
-    guided = fit_guided(model, servos, made)
+    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, servos.limits_deg)
+    is_jaw = np.array([joint.name == JAW for joint in servos.joints])
+    guided = guided_by_eye(model, servos, best_deg, is_jaw, seed)
     angles_deg = np.array([guided.positions_deg(frame) for frame in fit.held_out])
     return lips_apart_mm(truth(angles_deg), targets_mm, list(MARKERS_47.lips))
+
+
+def guided_by_eye(
+    model: FaceWithAnimPhos,
+    servos: MouthServos,
+    nearest_deg: Array,
+    is_jaw: NDArray[np.bool_],
+    seed: int,
+) -> Calibration:
+    """Return the guided fit of a person who is off by a few key presses, but feels lips touch.
+
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        The speaker's.
+    servos : MouthServos
+        Of the robot.
+    nearest_deg : Array
+        (n_poses, n_servos), what looks most like each of the landmark poses.
+    is_jaw : Array
+        (n_servos,), of which a person is off by less.
+    seed : int
+        Of the key presses.
+
+    Returns
+    -------
+    Calibration
+        As `fit_guided` makes it.
+    """
+    off_deg = np.where(is_jaw, _PERSON_JAW_DEG, _PERSON_DEG)
+    noise = np.random.default_rng([seed, 2]).normal(size=nearest_deg.shape)
+    made_deg = np.clip(np.rint(nearest_deg + off_deg * noise), *servos.limits_deg)
+    names = [pose.name for pose in landmark_poses(model)]
+    made_deg[[name == CLOSED for name in names]] = nearest_deg[0]
+    return fit_guided(model, servos, dict(zip(names, made_deg, strict=True)))

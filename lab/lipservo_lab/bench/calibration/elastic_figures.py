@@ -26,7 +26,6 @@ from lipservo_lab.bench.calibration.hard_captures import (
     fault_figures,
     refusals,
 )
-from lipservo_lab.bench.calibration.intervals import median_interval, share_interval
 from lipservo_lab.bench.calibration.shown_motion import (
     Motion,
     WantedShapes,
@@ -56,12 +55,8 @@ class RobotScore:
     printed_mm: float
     gap_r: float
     gap_slope: float
-    small_gaps_shut: float
     closures_touch: float
     closure_force_ratio: float
-    rival_small_gaps_shut: float
-    rival_closures_touch: float
-    rival_force_ratio: float
     contact_called: bool
 
 
@@ -87,12 +82,8 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
         printed_mm=lips_off_mm(fit.calibration.grade, fit.calibration.learnt_lips),
         gap_r=ours.gap_r,
         gap_slope=ours.gap_slope,
-        small_gaps_shut=ours.shut,
         closures_touch=ours.touch,
         closure_force_ratio=ours.force_ratio,
-        rival_small_gaps_shut=rival.shut,
-        rival_closures_touch=rival.touch,
-        rival_force_ratio=rival.force_ratio,
         contact_called=closing is not None and closing.closes,
     )
 
@@ -153,23 +144,13 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
 
     grades = np.array([score.printed_mm / score.true_mm for score in found])
     good = (grades >= _GOOD_GRADE[0]) & (grades <= _GOOD_GRADE[1])
-    touch = [score.closures_touch for score in found]
     little = sum(score.closure_force_ratio <= _ENOUGH_FORCE for score in found)
     return {
-        "intervals": {
-            "true_rms_mm": median_interval([score.true_mm for score in found]),
-            "closures_touch": median_interval(touch),
-            "grades_within": share_interval(int(good.sum()), len(found)),
-            "force_within_4": share_interval(little, len(found)),
-            "refused": share_interval(len(refused), len(found) + len(refused)),
-        },
         "robots": len(scores) + len(refused),
         "true_rms_mm": middle(lambda s: s.true_mm),
         "worst_rms_mm": max((s.true_mm for s in found), default=float("nan")),
         "gap_r": middle(lambda s: s.gap_r),
         "gap_slope": middle(lambda s: s.gap_slope),
-        "small_gaps_shut": middle(lambda s: s.small_gaps_shut),
-        "worst_small_gaps_shut": max((s.small_gaps_shut for s in found), default=float("nan")),
         "closures_touch": middle(lambda s: s.closures_touch),
         "worst_closures_touch": min((s.closures_touch for s in found), default=float("nan")),
         "closure_force_ratio": middle(lambda s: s.closure_force_ratio),
@@ -180,12 +161,8 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
         "contact_called": float(np.mean([s.contact_called for s in found])) if found else 0.0,
         "best_rival_ratio": middle(lambda s: s.true_mm / s.rival_mm),
         "rival_rms_mm": middle(lambda s: s.rival_mm),
-        "rival_small_gaps_shut": middle(lambda s: s.rival_small_gaps_shut),
-        "rival_closures_touch": middle(lambda s: s.rival_closures_touch),
-        "rival_closure_force_ratio": middle(lambda s: s.rival_force_ratio),
         "grade_over_truth": float(np.median(grades)) if found else float("nan"),
         "grades_within": float(good.mean()) if found else 0.0,
-        "healthy_refused": len(refused),
         "refused": len(refused),
         "refused_why": {str(seed): reason for seed, reason in refused.items()},
         "each": {

@@ -28,8 +28,6 @@ from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 TRACKERS: Final = ("computed", "csv", "json")
-#: So many for each tracker are enough.
-MOST_KILLS: Final = 20
 _FACE, _JOINT = "face_jaw", "jaw"
 _LOOK_S: Final = 0.02
 _NOISE_MM: Final = 0.3

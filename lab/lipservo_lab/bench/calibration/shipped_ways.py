@@ -22,7 +22,7 @@ from calibration.calibration import Calibration, CalibrationError
 from calibration.capture.capture import Robot, capture_poses
 from calibration.capture.dots import NAMES_FILE, DotsFolder
 from calibration.capture.marker_files import read_capture, write_plan
-from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
+from calibration.fit.guided import landmark_poses
 from calibration.fit.measured import fit_measured, split_frames
 from calibration.fit.retargeting import nearest_poses_deg
 from calibration.mouth_servos import MouthServos
@@ -34,7 +34,7 @@ from lipservo.calibrating.measured_calibration import CalibrationResult, fit_cap
 from lipservo.runtime.servos.assembly import simulated_wire
 from lipservo.runtime.servos.held_face import HeldFace
 from lipservo.settings.settings import FaceSettings
-from lipservo_lab.bench.calibration.calibration_figures import PERSON_DEG, PERSON_JAW_DEG
+from lipservo_lab.bench.calibration.calibration_figures import guided_by_eye
 from lipservo_lab.bench.calibration.elastic_draws import N_SERVOS, draw_elastic_robot
 from lipservo_lab.bench.calibration.shown_motion import NAMES, played, shown, wanted_shapes
 from lipsync.animpho.units import FaceWithAnimPhos
@@ -156,19 +156,13 @@ def _measured(task: _Task) -> Calibration:
 
 
 def _guided(task: _Task) -> Calibration:
-    """The person finds the pose that looks most like the speaker's, and is off by a few keys."""
-    poses = landmark_poses(task.model)
-    frames = np.array([pose.coefficients for pose in poses])
+    """A person finds the poses that look most like the speaker's."""
+    frames = np.array([pose.coefficients for pose in landmark_poses(task.model)])
     wanted = wanted_shapes(task.model, task.face, task.servos, frames)
     of, limits = NAMES.shape_features, task.servos.limits_deg
     best_deg = nearest_poses_deg(task.face.markers_mm, wanted.features, of, limits)
     is_jaw = np.arange(len(task.servos.joints)) == task.face.draw.jaw
-    off_deg = np.where(is_jaw, PERSON_JAW_DEG, PERSON_DEG)
-    noise = np.random.default_rng([task.seed, 2]).normal(size=best_deg.shape)
-    made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)
-    made_deg[[pose.name == CLOSED for pose in poses]] = best_deg[0]  # lips are felt to touch
-    made = {pose.name: degrees for pose, degrees in zip(poses, made_deg, strict=True)}
-    return fit_guided(task.model, task.servos, made)
+    return guided_by_eye(task.model, task.servos, best_deg, is_jaw, task.seed)
 
 
 def _practise(task: _Task) -> Calibration:

@@ -201,7 +201,6 @@ def widest_gap_mm(face: ElasticFace, servos: MouthServos) -> float:
 
 #: Lips whose edges are this near touch.
 _TOUCH_MM = 0.02
-_SMALL_MM = (2.0, 4.0)
 #: The force that suffices closes a slit that is so much too wide all along.
 _ENOUGH_MM = 0.15
 
@@ -213,7 +212,6 @@ class Motion:
     off_mm: float
     gap_r: float
     gap_slope: float
-    shut: float
     touch: float
     force_ratio: float
 
@@ -289,13 +287,11 @@ def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
     gap_mm = state.gaps_mm[:, N_PAIRS // 2]
     touches = gap_mm <= _TOUCH_MM
     closed = wanted.human_gap_mm <= CLOSED_GAP_MM
-    small = (wanted.human_gap_mm >= _SMALL_MM[0]) & (wanted.human_gap_mm <= _SMALL_MM[1])
     moves = gap_mm.std() > 0.0
     return Motion(
         off_mm=float(np.sqrt(np.mean(np.sum(off_mm**2, axis=2)))),
         gap_r=float(np.corrcoef(wanted.gap_mm, gap_mm)[0, 1]) if moves else 0.0,
         gap_slope=float(np.polyfit(wanted.gap_mm, gap_mm, 1)[0]),
-        shut=float(touches[small].mean()),
         touch=float(touches[closed].mean()),
         force_ratio=float(np.median(state.force_n[closed]) / face.closing_force_n(_ENOUGH_MM)),
     )

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from lipservo_lab.bench.cost import speech_turns
+from lipservo_lab.own_processes import started_alone
 from lipsync.errors import UserError
 
 _ROOT: Final = Path(speech_turns.__file__).parents[4]
@@ -32,7 +33,7 @@ class _Process:
     def __init__(self, root: Path, output: Path, face: str, sound: str, n_cycles: int) -> None:
         with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
             command = [sys.executable, speech_turns.__file__, root, output, face, sound, clip]
-            self._process = subprocess.Popen(
+            self._process = started_alone(
                 [*map(str, command), str(n_cycles)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -79,13 +80,13 @@ def cost_figures(
     face: str,
     sound: str,
     n_cycles: int,
-    advance: Callable[[], None] = lambda: None,
+    advance: Callable[[int, int], None] = lambda _n_done, _n_all: None,
 ) -> dict[str, Any]:
     """Return the figures of a face that speaks and rests in turns. Raises UserError.
 
     against: another checkout; None: no ratios. face: a shipped one. sound: `voice` or `file`, as in
     `speech_turns`. n_cycles: cycles of speech and rest; one more counts calls. advance: called
-    after each turn.
+    with the turns done and all of them.
 
     `speaking_ms`, `idle_ms`: processor time a second of sound, medians. `calls_per_step`: calls of
     C and of Python functions in 10 ms. `speaking_ratio`, `idle_ratio`: of processor time, ours over
@@ -102,11 +103,12 @@ def cost_figures(
             )
             for name, root in roots.items()
         }
-        for number in range((n_cycles + 1) * len(TURNS)):
+        n_turns = (n_cycles + 1) * len(TURNS)
+        for number in range(n_turns):
             is_counted = number >= n_cycles * len(TURNS)
             for name, process in running.items():
                 turns[name].append(process.turn(counts_calls=is_counted))
-            advance()
+            advance(number + 1, n_turns)
         targets = [process.targets() for process in running.values()]
     figures = turn_figures(turns)
     if len(targets) > 1:

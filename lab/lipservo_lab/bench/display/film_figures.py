@@ -6,7 +6,7 @@ The pixels are looked at by the tracker that imports video, as if the film were 
 import json
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import soundfile
 from lipservo.display.film import Display, film, write_film
 from lipservo.display.filmed_faces import FilmRequest, make_film
 from lipservo.runtime.motion_options import ChosenMotion
+from lipservo.terminal.output import Advance
 from lipservo_lab.corpus.utterance import Utterance
 from lipservo_lab.evaluation.readability.readers import (
     LIP_READER,
@@ -38,8 +39,6 @@ from lipsync.face.model import FaceModel
 from lipsync.markers import CLOSED_GAP_MM
 from lipsync.video.face_tracker import FaceTracker
 from lipsync.video.video_file import video_pictures, video_sound
-
-Advance = Callable[[str, int, int], None]
 
 _RATE_HZ = 25
 _SYNC_SIZE, _SYNC_PICTURES, _FLASHES = (320, 240), 100, (10, 33, 57, 84)

@@ -1,4 +1,4 @@
-"""What watching costs: bytes and processor time of the dashboard, and whether the bridge notices.
+"""What watching costs: processor time of the dashboard, by how many clients watch.
 
 This process is the face: a bridge at 100 Hz with ten simulated servos behind a pseudo-terminal,
 which writes its live board and answers at a control socket. The dashboard is the real one in a
@@ -40,20 +40,19 @@ from lipservo.runtime.status.live_board import (
     ServoBoard,
     expression_values,
 )
+from lipservo_lab.seen_processes import child_of, processor_s
 from lipsync.phonemes import PHONEMES
 
 RATE_HZ: Final = 100.0
 _N_SERVOS, _BAUD_RATE, _N_COMPONENTS = 10, 1_000_000, 8
 MANY: Final = 20
-#: With and without clients by turns, so that what else the computer does falls on both alike.
-_TURNS: Final = 3
 _START_S, _SETTLE_S = 180.0, 1.0
 #: Of a core, of a dashboard that nobody watches; it is waited for so many seconds at most.
 _AT_REST, _MOST_SETTLING = 0.08, 60
 
 
 class BenchedFace:
-    """The loop of a face, run for a given time; lateness of each of its ticks."""
+    """The loop of a face, run for a given time."""
 
     def __init__(
         self,
@@ -69,24 +68,14 @@ class BenchedFace:
         self._channel = channel
         self._clock = MonotonicClock()
 
-    def run(self, seconds: float, *, until: Callable[[], bool] = lambda: False) -> list[float]:
-        """How late each tick began, in seconds; a tick that was missed counts as its whole wait.
-
-        Scheduled as the bridge's process is.
-        """
+    def run(self, seconds: float, *, until: Callable[[], bool] = lambda: False) -> None:
+        """Run for so long, or until something is so, scheduled as the bridge's process is."""
         with on_time():
-            return self._run(seconds, until)
-
-    def _run(self, seconds: float, until: Callable[[], bool]) -> list[float]:
-        lateness: list[float] = []
-        end_s = self._clock.now() + seconds
-        for n, (time_s, late) in enumerate(ticks(self._clock, RATE_HZ)):
-            now_s = self._clock.now()
-            if now_s > end_s or (n % 10 == 0 and until()):
-                return lateness
-            lateness += [now_s - time_s + missed / RATE_HZ for missed in range(late + 1)]
-            self._tick(time_s, late)
-        return lateness
+            end_s = self._clock.now() + seconds
+            for n, (time_s, late) in enumerate(ticks(self._clock, RATE_HZ)):
+                if self._clock.now() > end_s or (n % 10 == 0 and until()):
+                    return
+                self._tick(time_s, late)
 
     def _tick(self, time_s: float, late: int) -> None:
         swing = float(np.sin(2.0 * np.pi * time_s))
@@ -106,41 +95,17 @@ class BenchedFace:
         self._control.answer(lambda: face_status(self._bridge))
 
 
-def stream_figures(seconds: float, progress: Callable[[int, int], None]) -> dict[str, float]:
-    """Kilobytes a second to one client, the dashboard's share of a core, the bridge's lateness.
-
-    seconds: of each of the windows. `stream_kb_s` is of /api/twin, `state_kb_s` of /api/state.
-    `bridge_lateness_ratio_20`: p99 of the lateness with twenty clients by that with a dashboard
-    without a watcher, medians of windows by turns.
-    """
+def stream_figures(seconds: float) -> dict[str, float]:
+    """The dashboard's share of a core with one client and with twenty. seconds: of each window."""
     figures: dict[str, float] = {}
     with watched_face() as (face, address, dashboard):
         _settle(face, dashboard())
-        n_steps = 1 + 2 * _TURNS
-        progress(0, n_steps)
-        with clients(address, 1, "/api/twin") as received:
-            face.run(_SETTLE_S)
-            began_s, spent_s = time.monotonic(), processor_s(dashboard())
-            face.run(seconds)
-            figures["dashboard_core_share_1"] = _share(dashboard(), spent_s, began_s)
-        figures["stream_kb_s"] = 1e-3 * received()
-        with clients(address, 1, "/api/state") as received:
-            face.run(seconds)
-        figures["state_kb_s"] = 1e-3 * received()
-        quiet, watched, shares = [], [], []
-        for turn in range(_TURNS):
-            progress(1 + 2 * turn, n_steps)
-            quiet.append(_p99(face.run(seconds)))
-            progress(2 + 2 * turn, n_steps)
-            with clients(address, MANY, "/api/twin"):
+        for n in (1, MANY):
+            with clients(address, n, "/api/twin"):
                 face.run(_SETTLE_S)
                 began_s, spent_s = time.monotonic(), processor_s(dashboard())
-                watched.append(_p99(face.run(seconds)))
-                shares.append(_share(dashboard(), spent_s, began_s))
-        figures["dashboard_core_share_20"] = float(np.median(shares))
-        figures["bridge_lateness_p99_ms"] = 1e3 * float(np.median(quiet))
-        figures["bridge_lateness_p99_ms_20"] = 1e3 * float(np.median(watched))
-        figures["bridge_lateness_ratio_20"] = float(np.median(watched) / np.median(quiet))
+                face.run(seconds)
+                figures[f"dashboard_core_share_{n}"] = _share(dashboard(), spent_s, began_s)
     return figures
 
 
@@ -173,7 +138,14 @@ def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
         face.run(_START_S, until=lambda: asking.poll() is not None)
         if asking.wait() != 0:
             raise RuntimeError("the dashboard did not start")
-        yield face, address, lambda: _child_of(os.getpid(), "dashboard")
+        yield face, address, _dashboard
+
+
+def _dashboard() -> int:
+    """The process of the dashboard. Raises RuntimeError where it has ended."""
+    if (pid := child_of(os.getpid(), "dashboard")) is None:
+        raise RuntimeError("the dashboard has ended")
+    return pid
 
 
 #: Waits until the dashboard says that its face ticks.
@@ -227,28 +199,5 @@ def _settle(face: BenchedFace, pid: int) -> None:
             return
 
 
-def processor_s(pid: int) -> float:
-    """Processor time that a process has used so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def _share(pid: int, spent_s: float, began_s: float) -> float:
     return (processor_s(pid) - spent_s) / (time.monotonic() - began_s)
-
-
-def _p99(lateness: list[float]) -> float:
-    return float(np.percentile(lateness, 99))
-
-
-def _child_of(parent: int, word: str) -> int:
-    """The process that a process has started with that word on its command line."""
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            its_parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
-            words = (folder / "cmdline").read_text().split("\0")
-        except OSError:
-            continue
-        if int(its_parent) == parent and word in words:
-            return int(folder.name)
-    raise RuntimeError("the dashboard has ended")

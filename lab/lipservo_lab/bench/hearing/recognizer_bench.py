@@ -21,8 +21,7 @@ from lipservo_lab.corpus.transcribed import (
     read_speakers,
     read_transcribed,
 )
-from lipservo_lab.evaluation.recognition.stream_observers import KnownText
-from lipsync.errors import UserError, check_extra
+from lipsync.errors import UserError
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
@@ -65,16 +64,8 @@ def measured_recognizer(
 ) -> Callable[[], LiveRecognizer]:
     """A function that makes the engine itself.
 
-    `energy` has a latency of its own. Raises MissingExtraError for pocketsphinx where it is not
-    installed, WeightsError.
+    `energy` has a latency of its own. Raises WeightsError.
     """
-    if engine == "pocketsphinx":
-        check_extra("pocketsphinx", "comparing with pocketsphinx")
-        from lipservo_lab.evaluation.recognition.pocketsphinx_recognizer import (
-            PocketsphinxRecognizer,
-        )
-
-        return lambda: PocketsphinxRecognizer(latency_s)
     if engine == "energy":
         return EnergyRecognizer
     learned = find_weights(weights)
@@ -82,23 +73,17 @@ def measured_recognizer(
 
 
 def known_texts(
-    utterances: Sequence[TranscribedUtterance],
-    which: Literal["own", "another", "pieces"] | None,
-    late_s: float,
-) -> dict[str, KnownText]:
+    utterances: Sequence[TranscribedUtterance], which: Literal["own", "another"] | None
+) -> dict[str, str]:
     """The text that the recogniser gets for each utterance, by name; None: none.
 
-    another: the text of the utterance half the list away. pieces: its own, in pieces of three
-    words. late_s: so long after the sound began; what came before it is not scored.
+    another: the text of the utterance half the list away.
     """
     if which is None:
-        return {u.name: KnownText("", late_s) for u in utterances}
+        return {u.name: "" for u in utterances}
     shift = max(1, len(utterances) // 2) if which == "another" else 0
     others = [*utterances[shift:], *utterances[:shift]]
-    return {
-        u.name: KnownText(other.text.lower(), late_s, which == "pieces")
-        for u, other in zip(utterances, others, strict=True)
-    }
+    return {u.name: other.text.lower() for u, other in zip(utterances, others, strict=True)}
 
 
 class SpeakerGroupError(UserError):

@@ -1,1 +1,1 @@
-"""Size and grain of the source: what a tick, a stop and a command pass, and lines by room."""
+"""The size of the source: what a tick, a stop and a command pass of it, and lines by room."""

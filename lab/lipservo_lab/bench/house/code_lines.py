@@ -1,4 +1,4 @@
-"""Lines of code by room, and the budgets that they are held to.
+"""Sources and pages of a checkout; lines of code by room, and the budgets that they are held to.
 
 A line counts when it holds a token that is neither comment nor docstring; blank lines cost nothing,
 so documenting is free.
@@ -93,6 +93,13 @@ def sources(root: Path, folder: str) -> Iterator[Path]:
         is_ours = inside[:1] != ("build",) and not {"tests", "node_modules"} & set(inside)
         if is_ours and not any(part.startswith(".") for part in inside):
             yield path
+
+
+def pages(root: Path) -> list[Path]:
+    """Return all Markdown pages of a checkout."""
+    folders = ("config", "docs", "examples", "firmware", "lipservo", "lipsync", "lab", ".github")
+    found = [*root.glob("*.md"), *(root / "client").glob("*.md")]
+    return sorted([*found, *(path for each in folders for path in (root / each).rglob("*.md"))])
 
 
 def room_lines(root: Path) -> dict[str, int]:

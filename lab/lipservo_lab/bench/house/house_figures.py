@@ -7,16 +7,14 @@ ours in which a function is entered, and a hop is a call from a function in one 
 in another. Calls within a file, comprehensions, and libraries are none.
 
 `stop_files`: files of ours between the arrival of a press of STOP at the page's server and the
-write that clears the register of torque: the server and the owner of the control socket as `bench
-stop-path` follows them, then the loop's thread from the beginning of the tick in which it comes.
+write that clears the register of torque: the server and the owner of the control socket as
+`stop_path` follows them, then the loop's thread from the beginning of the tick in which it comes.
 
 `loaded`: modules of ours, and their code lines, that `lipservo run --wav FILE` has loaded when it
 waits for its first tick; its `processor_s`: user and system time until then. `processor_s`: that of
 a whole process, least of some.
 
 `installed_mb`: of the disk, by what is installed: wheel and client, with the page, client alone.
-
-`words`: as `word_figures` counts them.
 """
 
 import json
@@ -24,18 +22,18 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 import lipservo
 from firmware_bridge.stopping import StopLevel
+from lipservo.terminal.output import Advance
 from lipservo_lab.bench.house import traced_ticks
 from lipservo_lab.bench.house.code_lines import budgets, code_lines, house_table, room_lines
 from lipservo_lab.bench.house.installed import installed_mb
-from lipservo_lab.bench.house.whole_objects import SourceTree, late_attributes, mixin_bases
-from lipservo_lab.bench.house.word_figures import word_figures
+from lipservo_lab.bench.stops.stop_path import register_files
 from lipsync.errors import UserError
 
 ROOT: Final = Path(lipservo.__file__).parents[1]
@@ -51,32 +49,28 @@ _N_PROCESSES: Final = 3
 _LONGEST_S: Final = 300.0
 
 
-def house_figures(progress: Callable[[str], None] = lambda _what: None) -> dict[str, Any]:
+def house_figures(advance: Advance = lambda _what, _n_done, _n_all: None) -> dict[str, Any]:
     """All figures; `over`: lines that say which are above their bar.
 
-    Raises UserError where the program is not run from a checkout.
+    advance: as `progress_bar` yields it. Raises UserError where the program is not run from a
+    checkout.
     """
     if not (ROOT / "pyproject.toml").is_file():
         raise UserError(f"{ROOT}: no checkout; `pip install -e . -e ./client -e ./lab` in one")
     table = house_table()
     figures: dict[str, Any] = {}
-    progress("ticks")
+    advance("house", 0, 4)
     figures["ticks"] = {name: tick_figures(name) for name in table["ticks"]}
-    progress("loaded")
+    advance("house", 1, 4)
     figures["loaded"] = loaded_figures()
-    progress("processes")
     figures["processor_s"] = {name: processor_s(line) for name, line in COMMANDS.items()}
+    advance("house", 2, 4)
+    figures["stop_files"] = len(register_files(StopLevel.LIMP))
+    advance("house", 3, 4)
     figures["installed_mb"] = {
         each: round(installed_mb(ROOT, each), 1) for each in table["installed_mb"]
     }
-    progress("stop")
-    figures["stop_files"] = stop_files()
-    progress("source")
-    tree = SourceTree(ROOT)
-    figures["mixin_bases"] = mixin_bases(tree)
-    figures["late_attributes"] = late_attributes(tree)
     figures["code_lines"] = room_lines(ROOT)
-    figures["words"] = word_figures(ROOT)
     return {**figures, "over": above_bars(figures)}
 
 
@@ -87,7 +81,6 @@ def above_bars(figures: dict[str, Any]) -> list[str]:
     for name, bars in table["ticks"].items():
         rows += [(f"{name} {key}", figures["ticks"][name][key], bar) for key, bar in bars.items()]
     rows += [(f"loaded {key}", figures["loaded"][key], bar) for key, bar in table["loaded"].items()]
-    rows += [(key, len(figures[key]), bar) for key, bar in table["unfinished"].items()]
     rows += [
         (f"{kind} {key}", figures[kind][key], bar)
         for kind in ("processor_s", "installed_mb")
@@ -119,13 +112,6 @@ def loaded_figures() -> dict[str, float]:
         "code_lines": sum(code_lines(text) for text in texts),
         "processor_s": found["processor_s"],
     }
-
-
-def stop_files() -> int:
-    """Files of ours between the page's STOP and the register of torque."""
-    from lipservo_lab.bench.stops.stop_path import register_files
-
-    return len(register_files(StopLevel.LIMP))
 
 
 def processor_s(arguments: Sequence[str]) -> float:

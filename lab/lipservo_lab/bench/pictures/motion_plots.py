@@ -4,7 +4,6 @@ A sheet of mouths: one for each phoneme, as it looks in the middle of a short wo
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -21,7 +20,6 @@ from lipservo_lab.evaluation.motion.methods import (
     all_methods,
 )
 from lipservo_lab.evaluation.motion.minimal_pairs import AFTER
-from lipservo_lab.evaluation.motion.recovery import ErrorRow, error_rows
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
 from lipsync.markers import CLOSED_GAP_MM, INNER_LIP_GROUP, OUTER_LIP_GROUP
@@ -108,8 +106,6 @@ _DRAWN_RATE_HZ = 100.0
 _DRAWN_COMPONENTS = (1, 6)
 #: Shown before and after speech, s.
 _MARGIN_S = 0.2
-_WITH_ERRORS = ("mean-face", "naive", "priority", LIVE_STRATEGY)
-_SENTENCES_WITH_ERRORS = 30
 RECORDED = "recorded"
 #: The same colour in every picture.
 COLOURS = {
@@ -129,30 +125,15 @@ COLOURS = {
 
 
 #: What is drawn into the folder.
-PICTURES = ("trajectory.png", "lookahead.png", "recovery.png", "errors.png", "mouths.png")
+PICTURES = ("trajectory.png", "recovery.png", "mouths.png")
 
 
-def draw(
-    folder: Path,
-    model: TrainedModel,
-    utterances: Sequence[Utterance],
-    rows: Sequence[Row],
-    recovery: Sequence[Row],
-) -> list[dict[str, object]]:
-    """Mouths, trajectory, error by look-ahead, what is left of a phoneme, error by wrong ones.
-
-    utterances: not the model's. Returns what the last picture shows.
-    """
+def draw(folder: Path, model: TrainedModel, unseen: Utterance, recovery: Sequence[Row]) -> None:
+    """Mouths, the trajectory of a sentence that is not the model's, what is left of a phoneme."""
     without_screen()
     draw_mouths(folder / "mouths.png", model)
-    draw_trajectory(folder, model, utterances[0])
-    draw_lookahead(folder, rows)
+    draw_trajectory(folder, model, unseen)
     draw_recovery(folder, recovery)
-    methods = [m for name, m in all_methods().items() if name in _WITH_ERRORS]
-    few = utterances[:_SENTENCES_WITH_ERRORS]
-    errors = error_rows(model, few, methods, lookahead_s=_DRAWN_LOOKAHEAD_S)
-    draw_errors(folder, errors)
-    return [asdict(row) for row in errors]
 
 
 def draw_trajectory(folder: Path, model: TrainedModel, utterance: Utterance) -> None:
@@ -204,37 +185,6 @@ def mark_phones(
     axis.set_xlim(spoken[0].start_s - _MARGIN_S, last_s + _MARGIN_S)
 
 
-def draw_lookahead(folder: Path, rows: Sequence[Row]) -> None:
-    """Ratio to the fixed reference against look-ahead, a panel for each split."""
-    from matplotlib import pyplot as plt
-
-    splits = list(dict.fromkeys(str(r["split"]) for r in rows))
-    figure, axes = plt.subplots(
-        1, len(splits), sharey=True, squeeze=False, figsize=(3 + 3 * len(splits), 4.5),
-        layout="constrained",
-    )  # fmt: skip
-    drawn = ("cohen-massaro-tuned", "plain-regression", LIVE_STRATEGY)
-    for axis, split in zip(axes[0], splits, strict=True):
-        axis.axhline(1.0, color=COLOURS[REFERENCE], label=REFERENCE)
-        for name in drawn:
-            mine = [r for r in rows if r["strategy"] == name and r["split"] == split]
-            if not mine:
-                continue
-            ratios = np.array([float_or_nan(r["ratio"]) for r in mine])
-            ends = np.array([r["ratio_95"] or (np.nan, np.nan) for r in mine], dtype=np.float64)
-            axis.errorbar(
-                [float_or_nan(r["lookahead_ms"]) for r in mine], ratios,
-                np.abs(ends.reshape(-1, 2).T - ratios),
-                marker="o", capsize=3, label=name, color=COLOURS[name],
-            )  # fmt: skip
-        axis.set_title(split)
-        axis.set_xlabel("look-ahead, ms")
-    axes[0][0].set_ylabel("RMSE over that of the fixed reference")
-    axes[0][0].legend(fontsize=8)
-    save_picture(figure, folder / "lookahead.png")
-    plt.close(figure)
-
-
 def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
     """What is left of one phoneme in those after it: recorded, made, wrong, put right."""
     from matplotlib import pyplot as plt
@@ -258,28 +208,6 @@ def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
     if axis.lines:
         axis.legend(fontsize=8)
     save_picture(figure, folder / "recovery.png")
-    plt.close(figure)
-
-
-def draw_errors(folder: Path, rows: Sequence[ErrorRow]) -> None:
-    """RMSE against the share of phonemes that are wrong, a panel for each kind of error."""
-    from matplotlib import pyplot as plt
-
-    kinds = list(dict.fromkeys(row.kind for row in rows))
-    figure, axes = plt.subplots(
-        1, len(kinds), sharey=True, squeeze=False, figsize=(10, 4), layout="constrained"
-    )
-    for axis, kind in zip(axes[0], kinds, strict=True):
-        for name in dict.fromkeys(row.strategy for row in rows):
-            mine = [row for row in rows if row.kind == kind and row.strategy == name]
-            rates, rmse_mm = [r.rate for r in mine], [r.rmse_mm for r in mine]
-            axis.plot(rates, rmse_mm, marker="o", label=name, color=COLOURS[name])
-        axis.set_title(kind)
-        axis.set_xlabel("share of wrong phonemes")
-    axes[0][0].set_ylim(bottom=0.0)
-    axes[0][0].set_ylabel("RMSE, mm")
-    axes[0][0].legend(fontsize=8)
-    save_picture(figure, folder / "errors.png")
     plt.close(figure)
 
 

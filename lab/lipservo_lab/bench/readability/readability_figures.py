@@ -14,6 +14,7 @@ import numpy as np
 
 from lipservo.runtime.servos.assembly import Face
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
+from lipservo.terminal.output import Advance
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipservo_lab.bench.motion_figures import (
     PHONEMES_RECOGNIZED,
@@ -59,8 +60,6 @@ from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.offline.line_methods import PLANNED_METHODS, LineMethod
 from lipsync.recognition.network import DEFAULT_WEIGHTS
-
-Advance = Callable[[str, int, int], None]
 
 RECORDED = "recorded"
 #: Whose face is read: the model's own, or the robot's.

@@ -17,7 +17,8 @@ from typing import Any, Final
 
 from lipservo_lab.bench.statements.claims import Statement
 from lipservo_lab.bench.stops.raw_control import Answer, connected, receive, request
-from lipservo_lab.bench.stops.robot_at_port import RobotAtPort, children_of, robot_at_port
+from lipservo_lab.bench.stops.robot_at_port import RobotAtPort, kill_all, robot_at_port
+from lipservo_lab.seen_processes import child_of
 
 #: A status is asked for this often, whatever happens.
 _POLL_S: Final = 0.12
@@ -145,18 +146,9 @@ class HeardFace:
 
     def child(self, daemon: subprocess.Popen[bytes], name: str) -> int:
         """The process id of the daemon's `bridge` or `speech`. Raises RuntimeError."""
-        found: list[int] = []
-
-        def is_there() -> bool:
-            for pid in children_of(daemon.pid):
-                with contextlib.suppress(OSError):
-                    if f"{name}-process" in Path(f"/proc/{pid}/cmdline").read_text():
-                        found.append(pid)
-            return bool(found)
-
-        if not self.until(is_there, 20.0):
+        if not self.until(lambda: child_of(daemon.pid, f"{name}-process") is not None, 20.0):
             raise RuntimeError(f"no {name} process")
-        return found[0]
+        return child_of(daemon.pid, f"{name}-process") or self.child(daemon, name)
 
     def close(self) -> None:
         """Stop asking, and read what is left."""
@@ -241,8 +233,5 @@ def heard_face(bus: str, *, critical: bool = False) -> Iterator[HeardFace]:
             yield face
         finally:
             for process in robot.processes:
-                for pid in (*children_of(process.pid), process.pid):
-                    with contextlib.suppress(OSError):
-                        if process.poll() is None:
-                            os.kill(pid, 9)
+                kill_all(process)
             face.close()

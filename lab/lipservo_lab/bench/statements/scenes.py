@@ -14,7 +14,7 @@ from typing import Final
 
 from lipservo_lab.bench.statements.heard_face import HeardFace
 from lipservo_lab.bench.stops.faces_on_buses import SERIAL
-from lipservo_lab.bench.stops.robot_at_port import CLIP, children_of
+from lipservo_lab.bench.stops.robot_at_port import CLIP, kill_all
 
 _DAEMON: Final = ("daemon", "--listen", "none")
 #: Long enough that what is said in a state is said several times.
@@ -281,7 +281,7 @@ def everybody(face: HeardFace, _bus: str) -> None:
     """All processes are killed at once; then who comes by asks, lets go, and starts again."""
     daemon = face.begin_face(*_DAEMON)
     face.until_driven()
-    _kill_all(daemon)
+    kill_all(daemon)
     face.wait(0.2)
     face.command("status")
     face.wait(3.0)
@@ -290,14 +290,14 @@ def everybody(face: HeardFace, _bus: str) -> None:
     daemon = face.begin_face(*_DAEMON)
     face.until_driven()
     face.command("stop", "--freeze")
-    _kill_all(daemon)
+    kill_all(daemon)
     face.wait(0.5)
     daemon = face.begin_face(*_DAEMON)
     face.until_state("frozen", "stopped", "driven", timeout_s=30.0)
     face.wait(_STAYS_S)
     face.command("status")
     face.command("stop", "--limp")
-    _kill_all(daemon)
+    kill_all(daemon)
     daemon = face.begin_face(*_DAEMON)
     face.until_state("stopped", timeout_s=30.0)
     face.wait(_STAYS_S)
@@ -353,14 +353,6 @@ def starting(face: HeardFace, bus: str) -> None:
 
 def _name(arguments: tuple[str, ...]) -> str:
     return arguments[0]
-
-
-def _kill_all(daemon: subprocess.Popen[bytes]) -> None:
-    children = children_of(daemon.pid)
-    for pid in (daemon.pid, *children):
-        with contextlib.suppress(OSError):
-            os.kill(pid, signal.SIGKILL)
-    daemon.wait()
 
 
 Scene = Callable[[HeardFace, str], None]

@@ -1,4 +1,4 @@
-"""A tenth of a processor for some processes, by a control group, and what the kernel says of them.
+"""A tenth of a processor for some processes, by a control group.
 
 Not by processes that run before all others: those would starve the kernel's own threads too, which
 carry the bytes of serial ports.
@@ -20,7 +20,6 @@ _PERIODS_US: Final = (20_000, 100_000, 300_000, 1_000_000)
 _CHANGES_S: Final = 3.0
 #: Its weight against other processes, so that these take no part of the share: of a hundred.
 _WEIGHTS: Final = {"cpu.weight": "10000", "cpu.shares": "102400"}
-_TICKS_S: Final = os.sysconf("SC_CLK_TCK")
 _GROUPS: Final = Path("/sys/fs/cgroup")
 
 
@@ -82,22 +81,3 @@ def processor_share(kind: str, share: float) -> Iterator[ProcessorShare]:
     finally:
         with contextlib.suppress(OSError):
             folder.rmdir()
-
-
-def processor_s(pid: int) -> float:
-    """How long a process has run so far; 0 where it has ended."""
-    fields = _stat(pid)
-    return (int(fields[11]) + int(fields[12])) / _TICKS_S if fields else 0.0
-
-
-def state_of(pid: int) -> str:
-    """One letter: R, S, T and so on; empty where it has ended."""
-    fields = _stat(pid)
-    return "" if not fields or fields[0] in "ZX" else fields[0]
-
-
-def _stat(pid: int) -> list[str]:
-    """The fields from the state on."""
-    with contextlib.suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
-    return []

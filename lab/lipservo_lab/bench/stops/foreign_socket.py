@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Final
 
 FOLDER_VARIABLE: Final = "FOREIGN_FOLDER"
-KINDS: Final = ("silent", "endless")
 #: Before every face of ours in the order of names.
 _NAME: Final = "a_stranger"
 

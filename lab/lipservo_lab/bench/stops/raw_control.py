@@ -21,15 +21,7 @@ def request(path: Path, word: str, timeout_s: float) -> Answer:
 
     Raises OSError where no answer comes within `timeout_s`.
     """
-    give_up_s = time.monotonic() + timeout_s
-    while True:
-        with contextlib.suppress(ConnectionError), connected(path, give_up_s) as client:
-            client.send(word.encode())
-            if answer := receive(client, give_up_s):
-                return answer
-        if time.monotonic() + _RETRY_S > give_up_s:
-            raise TimeoutError(f"{path}: no answer to {word!r} within {timeout_s:g} s")
-        time.sleep(_RETRY_S)
+    return _exchanged(path, word, timeout_s, waits_for_end=False)[0]
 
 
 def request_stop(path: Path, word: str, timeout_s: float) -> tuple[Answer, Answer | None]:
@@ -37,13 +29,19 @@ def request_stop(path: Path, word: str, timeout_s: float) -> tuple[Answer, Answe
 
     Raises OSError where no answer comes within `timeout_s`.
     """
+    return _exchanged(path, word, timeout_s, waits_for_end=True)
+
+
+def _exchanged(
+    path: Path, word: str, timeout_s: float, *, waits_for_end: bool
+) -> tuple[Answer, Answer | None]:
     give_up_s = time.monotonic() + timeout_s
     while True:
         with contextlib.suppress(ConnectionError), connected(path, give_up_s) as client:
             client.send(word.encode())
             if answer := receive(client, give_up_s):
                 with contextlib.suppress(OSError):
-                    return answer, receive(client, give_up_s)
+                    return answer, receive(client, give_up_s) if waits_for_end else None
                 return answer, None
         if time.monotonic() + _RETRY_S > give_up_s:
             raise TimeoutError(f"{path}: no answer to {word!r} within {timeout_s:g} s")

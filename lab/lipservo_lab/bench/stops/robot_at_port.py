@@ -5,7 +5,6 @@ whatever anybody says of them.
 """
 
 import contextlib
-import ctypes
 import os
 import signal
 import subprocess
@@ -27,15 +26,14 @@ from firmware_bridge.simulator.ports import PtyHost
 from lipservo.settings.settings import FaceSettings, load_face, load_shipped_face
 from lipservo_lab.bench.stops.faces_on_buses import face_yaml, logged_servos
 from lipservo_lab.bench.stops.logged_device import LoggedDevice
+from lipservo_lab.own_processes import started_alone
+from lipservo_lab.seen_processes import children_of
 
 FACE: Final = "face_four"
 CLIP: Final = Path(lipservo.__file__).parent / "clips" / "welcome.flac"
 
 _LOOK_S: Final = 0.005
 _TAIL: Final = 2000
-#: Loaded here, since a process between fork and exec must not load anything.
-_LIBC: Final = ctypes.CDLL(None)
-_PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 #: Of first-in-first-out scheduling; above everything ordinary.
 _PRIORITY: Final = 50
 
@@ -178,13 +176,13 @@ class RobotAtPort:
         output: what it writes goes there; None: to the log.
         """
         with self.log.open("ab") as file:
-            process = subprocess.Popen(
+            process = started_alone(
                 [sys.executable, "-P", *arguments],
+                signal.SIGKILL,
                 stdin=stdin,
                 stdout=file if output is None else output,
                 stderr=file if output is None else output,
                 env=self._surroundings(),
-                preexec_fn=_die_with_us,
             )
         self.processes.append(process)
         return process
@@ -200,19 +198,6 @@ class RobotAtPort:
         environment["XDG_DATA_HOME"] = str(self.folder / "data")
         environment["TMPDIR"] = str(self.folder / "tmp")
         return environment | self.environment
-
-
-def _die_with_us() -> None:
-    """In the new process, before its program: a campaign that is killed leaves nothing behind."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
-
-
-def children_of(pid: int) -> list[int]:
-    """The processes that it started."""
-    try:
-        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except OSError:
-        return []
 
 
 def kill_all(process: subprocess.Popen[bytes]) -> None:

@@ -23,10 +23,10 @@ from lipservo_lab.bench.stops.robot_at_port import (
     CLIP,
     FACE,
     RobotAtPort,
-    children_of,
     robot_at_port,
 )
 from lipservo_lab.bench.stops.stop_clients import Addresses
+from lipservo_lab.seen_processes import child_of
 
 #: A daemon has started when all its servos hold; it takes seconds on a busy machine.
 START_S: Final = 60.0
@@ -69,18 +69,10 @@ class RunningFace:
 
         Raises RuntimeError where none comes.
         """
-        found: list[int] = []
-
-        def is_there() -> bool:
-            for pid in children_of(self.daemon.pid):
-                with contextlib.suppress(OSError):
-                    if f"{name}-process" in Path(f"/proc/{pid}/cmdline").read_text():
-                        found.append(pid)
-            return bool(found)
-
-        if not self.robot.look_until(is_there, _REPLACED_S):
+        word, pid = f"{name}-process", self.daemon.pid
+        if not self.robot.look_until(lambda: child_of(pid, word) is not None, _REPLACED_S):
             raise RuntimeError(f"no {name} process: {self.robot.last_output}")
-        return found[0]
+        return child_of(pid, word) or self.child(name)
 
     def request(self, word: str) -> dict[str, Any]:
         """One word and its answer, while the servos are watched. Raises OSError."""

@@ -19,15 +19,11 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Final
 
-from lipservo_lab.bench.stops.busy_computer import (
-    ProcessorShare,
-    processor_s,
-    processor_share,
-    state_of,
-)
-from lipservo_lab.bench.stops.robot_at_port import CLIP, children_of
+from lipservo_lab.bench.stops.busy_computer import ProcessorShare, processor_share
+from lipservo_lab.bench.stops.robot_at_port import CLIP
 from lipservo_lab.bench.stops.running_face import RunningFace, running_face
 from lipservo_lab.repeated_recording import repeated
+from lipservo_lab.seen_processes import children_of, processor_s, state_of
 
 _FACE: Final = "face_head"
 #: Those that speech moves all the time.

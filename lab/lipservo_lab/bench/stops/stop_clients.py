@@ -126,11 +126,12 @@ def request_stop_by(
 
 
 def post_stop(
-    page: str, level: str, wait_s: int, timeout_s: float
+    page: str, level: str, wait_s: int, timeout_s: float, browser: str = "campaign"
 ) -> tuple[int, dict[str, object]]:
     """POST /api/stop as a browser does from the face's own page: (status, answer).
 
-    Raises OSError or http.client.HTTPException where no answer comes within `timeout_s`.
+    browser: the name that it gives itself. Raises OSError or http.client.HTTPException where no
+    answer comes within `timeout_s`.
     """
     connection = http.client.HTTPConnection(urlsplit(page).netloc, timeout=timeout_s)
     with contextlib.closing(connection):
@@ -139,6 +140,7 @@ def post_stop(
             "Content-Type": "application/json",
             "Origin": page,
             "Sec-Fetch-Site": "same-origin",
+            "User-Agent": browser,
         }
         connection.request("POST", "/api/stop", body, headers)
         answer = connection.getresponse()
@@ -176,12 +178,14 @@ def press_stop(page: str, level: str, post: Callable[..., tuple[int, object]] = 
     return 0
 
 
-def stop_by_control(agents: str, level: str, timeout_s: float = _LONGEST_S) -> str | bytes:
+def stop_by_control(
+    agents: str, level: str, timeout_s: float = _LONGEST_S, number: int | str = 1
+) -> str | bytes:
     """Send a stop to `/control` of voice agents, without a token: the first message that comes."""
     from websockets.sync.client import connect
 
     with connect(f"{agents}/control", open_timeout=timeout_s) as client:
-        client.send(json.dumps({"type": "stop", "id": 1, "level": level}))
+        client.send(json.dumps({"type": "stop", "id": number, "level": level}))
         return client.recv(timeout_s)
 
 

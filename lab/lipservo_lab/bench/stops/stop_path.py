@@ -1,65 +1,27 @@
-"""How much of ours a stop passes on its way: files and calls from its arrival to the command queue.
+"""What of ours a stop passes on its way: files and calls from its arrival to the command queue.
 
 On real processes with the real code; `lipservo_lab.bench.stops.traced` says where a walk begins and
 ends. Summed over the processes that a stop passes: the server of the page or of voice agents, then
 the process that owns the control socket.
 """
 
-import contextlib
-import http.client
 import json
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import urlsplit
 
 from firmware_bridge.stopping import StopLevel
 from lipservo_lab.bench.stops import traced
-from lipservo_lab.bench.stops.raw_control import request
 from lipservo_lab.bench.stops.running_face import RunningFace, running_face
+from lipservo_lab.bench.stops.stop_clients import post_stop
 
-#: Bars of both figures: one file is the room that is kept for stops beside idle connections.
-MOST_FILES: Final = 7
-MOST_CALLS: Final = 40
 #: The tracer in each process has seen the flag after this.
 _FLAG_S: Final = 0.2
 _COMES_S: Final = 10.0
-_COMES_BACK_S: Final = 20.0
-_TIMEOUT_S: Final = 10.0
+TIMEOUT_S: Final = 10.0
 _OWNER: Final = "bridge-process"
 
 Walk = dict[str, Any]
-
-
-def stop_path_figures(
-    levels: Sequence[StopLevel] = tuple(StopLevel),
-    progress: Callable[[int, int], None] = lambda _n_done, _n_all: None,
-) -> dict[str, Any]:
-    """files, calls: of the worst client; by_client: of each, with its walk, and its worst level.
-
-    Where the program has no start, only the first of the levels, since a second stop of another
-    level finds no face. Raises RuntimeError where a stop does not come to the queue.
-    """
-    worst: dict[str, dict[str, Any]] = {}
-    with running_face(page=True, agents=True, tracer=traced) as face:
-        if not face.knows_start():
-            levels = (StopLevel.FREEZE,)
-        n_all, n_done = len(levels) * len(_CLIENTS), 0
-        for level in levels:
-            for name, stop in _CLIENTS.items():
-                found = {"level": level.value, **_traced(face, level, stop)}
-                if name not in worst or found["calls"] > worst[name]["calls"]:
-                    worst[name] = found
-                if len(levels) > 1:
-                    _start_again(face)
-                n_done += 1
-                progress(n_done, n_all)
-    return {
-        "files": max(each["files"] for each in worst.values()),
-        "calls": max(each["calls"] for each in worst.values()),
-        "by_client": worst,
-    }
 
 
 def register_files(level: StopLevel) -> set[str]:
@@ -68,7 +30,8 @@ def register_files(level: StopLevel) -> set[str]:
     Raises RuntimeError where the stop does not come to it.
     """
     with running_face(page=True, tracer=traced) as face:
-        walk = _traced(face, level, _by_page)["walk"]
+        page, marker = face.at.page, traced.MARKER
+        walk = traced_stop(face, lambda: post_stop(page, level, 0, TIMEOUT_S, marker))["walk"]
         came = face.robot.look_until(lambda: bool(_walks(face.inject, "register")), _COMES_S)
         if not came:
             raise RuntimeError(f"a {level} stop did not come to the register of torque: {walk}")
@@ -77,23 +40,25 @@ def register_files(level: StopLevel) -> set[str]:
     return passed | {file for file, _ in register}
 
 
-def _traced(
-    face: RunningFace, level: StopLevel, stop: Callable[[RunningFace, StopLevel], None]
-) -> dict[str, Any]:
+def traced_stop(face: RunningFace, stop: Callable[[], object]) -> dict[str, Any]:
+    """Files and calls that a stop passes; stop: requests it, with `MARKER` in the request.
+
+    Raises RuntimeError where it does not come to the queue.
+    """
     for path in face.inject.glob("walk.*.json"):
         path.unlink()
     flag = face.inject / traced.FLAG
     flag.touch()
     face.robot.look(_FLAG_S)
     try:
-        stop(face, level)
+        stop()
         came = face.robot.look_until(lambda: _comes_to_queue(face.inject), _COMES_S)
     finally:
         face.robot.look(_FLAG_S)
         flag.unlink()
     walks = _walks(face.inject)
     if not came:
-        raise RuntimeError(f"a {level} stop did not come to the queue: {walks}")
+        raise RuntimeError(f"a stop did not come to the queue: {walks}")
     return counted(walks)
 
 
@@ -118,63 +83,3 @@ def _walks(folder: Path, kind: str = "walk") -> list[Walk]:
 
 def _comes_to_queue(folder: Path) -> bool:
     return any(walk["calls"][-1][1] == traced.QUEUE for walk in _walks(folder))
-
-
-def _start_again(face: RunningFace) -> None:
-    """Driven, as before the stop. Raises RuntimeError."""
-    give_up_s = time.monotonic() + _COMES_BACK_S
-    while time.monotonic() < give_up_s:
-        with contextlib.suppress(OSError):
-            if face.request("start").get("accepted") and face.look_until_state(
-                "driven", _COMES_BACK_S
-            ):
-                face.robot.look(0.5)
-                return
-        face.robot.look(0.2)
-    raise RuntimeError(f"the face does not start again: {face.status().get('state')}")
-
-
-def _by_socket(face: RunningFace, level: StopLevel) -> None:
-    """Bytes on the control socket, as the command line sends them."""
-    request(face.at.control, level.value, _TIMEOUT_S)
-
-
-def _by_page(face: RunningFace, level: StopLevel) -> None:
-    """Stop by the page's button."""
-    _post(face, level, 0)
-
-
-def _by_api(face: RunningFace, level: StopLevel) -> None:
-    """A program that waits for the end."""
-    _post(face, level, 1)
-
-
-def _post(face: RunningFace, level: StopLevel, wait_s: int) -> None:
-    connection = http.client.HTTPConnection(urlsplit(face.at.page).netloc, timeout=_TIMEOUT_S)
-    headers = {
-        "Content-Type": "application/json",
-        "Origin": face.at.page,
-        "Sec-Fetch-Site": "same-origin",
-        "User-Agent": traced.MARKER,
-    }
-    with contextlib.closing(connection):
-        body = json.dumps({"level": level, "wait_s": wait_s})
-        connection.request("POST", "/api/stop", body, headers)
-        connection.getresponse().read()
-
-
-def _by_control(face: RunningFace, level: StopLevel) -> None:
-    """A voice agent, as `connect().stop()` does."""
-    from websockets.sync.client import connect
-
-    with connect(f"{face.at.agents}/control", open_timeout=_TIMEOUT_S) as client:
-        client.send(json.dumps({"type": "stop", "id": traced.MARKER, "level": level}))
-        client.recv(_TIMEOUT_S)
-
-
-_CLIENTS: Final = {
-    "socket": _by_socket,
-    "page": _by_page,
-    "api": _by_api,
-    "control": _by_control,
-}

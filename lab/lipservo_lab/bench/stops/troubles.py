@@ -19,8 +19,8 @@ import numpy as np
 import soundfile
 
 from lipservo_lab.bench.stops import foreign_socket, pollers
-from lipservo_lab.bench.stops.robot_at_port import children_of
 from lipservo_lab.bench.stops.running_face import START_S, RunningFace, start_daemon
+from lipservo_lab.seen_processes import children_of
 
 
 class Trouble(StrEnum):

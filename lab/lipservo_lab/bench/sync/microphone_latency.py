@@ -18,6 +18,7 @@ from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.speech import Delay
 from lipservo.runtime.street import make_street
+from lipservo.terminal.output import Advance
 from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ
 from lipservo_lab.evaluation.recognition.heard_motion import (
     Closure,
@@ -149,8 +150,6 @@ def _goals_deg(samples: NDArray[np.float32], motion: MotionOptions) -> Array:
     return np.array(sent_deg)
 
 
-#: How one says how far it has got: what, number, of how many.
-Advance = Callable[[str, int, int], None]
 #: A recording, and the phones that are spoken in it.
 Recording = tuple[Path, Sequence[PhonemeEvent]]
 

@@ -5,7 +5,7 @@ When lips close and part, against when the sound says that they do.
 A synthesiser's speech, rendered as `render` does, and played as `perform` does.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -157,8 +157,6 @@ def _performance(text: SynthesizedSpeech) -> Performance:
 
 #: A closure hit (docs/motion.md): closed from 40 ms before the phoneme to 40 ms after it.
 _WINDOW_S: Final = 0.040
-#: How much the figures owe to what counts as closed.
-_OTHER_GAPS_MM: Final = (0.9, 1.5, 2.0, 3.0)
 #: Of full scale; an onset passes it within a millisecond or two.
 _LOUD: Final = 0.02
 #: The face is brought up, the sound is late, and the mouth goes to rest at the end.
@@ -170,7 +168,6 @@ class SpeechTiming:
     """Of all sentences: how much later lips close and part than the sound says, seconds.
 
     n_wanted, n_unmatched: closings and partings together. n_closures, n_hits: of P B M.
-    errors_by_closed_mm_s: the same errors where lips count as closed at another gap.
     """
 
     errors_s: Array
@@ -178,7 +175,6 @@ class SpeechTiming:
     n_unmatched: int
     n_closures: int
     n_hits: int
-    errors_by_closed_mm_s: Mapping[float, Array]
 
 
 def speech_timing(
@@ -200,7 +196,6 @@ def speech_timing(
     rendered = [None] * len(texts) if performances is None else performances
     rng = np.random.default_rng(loudspeaker_seed)
     errors_s: list[Array] = []
-    others_s: dict[float, list[Array]] = {closed_mm: [] for closed_mm in _OTHER_GAPS_MM}
     n_wanted = n_unmatched = n_closures = n_hits = 0
     for text, performance in zip(texts, rendered, strict=True):
         watched, sound_s = _spoken(text, _loudspeaker(rng), performance, knows=knows, kind=kind)
@@ -214,17 +209,10 @@ def speech_timing(
             errors_s.append(late_s)
             n_wanted += len(wanted_s)
             n_unmatched += n_missing
-        for closed_mm, found_s in others_s.items():
-            other = seen_closures(times_s, watched.gap_mm, closed_mm)
-            found_s.append(matched_errors_s(wanted.closing_s, other.closing_s)[0])
-            found_s.append(matched_errors_s(wanted.parting_s, other.parting_s)[0])
         hits = _closure_hits(text.phonemes, times_s, watched.gap_mm)
         n_closures += len(hits)
         n_hits += sum(hits)
-    by_gap_s = {closed_mm: np.concatenate(found_s) for closed_mm, found_s in others_s.items()}
-    return SpeechTiming(
-        np.concatenate(errors_s), n_wanted, n_unmatched, n_closures, n_hits, by_gap_s
-    )
+    return SpeechTiming(np.concatenate(errors_s), n_wanted, n_unmatched, n_closures, n_hits)
 
 
 def _loudspeaker(rng: np.random.Generator) -> SimulatedLoudspeaker:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from lipservo_lab.bench.sync.speaking_robot import SimulatedLoudspeaker, SpeakingRobot, Watched
 from lipservo_lab.bench.sync.speech_timing import first_sample_s
-from lipsync.arrays import Array
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.markers import CLOSED_GAP_MM
 from lipsync.text_to_speech.synthesis import SynthesizedSpeech
@@ -178,21 +177,3 @@ def _jittery(n_samples: int, rate_hz: int, rng: np.random.Generator) -> list[tup
 
 def _from_first_sound(text: SynthesizedSpeech) -> NDArray[np.float32]:
     return text.samples[int(np.flatnonzero(np.abs(text.samples) > _SOUNDS)[0]) :]
-
-
-def percentile_ms(values_s: Array, percent: float) -> float:
-    """Return a percentile in milliseconds, to a tenth.
-
-    Parameters
-    ----------
-    values_s : Array
-        (n,).
-    percent : float
-        0 to 100.
-
-    Returns
-    -------
-    float
-        ms.
-    """
-    return round(float(np.percentile(values_s, percent)) * 1e3, 1)

@@ -5,7 +5,6 @@ Sentences that `bench sync` says: every P, B and M beside many neighbours.
 How far lips and sound drift apart over minutes, where the sound card's clock is wrong.
 """
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -19,6 +18,7 @@ from lipservo.runtime.motion_options import (
 )
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.speech_side import make_speech_side
+from lipservo.terminal.output import Advance
 from lipservo_lab.bench.sync.microphone_latency import clip_to_bus_s
 from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf, SimulatedLoudspeaker
 from lipservo_lab.bench.sync.speech_timing import SpeechTiming, performances_of, speech_timing
@@ -73,9 +73,6 @@ def drift_s(skew: float, duration_s: float, *, jitter_s: float = 0.005) -> float
     heard_s = np.interp(now_s[settled], left_s, positions_s)
     return float(np.abs(shown_s[settled] - heard_s).max())
 
-
-#: How one says how far it has got: what, number, of how many.
-Advance = Callable[[str, int, int], None]
 
 #: The largest error of a sound card's clock.
 _SKEW: Final = 200e-6
@@ -148,10 +145,6 @@ def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
     return {
         f"{name}_median_ms": _ms(np.median(error_s)),
         f"{name}_p95_ms": _ms(np.percentile(error_s, 95)),
-        f"{name}_p95_ms_by_closed_mm": {
-            str(closed_mm): _ms(np.percentile(np.abs(errors_s), 95))
-            for closed_mm, errors_s in timing.errors_by_closed_mm_s.items()
-        },
         f"{name}_late_ms": _ms(np.median(timing.errors_s)),
         f"{name}_unmatched": round(timing.n_unmatched / timing.n_wanted, 4),
         f"{name}_events": timing.n_wanted,

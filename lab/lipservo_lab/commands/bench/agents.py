@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
+from lipservo.terminal.output import progress_bar
+from lipservo_lab.commands.bench.printing import print_figures
 from lipsync.errors import UserError, check_extra
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def agent(
         for name in names:
             speaks = _agent(name)
             figures[name] = agent_figures(speaks, turns, barge_ins, partial(advance, name))
-    _print({**figures, "machine": machine_class()}, as_json=as_json)
+    print_figures(figures, as_json=as_json)
 
 
 _AGENTS: Final = ("pipecat", "livekit", "openai", "wyoming")
@@ -78,12 +79,4 @@ def day(
     events = {name: max(1, round(n * minutes / 12.0)) for name, n in EVENTS.items()}
     with progress_bar(quiet=quiet) as advance:
         figures = day_figures(minutes, events, lambda done, of: advance("events", done, of))
-    _print({**figures, "machine": machine_class()}, as_json=as_json)
-
-
-def _print(figures: dict[str, object], *, as_json: bool) -> None:
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+    print_figures(figures, as_json=as_json)

@@ -5,17 +5,18 @@
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import Progress
 
 from calibration.simulated.robot_family import RobotFamily
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+from lipservo.terminal.output import MESSAGES, progress_bar
+from lipservo_lab.commands.bench.printing import print_figures
 from lipsync.errors import UserError, check_extra
 
 #: What the replay figure replays: a sentence of 3 s and an utterance of 20 s.
@@ -32,41 +33,28 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
     Without the corpora: the speeds on the bundled clip, and no miss rates.
     """
-    from lipservo.runtime.settled_phonemes import settled_events
     from lipservo_lab.bench import speed_figures as measure
-    from lipservo_lab.learning.motion.trained_model import load_trained_model
-    from lipsync.audio.file import FileSource
-    from lipsync.recognition.recognizers import make_recognizer
 
     began_s = time.perf_counter()
-    model = load_trained_model()
     if corpora is not None and not corpora.is_dir():
         raise UserError(f"{corpora}: no such folder; give the one that holds grid_s1")
-    figures: dict[str, float] = {
-        "mean_successors": model.animphos.mean_successors,
-        "variance_held": float(model.provenance["variance_held"]),
-    }
+    known = [] if corpora is None else [corpora / name for name in _REPLAYED]
+    recordings = [path for path in known if path.is_file()]
+    figures: dict[str, float] = {}
     with (
         resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
-        Progress(console=MESSAGES, transient=True, disable=quiet) as progress,
+        progress_bar(quiet=quiet) as advance,
     ):
-        steps = progress.add_task("synthesis", total=4)
-        figures |= measure.synthesis_times_ms(
-            model.animphos, [list(settled_events(FileSource(clip), make_recognizer("network")))]
-        )
-        progress.advance(steps)
-        known = [] if corpora is None else [corpora / name for name in _REPLAYED]
-        recordings = [path for path in known if path.is_file()]
+        advance("synthesis", 0, 3)
         figures["replay_speed"] = measure.replay_speed(recordings or [clip])
-        progress.advance(steps)
+        advance("synthesis", 1, 3)
         figures |= measure.live_figures()
-        progress.advance(steps)
+        advance("synthesis", 2, 3)
         if corpora is not None and (corpora / "grid_s1").is_dir():
             figures |= measure.miss_rates(corpora / "grid_s1")
         else:
             MESSAGES.print("no miss rates: give --corpora, a folder that holds the corpus grid_s1")
-        progress.advance(steps)
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    print_figures(figures, as_json=as_json, began_s=began_s)
 
 
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
@@ -91,46 +79,17 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
         cpu_ratios,
         measure.wire_figures,
         measure.fault_figures,
-        measure.silent_cycle_figures,
         measure.replug_figures,
         stall_figures,
         feetech_tick_ratios,
         pulse_tick_ratios,
     ]
     figures: dict[str, float | str] = {"scheduling": measure.scheduling()}
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        steps = progress.add_task("bus", total=len(parts))
-        for part in parts:
+    with progress_bar(quiet=quiet) as advance:
+        for number, part in enumerate(parts):
+            advance("bus", number, len(parts))
             figures |= part()
-            progress.advance(steps)
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
-
-
-def loop(
-    seconds: Annotated[
-        float, typer.Option(min=4.0, help="How long each rate is watched, in four windows.")
-    ] = 20.0,
-    with_bus: Annotated[
-        bool, typer.Option("--with-bus", help="Drive ten simulated servos in every tick, too.")
-    ] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Measure how late an empty loop begins its ticks while every core is busy.
-
-    That is what the computer adds; how late a face is, --with-bus tells.
-    """
-    from lipservo_lab.bench.loop_figures import lateness_figures
-
-    began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        steps = progress.add_task("loop", total=None)
-
-        def advance(n_done: int, n_runs: int) -> None:
-            progress.update(steps, completed=n_done, total=n_runs)
-
-        figures = lateness_figures(seconds, advance, with_bus=with_bus)
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    print_figures(figures, as_json=as_json, began_s=began_s)
 
 
 def faults(
@@ -194,12 +153,8 @@ def faults(
     if only and not (stops and only in STOP_PARTS):
         raise UserError(f"--only {only}: goes with --stops; one of {', '.join(STOP_PARTS)}")
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        steps = progress.add_task("cases", total=None)
-
-        def advance(n_done: int, n_cases: int) -> None:
-            progress.update(steps, completed=n_done, total=n_cases)
-
+    with progress_bar(quiet=quiet) as bar:
+        advance = partial(bar, "cases")
         if stops:
             figures, broken = stop_campaign_figures(every, advance, only)
         elif signals:
@@ -210,51 +165,23 @@ def faults(
             figures, broken = campaign_figures(every, advance, bus=bus, whole=whole)
     for line in broken:
         MESSAGES.print(line, soft_wrap=True)
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    print_figures(figures, as_json=as_json, began_s=began_s)
     if broken:
         raise typer.Exit(1)
 
 
-def stop_path(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Count what a stop passes on its way: files and calls from its arrival to the command queue.
-
-    By each client that may request it, on real processes. Exit status 1 above the bars.
-    """
-    from lipservo_lab.bench.stops.stop_path import MOST_CALLS, MOST_FILES, stop_path_figures
-
-    began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        steps = progress.add_task("stops", total=None)
-
-        def advance(n_done: int, n_all: int) -> None:
-            progress.update(steps, completed=n_done, total=n_all)
-
-        figures = stop_path_figures(progress=advance)
-    if not as_json:
-        for name, found in figures.pop("by_client").items():
-            RESULTS.print(f"{name}: {found['files']} files, {found['calls']} calls")
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
-    if figures["files"] > MOST_FILES or figures["calls"] > MOST_CALLS:
-        raise typer.Exit(1)
-
-
 def house(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Count what a tick, a stop and a command pass of the source, lines of rooms, and words.
+    """Count what a tick, a stop and a command pass of the source, and lines of rooms.
 
     Needs a checkout. Figures above a bar are named at the end; exit status 1 where there are any.
     """
     from lipservo_lab.bench.house.house_figures import house_figures
 
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        steps = progress.add_task("house", total=None)
-        figures = house_figures(lambda what: progress.update(steps, description=what))
-    over, words = figures["over"], figures["words"]
-    if not as_json:
-        words |= words.pop("pages")
-        counts = {name: len(it) if isinstance(it, list) else it for name, it in words.items()}
-        figures["words"] = counts
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    with progress_bar(quiet=quiet) as advance:
+        figures = house_figures(advance)
+    over = figures["over"]
+    print_figures(figures, as_json=as_json, began_s=began_s)
     for line in over:
         MESSAGES.print(line, highlight=False)
     if over:
@@ -283,17 +210,14 @@ def endurance(
     from lipservo_lab.campaigns.endurance import endurance_figures, what_went_wrong
 
     began_s = time.perf_counter()
-    with (
-        Progress(console=MESSAGES, transient=True, disable=quiet) as progress,
-        SignalCounter() as signals,
-    ):
-        steps = progress.add_task("endurance", total=cycles)
-
-        def advance(n_done: int) -> None:
-            progress.update(steps, completed=n_done)
-
-        figures = endurance_figures(cycles, advance, lambda: signals.count > 0, resume)
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    with progress_bar(quiet=quiet) as advance, SignalCounter() as signals:
+        figures = endurance_figures(
+            cycles,
+            lambda n_done: advance("cycles", n_done, cycles),
+            lambda: signals.count > 0,
+            resume,
+        )
+    print_figures(figures, as_json=as_json, began_s=began_s)
     wrong = what_went_wrong(figures)
     for line in wrong:
         MESSAGES.print(line)
@@ -338,25 +262,15 @@ def calibration(
         raise typer.BadParameter("--ways goes with --family elastic")
     numbers = read_seeds(seeds)
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        robots = progress.add_task("robots and mouths", total=None)
+    with progress_bar(quiet=quiet) as advance:
         figures = bench_figures(
             numbers,
             list(RobotFamily) if family is None else [family],
             ways=ways,
             kills=kills,
-            advance=lambda done, of: progress.update(robots, completed=done, total=of),
+            advance=partial(advance, "robots and mouths"),
         )
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
-
-
-def _print(figures: Mapping[str, object], seconds: float, *, as_json: bool) -> None:
-    result = {**figures, "machine": machine_class(), "seconds": seconds}
-    if as_json:
-        print_json(result)
-        return
-    for name, value in result.items():
-        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+    print_figures(figures, as_json=as_json, began_s=began_s)
 
 
 def replay(
@@ -367,21 +281,14 @@ def replay(
     times: Annotated[int, typer.Option(min=1, help="The median of so many replays counts.")] = 5,
     as_json: Json = False,
 ) -> None:
-    """Measure the speed of `replay`, and of its recogniser with sound ahead and without."""
-    from lipservo_lab.bench.speed_figures import replay_figures
+    """Measure the speed of `replay`."""
+    from lipservo_lab.bench.speed_figures import replay_speed
     from lipservo_lab.repeated_recording import repeated
 
-    if sound is not None:
-        figures = replay_figures(sound, times)
-    else:
-        with (
-            resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
-            tempfile.TemporaryDirectory() as folder,
-        ):
-            figures = replay_figures(repeated(clip, Path(folder) / "welcome.wav"), times)
-    result = {**figures, "machine": machine_class()}
-    if as_json:
-        print_json(result)
-        return
-    for name, value in result.items():
-        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+    with (
+        resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        replayed = sound or repeated(clip, Path(folder) / "welcome.wav")
+        figures = {"replay_speed": replay_speed([replayed], times)}
+    print_figures(figures, as_json=as_json)

@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import Progress
-from rich.table import Table
 
 from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsChoice
-from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
-from lipservo_lab.commands.bench.recognition import Cache, Limit, Speakers
+from lipservo.terminal.output import MESSAGES, print_json, progress_bar
+from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
+from lipservo_lab.commands.options import Cache, Limit, Speakers
 from lipsync.errors import UserError
 from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S, check_weights, find_weights
@@ -90,20 +89,11 @@ def closures(
                 listen(utterance.sound, alignments[utterance.name].events())
                 advance("closing", number, len(utterances))
     figures = {**closure_figures(found), **lip_speed_figures(speeds)}
-    settings = {
-        "weights": weights,
-        "lookahead_ms": lookahead_ms,
-        "latency_ms": latency_ms,
-        "machine": machine_class(),
-    }
     missed = [f"{c.phone.phoneme} at {c.phone.start_s:.2f} s" for c in found if not c.is_reached]
     if corpus is None:
         figures["missed"] = missed
-    if as_json:
-        print_json({**figures, **settings})
-        return
-    for name, value in {**figures, **settings}.items():
-        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+    settings = {"weights": weights, "lookahead_ms": lookahead_ms, "latency_ms": latency_ms}
+    print_figures({**figures, **settings}, as_json=as_json)
 
 
 def clip_phones(clip: Path) -> "tuple[PhonemeEvent, ...]":
@@ -115,17 +105,17 @@ def clip_phones(clip: Path) -> "tuple[PhonemeEvent, ...]":
     return align(read_speech(clip), text).phones
 
 
-#: A column's heading, and the figure in it.
-_COLUMNS = (
-    ("look-ahead, ms", "lookahead_ms"),
-    ("recogniser, ms", "latency_ms"),
-    ("declared delay, ms", "declared_delay_ms"),
-    ("microphone to bus, p95, ms", "microphone_to_bus_p95_ms"),
-    ("P B M met", "closure_hits"),
-    ("F V met", "labiodental_hits"),
-    ("visemes, all", "viseme_all"),
-    ("visemes, speech", "viseme_speech"),
-)
+#: The figures of a row, and their headings.
+_COLUMNS = {
+    "lookahead_ms": "look-ahead, ms",
+    "latency_ms": "recogniser, ms",
+    "declared_delay_ms": "declared delay, ms",
+    "microphone_to_bus_p95_ms": "microphone to bus, p95, ms",
+    "closure_hits": "P B M met",
+    "labiodental_hits": "F V met",
+    "viseme_all": "visemes, all",
+    "viseme_speech": "visemes, speech",
+}
 
 
 def microphone(
@@ -174,23 +164,21 @@ def microphone(
             recordings = [(u.sound, alignments[u.name].events()) for u in utterances]
             rows = microphone_table(recordings, face, weights, accuracy, advance)
     if as_json:
-        print_json({"rows": rows, "weights": weights, "machine": machine_class()})
+        print_json(with_machine({"rows": rows, "weights": weights}))
         return
-    RESULTS.print(_table(rows))
+    print_table(rows, {name: head for name, head in _COLUMNS.items() if name in rows[0]})
 
 
-def _table(rows: list[dict[str, object]]) -> Table:
-    columns = [(heading, name) for heading, name in _COLUMNS if name in rows[0]]
-    table = Table(*(heading for heading, _ in columns))
-    for row in rows:
-        table.add_row(*(_shown(row[name]) for _, name in columns))
-    return table
-
-
-def _shown(value: object) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+#: What is printed of a folder's sounds.
+_OPENINGS = {
+    "folder": "folder",
+    "open_share": "open",
+    "speech_share": "speech",
+    "openings_per_min": "openings/min",
+    "widest_mm": "widest mm",
+    "files": "files",
+    "seconds": "s",
+}
 
 
 def nonspeech(
@@ -232,21 +220,12 @@ def nonspeech(
         "engine": engine,
         "weights": weights,
         "lookahead_ms": DEFAULT_LOOKAHEAD_S * 1e3,
-        "machine": machine_class(),
     }
-    figures = found.as_dict()
     if as_json:
-        print_json({**figures, **settings})
+        print_json(with_machine({**found.as_dict(), **settings}))
         return
-    table = Table("folder", "open", "speech", "openings/min", "widest mm", "files", "s")
-    for name, row in {"all": found.figures(), **found.figures_by_folder()}.items():
-        table.add_row(
-            name,
-            *(f"{row[key]:.3f}" for key in ("open_share", "speech_share")),
-            *(f"{round(row[key], 1) + 0.0:.1f}" for key in ("openings_per_min", "widest_mm")),
-            *(f"{row[key]:.0f}" for key in ("files", "seconds")),
-        )
-    RESULTS.print(table)
+    folders = {"all": found.figures(), **found.figures_by_folder()}
+    print_table([{"folder": name, **row} for name, row in folders.items()], _OPENINGS)
 
 
 def ladder(
@@ -256,54 +235,29 @@ def ladder(
     programs: Annotated[
         int, typer.Option(min=1, max=64, help="How many programs are busy for each core.")
     ] = 2,
-    faces: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            max=64,
-            help="More than one: so many listen at once, then one for each core goes on.",
-        ),
-    ] = 1,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure who listens while every core is busy for 1, 2 and 5 s of every minute.
 
     On a whole `lipservo run` in real time; and how soon loudness takes over from a recogniser that
-    takes ten times as long as its sound. With --faces these are the load themselves, and measured
-    is whether those that go on have the network again.
+    takes ten times as long as its sound.
     """
     from firmware_bridge.stop_signals import SignalCounter
-    from lipservo_lab.bench.hearing.ladder_figures import crowd_figures, ladder_figures
+    from lipservo_lab.bench.hearing.ladder_figures import ladder_figures
 
     began_s = time.perf_counter()
     with (
         tempfile.TemporaryDirectory(prefix="ladder-") as folder,
-        Progress(console=MESSAGES, transient=True, disable=quiet or as_json) as progress,
+        progress_bar(quiet=quiet or as_json) as advance,
         SignalCounter() as signals,
     ):
-        steps = progress.add_task("listening", total=None)
-
-        def advance(done_s: float, whole_s: float) -> None:
-            progress.update(steps, completed=done_s, total=whole_s)
-
-        def is_over() -> bool:
-            return signals.count > 0
-
-        if faces > 1:
-            figures = crowd_figures(faces, minutes * 60.0, Path(folder), is_over)
-        else:
-            figures = ladder_figures(minutes, programs, Path(folder), advance, is_over)
-    load = {"faces": faces} if faces > 1 else {"programs_per_core": programs}
-    result = {
-        **figures,
-        "minutes": minutes,
-        **load,
-        "machine": machine_class(),
-        "seconds": time.perf_counter() - began_s,
-    }
-    if as_json:
-        print_json(result)
-        return
-    for name, value in result.items():
-        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+        figures = ladder_figures(
+            minutes,
+            programs,
+            Path(folder),
+            lambda done_s, whole_s: advance("listening", round(done_s), round(whole_s)),
+            lambda: signals.count > 0,
+        )
+    load = {"minutes": minutes, "programs_per_core": programs}
+    print_figures({**figures, **load}, as_json=as_json, began_s=began_s)

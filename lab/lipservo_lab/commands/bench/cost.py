@@ -1,14 +1,15 @@
 """`lipservo bench cost`: what a face's speech process costs at rest and speaking."""
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import Progress
 
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+from lipservo.terminal.output import progress_bar
+from lipservo_lab.commands.bench.printing import print_figures
 from lipsync.errors import UserError
 
 
@@ -34,26 +35,19 @@ def cost(
     On a virtual clock, 3 s of speech and 8 s of rest a cycle. Exit status 1 where goals differ from
     those of --against by .005 degrees, or times by a microsecond.
     """
-    from lipservo_lab.bench.cost.cost_figures import TURNS, cost_figures
+    from lipservo_lab.bench.cost.cost_figures import cost_figures
 
     if against is not None and not (against / "lipservo" / "runtime").is_dir():
         raise UserError(f"--against {against}: holds no lipservo; give the folder of a checkout")
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        turns = progress.add_task("turns", total=(cycles + 1) * len(TURNS))
+    with progress_bar(quiet=quiet) as advance:
         figures = cost_figures(
             None if against is None else against.resolve(),
             config,
             "file" if listens else "voice",
             cycles,
-            lambda: progress.advance(turns),
+            partial(advance, "turns"),
         )
-    result = {**figures, "machine": machine_class(), "seconds": time.perf_counter() - began_s}
-    if as_json:
-        print_json(result)
-    else:
-        for name, value in result.items():
-            shown = f"{value:.4g}" if isinstance(value, float) else f"{value}"
-            RESULTS.print(f"{name}: {shown}")
-    if result.get("goals_apart_deg", 0.0) >= 0.005 or result.get("goals_apart_s", 0.0) >= 1e-6:
+    print_figures(figures, as_json=as_json, began_s=began_s)
+    if figures.get("goals_apart_deg", 0.0) >= 0.005 or figures.get("goals_apart_s", 0.0) >= 1e-6:
         raise typer.Exit(1)

@@ -7,12 +7,14 @@ from typing import Annotated
 import typer
 
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
+from lipservo.terminal.output import progress_bar
+from lipservo_lab.commands.bench.printing import print_figures
+from lipservo_lab.commands.options import GridCorpus
 from lipsync.errors import UserError, check_extra, check_inputs
 
 
 def display(
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    corpus: GridCorpus,
     sentences: Annotated[
         int | None,
         typer.Option(min=1, help="Of random_test, the first so many.", show_default="all"),
@@ -70,9 +72,4 @@ def display(
             shown = PhotoDisplay(twin_face(face, SIZE))
             tracks = tracked_film(shown, face, motions, tracker, advance)
             figures |= seen_figures(face, tracks, motions, recorded)
-    figures |= {"machine": machine_class(), "seconds": round(time.perf_counter() - began_s, 1)}
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value}")
+    print_figures(figures, as_json=as_json, began_s=began_s)

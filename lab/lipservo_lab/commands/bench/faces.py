@@ -1,6 +1,6 @@
 """`lipservo bench sync`: whether lips and sound meet, at the encoders.
 
-`lipservo bench face`: the twin, the page, and what head, eyes and lids do.
+`lipservo bench face`: the page, and what head, eyes and lids do.
 
 `lipservo bench line`: whether a late answer is ever taken for that to another question.
 
@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import Progress
 
 from lipservo.commands.options import DEFAULT_FACE, Json, Model, Quiet
 from lipservo.commands.run.dashboard import check_dashboard
-from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
+from lipservo.terminal.output import print_json, progress_bar
+from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
 from lipsync.errors import UserError, check_extra
 
 
@@ -36,7 +36,7 @@ def face(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure the twin's mesh, the dashboard's streams, and expression against published ranges.
+    """Measure what the dashboard's streams cost, and expression against published ranges.
 
     A page that is shown is timed in a Chromium without a screen, where one is installed.
     """
@@ -45,13 +45,7 @@ def face(
 
     with progress_bar(quiet=quiet) as advance:
         figures = face_figures(sounds or [], seconds, advance)
-    figures["machine"] = machine_class()
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        shown = f"{value:.4g}" if isinstance(value, float) else value
-        RESULTS.print(f"{name}: {shown}", soft_wrap=True, highlight=False)
+    print_figures(figures, as_json=as_json)
 
 
 def line(
@@ -68,21 +62,9 @@ def line(
     from lipservo_lab.campaigns.line_campaign import line_figures
 
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        steps = progress.add_task("disturbances", total=None)
-
-        def advance(n_done: int, n_all: int) -> None:
-            progress.update(steps, completed=n_done, total=n_all)
-
-        figures = line_figures(questions, advance)
-    machine, seconds = machine_class(), time.perf_counter() - began_s
-    if as_json:
-        print_json({**figures, "machine": machine, "seconds": seconds})
-    else:
-        for name, counts in figures.items():
-            counted = ", ".join(f"{what.replace('_', ' ')} {n}" for what, n in counts.items())
-            RESULTS.print(f"{name}: {counted}", highlight=False)
-        RESULTS.print(f"machine: {machine}\nseconds: {seconds:.4g}", highlight=False)
+    with progress_bar(quiet=quiet) as advance:
+        figures = line_figures(questions, partial(advance, "disturbances"))
+    print_figures(figures, as_json=as_json, began_s=began_s)
     if any(counts["wrong_values"] for counts in figures.values()):
         raise typer.Exit(1)
 
@@ -105,20 +87,10 @@ def scans(
 
     with progress_bar(quiet=quiet) as advance:
         figures: dict[str, Any] = scan_figures(load_face(), n_scans, seed, advance)
-    figures["machine"] = machine_class()
     if as_json:
-        print_json(figures)
-        return
-    for name, row in figures["cases"].items():
-        RESULTS.print(
-            f"{name}: {row['median_mm']} mm median, {row['p95_mm']} at 95 %; lips "
-            f"{row['lips_median_mm']}, {row['lips_p95_mm']}; where speech moves the skin "
-            f"{row['moved_median_mm']}, {row['moved_p95_mm']} (of "
-            f"{row['unregistered_moved_median_mm']} mm); surface {row['surface_median_mm']}; "
-            f"{row['seconds_per_scan']} s a scan",
-            soft_wrap=True,
-            highlight=False,
-        )
+        print_json(with_machine(figures))
+    else:
+        print_table([{"scans": name, **row} for name, row in figures["cases"].items()])
 
 
 def shapes(
@@ -150,15 +122,9 @@ def shapes(
 
         draw_shapes(compared, sound, picture)
     if as_json:
-        print_json({"methods": rows, "machine": machine_class()})
-        return
-    for name, row in rows.items():
-        RESULTS.print(
-            f"{name}: closed in {row['met']} of {row['phones']}, median {row['median_ms']} ms, "
-            f"p10 {row['p10_ms']}, p90 {row['p90_ms']}",
-            soft_wrap=True,
-            highlight=False,
-        )
+        print_json(with_machine({"methods": rows}))
+    else:
+        print_table([{"method": name, **row} for name, row in rows.items()])
 
 
 def sync(
@@ -204,9 +170,4 @@ def sync(
     else:
         with progress_bar(quiet=quiet) as advance:
             figures = sync_figures(advance, quick=quick)
-    figures["machine"] = machine_class()
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+    print_figures(figures, as_json=as_json)

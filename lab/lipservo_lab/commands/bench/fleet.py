@@ -6,7 +6,8 @@ import typer
 
 from lipservo.commands.options import Json, Quiet
 from lipservo.commands.run.dashboard import check_dashboard
-from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
+from lipservo.terminal.output import progress_bar
+from lipservo_lab.commands.bench.printing import print_figures
 from lipsync.errors import check_extra
 
 #: Of all faces that are asked so many are real or answer as such.
@@ -27,16 +28,9 @@ def fleet(
     check_dashboard()
     from lipservo_lab.bench.fleet_figures import fleet_figures
 
-    n_done = 0
     with progress_bar(quiet=quiet) as advance:
-
-        def step() -> None:
-            nonlocal n_done
-            n_done += 1
-            advance("fleet", n_done, 4)
-
-        figures = fleet_figures(daemons, _N_FACES - daemons, step)
-    _print({**figures, "machine": machine_class()}, as_json=as_json)
+        figures = fleet_figures(daemons, _N_FACES - daemons, advance)
+    print_figures(figures, as_json=as_json)
     if figures["confirmed"] < 1.0 or figures["named"] < figures["dead_and_hung"]:
         raise typer.Exit(1)
 
@@ -59,14 +53,6 @@ def cluster(
 
     with progress_bar(quiet=quiet) as advance:
         figures = cluster_figures(lines, kill_every_s, advance)
-    _print({**figures, "machine": machine_class()}, as_json=as_json)
+    print_figures(figures, as_json=as_json)
     if figures["lost"]:
         raise typer.Exit(1)
-
-
-def _print(figures: dict[str, object], *, as_json: bool) -> None:
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)

@@ -6,7 +6,8 @@ from typing import Annotated, cast
 import typer
 
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
+from lipservo.terminal.output import RESULTS, progress_bar
+from lipservo_lab.commands.bench.printing import print_figures
 from lipsync.errors import check_extra
 
 
@@ -28,15 +29,10 @@ def inputs(
     began_s = time.perf_counter()
     with progress_bar(quiet=quiet) as advance:
         figures = input_figures(each, seed, advance)
-    figures |= {"machine": machine_class(), "seconds": round(time.perf_counter() - began_s, 1)}
-    if as_json:
-        print_json(figures)
-    else:
-        wrong = cast("dict[str, list[object]]", figures.pop("wrong"))
-        for name, value in figures.items():
-            RESULTS.print(f"{name}: {value}", highlight=False)
-        for kind, lines in wrong.items():
-            for line in lines:
-                RESULTS.print(f"{kind}: {line}", soft_wrap=True, highlight=False, markup=False)
+    wrong = {} if as_json else cast("dict[str, list[object]]", figures.pop("wrong"))
+    print_figures(figures, as_json=as_json, began_s=began_s)
+    for kind, lines in wrong.items():
+        for line in lines:
+            RESULTS.print(f"{kind}: {line}", soft_wrap=True, highlight=False, markup=False)
     if any(figures[name] for name in ("tracebacks", "hangs", "silently_wrong")):
         raise typer.Exit(1)

@@ -4,25 +4,29 @@
 """
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
-from rich.progress import Progress
-from rich.table import Table
 
 from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
-from lipservo_lab.commands.other_weights import OtherWeights
+from lipservo_lab.commands.bench.printing import print_table, with_machine
+from lipservo_lab.commands.options import (
+    GridCorpus,
+    LookaheadsMs,
+    OtherWeights,
+    Plots,
+    WordLimit,
+)
+from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import UserError, check_extra, check_inputs
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Question
-    from lipservo_lab.corpus.utterance import Utterance
     from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
     from lipservo_lab.learning.motion.trained_model import TrainedModel
 
@@ -51,21 +55,13 @@ def measure_video(
     tracker = open_tracker(landmarker)
     with progress_bar(quiet=quiet) as advance:
         figures = foreign_figures(clips, tracker, model, advance)
-    answer = {
-        **figures,
-        "default_strategy": DEFAULT_STRATEGY,
-        "machine": machine_class(),
-        "wall_s": round(time.perf_counter() - began_s, 1),
-    }
     if as_json:
-        print_json(answer)
+        duration = {"wall_s": round(time.perf_counter() - began_s, 1)}
+        print_json(with_machine({**figures, "default_strategy": DEFAULT_STRATEGY, **duration}))
         return
     rows = cast("list[dict[str, Any]]", figures["clips"])
-    table = Table(*_HEADINGS.values(), box=None, pad_edge=False)
-    for row in [r for r in rows if not r["left_out"]]:
-        table.add_row(*(str(row[name]) for name in _HEADINGS))
-    table.add_row("all", *(str(figures[name]) for name in list(_HEADINGS)[1:]))
-    RESULTS.print(table)
+    heard = [row for row in rows if not row["left_out"]]
+    print_table([*heard, {**figures, "clip": "all"}], _HEADINGS)
     for row in rows:
         if row["left_out"]:
             MESSAGES.print(f"left out: {row['clip']}: {row['left_out']}", soft_wrap=True)
@@ -123,7 +119,7 @@ def motion(
             show_default=False,
         ),
     ] = None,
-    lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
+    lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
         str, typer.Option(help="true, recognized live, or text: live with the words known.")
     ] = "true",
@@ -157,13 +153,8 @@ def motion(
             "Their models are kept in the user's cache.",
         ),
     ] = False,
-    limit: Annotated[
-        int,
-        typer.Option(min=1, help="--leave-words-out: at most so many sentences of each word."),
-    ] = 40,
-    plots: Annotated[
-        Path | None, typer.Option(help="Draw pictures into this folder.", show_default=False)
-    ] = None,
+    limit: WordLimit = 40,
+    plots: Plots = None,
     also: OtherWeights = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,
@@ -217,15 +208,9 @@ def motion(
         return
     if also:
         raise typer.BadParameter("--also is of models trained here: give --leave-words-out too")
-    if question.compares and find_spec("pocketsphinx") is None:
-        MESSAGES.print(
-            "the paper's tables are without pocketsphinx, which is not installed: `pip install "
-            "'lipservo[align]'`",
-            soft_wrap=True,
-        )
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+    with work_bars(quiet=quiet) as bars:
         answer = _answer(
-            corpus, given, question, plots, progress, skip_bad=skip_bad, with_offline=offline
+            corpus, given, question, plots, bars, skip_bad=skip_bad, with_offline=offline
         )
     seconds = time.perf_counter() - began_s
     answer["published_derivatives"] = published_derivatives
@@ -243,7 +228,7 @@ def _answer(
     given: "TrainedModel | None",
     question: "Question",
     plots: Path | None,
-    progress: Progress,
+    bars: WorkBars,
     *,
     skip_bad: bool,
     with_offline: bool,
@@ -261,7 +246,7 @@ def _answer(
         MARKERS_47 if given is None else given.layout,
         head_reference_mm=None if given is None else given.head_reference_mm,
         skip_bad=skip_bad,
-        progress=lambda names: progress.track(names, description="reading"),
+        progress=bars.read,
     )
 
     rendering: OfflineModels | None = None
@@ -273,41 +258,27 @@ def _answer(
         question = measure.with_offline_methods(
             question, rendering, visemes_of(sentences) if known else None
         )
-
-    def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
-        return progress.track(items, description=what)
-
-    step = progress.add_task("training", total=None, visible=given is None)
     if given is None:
-        teacher = ModelTeacher(
-            sentences.labelled(),
-            DEFAULT_WEIGHTS,
-            track,
-            lambda text: progress.update(step, description=text),
-        )
-        validated = measure.cross_validate(folder, sentences, question, teacher, track)
+        teacher = ModelTeacher(sentences.labelled(), DEFAULT_WEIGHTS, bars.track, bars.tell)
+        validated = measure.cross_validate(folder, sentences, question, teacher, bars.track)
         rows, model, unseen = validated.rows, validated.model, validated.unseen
     else:
-        rows, model, unseen = (
-            measure.score_model(given, sentences, question, track),
-            given,
-            sentences,
-        )
+        rows = measure.score_model(given, sentences, question, bars.track)
+        model, unseen = given, sentences
         seen = seen_in_training(given, sentences.utterances)
         if seen:
             MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
-    progress.update(step, description="the paper's tables", visible=True)
+    bars.tell("the paper's tables")
     # One method alone is a quick question, and the tables are a comparison.
     paper = measure.paper_rows(model, unseen, sentences) if question.compares else None
-    progress.update(step, description="self-correction")
+    bars.tell("self-correction")
     recovery = measure.recovery(model, unseen, sentences, question)
-    errors = None
     if plots is not None:
         from lipservo_lab.bench.pictures.motion_plots import draw
 
-        progress.update(step, description="pictures")
+        bars.tell("pictures")
         shown = unseen.labelled().utterances
-        errors = draw(plots, model, shown, rows, recovery)
+        draw(plots, model, shown[0], recovery)
         if rendering is not None:
             from lipservo_lab.bench.pictures.line_plots import draw_lines
 
@@ -318,7 +289,6 @@ def _answer(
         "results": rows,
         "paper": paper,
         "recovery": recovery,
-        "errors": errors,
         "skipped": list(sentences.skipped),
         **({} if rendering is None else _rendering(rendering, folder, model, skip_bad=skip_bad)),
     }
@@ -351,22 +321,10 @@ def _measure_left_out(
     from lipsync.offline.line_methods import DEFAULT_METHOD
 
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-
-        def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
-            return progress.track(items, description=what)
-
-        sentences = read_grid(
-            folder,
-            MARKERS_47,
-            skip_bad=skip_bad,
-            progress=lambda names: progress.track(names, description="reading"),
-        ).labelled()
+    with work_bars(quiet=quiet) as bars:
+        sentences = read_grid(folder, MARKERS_47, skip_bad=skip_bad, progress=bars.read).labelled()
         word_folds(sentences)  # what cannot be left out is refused before the long part
-        step = progress.add_task("training", total=None)
-        model_of = kept_models(
-            sentences, track, lambda text: progress.update(step, description=text), others
-        )
+        model_of = kept_models(sentences, bars.track, bars.tell, others)
         listen = true_phonemes
         if question.phonemes != measure.PHONEMES_TRUE:
             with_text = question.phonemes == measure.PHONEMES_TEXT
@@ -377,21 +335,19 @@ def _measure_left_out(
             methods.append(OfflineMethod(DEFAULT_METHOD, rendering))
         answer: dict[str, Any] = dict(
             left_out_figures(
-                sentences, model_of, methods, question.lookaheads_ms, listen, limit, track
+                sentences, model_of, methods, question.lookaheads_ms, listen, limit, bars.track
             )
         )
     if not as_json:
         for name, rows in answer.items():
-            _print_table(f"Words left out: {name}", rows)
+            print_table(rows, title=f"Words left out: {name}")
+        return
     answer |= {
         "strategy": ",".join(method.name for method in question.methods),
         "phonemes": question.phonemes,
         "limit": limit,
-        "machine": machine_class(),
-        "seconds": round(time.perf_counter() - began_s, 1),
     }
-    if as_json:
-        print_json(answer)
+    print_json(with_machine(answer, began_s))
 
 
 def _rendering(
@@ -415,50 +371,23 @@ def _rendering(
 
 
 def _print_answer(answer: Mapping[str, Any]) -> None:
-    _print_table("Motion", answer["results"], _MOTION_HEADINGS)
+    print_table(answer["results"], _MOTION_HEADINGS, title="Motion")
     if "seconds_per_sentence" in answer:
-        _print_table("Rendering", [{name: answer.get(name) for name in _RENDERING}])
+        print_table([{name: answer.get(name) for name in _RENDERING}], title="Rendering")
     for name, rows in (answer["paper"] or {}).items():
-        _print_table(f"The paper's {name.replace('_', ' ')}", rows)
-    _print_table("Left of a phoneme, in itself and in those after it", answer["recovery"])
-    _print_table("RMSE with a share of the phonemes wrong", answer["errors"] or [])
-
-
-def _print_table(
-    title: str, rows: Sequence[Mapping[str, object]], headings: Mapping[str, str] | None = None
-) -> None:
-    """The columns that have a heading; without any, all but the intervals."""
-    if not rows:
-        return
-    headings = headings or {name: name for name in rows[0] if not name.endswith("_95")}
-    table = Table(
-        *headings.values(), title=title, title_justify="left", box=None, pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )  # fmt: skip
-    for row in rows:
-        table.add_row(*(_cell(row[name]) for name in headings))
-    RESULTS.print(table, "")
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, list):
-        return " ".join("-" if x is None else f"{x:.2f}" for x in value)
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    return "" if value is None else str(value)
+        print_table(rows, title=f"The paper's {name.replace('_', ' ')}")
+    print_table(answer["recovery"], title="Left of a phoneme, in itself and in those after it")
 
 
 def figures(
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    corpus: GridCorpus,
     model: Annotated[
         Path,
         typer.Option(
             help="One that has not learned the sentences: `learn face --without`, `--without-words`"
         ),
     ],
-    plots: Annotated[
-        Path | None, typer.Option(help="Draw the figures here.", show_default=False)
-    ] = None,
+    plots: Plots = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -478,14 +407,11 @@ def figures(
     if plots is not None:
         check_folder(plots, PAPER_PICTURES)
     face = load_trained_model(model)
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+    with work_bars(quiet=quiet) as bars:
         sentences = read_grid(
-            corpus,
-            face.layout,
-            head_reference_mm=face.head_reference_mm,
-            progress=lambda names: progress.track(names, description="reading"),
+            corpus, face.layout, head_reference_mm=face.head_reference_mm, progress=bars.read
         ).labelled()
-        progress.add_task("the paper's tables", total=None)
+        bars.tell("the paper's tables")
         unseen = {u.name for u in sentences.utterances} - set(face.training_sentences)
         if not unseen:
             raise UserError(
@@ -498,38 +424,7 @@ def figures(
     if plots is not None:
         draw_paper(plots, tables)
     if as_json:
-        print_json({**tables, "machine": machine_class()})
+        print_json(with_machine(tables))
         return
     for name, rows in tables.items():
-        _print_table(f"The paper's {name.replace('_', ' ')}", rows)
-
-
-def speeds(
-    corpus: Annotated[
-        Path, typer.Option(help="A folder of recorded sentences, as for `bench motion`.")
-    ],
-    limit: Annotated[int, typer.Option(min=1, help="So many sentences of its `random_test`.")] = 24,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Measure motion whose joints are slow: speeds that it needs, and whether lips still close.
-
-    With the plan of joint motion, and with the gate at the bus alone, at joints of 400, 300, 200
-    and 150 degrees a second. The lips are those of simulated robots, at their shafts.
-    """
-    from lipservo_lab.bench.sync.joint_speeds import SPEEDS_DEG_S, speed_figures
-
-    began_s = time.perf_counter()
-    with progress_bar(quiet=quiet) as advance:
-        figures = speed_figures(corpus, limit, advance)
-    figures |= {"machine": machine_class(), "seconds": round(time.perf_counter() - began_s, 1)}
-    if as_json:
-        print_json(figures)
-        return
-    faces = cast("dict[str, dict[str, float]]", figures.pop("faces"))
-    for name, row in faces.items():
-        for figure, value in row.items():
-            RESULTS.print(f"{name}: {figure}: {value}", highlight=False)
-    RESULTS.print(f"at {', '.join(f'{speed:g}' for speed in SPEEDS_DEG_S)} deg/s:", highlight=False)
-    for figure, found in figures.items():
-        RESULTS.print(f"{figure}: {found}", soft_wrap=True, highlight=False)
+        print_table(rows, title=f"The paper's {name.replace('_', ' ')}")

@@ -1,24 +1,29 @@
 """`lipservo bench readability`: which words a reader of recorded faces reads off our motion."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import Progress
-from rich.table import Table
 
 from lipservo.commands.options import Json, Quiet, SkipBad
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
-from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
-from lipservo_lab.commands.other_weights import OtherWeights
+from lipservo.terminal.output import RESULTS, machine_class, print_json
+from lipservo_lab.commands.bench.printing import print_table
+from lipservo_lab.commands.options import (
+    GridCorpus,
+    LookaheadsMs,
+    OtherWeights,
+    Plots,
+    WordLimit,
+)
+from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import check_inputs
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Row
     from lipservo_lab.bench.readability.readability_figures import ReadingQuestion
-    from lipservo_lab.corpus.utterance import Utterance
     from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
 
 #: What is printed of a row, and its heading; all of it together fits 80 columns. JSON has the rest.
@@ -37,7 +42,7 @@ _COLUMNS = {
 
 
 def readability(
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    corpus: GridCorpus,
     words: Annotated[
         str | None,
         typer.Option(help="Only these words, comma between, as new ones; no known words."),
@@ -57,10 +62,7 @@ def readability(
             help="Instead: every word, by a model that never met it; as `bench motion`.",
         ),
     ] = False,
-    limit: Annotated[
-        int,
-        typer.Option(min=1, help="--leave-words-out: at most so many sentences of each word."),
-    ] = 20,
+    limit: WordLimit = 20,
     strategy: Annotated[
         str,
         typer.Option(
@@ -68,7 +70,7 @@ def readability(
             "`render`."
         ),
     ] = f"{DEFAULT_STRATEGY},expected,priority",
-    lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
+    lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
         str,
         typer.Option(
@@ -78,9 +80,7 @@ def readability(
     robot: Annotated[
         bool, typer.Option(help="Also read known words from the encoders of face_sim.")
     ] = True,
-    plots: Annotated[
-        Path | None, typer.Option(help="Draw a picture into this folder.", show_default=False)
-    ] = None,
+    plots: Plots = None,
     also: OtherWeights = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,
@@ -106,9 +106,9 @@ def readability(
     if also and not leave_words_out:
         raise typer.BadParameter("--also is of models trained here: give --leave-words-out too")
     reading = reading_question(strategy, lookahead_ms, phonemes, robot=robot)
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+    with work_bars(quiet=quiet) as bars:
         rows, skipped = _measured(
-            corpus, words, models, reading, progress,
+            corpus, words, models, reading, bars,
             skip_bad=skip_bad, most_left_out=limit if leave_words_out else None,
             others=also or (),
         )  # fmt: skip
@@ -119,7 +119,7 @@ def readability(
     if as_json:
         print_json({**headline(rows), "results": rows, "skipped": skipped, **about})
         return
-    _print_rows(rows)
+    print_table(rows, _COLUMNS, title="Readability")
     RESULTS.print(f"default strategy: {DEFAULT_STRATEGY}; {machine_class()}; {seconds:.0f} s")
 
 
@@ -128,7 +128,7 @@ def _measured(
     words: str | None,
     models: Path | None,
     reading: "ReadingQuestion",
-    progress: Progress,
+    bars: WorkBars,
     *,
     skip_bad: bool,
     most_left_out: int | None,
@@ -150,38 +150,18 @@ def _measured(
     from lipservo_lab.corpus.grid import read_grid
     from lipsync.markers import MARKERS_47
 
-    def track(what: str, items: "Sequence[Utterance]") -> "Iterator[Utterance]":
-        step = progress.add_task(what, total=len(items))
-        for item in items:
-            yield item
-            progress.advance(step)
-        progress.remove_task(step)
-
-    sentences = read_grid(
-        folder,
-        MARKERS_47,
-        skip_bad=skip_bad,
-        progress=lambda names: progress.track(names, description="reading"),
-    )
+    sentences = read_grid(folder, MARKERS_47, skip_bad=skip_bad, progress=bars.read)
     labelled = sentences.labelled()
     if most_left_out is None:
         parts = requested_parts(folder, labelled, words)
     else:
         parts = left_out_parts(labelled, most_left_out)
-    step = progress.add_task("models", total=None)
-
-    def tell(text: str) -> None:
-        progress.update(step, description=text)
-
     if models is not None:
         model_of = given_models(models, parts)
     elif most_left_out is None:
-        model_of = trained_models(labelled, track, tell)
+        model_of = trained_models(labelled, bars.track, bars.tell)
     else:
-        model_of = kept_models(labelled, track, tell, others)
-
-    def advance(what: str, done: int, whole: int) -> None:
-        progress.update(step, description=what, completed=done, total=whole)
+        model_of = kept_models(labelled, bars.track, bars.tell, others)
 
     def models_of_lines() -> "OfflineModels":
         from lipservo_lab.bench.offline_models import models_of
@@ -190,24 +170,12 @@ def _measured(
 
     reading = with_line_methods(reading, models_of_lines)
     rows = reading_rows(
-        labelled, parts, model_of, reading, track, advance, is_pooled=most_left_out is not None
+        labelled,
+        parts,
+        model_of,
+        reading,
+        bars.track,
+        bars.advance,
+        is_pooled=most_left_out is not None,
     )
     return rows, list(sentences.skipped)
-
-
-def _print_rows(rows: "Sequence[Row]") -> None:
-    table = Table(
-        *_COLUMNS.values(), title="Readability", title_justify="left", box=None,
-        pad_edge=False, padding=(0, 1, 0, 0),
-    )  # fmt: skip
-    for row in rows:
-        table.add_row(*(_cell(row[name]) for name in _COLUMNS))
-    RESULTS.print(table, "")
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, list):
-        return " ".join(f"{x:.2f}" for x in value)
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    return "" if value is None else str(value)

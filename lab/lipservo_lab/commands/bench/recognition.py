@@ -15,26 +15,13 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import typer
-from rich.table import Column, Table
 
 from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
-from lipservo.terminal.output import (
-    MESSAGES,
-    RESULTS,
-    Advance,
-    machine_class,
-    print_json,
-    progress_bar,
-)
+from lipservo.terminal.output import MESSAGES, Advance, print_json, progress_bar
+from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
+from lipservo_lab.commands.options import Cache, LatencyMs, Limit, Speakers
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
 
-Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
-Limit = Annotated[
-    int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
-]
-Cache = Annotated[
-    Path | None, typer.Option(help="File of alignments, as `lipservo lines align` writes it.")
-]
 _Item = TypeVar("_Item")
 
 
@@ -52,7 +39,7 @@ def recognition(
         ),
     ] = None,
     limit: Limit = None,
-    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    latency_ms: LatencyMs = 95.0,
     engine: MeasuredEngineChoice = "network",
     noise: Annotated[
         str | None,
@@ -65,16 +52,13 @@ def recognition(
         ),
     ] = False,
     text: Annotated[
-        Literal["own", "another", "pieces"] | None,
+        Literal["own", "another"] | None,
         typer.Option(
-            help="The recogniser is told the words: those said, at once or in pieces of three, or "
-            "another utterance's; then also how soon a text is left that is not said.",
+            help="The recogniser is told the words: those said, or another utterance's; then also "
+            "how soon a text is left that is not said.",
             show_default=False,
         ),
     ] = None,
-    late_s: Annotated[
-        float, typer.Option(min=0.0, help="With --text: told so long after the sound began.")
-    ] = 0.0,
     by: Annotated[
         Literal["speaker", "group"] | None,
         typer.Option(help="Also the figures of each speaker, or of each group of speakers."),
@@ -126,7 +110,7 @@ def recognition(
             heard.append(name)
             advance("listening", len(heard), len(utterances))
 
-        texts = known_texts(utterances, text, late_s)
+        texts = known_texts(utterances, text)
         figures = measure(
             utterances, alignments, make, condition, count, groups_of, lambda u: texts[u.name]
         ).as_dict()
@@ -150,14 +134,13 @@ def recognition(
         "noise": noise,
         "servo_speeds": servo_speeds,
         "text": text,
-        "late_s": late_s,
     }
-    _print({**figures, **settings, "machine": machine_class()}, as_json=as_json)
+    print_figures({**figures, **settings}, as_json=as_json)
 
 
 def listening(
     engine: MeasuredEngineChoice = "network",
-    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    latency_ms: LatencyMs = 95.0,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     corpus: Annotated[
         Path | None,
@@ -186,7 +169,6 @@ def listening(
         own_servo_figures,
         quiet_sounds,
     )
-    from lipservo_lab.evaluation.recognition.stream_observers import KnownText
     from lipsync.audio.file import read_speech
 
     utterances = None
@@ -205,7 +187,7 @@ def listening(
     text = (resources.files("lipservo.clips") / "welcome.txt").read_text(encoding="utf-8")
     costs_s = {
         "": block_costs_s(recognizer, speech),
-        "_with_text": block_costs_s(recognizer, speech, KnownText(text)),
+        "_with_text": block_costs_s(recognizer, speech, text),
     }
     for name, percent in itertools.product(costs_s, (50, 99)):
         value_s = float(np.percentile(costs_s[name], percent))
@@ -243,7 +225,7 @@ def listening(
                 lambda done, whole: advance("enduring", done, whole),
             )
         figures |= endured.as_dict()
-    _print({**figures, "engine": engine, "machine": machine_class()}, as_json=as_json)
+    print_figures({**figures, "engine": engine}, as_json=as_json)
 
 
 def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_Item]:
@@ -252,14 +234,6 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
         advance(what, number, len(items))
         yield item
     advance(what, len(items), len(items))
-
-
-def _print(figures: dict[str, object], *, as_json: bool) -> None:
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
 
 
 def texts(
@@ -281,12 +255,18 @@ def texts(
         for number, each in enumerate(score_texts(utterances, learned), start=1):
             scores.append(each)
             advance("aligning", number, len(utterances))
-    figures = {**text_figures(scores), "weights": weights, "machine": machine_class()}
-    if as_json:
-        print_json(figures)
-        return
-    for name, value in figures.items():
-        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+    print_figures({**text_figures(scores), "weights": weights}, as_json=as_json)
+
+
+#: What is printed of a language.
+_LANGUAGE_HEADINGS = {
+    "language": "language",
+    "closure_recall": "closure recall",
+    "closure_precision": "closure precision",
+    "opening_recall": "opening recall",
+    "opening_precision": "opening precision",
+    "viseme_speech": "visemes of speech",
+}
 
 
 def languages(
@@ -294,7 +274,7 @@ def languages(
         str, typer.Option(help="Only these, with commas between: de,fr,ja.", show_default=False)
     ] = "",
     engine: MeasuredEngineChoice = "network",
-    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    latency_ms: LatencyMs = 95.0,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -325,13 +305,23 @@ def languages(
     figures = {tag: score.figures() for tag, score in scores.items()}
     if as_json:
         settings = {"engine": engine, "weights": weights, "latency_ms": latency_ms}
-        print_json({"languages": figures, **settings, "machine": machine_class()})
+        print_json(with_machine({"languages": figures, **settings}))
         return
-    columns = ("closure_recall", "closure_precision", "opening_recall", "opening_precision")
-    table = Table("language", *(name.replace("_", " ") for name in columns), "visemes of speech")
-    for tag, row in figures.items():
-        table.add_row(tag, *(f"{row[name]:.2f}" for name in (*columns, "viseme_speech")))
-    RESULTS.print(table)
+    print_table([{"language": tag, **row} for tag, row in figures.items()], _LANGUAGE_HEADINGS)
+
+
+#: What is printed of a voice.
+_VOICE_HEADINGS = {
+    "voice": "voice",
+    "viseme_speech": "visemes",
+    "per": "PER",
+    "closure_recall": "P B M recall",
+    "closure_precision": "and prec.",
+    "boundary_ms_p50": "ms p50",
+    "boundary_ms_p90": "ms p90",
+    "closing_onset_ms_p50": "P B M ms",
+    "found": "found",
+}
 
 
 def voices(
@@ -389,14 +379,7 @@ def voices(
         for tag in tags:
             figures[tag] = followed_language(tag, make, tells=not heard, progress=count).figures()
     if as_json:
-        settings = {"told": not heard, "weights": weights, "machine": machine_class()}
-        print_json({"voices": figures, "sentences": len(texts), **settings})
+        settings = {"told": not heard, "weights": weights}
+        print_json(with_machine({"voices": figures, "sentences": len(texts), **settings}))
         return
-    scores = ("viseme_speech", "per", "closure_recall", "closure_precision")
-    columns = (*scores, "boundary_ms_p50", "boundary_ms_p90")
-    heads = ("visemes", "PER", "P B M recall", "and prec.", "ms p50", "ms p90", "P B M ms", "found")
-    table = Table(Column("voice", overflow="fold"), *heads, box=None)
-    for voice_name, row in figures.items():
-        cells = (*(f"{row[name]:.3g}" for name in columns), f"{row['closing_onset_ms_p50']:.3g}")
-        table.add_row(voice_name, *cells, f"{row['found']:.2f}")
-    RESULTS.print(table)
+    print_table([{"voice": name, **row} for name, row in figures.items()], _VOICE_HEADINGS)

@@ -12,11 +12,11 @@ import numpy as np
 import typer
 
 from lipservo.commands.options import Json, Landmarker, Quiet
-from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
+from lipservo.terminal.output import MESSAGES, RESULTS, Advance, print_json, progress_bar
 from lipsync.errors import UserError, check_extra, check_inputs
 
 if TYPE_CHECKING:
-    from lipservo_lab.scans.scan_import import Advance, ScanImport
+    from lipservo_lab.scans.scan_import import ScanImport
     from lipservo_lab.scans.takes import Take, TakeSound
     from lipservo_lab.video.video_import import VideoImport
 
@@ -175,7 +175,7 @@ def import_scans(
 
 
 def _sounds(
-    takes: "tuple[Take, ...]", rate_hz: float, advance: "Advance"
+    takes: "tuple[Take, ...]", rate_hz: float, advance: Advance
 ) -> "dict[str, TakeSound | str]":
     """Sound and labels of each take, or why there are none. Raises ScanError where none has."""
     from lipservo_lab.scans.scan import ScanError
@@ -199,7 +199,7 @@ def _write_corpus(
     imported: "ScanImport",
     takes: "tuple[Take, ...]",
     sounds: "dict[str, TakeSound | str]",
-    advance: "Advance",
+    advance: Advance,
 ) -> dict[str, Any]:
     from lipservo_lab.bench.pictures.import_sheets import draw_scans
     from lipservo_lab.output_folder import folder_written_whole
@@ -223,7 +223,7 @@ def _write_motion(
     imported: "ScanImport",
     takes: "tuple[Take, ...]",
     picture: Path,
-    advance: "Advance",
+    advance: Advance,
 ) -> dict[str, Any]:
     from lipservo_lab.bench.pictures.import_sheets import draw_scans
     from lipservo_lab.scans.scan_corpus import write_motion

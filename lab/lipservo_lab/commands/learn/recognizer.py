@@ -18,6 +18,7 @@ from rich.table import Table
 from lipservo.commands.options import Json, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
 from lipservo.terminal.pictures import save_picture, without_screen
+from lipservo_lab.commands.options import Jobs, Seed, WeightsOutput
 from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.output_file import check_output
 from lipsync.recognition.network import DEFAULT_WEIGHTS
@@ -30,7 +31,7 @@ def train_recognizer(
     corpora: Annotated[
         list[Path], typer.Argument(help="Folders laid out like LibriSpeech, or like grid_s1.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The weights to write.")],
+    output: WeightsOutput,
     folder: Annotated[
         Path, typer.Option(help="Keeps alignments, state and run log; a run goes on from there.")
     ] = Path("recognizer-training"),
@@ -84,7 +85,7 @@ def train_recognizer(
             "knew is kept, and what is new is learned all the same.",
         ),
     ] = 0.0,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
+    seed: Seed = 0,
     steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 5_000,
     rate: Annotated[
         float, typer.Option(min=0.0, help="Learning rate at its peak; less to go on from weights.")
@@ -255,26 +256,19 @@ def adapt(
             "said in it; or a corpus as for `train-recognizer`."
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The weights to write.")],
+    output: WeightsOutput,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     speaker: Annotated[
         str | None,
         typer.Option(help="Of a corpus of several speakers: this one.", show_default=False),
     ] = None,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
+    seed: Seed = 0,
     steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 100,
     rate: Annotated[
         float, typer.Option(min=0.0, max=0.01, help="Learning rate at its peak.")
     ] = 5e-4,
     copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the voice.")] = 2,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Processes, and threads of learning; default: one a core.",
-            show_default=False,
-        ),
-    ] = None,
+    jobs: Jobs = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

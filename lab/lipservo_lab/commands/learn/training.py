@@ -6,24 +6,23 @@
 """
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
-from rich.progress import Progress
 
 from lipservo.commands.options import Json, Model, Quiet, SkipBad, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
-from lipservo_lab.commands.other_weights import OtherWeights
+from lipservo_lab.commands.options import ModelOutput, OtherWeights, Seed
+from lipservo_lab.commands.work_bars import work_bars
 from lipsync.errors import UserError
 from lipsync.output_file import check_output
 from lipsync.recognition.network import DEFAULT_WEIGHTS
 
 if TYPE_CHECKING:
-    from lipservo_lab.corpus.utterance import Corpus, Utterance
+    from lipservo_lab.corpus.utterance import Corpus
     from lipservo_lab.learning.motion.several_speakers import FaceMap
 
 
@@ -39,8 +38,8 @@ def train(
             help="Folder of recordings: sounds, landmarks, labels; one for each speaker.",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
-    seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
+    output: ModelOutput,
+    seed: Seed = 0,
     components: Annotated[
         int | None,
         typer.Option(help="How many principal components a face has; default: 8, the paper: 5."),
@@ -121,14 +120,9 @@ def train(
     left_out = _named_in(without)
     words = frozenset(w.strip() for w in (without_words or "").split(",") if w.strip())
     check_output(output, replaces=is_model, kind="face model")
-    with _progress(quiet=quiet) as progress:
-        reading = progress.add_task("reading", total=None)
-
-        def read(names: list[str]) -> Iterable[str]:
-            yield from progress.track(names, task_id=reading)
-
+    with work_bars(quiet=quiet) as bars:
         read_corpora = [
-            read_grid(folder, layout, skip_bad=skip_bad, progress=read) for folder in corpora
+            read_grid(folder, layout, skip_bad=skip_bad, progress=bars.read) for folder in corpora
         ]
         unknown = left_out - {u.name for corpus in read_corpora for u in corpus.utterances}
         if unknown:
@@ -139,17 +133,10 @@ def train(
         heard = None
         if phonemes == "both":
             heard = hear_sentences(
-                load_shipped_weights(),
-                sentences.labelled().utterances,
-                lambda utterances: progress.track(utterances, description="listening"),
+                load_shipped_weights(), sentences.labelled().utterances, bars.listen
             )
-        learning = progress.add_task("training", total=None)
         model = train_model(
-            sentences,
-            seed=seed,
-            n_components=n_components,
-            heard=heard,
-            progress=lambda step: progress.update(learning, description=step),
+            sentences, seed=seed, n_components=n_components, heard=heard, progress=bars.tell
         )
     save_model(model, output)
     for line in sentences.skipped:
@@ -236,17 +223,11 @@ def _speaker_rows(
     return {"speakers": speakers}
 
 
-@contextmanager
-def _progress(*, quiet: bool) -> Iterator[Progress]:
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        yield progress
-
-
 def train_soft(
     corpus: Annotated[
         Path, typer.Argument(help="Folder of recordings that the model was made of.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    output: ModelOutput,
     model: Model = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     also: OtherWeights = None,
@@ -283,27 +264,22 @@ def train_soft(
     face = load_trained_model(model)
     network, digest = find_weights(weights), weights_digest(weights)
     check_output(output, replaces=is_model, kind="face model")
-    with _progress(quiet=quiet) as progress:
+    with work_bars(quiet=quiet) as bars:
         sentences = read_grid(
-            corpus,
-            face.layout,
-            head_reference_mm=face.head_reference_mm,
-            progress=lambda names: progress.track(names, description="reading"),
+            corpus, face.layout, head_reference_mm=face.head_reference_mm, progress=bars.read
         ).labelled()
         taught = taught_sentences(face, sentences)
         parts = reading_parts(corpus, sentences) if table else []
 
-        def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
-            return progress.track(items, description=what)
-
-        def tell(text: str) -> None:
-            progress.update(step, description=text)
-
-        step = progress.add_task("posteriors to faces", total=None)
+        bars.tell("posteriors to faces")
         others = [load_weights(path) for path in also or ()]
         heard_by = ",".join(weights_digest(str(path)) for path in also or ())
-        teacher = ModelTeacher(sentences, weights, track, tell, others) if table else None
-        copies = hear_copies(network, taught, track, others) if teacher is None else teacher.copies
+        teacher = None
+        if table:
+            teacher = ModelTeacher(sentences, weights, bars.track, bars.tell, others)
+        copies = (
+            hear_copies(network, taught, bars.track, others) if teacher is None else teacher.copies
+        )
         made = with_soft_expectation(face, sentences, copies, digest)
         made = replace(made, provenance={**made.provenance, "soft_others": heard_by})
         if made.soft is None:
@@ -311,7 +287,7 @@ def train_soft(
         save_model(made, output)
         rows = []
         if teacher is not None:
-            rows = soft_table(sentences, parts, teacher, weights, track)
+            rows = soft_table(sentences, parts, teacher, weights, bars.track)
     figures: dict[str, object] = {
         "model": str(output),
         "weights": weights,
@@ -373,7 +349,7 @@ def train_offline(
     corpus: Annotated[
         Path, typer.Argument(help="Folder of recordings: sounds, landmarks, labels.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    output: ModelOutput,
     model: Model = None,
     states: Annotated[
         int | None, typer.Option(min=2, help="How many states; default: 100.", show_default=False)
@@ -392,7 +368,7 @@ def train_offline(
             show_default=False,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
+    seed: Seed = 0,
     skip_bad: SkipBad = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -418,30 +394,15 @@ def train_offline(
     )
     check_output(output, replaces=is_offline_model, kind="offline model", inputs=[model])
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        reading = progress.add_task("reading", total=None)
-
-        def read(names: list[str]) -> Iterable[str]:
-            yield from progress.track(names, task_id=reading)
-
-        def listening(utterances: "Sequence[Utterance]") -> "Iterable[Utterance]":
-            yield from progress.track(utterances, description="listening")
-
+    with work_bars(quiet=quiet) as bars:
         sentences = read_grid(
             corpus,
             face.layout if markers is None else find_layout(markers),
             head_reference_mm=face.head_reference_mm,
             skip_bad=skip_bad,
-            progress=read,
+            progress=bars.read,
         )
-        learning = progress.add_task("learning", total=None)
-        made = train_model(
-            sentences,
-            face,
-            recipe,
-            progress=lambda step: progress.update(learning, description=step),
-            listening=listening,
-        )
+        made = train_model(sentences, face, recipe, progress=bars.tell, listening=bars.listen)
     save_offline_model(made, output)
     seconds = time.perf_counter() - began_s
     for line in sentences.skipped:

@@ -2,13 +2,12 @@
 
 import contextlib
 import secrets
-from collections.abc import Iterator, Sequence
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import Progress
 from rich.table import Table
 
 from lipservo.commands.options import (
@@ -19,11 +18,14 @@ from lipservo.commands.options import (
     SkipBad,
 )
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+from lipservo_lab.commands.bench.printing import print_table
+from lipservo_lab.commands.options import Inverted, Lazy, Seed
+from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import check_extra, check_inputs
 
 if TYPE_CHECKING:
     from lipservo.display.film import Display
-    from lipservo_lab.corpus.utterance import Corpus, Utterance
+    from lipservo_lab.corpus.utterance import Corpus
     from lipservo_lab.learning.motion.trained_model import TrainedModel
     from lipservo_lab.study.making import Film
 
@@ -93,25 +95,16 @@ def make(
     check_output_folder(folder, "study")
     check_extra("av", "filming a study")
     plan = Plan(names, size, seed or secrets.token_hex(8), title, _consent_text(consent))
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        recordings = read_grid(
-            corpus,
-            MARKERS_47,
-            skip_bad=skip_bad,
-            progress=lambda each: progress.track(each, description="reading"),
-        ).labelled()
+    with work_bars(quiet=quiet) as bars:
+        recordings = read_grid(corpus, MARKERS_47, skip_bad=skip_bad, progress=bars.read).labelled()
         test = _test_of(corpus, recordings)
         learned = tuple(u for u in recordings.utterances if u.name not in test)
         read = held_out(recordings, test, plan.seed)
         study, key = planned_study(plan, read, learned)
-        trained = _model_for(recordings, test, model, progress)
+        trained = _model_for(recordings, test, model, bars)
         material = Material(trained, read, learned, faces_of_methods(trained, recordings))
         film = _film_on(face, landmarker, trained)
-        step = progress.add_task("filming", total=len(key.clips))
-        write_made_study(
-            folder, study, key, material, film,
-            lambda done, _of: progress.update(step, completed=done),
-        )  # fmt: skip
+        write_made_study(folder, study, key, material, film, partial(bars.advance, "filming"))
     shown = {
         "study": study.identity, "folder": str(folder), "methods": list(names),
         "clips": len(key.clips), "items_per_rater": len(study.sheets[0]),
@@ -144,7 +137,7 @@ def _test_of(folder: Path, recordings: "Corpus") -> frozenset[str]:
 
 
 def _model_for(
-    recordings: "Corpus", test: frozenset[str], path: Path | None, progress: Progress
+    recordings: "Corpus", test: frozenset[str], path: Path | None, bars: WorkBars
 ) -> "TrainedModel":
     """One that has not learned what is shown: a mouth that is recited is no synthesis."""
     from lipservo_lab.learning.motion.model_teacher import ModelTeacher
@@ -161,18 +154,8 @@ def _model_for(
                 "...); give one trained without them, or leave --model out"
             )
         return model
-    step = progress.add_task("training", total=None)
-
-    def track(what: str, items: "Sequence[Utterance]") -> "Iterator[Utterance]":
-        yield from progress.track(items, description=what, task_id=None)
-
     known = recordings.keep({u.name for u in recordings.utterances if u.name not in test})
-    teacher = ModelTeacher(
-        known, DEFAULT_WEIGHTS, track, lambda text: progress.update(step, description=text)
-    )
-    model = teacher(known)
-    progress.remove_task(step)
-    return model
+    return ModelTeacher(known, DEFAULT_WEIGHTS, bars.track, bars.tell)(known)
 
 
 def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film":
@@ -294,8 +277,8 @@ def report(
     study, key = read_study(folder), read_key(folder)
     file = answers or folder / ANSWERS_FILE
     given = read_answers(file, study.identity)
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        progress.add_task("counting", total=None)
+    with work_bars(quiet=quiet) as bars:
+        bars.tell("counting")
         found = counted(study, key, given)
         reference = key.methods.index("recorded") if "recorded" in key.methods else 0
         fitted = mixed_model(found.tables, reference) if mixed else None
@@ -315,24 +298,24 @@ def _is_page(head: bytes) -> bool:
     return head.startswith(b"<!doctype html>")
 
 
+#: What is printed of a method's ratings.
+_RATING_HEADINGS = {
+    "method": "method",
+    "mean": "mean",
+    "mean_95": "95 %",
+    "less_reference": "less reference",
+    "less_reference_95": "95 %",
+}
+
+
 def _print_figures(figures: dict[str, object]) -> None:
     raters = figures["raters"]
     assert isinstance(raters, dict)
     left = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"
     RESULTS.print(f"{raters['began']} raters, {raters['counted']} counted; left out: {left}")
-    table = Table("method", "mean", "95 %", "less reference", "95 %", box=None, pad_edge=False)
     rows = figures["ratings"]
     assert isinstance(rows, list)
-    for row in rows:
-        names = ("mean", "mean_95", "less_reference", "less_reference_95")
-        table.add_row(row["method"], *(_cell(row[name]) for name in names))
-    RESULTS.print(table)
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, list):
-        return f"{value[0]:.2f} {value[1]:.2f}"
-    return f"{value:.2f}" if isinstance(value, float) else ""
+    print_table(rows, _RATING_HEADINGS)
 
 
 def rehearse(
@@ -347,13 +330,9 @@ def rehearse(
         ),
     ] = None,
     raters: Annotated[int, typer.Option(min=1, max=1000, help="Who does what is asked.")] = 20,
-    lazy: Annotated[
-        int, typer.Option(min=0, max=1000, help="Who does not, of each of three kinds.")
-    ] = 1,
-    inverted: Annotated[
-        int, typer.Option(min=0, max=1000, help="Who reads the scale backwards.")
-    ] = 1,
-    seed: Annotated[int, typer.Option(help="The same gives the same.")] = 0,
+    lazy: Lazy = 1,
+    inverted: Inverted = 1,
+    seed: Seed = 0,
 ) -> None:
     """Let simulated raters of known taste sit a study, before people do.
 
@@ -407,11 +386,10 @@ def power(
     if min(counts) < 2:
         raise StudyError("--raters: two at least, or nothing is known of other raters")
     size = Size(ratings, 0, 0, sentences, sheets=max(counts))
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+    with work_bars(quiet=quiet) as bars:
         rows = power_rows(
-            counts, methods, size, studies,
-            lambda n: progress.track(range(n), description="simulating"),
-        )  # fmt: skip
+            counts, methods, size, studies, lambda n: bars.track("simulating", range(n))
+        )
     about = {
         "methods": methods, "ratings": ratings, "sentences": sentences, "studies": studies,
         "machine": machine_class(),

@@ -2,14 +2,11 @@
 
 Blinks found in the track of a lid, and how often they come.
 
-Saccades found in a track of gaze, with their sizes and durations.
+What a source of expressions shows to a voice, as arrays.
 
-What a source of expressions shows to a voice, as arrays, and how long it takes.
-
-How a head's motion goes with the voice: how much later, and how closely.
+How much later than the voice a head moves.
 """
 
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from itertools import cycle, islice
@@ -63,46 +60,6 @@ def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
     return float(counts[blink_cues(lid)].sum()) / minutes
 
 
-#: Between two saccades gaze holds; rounding alone moves it less.
-_HOLDS_DEG = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class GazeShifts:
-    """(k,) each: when they begin, how large they are, how long they take."""
-
-    start_s: Array
-    magnitude_deg: Array
-    duration_s: Array
-
-    @property
-    def seconds_per_deg(self) -> float:
-        """Slope of duration over magnitude, least squares."""
-        return float(np.polyfit(self.magnitude_deg, self.duration_s, 1)[0])
-
-
-def gaze_shifts(gaze_deg: Array) -> GazeShifts:
-    """Find the saccades of a source whose gaze holds between them.
-
-    Parameters
-    ----------
-    gaze_deg : Array
-        (n, 2), in the robot's frame.
-
-    Returns
-    -------
-    GazeShifts
-        Starts and durations in s, sizes in degrees.
-    """
-    moves = np.hypot(*np.diff(gaze_deg, axis=0).T) > _HOLDS_DEG
-    edges = np.diff(np.concatenate([[False], moves, [False]]).astype(int))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    way_deg = gaze_deg[ends] - gaze_deg[starts]
-    magnitude_deg = np.asarray(np.hypot(way_deg[:, 0], way_deg[:, 1]), np.float64)
-    duration_s = np.asarray((ends - starts) * CUE_PERIOD_S, np.float64)
-    return GazeShifts(np.asarray(starts * CUE_PERIOD_S, np.float64), magnitude_deg, duration_s)
-
-
 #: Columns of a track of expressions.
 NAMES: Final = tuple(field.name for field in fields(Expression))
 #: As the speech side counts: a pause within a sentence is speech until it has lasted so long.
@@ -114,14 +71,13 @@ class ShownExpression:
     """A track of n cues, CUE_PERIOD_S apart.
 
     values: (n, 10), columns by NAMES, NaN where absent. is_speaking: (n,). loudness_z, pitch_z:
-    (n,), of the voice. step_ms: (n,), the cost of each step.
+    (n,), of the voice.
     """
 
     values: Array
     is_speaking: NDArray[np.bool_]
     loudness_z: Array
     pitch_z: Array
-    step_ms: Array
 
     def column(self, name: str) -> Array:
         """Return one degree of freedom by its name in `Expression`.
@@ -164,19 +120,15 @@ def cues_of(voice: Iterable[VoiceFrame]) -> Iterator[ExpressionCue]:
 
 
 def shown(source: ExpressionSource, cues: Iterable[ExpressionCue]) -> ShownExpression:
-    """Steps a source through cues, each step timed."""
-    values, speaking, loudness, pitch, costs_s = [], [], [], [], []
+    """Steps a source through cues."""
+    values, speaking, loudness, pitch = [], [], [], []
     for cue in cues:
-        began_ns = time.perf_counter_ns()
         expression = source.step(cue)
-        costs_s.append((time.perf_counter_ns() - began_ns) * 1e-6)
         values.append([_number(getattr(expression, name)) for name in NAMES])
         speaking.append(cue.is_speaking)
         loudness.append(cue.voice.loudness_z if cue.voice.is_speech else 0.0)
         pitch.append(cue.voice.pitch_z if cue.voice.is_speech else 0.0)
-    return ShownExpression(
-        np.array(values), np.array(speaking), np.array(loudness), np.array(pitch), np.array(costs_s)
-    )
+    return ShownExpression(*map(np.array, (values, speaking, loudness, pitch)))
 
 
 def _number(value: float | None) -> float:
@@ -185,8 +137,6 @@ def _number(value: float | None) -> float:
 
 #: Lags looked through, either way.
 _MOST_LAG_S: Final = 0.5
-#: Other places of the same voice that the head is compared with, at least so far off.
-_N_SHUFFLED, _LEAST_SHIFT_S = 20, 5.0
 
 
 def lag_ms(shown: ShownExpression) -> float:
@@ -206,39 +156,6 @@ def lag_ms(shown: ShownExpression) -> float:
     return float(lags[int(np.argmax(strengths))]) * CUE_PERIOD_S * 1e3
 
 
-def canonical_r(shown: ShownExpression, lag_s: float = 0.0) -> float:
-    """First canonical correlation of prosody and head, over speech.
-
-    Prosody: loudness, pitch, and their velocities. Head: velocities of pitch and yaw, `lag_s`
-    later. Hotelling, Biometrika 28, 1936; by the singular values of Bjorck and Golub, 1973.
-    """
-    return _first_canonical(*_features(shown, lag_s))
-
-
-def canonical_r_shuffled(shown: ShownExpression, lag_s: float = 0.0, seed: int = 0) -> float:
-    """The same against other places of the same voice, mean of 20: what chance alone gives."""
-    prosody, head = _features(shown, lag_s)
-    least = min(round(_LEAST_SHIFT_S / CUE_PERIOD_S), len(head) // 3)
-    shifts = np.random.default_rng(seed).integers(least, len(head) - least, _N_SHUFFLED)
-    return float(np.mean([_first_canonical(np.roll(prosody, s, axis=0), head) for s in shifts]))
-
-
-def _features(shown: ShownExpression, lag_s: float) -> tuple[Array, Array]:
-    """(n, 4) and (n, 2), n: cues of speech."""
-    lag = round(lag_s / CUE_PERIOD_S)
-    prosody = [shown.loudness_z, shown.pitch_z]
-    prosody += [_velocity(each) for each in prosody]
-    head = [np.roll(_velocity(shown.column(f"neck_{axis}_deg")), -lag) for axis in ("pitch", "yaw")]
-    rows = shown.is_speaking.copy()
-    rows[len(rows) - lag :] = False
-    return np.column_stack(prosody)[rows], np.column_stack(head)[rows]
-
-
-def _first_canonical(one: Array, other: Array) -> float:
-    bases = [np.linalg.qr(each - each.mean(axis=0))[0] for each in (one, other)]
-    return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
-
-
 def _velocity(values: Array) -> Array:
     return np.asarray(np.gradient(values, CUE_PERIOD_S))
 
@@ -247,32 +164,16 @@ def _centred(values: Array) -> Array:
     return np.asarray(values - values.mean())
 
 
-#: Of a dialogue: this much of the voice, then as much silence.
-_TURN_S = 5.0
 _COUNTED_S = 1200.0
 
 
 @dataclass(frozen=True, slots=True)
 class ExpressionFigures:
-    """Of one source and one voice.
-
-    blink_per_min_dialogue: turns of 5 s of the voice and of silence. saccade_*: in talk, sizes at
-    percentiles 50 and 90, share below 15 degrees, milliseconds a degree, median time between two.
-    canonical_r: at the lag found; shuffled: at the same lag. expression_step_ms: 95th percentile.
-    """
+    """Of one source and one voice."""
 
     blink_per_min_talking: float
     blink_per_min_silent: float
-    blink_per_min_dialogue: float
-    saccade_median_deg: float
-    saccade_p90_deg: float
-    saccade_share_below_15_deg: float
-    saccade_ms_per_deg: float
-    saccade_interval_s: float
     prosody_lag_ms: float
-    canonical_r: float
-    canonical_r_shuffled: float
-    expression_step_ms: float
 
 
 def expression_figures(
@@ -288,33 +189,16 @@ def expression_figures(
     n_counted = round(_COUNTED_S / CUE_PERIOD_S)
     talking = _shown(make_source(), islice(cycle(frames), n_counted))
     silent = _shown(make_source(), islice(_pauses(frames), n_counted))
-    dialogue = _shown(make_source(), islice(_turns(frames), n_counted))
     once = _first(talking, min(len(frames), n_counted))
-    lag = lag_ms(once)
-    shifts = gaze_shifts(talking.gaze_deg)
     return ExpressionFigures(
         blinks_per_min(talking.column("lid_left"), talking.is_speaking),
         blinks_per_min(silent.column("lid_left"), ~silent.is_speaking),
-        blinks_per_min(dialogue.column("lid_left"), np.ones_like(dialogue.is_speaking)),
-        *_saccade_figures(shifts),
-        lag,
-        canonical_r(once, max(0.0, lag * 1e-3)),
-        canonical_r_shuffled(once, max(0.0, lag * 1e-3)),
-        float(np.percentile(talking.step_ms, 95)),
+        lag_ms(once),
     )
 
 
 def _shown(source: ExpressionSource, voice: Iterable[VoiceFrame]) -> ShownExpression:
     return shown(source, cues_of(voice))
-
-
-def _turns(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
-    """The voice in turns, with silence between them, without end."""
-    heard = cycle(frames)
-    n_turn = round(_TURN_S / CUE_PERIOD_S)
-    while True:
-        yield from islice(heard, n_turn)
-        yield from (SILENT_VOICE for _ in range(n_turn))
 
 
 def _pauses(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
@@ -327,21 +211,7 @@ def _pauses(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
 
 
 def _first(whole: ShownExpression, n: int) -> ShownExpression:
-    """The first n cues: a repeated voice would differ from shuffled ones too clearly."""
+    """The first n cues, in which no voice is repeated."""
     return ShownExpression(
-        whole.values[:n],
-        whole.is_speaking[:n],
-        whole.loudness_z[:n],
-        whole.pitch_z[:n],
-        whole.step_ms[:n],
-    )
-
-
-def _saccade_figures(shifts: GazeShifts) -> tuple[float, float, float, float, float]:
-    return (
-        float(np.median(shifts.magnitude_deg)),
-        float(np.percentile(shifts.magnitude_deg, 90)),
-        float(np.mean(shifts.magnitude_deg < 15.0)),
-        shifts.seconds_per_deg * 1e3,
-        float(np.median(np.diff(shifts.start_s))),
+        whole.values[:n], whole.is_speaking[:n], whole.loudness_z[:n], whole.pitch_z[:n]
     )

@@ -5,9 +5,10 @@ Which sentences train and which are scored.
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,22 +43,40 @@ def read_parts(folder: Path, corpus: Corpus) -> list[Part]:
 
     Raises CorpusError for a missing or damaged file, and one that names none of the sentences.
     """
+    return held_out_parts(
+        folder, corpus, "random", lambda content: content["folds"], instead="--model needs none"
+    )
+
+
+def held_out_parts(
+    folder: Path,
+    corpus: Corpus,
+    split: str,
+    sets_of: Callable[[Any], Iterable[Iterable[str]]],
+    *,
+    new: str = "",
+    instead: str,
+) -> list[Part]:
+    """Parts by a folder's `splits.json`: those of `split`, and one for each set of new words.
+
+    sets_of: the sentences of each part of `split`, of the file's content. new: put before the names
+    of sets of words. instead: which option needs no such file. Raises CorpusError for a missing or
+    damaged file, one that names none of the sentences, and a part that leaves none to train on.
+    """
     path = folder / "splits.json"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        folds = [frozenset(map(str, fold)) for fold in content["folds"]]
+        tests = [frozenset(map(str, names)) for names in sets_of(content)]
         new_words = {str(k): frozenset(map(str, v)) for k, v in content["new_words"].items()}
     except FileNotFoundError:
-        raise CorpusError(
-            f"{path}: no such file; without --model the folder's splits.json says what to hold out"
-        ) from None
+        raise CorpusError(f"{path}: no such file; it says what is held out ({instead})") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise CorpusError(f"{path}: not a usable list of splits ({error})") from error
     names = frozenset(u.name for u in corpus.utterances)
-    parts = [Part("random", names - fold, names & fold, None) for fold in folds if names & fold]
+    parts = [Part(split, names - test, names & test, None) for test in tests if names & test]
     if not parts:
-        raise CorpusError(f"{path}: none of its folds names a labelled sentence of the folder")
-    parts += [words_part(name, corpus, words) for name, words in new_words.items()]
+        raise CorpusError(f"{path}: its splits name no labelled sentence of the folder")
+    parts += [words_part(f"{new}{name}", corpus, words) for name, words in new_words.items()]
     for part in parts:
         if not part.train:
             raise CorpusError(f"{path}: split {part.split} leaves no sentence to train on")
@@ -164,19 +183,5 @@ def seen_in_training(model: TrainedModel, utterances: Iterable[Utterance]) -> li
     return [u.name for u in utterances if u.name in trained]
 
 
-def table(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> str:
-    """A Markdown table of some columns of rows."""
-    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    for row in rows:
-        lines.append("| " + " | ".join(_cell(row.get(c)) for c in columns) + " |")
-    return "\n".join(lines)
-
-
 def _motion(model: FaceModel, faces: Array) -> Motion:
     return Motion(model.markers_mm(faces), faces)
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    return "" if value is None else str(value)

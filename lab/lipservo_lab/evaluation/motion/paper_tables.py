@@ -1,8 +1,8 @@
 """Tables 2 and 3, Figures 1 and 6 of Wei and Deng in their own form, beside the printed numbers.
 
 Figure 1: how much of ten sentences a live recogniser labels as the labels have it. Table 2: RMSE of
-three clips, drawn at random, with true phonemes (case 1) and live recognised ones (case 2, once for
-each recogniser), over the baseline's. Table 3: what a phoneme costs in processor time. Figure 6:
+three clips, drawn at random, with true phonemes (case 1) and live recognised ones (case 2), over
+the baseline's. Table 3: what a phoneme costs in processor time. Figure 6:
 miss rates of eight phrases. Only ratios compare: the paper's RMSE has no unit.
 
 What the paper prints of its data beside the model's, and what AnimPhos do to the default motion.
@@ -15,7 +15,7 @@ orders of magnitude compare, no more.
 """
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -225,16 +225,15 @@ PRINTED_PRIORITY_MISSES = 0.5
 def paper_tables(
     model: TrainedModel,
     utterances: Sequence[Utterance],
-    recognizers: Mapping[str, Listen],
+    listen: Listen,
     printed: PrintedMethod | None,
     *,
     seed: int = 0,
 ) -> dict[str, list[Row]]:
     """Rows of data, figure_1, table_2, table_3, figure_6 and animphos; ours beside the paper's own.
 
-    printed: the paper's method as printed, where the model's sentences are at hand. recognizers:
-    by name; the first is the one in use, whose columns end in `case_2`, the others'
-    in `case_2_NAME`.
+    printed: the paper's method as printed, where the model's sentences are at hand. listen: what
+    the live recogniser finds in a sentence, of case 2.
     """
     rng = np.random.default_rng(seed)
     n_drawn = min(len(utterances), N_HEARD)
@@ -242,12 +241,12 @@ def paper_tables(
     drawn, clips = picked[:N_PHRASES], picked[:N_CLIPS]
     return {
         "data": _data_rows(model),
-        "figure_1": [_agreement(sentence, recognizers) for sentence in picked],
-        "table_2": [_ratios(model, clip, i, recognizers, printed) for i, clip in enumerate(clips)],
+        "figure_1": [_agreement(sentence, listen) for sentence in picked],
+        "table_2": [_ratios(model, clip, i, listen, printed) for i, clip in enumerate(clips)],
         "table_3": [
             row
             for number, clip in enumerate(clips)
-            for row in cost_rows(model, clip, number, next(iter(recognizers.values())))
+            for row in cost_rows(model, clip, number, listen)
         ],
         "figure_6": [_misses(model, phrase, printed) for phrase in drawn],
         "animphos": [animpho_use(model, picked)],
@@ -315,16 +314,14 @@ def animpho_use(model: TrainedModel, sentences: Sequence[Utterance]) -> Row:
     }
 
 
-def _agreement(sentence: Utterance, recognizers: Mapping[str, Listen]) -> Row:
-    """The share of a sentence's speech that each recogniser labels as its labels have it."""
-    row: Row = {"sentence": sentence.name, "printed": list(PRINTED_AGREEMENT)}
+def _agreement(sentence: Utterance, listen: Listen) -> Row:
+    """The share of a sentence's speech that the recogniser labels as its labels have it."""
     times_s = np.arange(0.0, sentence.phones[-1].start_s, _COMPARED_S)
     spoken = _phonemes_at(sentence.phones, times_s)
-    for name, listen in recognizers.items():
-        heard = _phonemes_at(listen(sentence).events, times_s)
-        pairs = [(a, b) for a, b in zip(spoken, heard, strict=True) if a != SILENCE]
-        row[name] = sum(a == b for a, b in pairs) / max(1, len(pairs))
-    return row
+    heard = _phonemes_at(listen(sentence).events, times_s)
+    pairs = [(a, b) for a, b in zip(spoken, heard, strict=True) if a != SILENCE]
+    share = sum(a == b for a, b in pairs) / max(1, len(pairs))
+    return {"sentence": sentence.name, "printed": list(PRINTED_AGREEMENT), "network": share}
 
 
 def _phonemes_at(events: Sequence[PhonemeEvent], times_s: Array) -> list[str]:
@@ -337,7 +334,7 @@ def _ratios(
     model: TrainedModel,
     clip: Utterance,
     number: int,
-    recognizers: Mapping[str, Listen],
+    listen: Listen,
     printed: PrintedMethod | None,
 ) -> Row:
     row: Row = {
@@ -348,10 +345,7 @@ def _ratios(
     methods: list[Method] = [all_methods()["priority"], *_ours()]
     if printed is not None:
         methods.append(printed)
-    cases: dict[str, Listen] = {"case_1": true_phonemes}
-    for name, listen in recognizers.items():
-        cases[f"case_2_{name}" if "case_2" in cases else "case_2"] = listen
-    for case, hear in cases.items():
+    for case, hear in {"case_1": true_phonemes, "case_2": listen}.items():
         scores = Scores()
         add_scores(scores, model, [clip], methods, (LOOKAHEAD_MS,), listen=hear)
         for method in methods:

@@ -3,19 +3,15 @@
 Three cases beside one another: the error is never put right; the recogniser puts it right a little
 later, and the mouth was not made to wait for that; and, as the measure of both, what a phoneme
 that truly is another one leaves behind, recorded and made (`minimal_pairs`).
-
-Phoneme sequences with errors put in, to see how synthesis copes with a recogniser's errors.
-
-What wrong phonemes cost: RMSE against the share of phonemes that are wrong.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from lipservo_lab.corpus.utterance import Utterance, speech_frames
+from lipservo_lab.corpus.utterance import Utterance
 from lipservo_lab.evaluation.motion.methods import Heard, Method
 from lipservo_lab.evaluation.motion.minimal_pairs import (
     AFTER,
@@ -31,77 +27,7 @@ from lipsync.audio_block import BLOCK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.network import LATENCY_S
 
-KINDS = ("substitution", "insertion", "deletion")
 _SPOKEN = tuple(p for p in PHONEMES if p != SILENCE)
-
-
-def misheard(
-    events: Sequence[PhonemeEvent], kind: str, rate: float, rng: np.random.Generator
-) -> tuple[PhonemeEvent, ...]:
-    """A share `rate` of the spoken phonemes is hit; the sentence keeps its length.
-
-    substitution: any other phoneme; insertion: any phoneme takes the second half; deletion: the
-    phoneme before goes on over it. Raises ValueError for another kind.
-    """
-    if kind not in KINDS:
-        raise ValueError(f"unknown kind of error {kind!r}; known here: {', '.join(KINDS)}")
-    made: list[PhonemeEvent] = []
-    for event in events:
-        if event.phoneme == SILENCE or event.end_s is None or rng.random() >= rate:
-            made.append(event)
-            continue
-        other = str(rng.choice([p for p in _SPOKEN if p != event.phoneme]))
-        if kind == "substitution":
-            made.append(replace(event, phoneme=other))
-        elif kind == "insertion":
-            middle_s = (event.start_s + event.end_s) / 2.0
-            made.append(replace(event, end_s=middle_s))
-            made.append(replace(event, phoneme=other, start_s=middle_s))
-        elif made:
-            made[-1] = replace(made[-1], end_s=event.end_s)
-        else:
-            made.append(replace(event, phoneme=SILENCE))
-    return tuple(made)
-
-
-ERROR_RATES = (0.0, 0.1, 0.2, 0.3, 0.5)
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorRow:
-    """RMSE per point over speech frames with a share `rate` of the phonemes wrong."""
-
-    strategy: str
-    kind: str
-    rate: float
-    rmse_mm: float
-
-
-def error_rows(
-    model: TrainedModel,
-    utterances: Sequence[Utterance],
-    methods: Sequence[Method],
-    *,
-    lookahead_s: float,
-    seed: int = 0,
-) -> list[ErrorRow]:
-    """Every method with every kind and rate of error; all hear the same wrong phonemes."""
-    rows = []
-    for kind in KINDS:
-        for rate in ERROR_RATES:
-            rng = np.random.default_rng([seed, KINDS.index(kind), round(rate * 100)])
-            heard = [misheard(u.phones, kind, rate, rng) for u in utterances]
-            for method in methods:
-                squares, n_frames = 0.0, 0
-                for utterance, events in zip(utterances, heard, strict=True):
-                    scored = speech_frames(utterance)
-                    times_s = np.arange(len(scored)) / utterance.frame_rate_hz
-                    faces = method.faces(model, Heard(events), times_s, lookahead_s)
-                    error = (model.markers_mm(faces) - utterance.markers_mm)[scored] ** 2
-                    squares += float(error.sum()) / error.shape[1]
-                    n_frames += int(scored.sum())
-                rows.append(ErrorRow(method.name, kind, rate, float((squares / n_frames) ** 0.5)))
-    return rows
 
 
 Row = dict[str, object]
@@ -169,7 +95,7 @@ def wrong_phoneme_persistence(
         if len(spoken) < 2 + AFTER:
             continue
         hit = spoken[int(rng.integers(1, len(spoken) - AFTER))]
-        wrong = misheard(phones[hit : hit + 1], "substitution", 1.0, rng)[0].phoneme
+        wrong = str(rng.choice([p for p in _SPOKEN if p != phones[hit].phoneme]))
         after = phones[hit : hit + 1 + AFTER]
         times_s = np.arange(0.0, after[-1].end_s or 0.0, 1.0 / _RATE_HZ)
         faces = {

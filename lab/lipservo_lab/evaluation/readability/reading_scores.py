@@ -3,20 +3,15 @@
 What is read: known words of held-out sentences, and sets of words that a model never saw.
 """
 
-import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from lipservo_lab.corpus.utterance import Corpus, CorpusError, Utterance
+from lipservo_lab.corpus.utterance import Corpus, Utterance
 from lipservo_lab.evaluation.motion.methods import Method
-from lipservo_lab.evaluation.motion.motion_scores import (
-    Listen,
-    Part,
-    words_part,
-)
+from lipservo_lab.evaluation.motion.motion_scores import Listen, Part, held_out_parts
 from lipservo_lab.evaluation.readability.readers import (
     MARGIN_S,
     Motions,
@@ -37,27 +32,15 @@ def reading_parts(folder: Path, corpus: Corpus) -> list[Part]:
     corpus: labelled. Raises CorpusError for a missing or damaged splits.json, one whose
     `random_test` holds none or all of the sentences, and a set that leaves none to train on.
     """
-    path = folder / "splits.json"
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        random_test = frozenset(map(str, content["random_test"]))
-        word_sets = {str(k): frozenset(map(str, v)) for k, v in content["new_words"].items()}
-    except FileNotFoundError:
-        raise CorpusError(
-            f"{path}: no such file; it says which sentences and words are held out "
-            "(--words names words instead)"
-        ) from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise CorpusError(f"{path}: not a usable list of splits ({error})") from error
-    names = frozenset(u.name for u in corpus.utterances)
-    parts = [Part(KNOWN, names - random_test, names & random_test, None)]
-    if not parts[0].test:
-        raise CorpusError(f"{path}: its random_test names no labelled sentence of the folder")
-    parts += [words_part(f"new_{key.lower()}", corpus, each) for key, each in word_sets.items()]
-    for part in parts:
-        if not part.train:
-            raise CorpusError(f"{path}: split {part.split} leaves no sentence to train on")
-    return parts
+    parts = held_out_parts(
+        folder,
+        corpus,
+        KNOWN,
+        lambda content: [content["random_test"]],
+        new="new_",
+        instead="--words names words instead",
+    )
+    return [replace(part, split=part.split.lower()) for part in parts]
 
 
 _N_SAMPLES = 1000

@@ -19,12 +19,7 @@ from lipservo_lab.evaluation.recognition.conditions import (
 )
 from lipservo_lab.evaluation.recognition.half_duplex import half_duplex_false_speech
 from lipservo_lab.evaluation.recognition.recognition_scores import Score, phone_sequence
-from lipservo_lab.evaluation.recognition.stream_observers import (
-    NO_TEXT,
-    KnownText,
-    label_frames,
-    time_to_leave,
-)
+from lipservo_lab.evaluation.recognition.stream_observers import label_frames, time_to_leave
 from lipservo_lab.learning.recognition import noise
 from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
@@ -108,13 +103,13 @@ def measure(
     condition: Condition | None = None,
     progress: Callable[[str], None] = lambda _name: None,
     groups_of: Callable[[str], Sequence[str]] = lambda _speaker: (),
-    known_text_of: Callable[[TranscribedUtterance], KnownText] = lambda _utterance: NO_TEXT,
+    known_text_of: Callable[[TranscribedUtterance], str] = lambda _utterance: "",
 ) -> Figures:
     """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
 
     Alignments that needed the second try are no reference: they are counted, not scored. groups_of:
     names of the groups that a speaker is counted in. known_text_of: the text that the recogniser
-    gets; where that comes late, the frames after it are scored.
+    gets beforehand; empty: none.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
@@ -134,9 +129,8 @@ def measure(
         text = known_text_of(utterance)
         heard, block_costs = label_frames(recognizer, samples, servos_deg, text)
         reference = alignments[utterance.name].labels(len(heard.labels))
-        first = round(text.late_s * FRAMES_PER_S)
         for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
-            each.add(heard.labels[first:], reference[first:])
+            each.add(heard.labels, reference)
         duration_s += len(samples) / SAMPLE_RATE_HZ
         n_revisions += heard.n_revisions
         n_reported += len(phone_sequence(heard.labels))
@@ -247,9 +241,7 @@ def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
     }
 
 
-def block_costs_s(
-    recognizer: LiveRecognizer, samples: np.ndarray, text: KnownText = NO_TEXT
-) -> np.ndarray:
+def block_costs_s(recognizer: LiveRecognizer, samples: np.ndarray, text: str = "") -> np.ndarray:
     """Processor time of each 10 ms block (m,): the least of several passes over the sound.
 
     What other programs cost on a shared machine (caches emptied, memory slowed) goes away with the

@@ -53,10 +53,22 @@ class PieceMicrophone:
 def half_duplex_false_speech(
     recognizer: LiveRecognizer, samples: Array32, servos_deg: Array | None
 ) -> float:
-    """The share of time in which sound (n,) without speech is called speech.
+    """Return the share of time in which sound without speech is called speech.
 
-    servos_deg: (n // 160, n_servos), encoder readings each 10 ms, from which the recogniser learns
-    how the servos move; None: it is not told.
+    Parameters
+    ----------
+    recognizer : LiveRecognizer
+        What listens.
+    samples : Array32
+        (n,) at 16 kHz.
+    servos_deg : Array | None
+        (n // 160, n_servos), encoder readings each 10 ms, from which the recogniser learns how the
+        servos move; None: it learns nothing of them.
+
+    Returns
+    -------
+    float
+        0 to 1.
     """
     recognizer.reset()
     microphone = PieceMicrophone(samples)

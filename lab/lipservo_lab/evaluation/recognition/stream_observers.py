@@ -4,10 +4,8 @@ Hours of speech without a pause: a recogniser must not grow, neither in memory n
 """
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +25,6 @@ from lipsync.recognition.network_recognizer import FOLLOWING_LATENCY_S
 from lipsync.recognition.own_noise import ServoSpeeds
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 from lipsync.recognition.text_decoder import TextFollower
-from lipsync.spoken_text import PronouncedWord
 from lipsync.text_to_speech.pronunciation import pronounced
 from lipsync.timeline import PhonemeTimeline
 
@@ -88,41 +85,11 @@ class UpdateLog:
             self.updates.append(update)
 
 
-#: A sender that tells its text in pieces tells so many words, each time as long before their sound.
-_PIECE_WORDS, _PIECE_AHEAD_S = 3, 0.3
-
-
-@dataclass(frozen=True, slots=True)
-class KnownText:
-    """The words that a recogniser gets, and when: before the sound, later, or in pieces."""
-
-    text: str
-    late_s: float = 0.0
-    in_pieces: bool = False
-
-    def pieces(self, duration_s: float) -> list[tuple[float, str]]:
-        """(seconds after the sound began, text), of a sound that says it evenly."""
-        words = self.text.split()
-        if not self.in_pieces:
-            return [(self.late_s, self.text)] if words else []
-        firsts = range(0, len(words), _PIECE_WORDS)
-        return [
-            (
-                max(0.0, duration_s * first / len(words) - _PIECE_AHEAD_S) + self.late_s,
-                " ".join(words[first : first + _PIECE_WORDS]),
-            )
-            for first in firsts
-        ]
-
-
-NO_TEXT: Final = KnownText("")
-
-
 def label_frames(
     recognizer: LiveRecognizer,
     samples: Array32,
     servos_deg: Array | None = None,
-    text: KnownText = NO_TEXT,
+    text: str = "",
 ) -> tuple[FrameLabels, StepCosts]:
     """Feed samples as a live stream, and silence until all is settled.
 
@@ -139,8 +106,8 @@ def label_frames(
     servos_deg : Array | None
         (n_frames, n_servos), encoder readings each 10 ms, which the recogniser gets when they are
         read.
-    text : KnownText
-        The words that it gets; what follows them is settled later, and scored by that.
+    text : str
+        The words that it gets beforehand; what follows them is settled later, and scored by that.
 
     Returns
     -------
@@ -156,26 +123,10 @@ def label_frames(
     blocks = blocks_of(whole, n_first)
     if servos_deg is not None and isinstance(recognizer, ServoListener):
         blocks = _with_servos(blocks, recognizer, servos_deg)
-    if text.text and isinstance(recognizer, TextFollower):
-        pieces = text.pieces(len(samples) / SAMPLE_RATE_HZ)
-        blocks = _telling(blocks, recognizer, [(at_s, pronounced(t)) for at_s, t in pieces])
+    if text and isinstance(recognizer, TextFollower):
+        recognizer.tell(pronounced(text))
     RecognizerStream(recognizer, (labels, costs)).run(blocks)
     return labels, costs
-
-
-def _telling(
-    blocks: Iterable[AudioBlock],
-    recognizer: TextFollower,
-    pieces: Sequence[tuple[float, Sequence[PronouncedWord]]],
-) -> Iterator[AudioBlock]:
-    """The blocks; before each, the recogniser gets the words that are due."""
-    waiting, is_first = deque(pieces), True
-    for block in blocks:
-        while waiting and waiting[0][0] <= block.start_s:
-            at_s, words = waiting.popleft()
-            recognizer.tell(words, at_s if is_first else 0.0)
-            is_first = False
-        yield block
 
 
 @dataclass(frozen=True, slots=True)

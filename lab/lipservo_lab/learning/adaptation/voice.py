@@ -5,9 +5,10 @@ A forced aligner lays any text over any sound for which it finds a way, so every
 left out; where they are many, the folder is not what it should be.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from lipservo.terminal.output import Advance
 from lipservo_lab.corpus.alignment_cache import (
     LABELLED,
     AlignedUtterance,
@@ -30,9 +31,6 @@ _HELD_OUT_STEP, LEAST_HELD_OUT_S = 5, 20.0
 #: Left out at most: of true texts of 64 native sentences none is, of 60 learners' seven, of others'
 #: texts on native sentences all (docs/recognition.md, Does the text match the sound).
 MOST_LEFT_OUT = 0.34
-
-#: What is done, how many, of how many.
-Advance = Callable[[str, int, int], None]
 
 
 class VoiceError(UserError):

@@ -8,13 +8,14 @@ of zero-shot models", CVPR 2022, equation 1.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from firmware_bridge.stop_signals import SignalCounter
+from lipservo.terminal.output import Advance
 from lipservo_lab.corpus.alignment_cache import AlignedUtterance, align_corpus
 from lipservo_lab.corpus.transcribed import (
     TranscribedUtterance,
@@ -53,9 +54,6 @@ _CORPUS = "corpus_"
 _TEXT_CHARACTERS = range(20, 200)
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _MEMBERSHIP = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
-
-#: What is done, how many, of how many.
-Advance = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)

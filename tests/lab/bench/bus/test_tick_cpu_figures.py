@@ -85,7 +85,7 @@ def test_the_figures_of_a_tick_have_the_names_that_are_promised(monkeypatch):
 
     figures = tick_cpu_figures.tick_ratios()
 
-    assert {"cpu_tick_ratio", "cpu_tick_ratio_median", "cpu_tick_all_fast_ratio"} <= {*figures}
+    assert {"cpu_tick_ratio", "cpu_tick_ratio_median"} <= {*figures}
     assert all(value > 0.0 for value in figures.values())
 
 

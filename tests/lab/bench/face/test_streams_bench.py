@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 from lipservo_lab.bench.face.face_figures import browser, page_ready_s
-from lipservo_lab.bench.face.play_queue import play_figures
-from lipservo_lab.bench.face.streams import clients, processor_s
+from lipservo_lab.bench.face.streams import clients
+from lipservo_lab.seen_processes import processor_s
 from served_dashboard import served
 
 
@@ -34,11 +34,3 @@ def test_a_page_is_ready_when_it_says_so():
     with served() as dashboard:
         text = "document.body && document.body.innerText.includes('/api/stop')"
         assert page_ready_s(f"{dashboard.address}/docs", 1, text) > 0.0
-
-
-@pytest.mark.slow
-def test_five_hundred_plays_at_once_are_eight_and_cost_two_threads():
-    figures = play_figures(2.0)
-    assert figures["play_accepted"] == 8
-    assert figures["play_threads_added"] <= 2
-    assert 0.0 <= figures["play_late_ticks"] <= 1.0  # how many, the computer decides

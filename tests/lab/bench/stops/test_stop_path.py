@@ -7,10 +7,15 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from lipservo_lab.bench.stops.stop_path import MOST_CALLS, MOST_FILES, counted, stop_path_figures
+from lipservo_lab.bench.stops import traced as tracer_module
+from lipservo_lab.bench.stops.raw_control import request
+from lipservo_lab.bench.stops.running_face import running_face
+from lipservo_lab.bench.stops.stop_clients import post_stop, stop_by_control
+from lipservo_lab.bench.stops.stop_path import TIMEOUT_S, counted, traced_stop
 from lipservo_lab.bench.stops.traced import MARKER, StopTracer, has_marker
 
-from firmware_bridge.stopping import StopLevel
+#: Bars: one file is the room that is kept for stops beside idle connections.
+MOST_FILES, MOST_CALLS = 7, 40
 
 #: A program in small: a server that gives a stop to a thread, and the owner of a command queue.
 PROGRAM = """
@@ -144,7 +149,15 @@ def test_the_files_of_all_processes_are_counted_once_and_the_calls_each_time():
 
 @pytest.mark.slow
 def test_a_stop_passes_few_files_and_calls_of_ours_until_it_is_in_the_queue():
-    figures = stop_path_figures((StopLevel.FREEZE,))
+    with running_face(page=True, agents=True, tracer=tracer_module) as face:
+        at = face.at
+        clients = {
+            "socket": lambda: request(at.control, "freeze", TIMEOUT_S),
+            "page": lambda: post_stop(at.page, "freeze", 0, TIMEOUT_S, MARKER),
+            "api": lambda: post_stop(at.page, "freeze", 1, TIMEOUT_S, MARKER),
+            "control": lambda: stop_by_control(at.agents, "freeze", TIMEOUT_S, MARKER),
+        }
+        found = {name: traced_stop(face, stop) for name, stop in clients.items()}
 
-    assert figures["files"] <= MOST_FILES, figures["by_client"]
-    assert figures["calls"] <= MOST_CALLS, figures["by_client"]
+    assert max(each["files"] for each in found.values()) <= MOST_FILES, found
+    assert max(each["calls"] for each in found.values()) <= MOST_CALLS, found

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from gaze_shifts import gaze_shifts
 from lipservo_lab.evaluation.expression.expression_figures import (
     blink_cues,
     blinks_per_min,
-    gaze_shifts,
 )
 
 from lipsync.expression.gaze import Saccade

@@ -1,6 +1,5 @@
 """The measures: checked against worked examples and other libraries."""
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +21,7 @@ from lipservo_lab.evaluation.motion.minimal_pairs import (
 )
 from lipservo_lab.evaluation.motion.motion_scores import Scores, add_scores
 from lipservo_lab.evaluation.motion.recovery import (
-    KINDS,
     NEVER_S,
-    error_rows,
-    misheard,
     wrong_phoneme_persistence,
 )
 from lipservo_lab.learning.motion.frame_statistics import observe_closures
@@ -188,20 +184,6 @@ def test_only_the_words_asked_for_count():
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_share_of_the_phonemes_is_misheard_and_time_is_kept(kind):
-    events = spoken(*[("AA", 0.1)] * 1000)
-    wrong = misheard(events, kind, 0.3, np.random.default_rng(0))
-    assert wrong[-1].end_s == events[-1].end_s
-    assert all(a.end_s == b.start_s for a, b in pairwise(wrong))
-    hit = {
-        "substitution": sum(e.phoneme != "AA" for e in wrong),
-        "insertion": len(wrong) - 1000,
-        "deletion": 1000 - len(wrong),
-    }[kind]
-    assert 250 < hit < 350
-
-
 SENTENCE = spoken(
     ("SIL", 0.4), *[("AA", 0.1), ("T", 0.08), ("UW", 0.1), ("L", 0.08)] * 4, ("SIL", 0.4)
 )
@@ -225,14 +207,6 @@ def test_a_wrong_phoneme_is_forgotten_and_sooner_when_it_is_put_right():
     assert (late.shares[:3] < 0.5 * never.shares[:3]).all()
     assert not at_once.shares.any()
     assert (never.intervals[:, 0] <= never.shares + 1e-9).all()
-
-
-@pytest.mark.slow
-def test_the_deeper_the_errors_the_worse_the_motion():
-    model, ours = load_trained_model(), all_methods()[LIVE_STRATEGY]
-    rows = error_rows(model, [made_by_ours(SENTENCE)], [ours], lookahead_s=0.1)
-    errors = {r.rate: r.rmse_mm for r in rows if r.kind == "substitution"}
-    assert errors[0.0] < 1e-6 < errors[0.5]
 
 
 def test_what_a_phoneme_leaves_behind_is_read_off_minimal_pairs():

@@ -38,7 +38,7 @@ def test_a_word_that_nobody_says_is_named(folder):
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [("{", "not a usable list"), ('{"folds": [["x"]], "new_words": {}}', "none of its folds")],
+    [("{", "not a usable list"), ('{"folds": [["x"]], "new_words": {}}', "name no labelled")],
 )
 def test_a_bad_list_of_splits_says_so(folder, content, message):
     (folder / "splits.json").write_text(content)

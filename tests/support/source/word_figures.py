@@ -15,12 +15,12 @@ docs/architecture.md, made from the code, do not count.
 """
 
 import ast
-import json
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
+
+from lipservo_lab.bench.house.code_lines import pages
 
 FOLDERS: Final = ("calibration", "firmware_bridge", "lipservo", "lipsync", "client", "lab")
 #: `take` and `look` are left out: a take of a recording and a look-ahead are terms of the field.
@@ -103,13 +103,6 @@ def first_sentence(markdown: str) -> str:
         if text and not paragraph.lstrip().startswith(("#", "<", "|", "!", "[!")):
             return re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0]
     return ""
-
-
-def pages(root: Path) -> list[Path]:
-    """Return all Markdown pages of a checkout."""
-    folders = ("config", "docs", "examples", "firmware", "lipservo", "lipsync", "lab", ".github")
-    found = [*root.glob("*.md"), *(root / "client").glob("*.md")]
-    return sorted([*found, *(path for each in folders for path in (root / each).rglob("*.md"))])
 
 
 def anchors(page: Path) -> set[str]:
@@ -203,7 +196,3 @@ def _array_functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFu
                 kinds = [each.returns, *(one.annotation for one in given)]
                 if any(kind is not None and "Array" in ast.unparse(kind) for kind in kinds):
                     yield each
-
-
-if __name__ == "__main__":
-    print(json.dumps(word_figures(Path(sys.argv[1])), indent=1))  # noqa: T201
