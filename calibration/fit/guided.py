@@ -179,12 +179,13 @@ def _ridge(x: Array, turned_deg: Array) -> tuple[Array, Array]:
 #: Degrees of a key press: one is about the backlash of a printed gear train, five cross a
 #: range soon.
 _SMALL_DEG, _LARGE_DEG = 1.0, 5.0
+KEEP_KEYS = ("\r", "\n", " ")
 #: What each key is for, as shown to the person.
 KEYS: Mapping[str, str] = {
     "w s or arrows up, down": "previous, next servo",
     "d a or arrows right, left": "one degree more, less",
     "D A": "five degrees more, less",
-    "enter": "the pose is right: next one",
+    "enter or space": "the pose is right: next one",
     "x": "leave this pose out",
     "b": "back to the pose before",
     "q": "stop; what was made is kept",
@@ -219,8 +220,9 @@ class GuidedSession:
             return replace(self, servo=(self.servo + (1 if key == "s" else -1)) % n_servos)
         steps = {"d": _SMALL_DEG, "a": -_SMALL_DEG, "D": _LARGE_DEG, "A": -_LARGE_DEG}
         if key in steps:
-            return self._turned(steps[key])
-        if key in ("\r", "\n"):
+            turned_deg = float(self.positions_deg[self.servo]) + steps[key]
+            return self.moved({self.joints[self.servo].name: turned_deg})
+        if key in KEEP_KEYS:
             name = self.poses[self.pose].name
             return replace(
                 self,
@@ -230,15 +232,21 @@ class GuidedSession:
         if key == "x":
             return replace(self, pose=self.pose + 1)
         if key == "b":
-            return replace(self, pose=max(0, self.pose - 1))
+            before = max(0, self.pose - 1)
+            made_deg = self.made_deg.get(self.poses[before].name, self.positions_deg)
+            return replace(self, pose=before, positions_deg=made_deg.copy())
         return replace(self, stopped=True) if key == "q" else self
 
-    def _turned(self, by_deg: float) -> "GuidedSession":
-        joint = self.joints[self.servo]
+    def moved(self, to_deg: Mapping[str, object]) -> "GuidedSession":
+        """Return the session with joints at new angles, clipped to their limits.
+
+        to_deg: finite angles in degrees by the joint's name; anything else is skipped.
+        """
         positions_deg = self.positions_deg.copy()
-        positions_deg[self.servo] = np.clip(
-            positions_deg[self.servo] + by_deg, joint.min_deg, joint.max_deg
-        )
+        for n, joint in enumerate(self.joints):
+            deg = to_deg.get(joint.name)
+            if isinstance(deg, int | float) and np.isfinite(deg):
+                positions_deg[n] = np.clip(deg, joint.min_deg, joint.max_deg)
         return replace(self, positions_deg=positions_deg)
 
 
@@ -284,15 +292,15 @@ def keep_poses(made_deg: Mapping[str, Array], servo_names: Sequence[str], path: 
     write_whole(path, json.dumps(content, indent=2) + "\n")
 
 
-def kept_poses(servo_names: Sequence[str], path: Path) -> dict[str, Array]:
+def kept_poses(servo_names: Sequence[str], path: Path | None) -> dict[str, Array]:
     """Read the poses that an earlier session wrote.
 
     Parameters
     ----------
     servo_names : Sequence[str]
         Names of the n_servos servos.
-    path : Path
-        JSON file of the poses.
+    path : Path | None
+        JSON file of the poses; None: no file.
 
     Returns
     -------
@@ -304,7 +312,7 @@ def kept_poses(servo_names: Sequence[str], path: Path) -> dict[str, Array]:
     CalibrationError
         The file is damaged, or one of other servos.
     """
-    if not path.exists():
+    if path is None or not path.exists():
         return {}
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

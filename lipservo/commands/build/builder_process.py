@@ -172,11 +172,17 @@ def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
 
 def _by_eye(request: Request, page: "PageLine") -> None:
     """Save a calibration fitted to mouth shapes that a person matches with the page's sliders."""
-    from lipservo.calibrating.on_page import calibrate_by_eye_on_page
+    from lipservo.calibrating.on_page import PageFront
+    from lipservo.calibrating.posing import calibrate_by_eye
+    from lipservo.commands.calibrate.making import save_so_far
 
-    setup = _setup(request, page)
-    simulated = bool(request.get("simulated"))
-    _finish(setup, calibrate_by_eye_on_page(setup, page, simulated=simulated), request, page)
+    setup, simulated = _setup(request, page), bool(request.get("simulated"))
+    result = calibrate_by_eye(
+        setup,
+        lambda face: PageFront(setup, page, face, simulated=simulated),
+        lambda so_far: save_so_far(setup, so_far, Path(request["output"])),
+    )
+    _finish(setup, result, request, page)
 
 
 def _measure(request: Request, page: "PageLine") -> None:

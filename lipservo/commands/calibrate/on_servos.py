@@ -130,11 +130,11 @@ def guided(
         lags=lags,
         speed_deg_s=speed,
     )
-    from lipservo.calibrating.guided_calibration import calibrate_by_eye
+    from lipservo.calibrating.guided_calibration import calibrate_by_keys
 
     with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
         at = replace(at, keep=kept)
-        result = calibrate_by_eye(at, lambda so_far: save_so_far(at, so_far, output))
+        result = calibrate_by_keys(at, lambda so_far: save_so_far(at, so_far, output))
         finish(setup, result, output, as_json=as_json)
 
 

@@ -13,11 +13,13 @@ from small_model import small_model
 
 from calibration.calibration import CalibrationError
 from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
+from calibration.fit.guided import landmark_poses
 from calibration.fit.jaw import JAW_LINE, jaw_blend, jaw_degrees, speakers_jaw
 from calibration.mouth_servos import JointRange
 from calibration.run.compensation import VisemeTrim
 from calibration.simulated.face import marker_positions_mm, simulated_face
-from lipservo.calibrating.guided_calibration import guide
+from lipservo.calibrating.guided_calibration import KeysFront
+from lipservo.calibrating.posing import make_poses
 
 RANGES = {
     "jaw": {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 2048, "range_max": 2332},
@@ -137,14 +139,14 @@ def guided_by(keys, tmp_path, keep="kept.json"):
     moved = []
     pressed = iter(keys)
     model = small_model()
-    made = guide(
-        model,
+    shown = model.markers_mm(model.rest[None])[0]
+    console = Console(file=io.StringIO())
+    made = make_poses(
         [JointRange("jaw", -2.0, 7.0), JointRange("lip_protrusion", -25.0, 40.0)],
-        lambda goal: (moved.append(goal), goal)[1],
-        lambda: next(pressed),
-        Console(file=io.StringIO()),
-        keep=tmp_path / keep,
-        drawn=lambda _: model.markers_mm(model.rest[None])[0],
+        landmark_poses(model),
+        KeysFront(model, lambda: next(pressed), console, drawn=lambda _: shown),
+        moved.append,
+        tmp_path / keep,
     )
     return made, moved
 
@@ -165,6 +167,12 @@ def test_a_guided_session_goes_on_where_it_was_stopped_and_poses_can_be_left_out
         "closed": [1.0, 0.0],
         "wide": [-2.0, 0.0],
     }
+
+
+def test_a_pose_made_again_is_kept_as_it_is_now(tmp_path):
+    guided_by("d\rbd\rq", tmp_path)
+    made, _ = guided_by("q", tmp_path)
+    assert made["closed"].tolist() == [2.0, 0.0]
 
 
 def test_kept_poses_of_another_face_are_refused(tmp_path):
