@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -197,20 +197,43 @@ class Calibration:
             (k, n_servos) degrees, in the order of `servo_names`.
         """
         x = np.minimum(np.maximum(faces - self.rest, self.x_range[0]), self.x_range[1])
-        free_deg = self.rest_deg + x @ self.weights.T
-        if self.quadratic_weights.shape[1]:
-            first, second = pairs(x.shape[1])
-            free_deg = free_deg + (x[:, first] * x[:, second]) @ self.quadratic_weights.T
-        if len(self.centres):
-            apart = x[:, None] - self.centres
-            far = np.sqrt(np.einsum("kmn,kmn->km", apart, apart))
-            free_deg = free_deg + far @ self.centre_weights.T
+        free_deg = free_angles_deg(self, x)
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         if self.closure is not None:
             kept_deg = self.closure.corrected_deg(x, kept_deg, self.min_deg, self.max_deg)
         if not self.rules:
             return kept_deg
         return np.array([keep_rules(self.rules, pose_deg) for pose_deg in kept_deg])
+
+
+class MapParts(Protocol):
+    """The parts of a map from coefficients to angles, shaped as in `Calibration`."""
+
+    rest_deg: Array
+    weights: Array
+    quadratic_weights: Array
+    centres: Array
+    centre_weights: Array
+
+
+def free_angles_deg(parts: "MapParts", x: Array) -> Array:
+    """Return the map's angles before lips are corrected to meet, limits and rules.
+
+    x: (n, n_components), coefficients less the rest, within the map's range. Returns (n, n_servos).
+    """
+    free_deg = parts.rest_deg + x @ parts.weights.T
+    if parts.quadratic_weights.shape[1]:
+        first, second = pairs(x.shape[1])
+        free_deg = free_deg + (x[:, first] * x[:, second]) @ parts.quadratic_weights.T
+    if len(parts.centres):
+        free_deg = free_deg + distances(x, parts.centres) @ parts.centre_weights.T
+    return np.asarray(free_deg)
+
+
+def distances(x: Array, centres: Array) -> Array:
+    """Return the distance, (n, m), of each of n rows of x from each of m centres."""
+    apart = x[:, None] - centres
+    return np.asarray(np.sqrt(np.einsum("kmn,kmn->km", apart, apart)))
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:

@@ -3,11 +3,18 @@
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from calibration.calibration import CalibrationError, CouplingRule
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    CouplingRule,
+    linear_calibration_parts,
+)
 from lipsync.arrays import Array
+from lipsync.face.model import FaceModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,3 +76,28 @@ class MouthServos:
             np.array([joint.min_deg for joint in self.joints]),
             np.array([joint.max_deg for joint in self.joints]),
         )
+
+
+def linear_calibration(
+    model: FaceModel, servos: MouthServos, weights: Array, **others: Any
+) -> Calibration:
+    """Return a calibration with a linear map that is 0 degrees at rest unless `others` says else.
+
+    weights: (n_servos, n_components) degrees per unit of a coefficient; others: fields of the
+    calibration, `errors` at least.
+    """
+    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    min_deg, max_deg = servos.limits_deg
+    linear = {
+        "servo_names": servos.names,
+        "weights": weights,
+        "quadratic_weights": quadratic_weights,
+        "rest": model.rest,
+        "rest_deg": rest_deg,
+        "x_range": x_range,
+        "min_deg": min_deg,
+        "max_deg": max_deg,
+        "model_checksum": model.checksum,
+        "face_checksum": servos.face_checksum,
+    }
+    return Calibration(**{**linear, **others})

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from sklearn.linear_model import RidgeCV
 
-from calibration.calibration import Calibration, CalibrationError, Origin, linear_calibration_parts
+from calibration.calibration import Calibration, CalibrationError, Origin
 from calibration.fit.run_time_map import rounded
 from calibration.grade import HoldOutErrors
-from calibration.mouth_servos import JointRange, MouthServos
+from calibration.mouth_servos import JointRange, MouthServos, linear_calibration
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
@@ -145,19 +145,12 @@ def fit_guided(
     x = np.array([pose.coefficients - model.rest for pose in poses if pose.name != CLOSED])
     turned_deg = np.array([made_deg[p.name] - closed_deg for p in poses if p.name != CLOSED])
     weights, left_out_deg = _ridge(x, turned_deg)
-    quadratic_weights, _, x_range = linear_calibration_parts(len(servos.joints), model.n_components)
-    return Calibration(
-        servo_names=servos.names,
-        weights=weights,
-        quadratic_weights=quadratic_weights,
-        rest=model.rest,
+    return linear_calibration(
+        model,
+        servos,
+        weights,
         rest_deg=rounded(closed_deg),
-        x_range=x_range,
-        min_deg=servos.limits_deg[0],
-        max_deg=servos.limits_deg[1],
         errors=HoldOutErrors(joint_rms_deg=tuple(left_out_deg.tolist())),
-        model_checksum=model.checksum,
-        face_checksum=servos.face_checksum,
         origin=Origin("guided", date, len(poses), servos.models),
     )
 

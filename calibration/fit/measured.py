@@ -7,7 +7,7 @@ Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -377,11 +377,7 @@ def _fit(
     errors, coverage = measure_shapes(on, run, held_out)
     calibration = Calibration(
         servo_names=capture.servo_names,
-        weights=run.weights,
-        quadratic_weights=run.quadratic_weights,
         rest=model.rest,
-        rest_deg=run.rest_deg,
-        x_range=run.x_range,
         min_deg=limits[0],
         max_deg=limits[1],
         errors=errors,
@@ -392,10 +388,8 @@ def _fit(
         touch=Touch(_touch_deg(retargeting), TOUCH_CURRENT_MA),
         coverage=coverage,
         rules=servos.rules,
-        centres=run.centres,
-        centre_weights=run.centre_weights,
-        closure=run.closure,
         closing=closing,
+        **{part.name: getattr(run, part.name) for part in fields(run)},
         learnt_lips=LearntLips(
             left_out_rms_mm=face.left_out_rms_mm,
             noise_mm=face.noise_mm,
@@ -421,29 +415,23 @@ def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
     return np.asarray(chance_mm * (_KNOWN_WELL / np.maximum(signals, 1e-9)) ** 1.5)
 
 
-def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
+def split_frames(
+    model: FaceWithAnimPhos, seed: int, n_animphos: int | None = None
+) -> tuple[Array, Array]:
     """Return frames to fit and frames to hold out, from different AnimPhos, drawn by `seed`.
 
-    An AnimPho is a recorded mouth motion about one phoneme. Raises CalibrationError for a model
-    with fewer than 2.
-
-    Parameters
-    ----------
-    model : FaceWithAnimPhos
-        Speaker's face with AnimPhos.
-    seed : int
-        Seed of the draw.
-
-    Returns
-    -------
-    tuple[Array, Array]
-        (n, n_components) each.
+    n_animphos: a fifth of so many is held out, the others are fitted; None: as a measured fit.
+    (n, n_components) each. Raises CalibrationError for a model with fewer than two AnimPhos.
     """
     order = np.random.default_rng(seed).permutation(len(model.animphos))
     if len(order) < 2:
         raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
-    n_held_out = min(MAX_HELD_OUT, max(1, round(HOLD_OUT_SHARE * len(order))))
-    held_out, fit = order[:n_held_out], order[n_held_out : n_held_out + MAX_FITTED]
+    n_held_out, n_fitted = MAX_HELD_OUT, MAX_FITTED
+    if n_animphos is not None:
+        n_held_out = round(HOLD_OUT_SHARE * n_animphos)
+        n_fitted = n_animphos - n_held_out
+    n_held_out = min(n_held_out, max(1, round(HOLD_OUT_SHARE * len(order))))
+    held_out, fit = order[:n_held_out], order[n_held_out : n_held_out + n_fitted]
     frames = model.animphos.samples.reshape(len(order), -1, model.n_components)
     return np.concatenate(frames[fit]), np.concatenate(frames[held_out])
 

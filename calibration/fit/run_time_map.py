@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.cluster import KMeans
 
+from calibration.calibration import distances, free_angles_deg
 from calibration.closure import Closure, pairs
 from calibration.fit.retargeting import (
     MarkersOf,
@@ -73,17 +74,17 @@ class RunTimeMap:
         """Return a map whose joints numbered in `still` are at 0 degrees for every wanted face."""
         if not still:
             return self
-        moves = np.ones(len(self.rest_deg))
+        moves = np.ones((len(self.rest_deg), 1))
         moves[list(still)] = 0.0
         closure = self.closure
         if closure is not None:
-            closure = replace(closure, turns_deg=closure.turns_deg * moves[:, None])
+            closure = replace(closure, turns_deg=closure.turns_deg * moves)
         return replace(
             self,
-            rest_deg=self.rest_deg * moves,
-            weights=self.weights * moves[:, None],
-            quadratic_weights=self.quadratic_weights * moves[:, None],
-            centre_weights=self.centre_weights * moves[:, None],
+            rest_deg=self.rest_deg * moves[:, 0],
+            weights=self.weights * moves,
+            quadratic_weights=self.quadratic_weights * moves,
+            centre_weights=self.centre_weights * moves,
             closure=closure,
         )
 
@@ -100,14 +101,7 @@ class RunTimeMap:
         Array
             (n, n_servos) degrees.
         """
-        x = np.clip(from_rest, *self.x_range)
-        first, second = pairs(x.shape[1])
-        products = (
-            x[:, first] * x[:, second] if self.quadratic_weights.shape[1] else np.zeros((len(x), 0))
-        )
-        far = _distances(x, self.centres)
-        free_deg = self.rest_deg + x @ self.weights.T + products @ self.quadratic_weights.T
-        return np.asarray(free_deg + far @ self.centre_weights.T)
+        return free_angles_deg(self, np.clip(from_rest, *self.x_range))
 
 
 def fit_run_time_map(
@@ -150,7 +144,7 @@ def fit_run_time_map(
     centres = np.zeros((0, n)) if centres is None else rounded(centres)
     x_range = rounded(np.array([from_rest.min(axis=0), from_rest.max(axis=0)]))
     products = from_rest[:, first] * from_rest[:, second]
-    features = np.hstack([from_rest, products, _distances(from_rest, centres)])
+    features = np.hstack([from_rest, products, distances(from_rest, centres)])
     centre, spread = features.mean(axis=0), features.std(axis=0) + 1e-12
     inputs = (features - centre) / spread
     counts = np.ones(len(inputs)) if counts is None else counts / counts.mean()
@@ -177,12 +171,6 @@ def fit_run_time_map(
         centres=centres,
         centre_weights=rounded(slopes[bends:].T),
     )
-
-
-def _distances(from_rest: Array, centres: Array) -> Array:
-    """Return the distance, (n, m), of each of n rows of from_rest from each of m centres."""
-    apart = from_rest[:, None] - centres[None]
-    return np.asarray(np.sqrt(np.einsum("nmk,nmk->nm", apart, apart)))
 
 
 def rounded(values: Array) -> Array:

@@ -14,7 +14,7 @@ from small_model import small_model
 from calibration.calibration import CalibrationError
 from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
 from calibration.fit.guided import landmark_poses
-from calibration.fit.jaw import JAW_LINE, jaw_blend, jaw_degrees, speakers_jaw
+from calibration.fit.jaw import JAW_LINE, jaw_blend, speakers_jaw, steady_alphas
 from calibration.mouth_servos import JointRange
 from calibration.run.compensation import VisemeTrim
 from calibration.simulated.face import marker_positions_mm, simulated_face
@@ -29,13 +29,14 @@ RANGES = {
 
 @settings(deadline=None)  # machines are shared
 @given(seed=st.integers(0, 999))
-def test_newton_finds_the_closed_form_of_the_jaw_blend(seed):
-    """alpha = <m - c, o - c> / <o - c, o - c>: the cost is quadratic in alpha."""
+def test_the_jaw_blend_is_where_its_line_is_nearest(seed):
+    """Of the least squares of LAPACK."""
     rng = np.random.default_rng(seed)
     closed, opened = rng.normal(size=(2, 9, 3)) * 10
     points = rng.normal(size=(5, 9, 3)) * 10
     towards = opened - closed
-    oracle = np.sum((points - closed) * towards, axis=(1, 2)) / np.sum(towards**2)
+    off = (points - closed).reshape(5, -1).T
+    oracle = np.linalg.lstsq(towards.reshape(-1, 1), off, rcond=None)[0][0]
     assert jaw_blend(closed, opened).alpha(points) == pytest.approx(oracle, abs=1e-8)
 
 
@@ -45,10 +46,11 @@ def test_the_jaw_of_a_simulated_face_is_found_in_degrees():
     line = list(JAW_LINE)
     sweep = np.linspace(0.0, 25.0, 6)
     swept_mm = marker_positions_mm(face, sweep[:, None])[:, line]
-    degrees = jaw_degrees(jaw_blend(swept_mm[0], swept_mm[-1]), sweep, swept_mm)
+    blend = jaw_blend(swept_mm[0], swept_mm[-1])
+    alphas = steady_alphas(blend, sweep, swept_mm)
     between = np.array([2.0, 7.5, 13.0, 24.0])
     points_mm = marker_positions_mm(face, between[:, None])[:, line]
-    found = degrees.degrees_at(jaw_blend(swept_mm[0], swept_mm[-1]).alpha(points_mm))
+    found = np.interp(blend.alpha(points_mm), alphas, sweep)
     assert found == pytest.approx(between, abs=0.2)
 
 
@@ -70,7 +72,9 @@ def test_a_jaw_that_does_not_move_or_moves_back_is_refused():
         jaw_blend(line_mm, line_mm + 0.05)
     open_mm = line_mm - np.array([0.0, 9.0, 0.0])
     with pytest.raises(CalibrationError, match="does not open steadily"):
-        jaw_degrees(jaw_blend(line_mm, open_mm), np.array([0.0, 9.0]), np.array([open_mm, line_mm]))
+        steady_alphas(
+            jaw_blend(line_mm, open_mm), np.array([0.0, 9.0]), np.array([open_mm, line_mm])
+        )
 
 
 def test_a_trim_comes_and_goes_within_a_phone():
