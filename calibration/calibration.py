@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -197,7 +197,10 @@ class Calibration:
             (k, n_servos) degrees, in the order of `servo_names`.
         """
         x = np.minimum(np.maximum(faces - self.rest, self.x_range[0]), self.x_range[1])
-        free_deg = free_angles_deg(self, x)
+        free_deg = free_angles_deg(
+            x, self.rest_deg, self.weights, self.quadratic_weights, self.centres,
+            self.centre_weights,
+        )  # fmt: skip
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         if self.closure is not None:
             kept_deg = self.closure.corrected_deg(x, kept_deg, self.min_deg, self.max_deg)
@@ -206,27 +209,25 @@ class Calibration:
         return np.array([keep_rules(self.rules, pose_deg) for pose_deg in kept_deg])
 
 
-class MapParts(Protocol):
-    """The parts of a map from coefficients to angles, shaped as in `Calibration`."""
+def free_angles_deg(
+    x: Array,
+    rest_deg: Array,
+    weights: Array,
+    quadratic_weights: Array,
+    centres: Array,
+    centre_weights: Array,
+) -> Array:
+    """Return a map's angles, (n, n_servos), before lips are corrected to meet, limits and rules.
 
-    rest_deg: Array
-    weights: Array
-    quadratic_weights: Array
-    centres: Array
-    centre_weights: Array
-
-
-def free_angles_deg(parts: "MapParts", x: Array) -> Array:
-    """Return the map's angles before lips are corrected to meet, limits and rules.
-
-    x: (n, n_components), coefficients less the rest, within the map's range. Returns (n, n_servos).
+    x: (n, n_components), coefficients less the rest, within the map's range. The map's parts are
+    shaped as in `Calibration`.
     """
-    free_deg = parts.rest_deg + x @ parts.weights.T
-    if parts.quadratic_weights.shape[1]:
+    free_deg = rest_deg + x @ weights.T
+    if quadratic_weights.shape[1]:
         first, second = pairs(x.shape[1])
-        free_deg = free_deg + (x[:, first] * x[:, second]) @ parts.quadratic_weights.T
-    if len(parts.centres):
-        free_deg = free_deg + distances(x, parts.centres) @ parts.centre_weights.T
+        free_deg = free_deg + (x[:, first] * x[:, second]) @ quadratic_weights.T
+    if len(centres):
+        free_deg = free_deg + distances(x, centres) @ centre_weights.T
     return np.asarray(free_deg)
 
 

@@ -101,7 +101,11 @@ class RunTimeMap:
         Array
             (n, n_servos) degrees.
         """
-        return free_angles_deg(self, np.clip(from_rest, *self.x_range))
+        x = np.clip(from_rest, *self.x_range)
+        return free_angles_deg(
+            x, self.rest_deg, self.weights, self.quadratic_weights, self.centres,
+            self.centre_weights,
+        )  # fmt: skip
 
 
 def fit_run_time_map(

@@ -157,16 +157,16 @@ def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
     config = request["config"]
     keep = None if request.get("keep") is None else Path(request["keep"])
     check_files(Path(request["output"]), keep=keep)
-    setup = load_setup(config, None)
-    setup = replace(
-        setup,
-        settings=setup.settings.at_port(request["port"]),
+    setup = load_setup(
+        config,
+        None,
         keep=keep,
         quiet=True,
         lags=bool(request.get("lags")),
         accept=bool(request.get("accept")),
         config=config,
     )
+    setup = replace(setup, settings=setup.settings.at_port(request["port"]))
     return replace(setup, watch=PageWatch(page, setup).watch)
 
 

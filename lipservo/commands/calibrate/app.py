@@ -7,8 +7,16 @@ import typer
 from lipservo.commands.lazy_group import Command, LazyGroup
 
 _HERE = "lipservo.commands.calibrate"
-_FACE = "The mouth"
-_SINGLE = "Single steps"
+_AT_PORT = "--config my_face.yaml --port /dev/ttyUSB0"
+_FILE = "my_face.calibration.yaml"
+
+
+def _of_mouth(target: str, text: str, example: str) -> Command:
+    return Command(f"{_HERE}.{target}", text, "The mouth", example=example)
+
+
+def _step(target: str, text: str, example: str, *, takes_numbers: bool = False) -> Command:
+    return Command(target, text, "Single steps", takes_numbers=takes_numbers, example=example)
 
 
 class CalibrateGroup(LazyGroup):
@@ -17,91 +25,64 @@ class CalibrateGroup(LazyGroup):
     prefix = "calibrate."
     table = MappingProxyType(
         {
-            "plan": Command(
-                f"{_HERE}.by_files:plan",
+            "plan": _of_mouth(
+                "by_files:plan",
                 "Write poses to move the robot through.",
-                _FACE,
-                example="poses.csv --config my_face.yaml",
+                "poses.csv --config my_face.yaml",
             ),
-            "fit": Command(
-                f"{_HERE}.by_files:fit",
+            "fit": _of_mouth(
+                "by_files:fit",
                 "Fit from poses and the markers seen at them.",
-                _FACE,
-                example="--config my_face.yaml --plan poses.csv --markers markers.csv -o "
-                "my_face.calibration.yaml",
+                f"--config my_face.yaml --plan poses.csv --markers markers.csv -o {_FILE}",
             ),
-            "grade": Command(
-                f"{_HERE}.by_files:grade",
+            "grade": _of_mouth(
+                "by_files:grade",
                 "Grade a calibration by other poses.",
-                _FACE,
-                example="my_face.calibration.yaml --config my_face.yaml --plan check.csv --markers "
-                "check_markers.csv",
+                f"{_FILE} --config my_face.yaml --plan check.csv --markers check_markers.csv",
             ),
-            "measure": Command(
-                f"{_HERE}.on_servos:measure",
+            "measure": _of_mouth(
+                "on_servos:measure",
                 "Move the servos, watch the markers, fit.",
-                _FACE,
-                example="--config my_face.yaml --port /dev/ttyUSB0 --tracker markers.csv -o "
-                "my_face.calibration.yaml",
+                f"{_AT_PORT} --tracker markers.csv -o {_FILE}",
             ),
-            "guided": Command(
-                f"{_HERE}.on_servos:guided",
-                "Match mouth shapes by eye.",
-                _FACE,
-                example="--config my_face.yaml --port /dev/ttyUSB0 -o my_face.calibration.yaml",
+            "guided": _of_mouth(
+                "on_servos:guided", "Match mouth shapes by eye.", f"{_AT_PORT} -o {_FILE}"
             ),
-            "practise": Command(
-                f"{_HERE}.on_servos:practise",
+            "practise": _of_mouth(
+                "on_servos:practise",
                 "Calibrate a simulated robot.",
-                _FACE,
-                example="3 -o practice.calibration.yaml",
+                "3 -o practice.calibration.yaml",
             ),
-            "by-hand": Command(
-                f"{_HERE}.by_hand:by_hand",
-                "Write the map joint by joint.",
-                _FACE,
-                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
+            "by-hand": _of_mouth(
+                "by_hand:by_hand", "Set touch pose and limits by hand.", f"{_FILE} {_AT_PORT}"
             ),
-            "pose": Command(
-                f"{_HERE}.on_servos:pose",
-                "Hold one pose of a plan.",
-                _SINGLE,
-                example="poses.csv 7 8 --config my_face.yaml --port /dev/ttyUSB0",
+            "pose": _step(
+                f"{_HERE}.on_servos:pose", "Hold one pose of a plan.", f"poses.csv 7 8 {_AT_PORT}"
             ),
-            "lags": Command(
-                f"{_HERE}.on_servos:lags",
-                "Measure how late each servo is.",
-                _SINGLE,
-                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
+            "lags": _step(
+                f"{_HERE}.on_servos:lags", "Measure how late each servo is.", f"{_FILE} {_AT_PORT}"
             ),
-            "touch": Command(
-                f"{_HERE}.on_servos:touch",
-                "Find anew where the lips meet.",
-                _SINGLE,
-                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
+            "touch": _step(
+                f"{_HERE}.on_servos:touch", "Find anew where the lips meet.", f"{_FILE} {_AT_PORT}"
             ),
-            "trim": Command(
+            "trim": _step(
                 f"{_HERE}.written:trim",
                 "Change one mouth shape by hand.",
-                _SINGLE,
+                f"{_FILE} P jaw -1",
                 takes_numbers=True,
-                example="my_face.calibration.yaml P jaw -1",
             ),
-            "show": Command(
+            "show": _step(
                 f"{_HERE}.written:show",
                 "Draw what a calibration says.",
-                _SINGLE,
-                example="my_face.calibration.yaml --config my_face.yaml",
+                f"{_FILE} --config my_face.yaml",
             ),
-            "neutral": Command(
-                "lipservo.commands.build.jogging:neutral",
-                "Bring every joint to its neutral.",
-                _SINGLE,
+            "neutral": _step(
+                "lipservo.commands.build.jogging:neutral", "Bring every joint to its neutral.", ""
             ),
-            "audio": Command(
+            "audio": _step(
                 "lipservo.commands.run.calibrate_audio:calibrate_audio",
                 "Measure how late a loudspeaker is.",
-                _SINGLE,
+                "",
             ),
         }
     )

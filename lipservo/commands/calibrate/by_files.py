@@ -57,7 +57,7 @@ def plan(
         raise typer.BadParameter("--refine PLAN and --markers FILE go together")
     check_inputs(refine, markers)
     check_output(file, replaces=is_plan, kind="plan of poses", inputs=[markers, refine])
-    setup = replace(load_setup(config, model, ranges), n_poses=poses)
+    setup = load_setup(config, model, ranges, n_poses=poses)
     from calibration.capture.capture import joined
     from calibration.capture.marker_files import read_capture, read_plan, write_plan
 
@@ -136,8 +136,7 @@ def fit(
             raise typer.BadParameter("--check-plan and -o name the same file")
         inputs = [plan, markers]
         check_output(check_plan, replaces=is_plan, kind="plan of poses", inputs=inputs)
-    setup = replace(load_setup(config, model, ranges), quiet=quiet or as_json, lags=lags)
-    setup = replace(setup, accept=accept)
+    setup = load_setup(config, model, ranges, quiet=quiet or as_json, lags=lags, accept=accept)
     if plan is None or markers is None:
         from lipservo.calibrating.measured_calibration import fit_simulated_face
 
@@ -183,7 +182,7 @@ def grade(
 
     before = load_calibration(file)
     check_files(file, inputs=[plan, markers])
-    setup = replace(load_setup(config, model), accept=accept)
+    setup = load_setup(config, model, accept=accept)
     from calibration.fit.measured_grade import too_bad
     from lipservo.calibrating.face_source import reader_of
     from lipservo.calibrating.plan_poses import check_face, grade_by_files

@@ -1,11 +1,11 @@
 """Options that the sub-commands of `calibrate` share, and their checks, loading and saving."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -81,7 +81,9 @@ Accept = Annotated[
 ]
 
 
-def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "CalibrationSetup":
+def load_setup(
+    config: str, model: Path | None, ranges: Path | None = None, **options: Any
+) -> "CalibrationSetup":
     """Return a face's settings and face model as a setup for calibration.
 
     model: the face model's file; None: the shipped one. ranges: a LeRobot range file that the
@@ -106,7 +108,7 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
         check_within_recorded(read_ranges(ranges), limits, per_deg)
     from lipservo.calibrating.calibration_setup import CalibrationSetup
 
-    return CalibrationSetup(settings, speaker)
+    return CalibrationSetup(settings, speaker, **options)
 
 
 @contextmanager
@@ -205,6 +207,24 @@ def going_on(output: Path, keep: Path | None) -> Iterator[Path]:
         ) from error
     if keep is None and kept.exists():
         kept.replace(kept.with_name(f"{kept.name}.previous"))
+
+
+@contextmanager
+def making(
+    setup: "CalibrationSetup",
+    output: Path,
+    keep: Path | None,
+    port: str | None,
+    sim: str | None,
+    config: str,
+) -> Iterator["tuple[CalibrationSetup, Callable[[CalibrationResult], None]]"]:
+    """Yield the setup at its servos' port with its kept poses, and a function that saves so far.
+
+    As `going_on` and `setup_at_port`. The function takes a calibration that is not yet whole.
+    """
+    with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
+        at = replace(at, keep=kept)
+        yield at, lambda so_far: save_so_far(at, so_far, output)
 
 
 def saved(
