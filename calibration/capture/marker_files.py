@@ -23,11 +23,12 @@ import numpy as np
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import LEAD_IN_DEG, Capture, PosePlan, ladders_of
-from calibration.capture.dots import is_dots_folder, read_dots_folder
 from lipsync.arrays import Array, Indices
 from lipsync.errors import check_extra, shown
 from lipsync.output_file import write_whole
 
+#: A marker that was seen: pose, name, and place (3,) in mm.
+Reading = tuple[int, str, Array]
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Channels that stand beside the points and are no places (The C3D File Format, POINT:ANGLES ...).
 _NO_PLACES = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
@@ -36,7 +37,7 @@ _C3D_KEY = b"\x50"
 _AXIS = re.compile(r"^([+-]?)([xyz])$")
 
 
-def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
+def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[Reading]:
     """Read every `*.c3d` of a folder; the last number in a file's name is the pose.
 
     Points that the system marks as lost are NaN. Raises CalibrationError without such files, for a
@@ -51,7 +52,7 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, A
 
     Returns
     -------
-    list[tuple[int, str, Array]]
+    list[Reading]
         Pose, marker and median position (3,) in mm.
     """
     turn = _axes_matrix(axes)
@@ -204,7 +205,7 @@ def read_capture(
     servo_names: tuple[str, ...],
     *,
     axes: str = "x y z",
-    read: Callable[[], list[tuple[int, str, Array]]] | None = None,
+    read: Callable[[], list[Reading]] | None = None,
 ) -> Capture:
     """Return a capture: the poses of a plan's file that markers were recorded for.
 
@@ -218,7 +219,7 @@ def read_capture(
         Names of the face's servos.
     axes : str
         Axes of C3D files to the robot's left, up and forward, such as `x z -y`.
-    read : Callable[[], list[tuple[int, str, Array]]] | None
+    read : Callable[[], list[Reading]] | None
         Function that returns the readings; None: `markers_path` is read.
 
     Returns
@@ -240,7 +241,7 @@ def read_recorded(
     servo_names: tuple[str, ...],
     *,
     axes: str = "x y z",
-    read: Callable[[], list[tuple[int, str, Array]]] | None = None,
+    read: Callable[[], list[Reading]] | None = None,
 ) -> tuple[list[int], Capture]:
     """Return the rows of a plan that markers were recorded for, and the capture of these poses.
 
@@ -333,7 +334,7 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
     )
 
 
-def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
+def read_readings(path: Path, axes: str = "x y z") -> list[Reading]:
     """Return every marker reading in a file or folder.
 
     A folder contains C3D files, or pictures of coloured dots with a `dots.csv`.
@@ -347,11 +348,11 @@ def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array
 
     Returns
     -------
-    list[tuple[int, str, Array]]
+    list[Reading]
         Pose, marker and position (3,) in mm, NaN where lost.
     """
     if path.is_dir():
-        return read_dots_folder(path) if is_dots_folder(path) else read_c3d_folder(path, axes)
+        return read_c3d_folder(path, axes)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path, _COLUMNS)
     return [
         (

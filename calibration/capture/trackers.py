@@ -13,8 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.dots import is_dots_folder, read_dots_folder
-from calibration.capture.marker_files import median_place, read_readings
+from calibration.capture.marker_files import Reading, median_place, read_readings
 from lipsync.arrays import Array
 from lipsync.output_file import write_whole
 
@@ -24,7 +23,7 @@ Wait = Callable[[float], None]
 Say = Callable[[str], None]
 
 #: The readings of one pose: pose, marker, place (3,) in mm.
-ReadPose = Callable[[int], list[tuple[int, str, Array]]]
+ReadPose = Callable[[int], list[Reading]]
 
 _LOOK_EVERY_S = 0.1
 #: Readings of a pose are whole when all markers are there, or nothing new came for so long.
@@ -213,8 +212,6 @@ class FileTracker:
         try:
             if self._read is not None:
                 readings = self._read(pose)
-            elif self._path.is_dir() and is_dots_folder(self._path):
-                readings = read_dots_folder(self._path, only=pose)
             else:
                 readings = read_readings(self._path, self._axes)
         except CalibrationError:

@@ -17,6 +17,7 @@ from calibration.capture.dots import (
     is_dots_folder,
 )
 from calibration.capture.face_mesh import PROTRUSION_IS_GUESSED, CameraTracker, MeshFolder, one_face
+from calibration.capture.marker_files import Reading
 from calibration.capture.trackers import FileTracker, ReadPose, Tracker
 from firmware_bridge.clock import Clock, MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
@@ -24,7 +25,6 @@ from lipservo.calibrating.camera import AvCamera, CameraFeed
 from lipservo.calibrating.measured_calibration import tracker_of
 from lipservo.runtime.servos.held_face import HeldFace
 from lipservo.terminal.output import MESSAGES
-from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.video.face_detection import Picture
 from lipsync.video.face_tracker import FaceTracker
@@ -37,7 +37,7 @@ _PATIENCE_S: Final = 10.0
 _MOST_HELD_BACK: Final = 4
 MakeTracker = Callable[[HeldFace], Tracker]
 #: The readings of all poses: pose, marker, place (3,) in mm.
-ReadAll = Callable[[], list[tuple[int, str, Array]]]
+ReadAll = Callable[[], list[Reading]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Read
     if is_mesh_folder(markers, mesh):
         return mesh_folder(markers, setup, mesh).all_readings
     if markers.is_dir() and is_dots_folder(markers):
-        return dots_folder(markers).all_readings
+        return dots_folder(markers).readings
     return None
 
 
@@ -161,7 +161,7 @@ def _warned_once(read: ReadPose) -> ReadPose:
     """
     seen: Counter[str] = Counter()
 
-    def readings(pose: int) -> list[tuple[int, str, Array]]:
+    def readings(pose: int) -> list[Reading]:
         try:
             return read(pose)
         except CalibrationError as error:

@@ -1,5 +1,6 @@
 """The command group `lipservo calibrate`, with a sub-command for each step."""
 
+from collections.abc import Iterable
 from types import MappingProxyType
 
 import typer
@@ -11,12 +12,38 @@ _AT_PORT = "--config my_face.yaml --port /dev/ttyUSB0"
 _FILE = "my_face.calibration.yaml"
 
 
-def _of_mouth(target: str, text: str, example: str) -> Command:
-    return Command(f"{_HERE}.{target}", text, "The mouth", example=example)
+_CONFIG = "--config my_face.yaml"
+_SEEN = "--markers markers.csv"
+#: Command, its module here, its line in the help, and an example of its arguments.
+_OF_MOUTH = (
+    ("plan", "by_files", "Write poses to move the robot through.", f"poses.csv {_CONFIG}"),
+    ("fit", "by_files", "Fit from poses and the markers seen at them.",
+     f"{_CONFIG} --plan poses.csv {_SEEN} -o {_FILE}"),
+    ("grade", "by_files", "Grade a calibration by other poses.",
+     f"{_FILE} {_CONFIG} --plan check.csv {_SEEN}"),
+    ("measure", "on_servos", "Move the servos, watch the markers, fit.",
+     f"{_AT_PORT} --tracker markers.csv -o {_FILE}"),
+    ("guided", "on_servos", "Match mouth shapes by eye.", f"{_AT_PORT} -o {_FILE}"),
+    ("practise", "on_servos", "Calibrate a simulated robot.", "3 -o practice.calibration.yaml"),
+    ("by-hand", "by_hand", "Pose the mouth by hand: limits, touch.", f"{_FILE} {_AT_PORT}"),
+)  # fmt: skip
+_STEPS = (
+    ("pose", "on_servos", "Hold one pose of a plan.", f"poses.csv 7 8 {_AT_PORT}"),
+    ("lags", "on_servos", "Measure how late each servo is.", f"{_FILE} {_AT_PORT}"),
+    ("touch", "on_servos", "Find anew where the lips meet.", f"{_FILE} {_AT_PORT}"),
+    ("trim", "written", "Change one mouth shape by hand.", f"{_FILE} P jaw -1"),
+    ("show", "written", "Draw what a calibration says.", f"{_FILE} {_CONFIG}"),
+)
 
 
-def _step(target: str, text: str, example: str, *, takes_numbers: bool = False) -> Command:
-    return Command(target, text, "Single steps", takes_numbers=takes_numbers, example=example)
+def _commands(rows: Iterable[tuple[str, str, str, str]], section: str) -> dict[str, Command]:
+    return {
+        name: Command(
+            f"{_HERE}.{module}:{name.replace('-', '_')}", text, section, name == "trim",
+            example=example,
+        )
+        for name, module, text, example in rows
+    }  # fmt: skip
 
 
 class CalibrateGroup(LazyGroup):
@@ -25,64 +52,17 @@ class CalibrateGroup(LazyGroup):
     prefix = "calibrate."
     table = MappingProxyType(
         {
-            "plan": _of_mouth(
-                "by_files:plan",
-                "Write poses to move the robot through.",
-                "poses.csv --config my_face.yaml",
+            **_commands(_OF_MOUTH, "The mouth"),
+            **_commands(_STEPS, "Single steps"),
+            "neutral": Command(
+                "lipservo.commands.build.jogging:neutral",
+                "Bring every joint to its neutral.",
+                "Single steps",
             ),
-            "fit": _of_mouth(
-                "by_files:fit",
-                "Fit from poses and the markers seen at them.",
-                f"--config my_face.yaml --plan poses.csv --markers markers.csv -o {_FILE}",
-            ),
-            "grade": _of_mouth(
-                "by_files:grade",
-                "Grade a calibration by other poses.",
-                f"{_FILE} --config my_face.yaml --plan check.csv --markers check_markers.csv",
-            ),
-            "measure": _of_mouth(
-                "on_servos:measure",
-                "Move the servos, watch the markers, fit.",
-                f"{_AT_PORT} --tracker markers.csv -o {_FILE}",
-            ),
-            "guided": _of_mouth(
-                "on_servos:guided", "Match mouth shapes by eye.", f"{_AT_PORT} -o {_FILE}"
-            ),
-            "practise": _of_mouth(
-                "on_servos:practise",
-                "Calibrate a simulated robot.",
-                "3 -o practice.calibration.yaml",
-            ),
-            "by-hand": _of_mouth(
-                "by_hand:by_hand", "Set touch pose and limits by hand.", f"{_FILE} {_AT_PORT}"
-            ),
-            "pose": _step(
-                f"{_HERE}.on_servos:pose", "Hold one pose of a plan.", f"poses.csv 7 8 {_AT_PORT}"
-            ),
-            "lags": _step(
-                f"{_HERE}.on_servos:lags", "Measure how late each servo is.", f"{_FILE} {_AT_PORT}"
-            ),
-            "touch": _step(
-                f"{_HERE}.on_servos:touch", "Find anew where the lips meet.", f"{_FILE} {_AT_PORT}"
-            ),
-            "trim": _step(
-                f"{_HERE}.written:trim",
-                "Change one mouth shape by hand.",
-                f"{_FILE} P jaw -1",
-                takes_numbers=True,
-            ),
-            "show": _step(
-                f"{_HERE}.written:show",
-                "Draw what a calibration says.",
-                f"{_FILE} --config my_face.yaml",
-            ),
-            "neutral": _step(
-                "lipservo.commands.build.jogging:neutral", "Bring every joint to its neutral.", ""
-            ),
-            "audio": _step(
+            "audio": Command(
                 "lipservo.commands.run.calibrate_audio:calibrate_audio",
                 "Measure how late a loudspeaker is.",
-                "",
+                "Single steps",
             ),
         }
     )

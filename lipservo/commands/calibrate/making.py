@@ -82,7 +82,7 @@ Accept = Annotated[
 
 
 def load_setup(
-    config: str, model: Path | None, ranges: Path | None = None, **options: Any
+    config: str, model: Path | None, ranges: Path | None = None, /, **options: Any
 ) -> "CalibrationSetup":
     """Return a face's settings and face model as a setup for calibration.
 

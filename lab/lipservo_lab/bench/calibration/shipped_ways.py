@@ -260,9 +260,7 @@ def _dots(task: _Task) -> Calibration:
         folder.mkdir()
         write_plan(plan, file)
         write_dots_pictures(folder, MARKERS_47.names, seen.markers_mm, task.seed)
-        capture = read_capture(
-            file, folder, task.servos.names, read=DotsFolder(folder).all_readings
-        )
+        capture = read_capture(file, folder, task.servos.names, read=DotsFolder(folder).readings)
     return fit_measured(task.model, capture, setup.servos).calibration
 
 
