@@ -175,15 +175,26 @@ _MOST_NAMED = 8
 
 def write_plan(plan: PosePlan, path: Path) -> None:
     """Write a plan as CSV, whole or not at all; poses count from 1. Raises OutputError."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    header, rows = plan_table(plan)
+    ladders = ladders_of(plan).tolist()
+    write_table(path, [*header, _LADDER], [[*r, n] for r, n in zip(rows, ladders, strict=True)])
+
+
+def plan_table(plan: PosePlan) -> tuple[list[str], list[list[object]]]:
+    """Return the columns of a plan's goals and sides, and their row for each pose."""
     degrees = [f"{name}_deg" for name in plan.servo_names]
     sides = [f"{name}_from" for name in plan.servo_names]
-    writer.writerow(["pose", *degrees, *sides, _LADDER])
-    rows = zip(plan.goals_deg, plan.from_below, ladders_of(plan).tolist(), strict=True)
-    for pose, (goals, from_, ladder) in enumerate(rows):
-        numbers = (*(f"{g:.2f}" for g in goals), *(f"{s:.0f}" for s in from_))
-        writer.writerow([pose + 1, *numbers, ladder])
+    rows = [
+        [pose + 1, *(f"{g:.2f}" for g in goals), *(f"{s:.0f}" for s in from_)]
+        for pose, (goals, from_) in enumerate(zip(plan.goals_deg, plan.from_below, strict=True))
+    ]
+    return ["pose", *degrees, *sides], rows
+
+
+def write_table(path: Path, header: list[str], rows: Iterable[list[object]]) -> None:
+    """Write CSV, whole or not at all. Raises OutputError."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
     write_whole(path, text.getvalue())
 
 

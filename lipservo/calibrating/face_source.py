@@ -3,13 +3,14 @@
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from calibration.calibration import CalibrationError
+from calibration.capture.capture import Capture
 from calibration.capture.dots import (
     PROTRUSION_IS_UNSEEN,
     DotsFolder,
@@ -17,7 +18,7 @@ from calibration.capture.dots import (
     is_dots_folder,
 )
 from calibration.capture.face_mesh import PROTRUSION_IS_GUESSED, CameraTracker, MeshFolder, one_face
-from calibration.capture.marker_files import Reading
+from calibration.capture.marker_files import Reading, read_capture
 from calibration.capture.trackers import FileTracker, ReadPose, Tracker
 from firmware_bridge.clock import Clock, MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
@@ -98,6 +99,18 @@ def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Read
     if markers.is_dir() and is_dots_folder(markers):
         return dots_folder(markers).readings
     return None
+
+
+def read_seen(
+    setup: CalibrationSetup, plan: Path, markers: Path, axes: str, mesh: MeshOptions
+) -> tuple[CalibrationSetup, Capture]:
+    """Return the capture of a plan's file and recorded markers, and the setup for what saw them.
+
+    axes: of C3D files; mesh: options for pictures without dots. Raises UserError.
+    """
+    read = reader_of(markers, setup, mesh)
+    seen = replace(setup, sees_forward=not is_seen_from_the_front(markers, mesh))
+    return seen, read_capture(plan, markers, setup.servos.names, axes=axes, read=read)
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from calibration.capture.sanity import is_flat
 from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker
 from calibration.fit.jaw import fit_jaw, jaw_agreement, jaw_markers
 from calibration.fit.learnt_face import fit_calibration
-from calibration.fit.measured import MeasuredFit, fit_measured
+from calibration.fit.measured import MeasuredFit, backlash_only, fit_measured
 from calibration.fit.procedure import take_grade
 from calibration.fit.retargeting import LIPS_NEEDED
 from calibration.fit.servo_response import identify
@@ -64,17 +64,6 @@ class CalibrationResult:
     fit: MeasuredFit | None = None
     warnings: tuple[str, ...] = ()
 
-    @property
-    def backlash_deg(self) -> Array:
-        """The backlash of each servo, as in the calibration.
-
-        Returns
-        -------
-        Array
-            (n_servos,) degrees, 0 where it is unknown.
-        """
-        return backlash_of(self.calibration)
-
     def graded_by(
         self, setup: CalibrationSetup, on: Robot, n_captured: int = 0
     ) -> "CalibrationResult":
@@ -112,22 +101,9 @@ class CalibrationResult:
         return replace(self, calibration=replace(self.calibration, origin=origin))
 
 
-def backlash_of(calibration: Calibration) -> Array:
-    """Return the backlash of each servo.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        With or without a measured response.
-
-    Returns
-    -------
-    Array
-        (n_servos,) degrees, 0 where it is unknown.
-    """
-    if calibration.following is None:
-        return np.zeros(len(calibration.servo_names))
-    return calibration.following.backlash_deg
+def _known_following(calibration: Calibration) -> Following:
+    """Return how servos follow as far as it is known: without lags, at any speed, if nothing is."""
+    return calibration.following or backlash_only(np.zeros(len(calibration.servo_names)))
 
 
 def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
@@ -180,14 +156,17 @@ def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibrati
     names = setup.servos.names
     check_calibration(calibration, setup.model, names, setup.settings.checksum)
     if setup.settings.capabilities.in_memory:
-        bus, clock = simulated_wire(setup.settings)
-        with HeldFace(setup.settings, clock, bus=bus) as face:
-            following = _measured_following(setup, face, calibration)
+        held = _on_simulated_wire(setup)
     else:
         check_servo_memories(calibration, servo_memories(setup.settings))
-        with held_servos(setup) as face:
-            following = _measured_following(setup, face, calibration)
-    return replace(calibration, following=following)
+        held = held_servos(setup)
+    with held as face:
+        return replace(calibration, following=_measured_following(setup, face, calibration))
+
+
+def _on_simulated_wire(setup: CalibrationSetup) -> HeldFace:
+    bus, clock = simulated_wire(setup.settings)
+    return HeldFace(setup.settings, clock, bus=bus)
 
 
 #: No hobby servo is later; a second would be a typing error.
@@ -203,7 +182,7 @@ def typed_lags(
     """
     names = list(setup.servos.names)
     check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
-    following = calibration.following or _unknown_following(len(names))
+    following = _known_following(calibration)
     lag_s, seen = following.lag_s.copy(), set()
     for each in typed:
         name, _, number = each.partition("=")
@@ -239,7 +218,7 @@ def _measured_following(
             f"how late {', '.join(blind)} follow cannot be measured, for want of encoders; film "
             f"one and type it: `lipservo calibrate lags FILE --lag-ms {blind[0]}=60`"
         )
-    known = calibration.following or _unknown_following(len(joints))
+    known = _known_following(calibration)
     if not len(measured):
         return known
 
@@ -253,21 +232,11 @@ def _measured_following(
         found = identify(
             drive, own, known.backlash_deg[measured], rate_hz=face.rate_hz, progress=done
         )
-    whole = replace(
-        known,
-        lag_s=known.lag_s.copy(),
-        top_speed_deg_s=known.top_speed_deg_s.copy(),
-        bandwidth_hz=known.bandwidth_hz.copy(),
-    )
-    whole.lag_s[measured] = found.lag_s
-    whole.top_speed_deg_s[measured] = found.top_speed_deg_s
-    whole.bandwidth_hz[measured] = found.bandwidth_hz
-    return whole
-
-
-def _unknown_following(n_servos: int) -> Following:
-    unknown = np.full(n_servos, np.inf)
-    return Following(np.zeros(n_servos), np.zeros(n_servos), unknown, unknown)
+    whole = {}
+    for field in ("lag_s", "top_speed_deg_s", "bandwidth_hz"):
+        whole[field] = getattr(known, field).copy()
+        whole[field][measured] = getattr(found, field)
+    return replace(known, **whole)
 
 
 #: Called with a calibration that is usable though not yet whole.
@@ -457,8 +426,7 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
     can = setup.settings.capabilities
     if not (setup.lags and can.in_memory and can.place):
         return fitted
-    bus, clock = simulated_wire(setup.settings)
-    with HeldFace(setup.settings, clock, bus=bus) as face:
+    with _on_simulated_wire(setup) as face:
         return with_lags(setup, face, fitted)
 
 
@@ -482,7 +450,8 @@ def practise_in_memory(
         return result
     joints = setup.servos.joints
     servos = SimulatedServos.drawn(len(joints), seed)
-    return result.with_following(identify(servos.encoders_deg, joints, result.backlash_deg))
+    backlash_deg = _known_following(result.calibration).backlash_deg
+    return result.with_following(identify(servos.encoders_deg, joints, backlash_deg))
 
 
 def practise_over_wire(
