@@ -84,6 +84,8 @@ def straight_lines(capture: Capture) -> StraightLines:
 def without_far_points(capture: Capture, lines: StraightLines) -> tuple[Capture, tuple[str, ...]]:
     """Return the capture with outliers of `lines` as NaN, and a line about them; () without any."""
     left_out = lines.far & np.isfinite(capture.markers_mm).all(axis=2)
+    if not left_out.any():
+        return capture, ()
     markers_mm = np.where(left_out[..., None], np.nan, capture.markers_mm)
     return replace(capture, markers_mm=markers_mm), far_line(left_out, capture.marker_names)
 

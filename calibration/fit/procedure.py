@@ -23,8 +23,6 @@ from calibration.capture.capture import (
     Capture,
     CapturedPose,
     KeptPoses,
-    Measure,
-    Move,
     PosePlan,
     Robot,
     gather,
@@ -211,25 +209,20 @@ class Procedure:
     def capture(
         self,
         marker_names: tuple[str, ...],
-        move: Move,
-        measure: Measure,
+        on: Robot,
         *,
         kept: KeptPoses = NOT_KEPT,
-        arrived: Arrived = lambda *_: None,
-        progress: Callable[[int], None] = lambda _: None,
-        strained: Callable[[], str | None] = lambda: None,
         report: Callable[[str], None] = lambda _: None,
     ) -> Capture:
         """Capture range, speech and ladders, and repeat the first poses; return the capture.
 
-        Ladders are poses that close the lips step by step. move, measure, arrived, progress,
-        strained: as in `Robot`. kept: file of poses, from which an interrupted capture is resumed.
+        Ladders are poses that close the lips step by step. kept: file of poses, from which an
+        interrupted capture is resumed.
         Axes and size are checked by the first pose. Beyond `n_poses`, a joint that may be dead is
         captured again alone, and the first part of the plan at the end; a pose in which the tracker
         exchanged two names is captured again. report is called with a line for each. Once a servo
         is strained, lips are closed no farther. Raises CalibrationError for a capture with faults.
         """
-        on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []
 
         def take(plan: PosePlan, pressing: Sequence[int] = ()) -> Capture:

@@ -370,16 +370,9 @@ def capture_face(
         "the tracker needs"
     )
     with progress_bar(setup, "poses", setup.n_poses) as done:
-        return setup.procedure(seed).capture(
-            marker_names,
-            on.move,
-            on.measure,
-            kept=KeptPoses(setup.keep),
-            arrived=on.arrived,
-            progress=done,
-            strained=on.strained,
-            report=_say,
-        )
+        kept = KeptPoses(setup.keep)
+        on = replace(on, progress=done)
+        return setup.procedure(seed).capture(marker_names, on, kept=kept, report=_say)
 
 
 def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:

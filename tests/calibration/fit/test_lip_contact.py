@@ -89,7 +89,7 @@ def test_heights_are_upper_above_lower_and_overlap_is_what_is_missing():
     markers_mm = np.zeros((1, 4, 3))
     markers_mm[0, :, 1] = (5.0, 3.0, 1.0, 2.0)
     assert np.array_equal(gap_heights_mm(markers_mm, GAPS), [[2.0, -1.0]])
-    contact = LipContact(np.array([0.5, 0.25]), np.zeros((2, 4, 3)), 0.1)
+    contact = LipContact(np.array([0.5, 0.25]), np.zeros((2, 4, 3)))
     overlap_mm = contact.overlap_mm(gap_heights_mm(markers_mm, GAPS))
     assert np.array_equal(overlap_mm, [[0.0, 1.25]])
 

@@ -247,7 +247,7 @@ def _ratio(hobby_mm: float | str, positions_mm: float | str) -> float:
 def _whole_procedure(task: _Task, on: Robot) -> CalibrationResult:
     """Both parts of the capture, the fit, and the grade."""
     procedure = task.setup.procedure(task.seed)
-    capture = procedure.capture(MARKERS_47.names, on.move, on.measure)
+    capture = procedure.capture(MARKERS_47.names, Robot(on.move, on.measure))
     return fit_capture(task.setup, capture).graded_by(task.setup, on, capture.n_planned)
 
 
