@@ -243,29 +243,6 @@ def read_capture(
     CalibrationError
         A file is malformed, has no readings, or readings of a pose not in the plan.
     """
-    return read_recorded(plan_path, markers_path, servo_names, axes=axes, read=read)[1]
-
-
-def read_recorded(
-    plan_path: Path,
-    markers_path: Path,
-    servo_names: tuple[str, ...],
-    *,
-    axes: str = "x y z",
-    read: Callable[[], list[Reading]] | None = None,
-) -> tuple[list[int], Capture]:
-    """Return the rows of a plan that markers were recorded for, and the capture of these poses.
-
-    Parameters
-    ----------
-    plan_path,markers_path,servo_names,axes,read : Path
-        Plan's file, markers' file or folder, servos, C3D axes; `read` returns readings instead.
-
-    Returns
-    -------
-    tuple[list[int], Capture]
-        Rows, counted from 0, and the capture, whose markers are (n, n_markers, 3) mm.
-    """
     poses, goals_deg, from_below, ladders = _read_plan(plan_path, servo_names)
     readings = read_readings(markers_path, axes) if read is None else read()
     if not readings:
@@ -286,13 +263,14 @@ def read_recorded(
                 markers_mm[row, column] = median_place(seen[pose, name])
     rows = [poses.index(pose) for pose in used]
     left_out = _left_out([pose for pose in poses if pose not in recorded], len(poses))
-    return rows, Capture(
+    return Capture(
         servo_names,
         names,
         goals_deg[rows],
         from_below[rows],
         markers_mm,
         left_out,
+        rows=tuple(rows),
         ladders=ladders[rows],
     )
 

@@ -109,7 +109,7 @@ def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> Graded
 
 
 def graded(
-    calibration: Calibration, poses: GradedPoses, seen: Capture, rows: NDArray[np.int64]
+    calibration: Calibration, poses: GradedPoses, seen: Capture
 ) -> tuple[Calibration, tuple[str, ...]]:
     """Return the calibration with a grade by the capture of graded poses, and warnings.
 
@@ -120,9 +120,7 @@ def graded(
     poses : GradedPoses
         The planned poses and wanted markers.
     seen : Capture
-        Capture of some of the poses.
-    rows : NDArray[np.int64]
-        (n,): number of the pose in each row of `seen`.
+        Capture of some of the poses, in the rows that it names.
 
     Returns
     -------
@@ -134,7 +132,8 @@ def graded(
     CalibrationError
         Lips were captured in fewer than half of the poses.
     """
-    if len(seen) < len(poses) // 2 or len(rows) != len(seen):
+    rows = np.array(seen.rows, dtype=np.int64)
+    if len(seen) < len(poses) // 2:
         raise CalibrationError(
             f"{len(seen)} of {len(poses)} poses to grade by were captured; capture them all"
         )

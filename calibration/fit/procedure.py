@@ -18,8 +18,6 @@ from threadpoolctl import threadpool_limits
 from calibration.calibration import CouplingRule
 from calibration.capture.capture import (
     NOT_KEPT,
-    STALL_DEG,
-    Arrived,
     Capture,
     CapturedPose,
     KeptPoses,
@@ -305,20 +303,12 @@ def take_grade(
     plan = posed.plan
     kept = kept.after(n_captured, plan)
     before = kept.read(plan, marker_names)
-    on = replace(on, arrived=_numbered(on.arrived, kept.first))
-    poses = take_poses(plan, marker_names, on, before, kept)
-    poses = put_right(plan, marker_names, on, poses, kept, expected_mm=posed.targets_mm)
+    numbered = replace(on, arrived=lambda row, deg: on.arrived(kept.first + row, deg))
+    poses = take_poses(plan, marker_names, numbered, before, kept)
+    poses = put_right(plan, marker_names, numbered, poses, kept, expected_mm=posed.targets_mm)
     seen = gather(plan, marker_names, poses)
-    stood = [
-        p.index for p in poses if np.abs(p.reached_deg - plan.goals_deg[p.index]).max() <= STALL_DEG
-    ]
-    rows = np.array(sorted(stood), dtype=np.int64)
-    calibration, lines = graded(fit.calibration, posed, seen, rows)
+    calibration, lines = graded(fit.calibration, posed, seen)
     return replace(fit, calibration=calibration, warnings=(*fit.warnings, *lines))
-
-
-def _numbered(arrived: Arrived, first: int) -> Arrived:
-    return lambda row, reached_deg: arrived(first + row, reached_deg)
 
 
 def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:

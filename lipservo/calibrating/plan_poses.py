@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.calibration import Calibration, CalibrationError
 from calibration.capture.capture import Capture, PosePlan
-from calibration.capture.marker_files import read_numbered_plan, read_recorded
+from calibration.capture.marker_files import read_capture, read_numbered_plan
 from calibration.capture.sanity import check_frame
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.measured_grade import graded, graded_poses, read_check_plan, write_check_plan
@@ -113,13 +113,11 @@ def grade_by_files(
     CalibrationError.
     """
     poses = read_check_plan(plan, calibration)
-    rows, capture = read_recorded(plan, markers, calibration.servo_names, axes=axes, read=read)
+    capture = read_capture(plan, markers, calibration.servo_names, axes=axes, read=read)
     seen = _in_order(capture, poses.marker_names, markers)
-    recorded = [i for i, name in enumerate(seen.marker_names) if name in capture.marker_names]
-    usual_mm = _usual_mm(seen.markers_mm)[recorded]
-    names = tuple(seen.marker_names[i] for i in recorded)
-    sizes = check_frame(names, usual_mm, setup.model, accept=setup.accept)
-    calibration, lines = graded(calibration, poses, seen, np.array(rows))
+    usual_mm = _usual_mm(capture.markers_mm)
+    sizes = check_frame(capture.marker_names, usual_mm, setup.model, accept=setup.accept)
+    calibration, lines = graded(calibration, poses, seen)
     return calibration, (*capture.stalled, *sizes, *lines)
 
 
