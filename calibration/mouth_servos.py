@@ -1,7 +1,7 @@
 """The servos of one mouth, as the fits need them from its face YAML."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,10 +72,13 @@ class MouthServos:
         tuple[Array, Array]
             (n_servos,) degrees each.
         """
-        return (
-            np.array([joint.min_deg for joint in self.joints]),
-            np.array([joint.max_deg for joint in self.joints]),
-        )
+        return limits_of(self.joints)
+
+
+def limits_of(joints: Sequence[JointRange]) -> tuple[Array, Array]:
+    """Return the least and the most angle, (n_servos,) degrees each, of joints."""
+    ends = np.array([(joint.min_deg, joint.max_deg) for joint in joints]).reshape(-1, 2)
+    return ends[:, 0].copy(), ends[:, 1].copy()
 
 
 def linear_calibration(

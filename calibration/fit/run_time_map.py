@@ -20,6 +20,7 @@ from calibration.fit.retargeting import (
     RobotMouth,
     ShapeFeatures,
     gap_heights_mm,
+    shape_slopes,
 )
 from lipsync.arrays import Array
 
@@ -30,7 +31,6 @@ _STRENGTH = 3.0
 _CENTRE_STRENGTH = 0.1
 #: Degrees that count as much as a weighted millimetre: also joints that show little stay tame.
 _ANGLE_WEIGHT_MM_PER_DEG = 0.05
-_DIFFERENCE_DEG = 0.5
 #: The file keeps this many digits, so the fit does as well and its errors are those of the file.
 SIGNIFICANT_DIGITS = 6
 
@@ -201,13 +201,7 @@ def _metric(poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatur
     """
     n_servos = poses_deg.shape[1]
     at = shape_features.of(markers_of(poses_deg))
-    slopes = np.stack(
-        [
-            (shape_features.of(markers_of(poses_deg + step)) - at) / _DIFFERENCE_DEG
-            for step in _DIFFERENCE_DEG * np.eye(n_servos)
-        ],
-        axis=2,
-    )
+    slopes = shape_slopes(markers_of, shape_features, poses_deg, at)
     cost = np.einsum("nks,nkt->st", slopes, slopes) / len(poses_deg)
     return np.asarray(cost + _ANGLE_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos))
 

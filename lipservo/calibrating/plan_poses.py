@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.calibration import Calibration, CalibrationError
-from calibration.capture.capture import Capture, PosePlan
+from calibration.capture.capture import Capture, PosePlan, plan_rows
 from calibration.capture.marker_files import read_capture, read_numbered_plan
 from calibration.capture.sanity import check_frame
 from calibration.fit.measured import MeasuredFit
@@ -43,8 +43,8 @@ def read_poses(
             f"{high_deg[joint]:g}; is it a plan of this face?"
         )
     rows = [numbers.index(number) for number in wanted or numbers]
-    start_deg = np.clip(plan.start_deg[rows], low_deg, high_deg)
-    chosen = PosePlan(plan.servo_names, plan.goals_deg[rows], plan.from_below[rows], start_deg)
+    chosen = plan_rows(plan, rows)
+    chosen = replace(chosen, start_deg=np.clip(chosen.start_deg, low_deg, high_deg))
     return tuple(numbers[row] for row in rows), chosen
 
 

@@ -248,6 +248,17 @@ def closing_values(calibration: Calibration) -> dict[str, object] | None:
     return {"closes": closing.closes, **asdict(closing), "press_mm": press_mm}
 
 
+def measured_values(calibration: Calibration) -> dict[str, object]:
+    """Return what was measured of lips and viseme classes, for JSON; None for what was not."""
+    lips = calibration.learnt_lips
+    return {
+        "grade": grade_values(calibration),
+        "learnt_lips": None if lips is None else asdict(lips),
+        "closing": closing_values(calibration),
+        "coverage": coverage_values(calibration),
+    }
+
+
 def shown_values(
     calibration: Calibration, rules: Sequence[PreventSettings] | None
 ) -> dict[str, object]:
@@ -256,7 +267,6 @@ def shown_values(
     rules: the `prevent` rules of the face's YAML; None: they are left out.
     """
     origin, errors = calibration.origin, asdict(calibration.errors)
-    lips = calibration.learnt_lips
     errors.pop("joint_rms_deg")
     values: dict[str, object] = {
         "method": origin.method,
@@ -267,10 +277,7 @@ def shown_values(
         "face_checksum": calibration.face_checksum,
         "servos": servo_values(calibration),
         "hold_out": errors,
-        "grade": grade_values(calibration),
-        "learnt_lips": None if lips is None else asdict(lips),
-        "closing": closing_values(calibration),
-        "coverage": coverage_values(calibration),
+        **measured_values(calibration),
         "trim": trim_values(calibration),
     }
     if rules is not None:

@@ -337,26 +337,18 @@ def finish(
     jaw_r = jaw_check(setup, calibration)
     speeds = within_speeds(setup.model, calibration, setup.settings)
     if as_json:
-        from lipservo.calibrating.shown_calibration import (
-            closing_values,
-            coverage_values,
-            grade_values,
-        )
+        from lipservo.calibrating.shown_calibration import measured_values
 
-        lips = calibration.learnt_lips
         report = {
             "calibration": str(output),
             "method": calibration.origin.method,
             "poses": calibration.origin.poses,
             **asdict(calibration.errors),
-            "coverage": coverage_values(calibration),
-            "learnt_lips": None if lips is None else asdict(lips),
+            **measured_values(calibration),
             "check_plan": None if check_plan is None else str(check_plan),
             "jaw_correlation": jaw_r,
             "warnings": result.warnings,
             "kept": kept,
-            "grade": grade_values(calibration),
-            "closing": closing_values(calibration),
             "within_speeds": asdict(speeds),
         }
         if fit is not None:

@@ -304,12 +304,8 @@ def touch(
     check_files(file)
     setup = load_setup(config, model, quiet=quiet or as_json, speed_deg_s=speed)
     from lipservo.calibrating.face_source import tracker_source
-    from lipservo.calibrating.touching import (
-        touch_by_current,
-        touch_by_eye,
-        touch_by_markers,
-        touch_computed,
-    )
+    from lipservo.calibrating.measured_calibration import computed_tracker
+    from lipservo.calibrating.touching import touch_by_current, touch_by_eye, touch_by_markers
     from lipservo.terminal.keys import read_key
 
     if by_eye and tracker is not None:
@@ -321,7 +317,7 @@ def touch(
             with tracker_source(at, tracker, axes, mesh) as make_tracker:
                 found, later_mm = touch_by_markers(at, before, make_tracker)
         elif sim is not None and not by_eye:
-            found, later_mm = touch_computed(at, before)
+            found, later_mm = touch_by_markers(at, before, lambda _: computed_tracker(at))
         elif by_eye or not at.has_load:
             found, later_mm = touch_by_eye(at, before, read_key)
         else:
