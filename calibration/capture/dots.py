@@ -75,17 +75,8 @@ _LONGEST = 2.2
 _LEAST_FILLED = 0.8
 
 
-@dataclass(frozen=True, slots=True)
-class DotColour:
-    """The colour range of dots: OpenCV's hue 0..179, and least saturation and brightness, 0..255.
-
-    The default is blue: neither skin, lips, nor most rubber.
-    """
-
-    least_hue: int = 100
-    most_hue: int = 130
-    least_saturation: int = 120
-    least_brightness: int = 60
+#: Blue: least hue (OpenCV's, 0..179), saturation and brightness, and the most of them.
+_LEAST_HSV, _MOST_HSV = (100, 120, 60), (130, 255, 255)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +84,12 @@ class FoundDots:
     """The dots found in a picture. size_px: the picture's height and width.
 
     middles_px: (n, 2), column and row of every dot; n_merged: number of spots that are two touching
-    dots, both of which are in middles_px; n_other: spots of the dots' colour that are no dots.
+    dots, both of which are in middles_px.
     """
 
     middles_px: Array
     size_px: tuple[int, int]
     n_merged: int = 0
-    n_other: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +110,8 @@ class _Spot:
         return self.length <= _LONGEST and self.filled >= _LEAST_FILLED
 
 
-def find_dots(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> FoundDots:
-    """Return every dot of `colour` in a picture; spots below `least_area_px` are ignored.
+def find_dots(picture: Path, *, least_area_px: int = 12) -> FoundDots:
+    """Return every blue dot in a picture; spots below `least_area_px` are ignored.
 
     Raises CalibrationError if the file is not a picture, MissingExtraError without OpenCV.
     """
@@ -131,9 +121,8 @@ def find_dots(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> F
     pixels = cv2.imread(str(picture))
     if pixels is None:
         raise CalibrationError(f"{picture}: not readable as a picture")
-    low = (colour.least_hue, colour.least_saturation, colour.least_brightness)
-    high = (colour.most_hue, 255, 255)
-    mask = cv2.inRange(cv2.cvtColor(pixels, cv2.COLOR_BGR2HSV), np.array(low), np.array(high))
+    hsv = cv2.cvtColor(pixels, cv2.COLOR_BGR2HSV)
+    mask = cv2.inRange(hsv, np.array(_LEAST_HSV), np.array(_MOST_HSV))
     n_spots, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
     spots = []
     for label in range(1, n_spots):  # the first is what is not of that colour
@@ -158,7 +147,7 @@ def _spot(pixels: Array) -> _Spot:
 def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
     usual_px, usual_length = _usual(spots)
     middles: list[Array] = []
-    n_merged = n_other = 0
+    n_merged = 0
     for spot in spots:
         size = spot.area_px / usual_px
         # Of dots that are seen at an angle all are long, and two of them may be less so.
@@ -168,10 +157,8 @@ def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
             n_merged += 1
         elif spot.is_round and _SMALLEST <= size <= _LARGEST:
             middles.append(spot.pixels.mean(axis=0))
-        else:
-            n_other += 1
     places = np.array(middles, dtype=np.float64).reshape(-1, 2)
-    return FoundDots(places, size_px, n_merged, n_other)
+    return FoundDots(places, size_px, n_merged)
 
 
 def _usual(spots: list[_Spot]) -> tuple[float, float]:
@@ -314,7 +301,7 @@ class DotsFolder:
 
     def _look(self, pose: int, picture: Path) -> list[Reading]:
         names = self._names
-        found = find_dots(picture, DotColour())
+        found = find_dots(picture)
         self._check_size(picture.name, found.size_px)
         places_px = name_dots(
             found.middles_px,

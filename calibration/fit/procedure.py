@@ -9,7 +9,6 @@ what slipped, tore or was moved meanwhile. Loads scikit-learn; the live path nev
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from sklearn.cluster import KMeans
@@ -69,13 +68,9 @@ _ABOUT_CLOSED_MM, _FROM_NEUTRAL_MM = (0.8, -1.2), (0.3, -2.8)
 _FRAMES = 400
 
 
-class _Take(Protocol):
-    """A function that captures the poses missing from a plan and returns the whole capture.
-
-    pressing: rows of poses that close the lips farther and farther.
-    """
-
-    def __call__(self, plan: PosePlan, pressing: Sequence[int] = ()) -> Capture: ...
+#: Captures the poses missing from a plan, of which it may leave out the `pressing` ones, given
+#: second, once a servo is strained; gives back the whole capture.
+_Take = Callable[..., Capture]
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +248,7 @@ class Procedure:
         return take(joined(plan, first_part(self.range_plan())))
 
     def _with_ladders(
-        self, plan: PosePlan, captured: Capture, still: Sequence[int], take: "_Take"
+        self, plan: PosePlan, captured: Capture, still: Sequence[int], take: _Take
     ) -> PosePlan:
         """Capture ladders by `take` until lips are seen to meet or joints are at limits.
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -20,7 +19,7 @@ from lipservo.calibrating.hand_poses import HAND_POSES, ROUNDED, WIDEST, beyond_
 from lipservo.calibrating.measured_calibration import CalibrationResult, Save
 from lipservo.calibrating.posing import calibrate_by_eye, fit_by_eye, make_poses
 from lipservo.runtime.servos.limp_servos import READ_EVERY_S, LimpServos
-from lipservo.terminal.keys import read_key
+from lipservo.terminal.keys import PressedKeys, read_key
 from lipservo.terminal.output import MESSAGES
 from lipservo.terminal.view import draw_mouth
 from lipsync.animpho.units import FaceWithAnimPhos
@@ -116,13 +115,6 @@ _LIMP_KEYS = "space or Enter: keep   x: leave this pose out   b: back   q: stop"
 _BAR = 31
 
 
-class Keys(Protocol):
-    """A source of single keys: a terminal or a script."""
-
-    def next_key(self, timeout_s: float) -> str | None:
-        """Return the next key, or None if none comes within `timeout_s`."""
-
-
 class LimpFront:
     """A front of a terminal for limp servos, whose pose under the fingers is read until a key.
 
@@ -134,7 +126,7 @@ class LimpFront:
         self,
         servos: LimpServos,
         mouth: MouthServos,
-        keys: Keys,
+        keys: PressedKeys,
         live: Live,
         undivided: Callable[[], AbstractContextManager[object]],
     ) -> None:
