@@ -6,6 +6,7 @@ waits by a function that the caller passes, so that the servos are held meanwhil
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
@@ -230,38 +231,21 @@ class FileTracker:
         return is_csv and not self._path.read_bytes().endswith(b"\n")
 
 
+@dataclass(slots=True)
 class SeenByComputation:
-    """A tracker whose markers are computed from the encoders' angles, for a simulated face."""
+    """A tracker whose markers are computed from the encoders' angles, for a simulated face.
 
-    def __init__(self, marker_names: tuple[str, ...], look: Callable[[Array], Array]) -> None:
-        """Store `look`, a function from angles (n_servos,) degrees to markers (n_markers, 3) mm."""
-        self._names = marker_names
-        self._look = look
-        self._reached_deg = np.zeros(0)
+    look: from angles (n_servos,) degrees to markers (n_markers, 3) mm.
+    """
 
-    @property
-    def marker_names(self) -> tuple[str, ...]:
-        """The names of the markers, as passed to the constructor."""
-        return self._names
+    marker_names: tuple[str, ...]
+    look: Callable[[Array], Array]
+    reached_deg: Array = field(default_factory=lambda: np.zeros(0), init=False)
 
     def arrived(self, _pose: int, reached_deg: Array) -> None:
-        """Store the angles of the pose that the robot holds, by the encoders.
-
-        Parameters
-        ----------
-        _pose : int
-            Not used.
-        reached_deg : Array
-            (n_servos,) degrees.
-        """
-        self._reached_deg = reached_deg
+        """Store the angles, (n_servos,) degrees, of the pose that the robot holds."""
+        self.reached_deg = reached_deg
 
     def measure(self) -> Array:
-        """Return the markers computed from the stored angles.
-
-        Returns
-        -------
-        Array
-            (n_markers, 3) mm.
-        """
-        return self._look(self._reached_deg)
+        """Return the markers, (n_markers, 3) mm, computed from the stored angles."""
+        return self.look(self.reached_deg)

@@ -237,8 +237,7 @@ def saved(
     """
     from calibration.files.calibration_file import PREVIOUS_SUFFIX
 
-    calibration, kept = _with_hand_made(setup, result, output)
-    bad = _why_bad(setup, result, calibration)
+    calibration, kept, bad = _made(setup, result, output)
     if bad is not None:
         if calibration.grade is not None and _is_unfinished(calibration, output):
             before = output.with_name(output.name + PREVIOUS_SUFFIX)
@@ -259,26 +258,25 @@ def save_so_far(setup: "CalibrationSetup", result: "CalibrationResult", output: 
 
     What would be refused in the end is not saved.
     """
-    calibration, _ = _with_hand_made(setup, result, output)
-    if _why_bad(setup, result, calibration) is None:
+    calibration, _, bad = _made(setup, result, output)
+    if bad is None:
         _save(calibration, output)
         MESSAGES.print(f"{output} is saved, and usable; what follows is added to it")
 
 
-def _with_hand_made(
+def _made(
     setup: "CalibrationSetup", result: "CalibrationResult", output: Path
-) -> "tuple[Calibration, list[str]]":
+) -> "tuple[Calibration, list[str], str | None]":
+    """Return a calibration with the hand-made parts of the file `output`.
+
+    Also lines about these parts, and why it is too bad to be saved, or None.
+    """
+    from calibration.fit.measured_grade import too_bad
     from lipservo.calibrating.hand_poses import with_hand_made
 
-    return with_hand_made(result.calibration, setup.servos, output)
-
-
-def _why_bad(
-    setup: "CalibrationSetup", result: "CalibrationResult", calibration: "Calibration"
-) -> str | None:
-    from calibration.fit.measured_grade import too_bad
-
-    return None if result.fit is None or setup.accept else too_bad(calibration)
+    calibration, kept = with_hand_made(result.calibration, setup.servos, output)
+    is_taken = result.fit is None or setup.accept
+    return calibration, kept, None if is_taken else too_bad(calibration)
 
 
 def _save(calibration: "Calibration", output: Path) -> None:
