@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Capture
+from calibration.capture.capture import Capture, KeptPoses
 from calibration.capture.dots import (
     PROTRUSION_IS_UNSEEN,
     DotsFolder,
@@ -23,9 +23,8 @@ from calibration.capture.trackers import FileTracker, ReadPose, Tracker
 from firmware_bridge.clock import Clock, MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.camera import AvCamera, CameraFeed
-from lipservo.calibrating.measured_calibration import tracker_of
+from lipservo.calibrating.measured_calibration import say
 from lipservo.runtime.servos.held_face import HeldFace
-from lipservo.terminal.output import MESSAGES
 from lipsync.errors import UserError
 from lipsync.video.face_detection import Picture
 from lipsync.video.face_tracker import FaceTracker
@@ -119,8 +118,9 @@ def tracker_source(
 ) -> Iterator[MakeTracker]:
     """Yield a function that, called with the held servos, makes the source of marker positions.
 
-    source: `camera`, a folder of pictures, or as for `tracker_of`; axes: as for it; mesh: options
-    for pictures without dots. Raises UserError for missing files and extras at once, before servos
+    source: `camera`, a folder of pictures, or a file or folder that another program fills; axes:
+    those of C3D files that point left, up and forward, as `x z -y`; mesh: options for pictures
+    without dots. Raises UserError for missing files and extras at once, before servos
     move.
     """
     folder = Path(source)
@@ -145,7 +145,12 @@ def tracker_source(
     elif folder.is_dir() and is_dots_folder(folder):
         yield _pictures(folder, setup.servos.names, _warned_once(dots_folder(folder).readings))
     else:
-        yield tracker_of(setup, source, axes)
+        if not folder.is_dir() and folder.suffix.lower() not in (".csv", ".json"):
+            raise CalibrationError(
+                f"--tracker {source}: expected a .csv or .json file, or a folder"
+            )
+        names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
+        yield lambda face: FileTracker(folder, names, face.hold, say, axes=axes, kept=kept)
 
 
 def dots_folder(folder: Path) -> DotsFolder:
@@ -203,11 +208,6 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
                 return picture
         clock.sleep_until(clock.now() + _LOOK_EVERY_S)
     raise UserError(f"camera {feed.camera.name!r} gives no pictures; plug it in again")
-
-
-def say(line: str) -> None:
-    """Print a line on stderr."""
-    MESSAGES.print(line)
 
 
 def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:

@@ -7,7 +7,6 @@ measures alone.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -214,7 +213,7 @@ def _measured_following(
     measured = np.flatnonzero(face.has_place)
     if len(measured) < len(joints):
         blind = [joint.name for joint, has in zip(joints, face.has_place, strict=True) if not has]
-        _say(
+        say(
             f"how late {', '.join(blind)} follow cannot be measured, for want of encoders; film "
             f"one and type it: `lipservo calibrate lags FILE --lag-ms {blind[0]}=60`"
         )
@@ -340,19 +339,6 @@ def computed_tracker(setup: CalibrationSetup) -> Tracker:
     return SeenByComputation(MARKERS_47.names, look)
 
 
-def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[HeldFace], Tracker]:
-    """Return a function that, called with the held servos, makes the source of marker positions.
-
-    source: the path of a file or folder that another program fills. axes: those of C3D files that
-    point left, up and forward, as `x z -y`. Raises CalibrationError for other sources.
-    """
-    path = Path(source)
-    if not path.is_dir() and path.suffix.lower() not in (".csv", ".json"):
-        raise CalibrationError(f"--tracker {source}: expected a .csv or .json file, or a folder")
-    names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
-    return lambda face: FileTracker(path, names, face.hold, _say, axes=axes, kept=kept)
-
-
 def capture_face(
     setup: CalibrationSetup, marker_names: tuple[str, ...], on: Robot, *, seed: int
 ) -> Capture:
@@ -365,14 +351,14 @@ def capture_face(
     more = ""
     if setup.n_poses != n_wanted:
         more = f": {n_joints} joints need more than {n_wanted}"
-    _say(
+    say(
         f"about {setup.reckoned_poses} poses{more}; {setup.reckoned_s / 60.0:.0f} minutes and what "
         "the tracker needs"
     )
     with progress_bar(setup, "poses", setup.n_poses) as done:
         kept = KeptPoses(setup.keep)
         on = replace(on, progress=done)
-        return setup.procedure(seed).capture(marker_names, on, kept=kept, report=_say)
+        return setup.procedure(seed).capture(marker_names, on, kept=kept, report=say)
 
 
 def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
@@ -392,12 +378,13 @@ def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
     """
     for (name, servo), share in zip(setup.settings.mouth_servos.items(), effort, strict=True):
         if servo.strain(share) >= _STRAINED:
-            _say(f"{name} draws its max_current_ma: lips are closed no farther than this")
+            say(f"{name} draws its max_current_ma: lips are closed no farther than this")
             return name
     return None
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
+    """Print a line on stderr."""
     MESSAGES.print(line)
 
 

@@ -109,7 +109,7 @@ def grade_by_files(
     """Return the calibration graded by recorded markers, and warnings.
 
     plan: as `fit --check-plan` wrote it. markers: the file or folder of the recording; axes: of C3D
-    files, as for `tracker_of`; read: reads pictures instead, None for others. Raises
+    files, as for `tracker_source`; read: reads pictures instead, None for others. Raises
     CalibrationError.
     """
     poses = read_check_plan(plan, calibration)
