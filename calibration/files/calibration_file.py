@@ -56,7 +56,7 @@ class Place:
     Its methods raise CalibrationError, which names the keys, for a value of another type.
     """
 
-    def __init__(self, value: object, path: str) -> None:
+    def __init__(self, value: Any, path: str) -> None:
         self._value = value
         self.path = path
 
@@ -81,18 +81,19 @@ class Place:
             raise CalibrationError(f"{path} is missing")
         return Place(self._value[key], path)
 
+    def _checked(self, expected: str, *, is_right: bool) -> Any:
+        if not is_right:
+            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected {expected}")
+        return self._value
+
     def text(self) -> str:
         """Return the value, which must be text; CalibrationError names its keys otherwise."""
-        if not isinstance(self._value, str):
-            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected text in quotes")
-        return self._value
+        return str(self._checked("text in quotes", is_right=isinstance(self._value, str)))
 
     def number(self) -> float:
         """Return the value, which must be a finite number; CalibrationError otherwise."""
-        value = self._value
-        if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX:
-            return float(value)
-        raise CalibrationError(f"{self.path} is {shown(value)}, expected a finite number")
+        is_number = type(self._value) in (int, float) and abs(self._value) <= _MAX
+        return float(self._checked("a finite number", is_right=is_number))
 
     def has(self, key: str) -> bool:
         """Return whether this mapping contains `key`. Raises CalibrationError for no mapping."""
@@ -100,23 +101,16 @@ class Place:
 
     def count(self) -> int:
         """Return the value, which must be a whole number >= 0; CalibrationError otherwise."""
-        if isinstance(self._value, bool) or not isinstance(self._value, int) or self._value < 0:
-            raise CalibrationError(
-                f"{self.path} is {shown(self._value)}, expected a whole number >= 0"
-            )
-        return self._value
+        is_count = type(self._value) is int and self._value >= 0
+        return int(self._checked("a whole number >= 0", is_right=is_count))
 
     def flag(self) -> bool:
         """Return the value, which must be true or false; CalibrationError otherwise."""
-        if not isinstance(self._value, bool):
-            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected true or false")
-        return self._value
+        return bool(self._checked("true or false", is_right=isinstance(self._value, bool)))
 
     def whole(self) -> int:
         """Return the value, which must be a whole number; CalibrationError otherwise."""
-        if isinstance(self._value, bool) or not isinstance(self._value, int):
-            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected a whole number")
-        return self._value
+        return int(self._checked("a whole number", is_right=type(self._value) is int))
 
     def rows(self, n: int) -> Array:
         """Return this list of lists of `n` numbers, at least one; CalibrationError otherwise."""
