@@ -23,7 +23,13 @@ from calibration.capture.trackers import FileTracker, ReadPose, Tracker
 from firmware_bridge.clock import Clock, MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.camera import AvCamera, CameraFeed
-from lipservo.calibrating.measured_calibration import say
+from lipservo.calibrating.measured_calibration import (
+    CalibrationResult,
+    Save,
+    calibrate_on_servos,
+    computed_tracker,
+    say,
+)
 from lipservo.runtime.servos.held_face import HeldFace
 from lipsync.errors import UserError
 from lipsync.video.face_detection import Picture
@@ -151,6 +157,21 @@ def tracker_source(
             )
         names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
         yield lambda face: FileTracker(folder, names, face.hold, say, axes=axes, kept=kept)
+
+
+def calibrate_seen(
+    setup: CalibrationSetup, source: str | None, axes: str, mesh: MeshOptions, save: Save
+) -> CalibrationResult:
+    """Capture, fit and grade a calibration with markers of a source, then measure the lags.
+
+    source, axes, mesh: as for `tracker_source`; source None: markers are computed, a rehearsal.
+    save: as for `calibrate_on_servos`. Raises UserError.
+    """
+    if source is None:
+        return calibrate_on_servos(setup, lambda _: computed_tracker(setup), save=save)
+    seen = replace(setup, sees_forward=not is_seen_from_the_front(Path(source), mesh))
+    with tracker_source(seen, source, axes, mesh) as make_tracker:
+        return calibrate_on_servos(seen, make_tracker, save=save)
 
 
 def dots_folder(folder: Path) -> DotsFolder:

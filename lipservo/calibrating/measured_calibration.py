@@ -317,16 +317,6 @@ def calibrate_on_servos(
         return with_lags(setup, face, result) if setup.lags else result
 
 
-def calibrate_on_computed_skin(
-    setup: CalibrationSetup, save: Save = lambda _: None
-) -> CalibrationResult:
-    """Calibrate as a rehearsal: the face's servos move; markers are computed from their positions.
-
-    save: as for `calibrate_on_servos`.
-    """
-    return calibrate_on_servos(setup, lambda _: computed_tracker(setup), save=save)
-
-
 def computed_tracker(setup: CalibrationSetup) -> Tracker:
     """Return a tracker of the simulated face, whose markers are computed from servos' positions."""
     markers_of = markers_of_face(setup.model.markers_mm(setup.model.rest[None])[0], setup.servos)

@@ -187,26 +187,17 @@ def _by_eye(request: Request, page: "PageLine") -> None:
 
 def _measure(request: Request, page: "PageLine") -> None:
     """Move the servos through poses, measure markers, and save the calibration fitted to them."""
-    from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
-    from lipservo.calibrating.measured_calibration import (
-        calibrate_on_computed_skin,
-        calibrate_on_servos,
-    )
+    from lipservo.calibrating.face_source import calibrate_seen
     from lipservo.commands.calibrate.making import mesh_options, save_so_far
 
     setup, tracker = _setup(request, page), request["tracker"]
+    mesh = mesh_options(None, request.get("eye_distance_mm"), request.get("camera") or "0")
+    source = None if tracker == "computed" else tracker
 
     def save(so_far: "CalibrationResult") -> None:
         save_so_far(setup, so_far, Path(request["output"]))
 
-    if tracker == "computed":
-        _finish(setup, calibrate_on_computed_skin(setup, save), request, page)
-        return
-    mesh = mesh_options(None, request.get("eye_distance_mm"), request.get("camera") or "0")
-    setup = replace(setup, sees_forward=not is_seen_from_the_front(Path(tracker), mesh))
-    with tracker_source(setup, tracker, "x y z", mesh) as make_tracker:
-        result = calibrate_on_servos(setup, make_tracker, save=save)
-    _finish(setup, result, request, page)
+    _finish(setup, calibrate_seen(setup, source, "x y z", mesh, save), request, page)
 
 
 def _drawn(request: Request, page: "PageLine") -> None:

@@ -84,20 +84,11 @@ def measure(
         speed_deg_s=speed,
         accept=accept,
     )
-    from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
-    from lipservo.calibrating.measured_calibration import (
-        calibrate_on_computed_skin,
-        calibrate_on_servos,
-    )
+    from lipservo.calibrating.face_source import calibrate_seen
 
+    mesh = mesh_options(landmarker, eye_distance_mm, camera)
     with making(setup, output, keep, port, sim, config) as (at, save):
-        if tracker is None:
-            result = calibrate_on_computed_skin(at, save)
-        else:
-            mesh = mesh_options(landmarker, eye_distance_mm, camera)
-            seen = replace(at, sees_forward=not is_seen_from_the_front(Path(tracker), mesh))
-            with tracker_source(seen, tracker, axes, mesh) as make_tracker:
-                result = calibrate_on_servos(seen, make_tracker, save=save)
+        result = calibrate_seen(at, tracker, axes, mesh, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
 
