@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
@@ -25,6 +25,7 @@ from calibration.closure import Closure, pairs
 from calibration.files.calibration_text import (
     CALIBRATION_VERSION,
     SAFE_LOADER,
+    Record,
     calibration_text,
     check_checksum,
 )
@@ -43,9 +44,6 @@ from lipsync.errors import shown
 from lipsync.output_file import write_whole
 from lipsync.phonemes import VISEME_CLASSES
 from lipsync.yaml_depth import is_nested_deeper
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 _MAX = sys.float_info.max
 
@@ -254,7 +252,7 @@ def _parse(file: Place) -> Calibration:
 
 
 Part = TypeVar("Part")
-Record = TypeVar("Record", bound="DataclassInstance")
+Kind = TypeVar("Kind", bound=Record)
 #: How a field of a record is read, by its type.
 _READ: Mapping[object, Callable[[Place], object]] = {
     str: Place.text, float: Place.number, float | None: Place.number, int: Place.count,
@@ -264,7 +262,7 @@ _READ: Mapping[object, Callable[[Place], object]] = {
 _MAY_LACK = ("held_back_mm", "n_measured", "not_measured")
 
 
-def _record(place: Place, kind: type[Record], **others: Any) -> Record:
+def _record(place: Place, kind: type[Kind], **others: Any) -> Kind:
     """Return the record, of dataclass `kind`, that a mapping holds under its fields' names.
 
     others: fields that are read otherwise. Raises CalibrationError for a missing or malformed one.

@@ -7,8 +7,8 @@ do not count, and neither do trims (degrees added for a viseme), which a person 
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, fields
-from typing import TYPE_CHECKING, Final
+from dataclasses import Field, asdict, fields
+from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 import yaml
@@ -19,8 +19,12 @@ from calibration.grade import HoldOutErrors, VisemeReach
 from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+
+class Record(Protocol):
+    """A dataclass that is a part of a calibration."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
 
 #: libyaml's reader where PyYAML has it: ten times as fast.
 SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -212,7 +216,7 @@ def _coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
     return lines
 
 
-def _known(part: "DataclassInstance") -> dict[str, str]:
+def _known(part: Record) -> dict[str, str]:
     """Return a record's fields that are not None, as YAML text by their names."""
     values = {field.name: getattr(part, field.name) for field in fields(part)}
     return {
