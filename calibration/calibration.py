@@ -217,10 +217,21 @@ def free_angles_deg(
     centres: Array,
     centre_weights: Array,
 ) -> Array:
-    """Return a map's angles, (n, n_servos), before lips are corrected to meet, limits and rules.
+    """Return a map's angles before lips are corrected to meet, limits and rules.
 
-    x: (n, n_components), coefficients less the rest, within the map's range. The map's parts are
-    shaped as in `Calibration`.
+    The map's parts are shaped as in `Calibration`.
+
+    Parameters
+    ----------
+    x : Array
+        (n, n_components), coefficients less the rest, within the map's range.
+    rest_deg,weights,quadratic_weights,centres,centre_weights : Array
+        The map's parts.
+
+    Returns
+    -------
+    Array
+        (n, n_servos) degrees.
     """
     free_deg = rest_deg + x @ weights.T
     if quadratic_weights.shape[1]:
@@ -232,7 +243,18 @@ def free_angles_deg(
 
 
 def distances(x: Array, centres: Array) -> Array:
-    """Return the distance, (n, m), of each of n rows of x from each of m centres."""
+    """Return the distance of each row of x from each centre.
+
+    Parameters
+    ----------
+    x,centres : Array
+        (n, n_components) and (m, n_components) mm.
+
+    Returns
+    -------
+    Array
+        (n, m) mm.
+    """
     apart = x[:, None] - centres
     return np.asarray(np.sqrt(np.einsum("kmn,kmn->km", apart, apart)))
 

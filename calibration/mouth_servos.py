@@ -76,7 +76,13 @@ class MouthServos:
 
 
 def limits_of(joints: Sequence[JointRange]) -> tuple[Array, Array]:
-    """Return the least and the most angle, (n_servos,) degrees each, of joints."""
+    """Return the least and the most angle of joints.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n_servos,) degrees each.
+    """
     ends = np.array([(joint.min_deg, joint.max_deg) for joint in joints]).reshape(-1, 2)
     return ends[:, 0].copy(), ends[:, 1].copy()
 
@@ -86,8 +92,16 @@ def linear_calibration(
 ) -> Calibration:
     """Return a calibration with a linear map that is 0 degrees at rest unless `others` says else.
 
-    weights: (n_servos, n_components) degrees per unit of a coefficient; others: fields of the
-    calibration, `errors` at least.
+    Parameters
+    ----------
+    model : FaceModel
+        The speaker's face model.
+    servos : MouthServos
+        The mouth's joints.
+    weights : Array
+        (n_servos, n_components) degrees per mm of a coefficient.
+    others : Any
+        Fields of the calibration, `errors` at least.
     """
     quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     min_deg, max_deg = servos.limits_deg

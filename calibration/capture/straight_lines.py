@@ -91,7 +91,15 @@ def without_far_points(capture: Capture, lines: StraightLines) -> tuple[Capture,
 
 
 def far_line(left_out: NDArray[np.bool_], names: Sequence[str]) -> tuple[str, ...]:
-    """Return a line about the readings left out, (n, n_markers); () if there are none."""
+    """Return a line about readings that are left out; () if there are none.
+
+    Parameters
+    ----------
+    left_out : NDArray[np.bool_]
+        (n, n_markers), of n poses.
+    names : Sequence[str]
+        Names of the markers.
+    """
     counts = left_out.sum(axis=0)
     most = sorted(zip(counts.tolist(), names, strict=True), reverse=True)[:5]
     counted = ", ".join(f"{name} {count}" for count, name in most if count)

@@ -243,9 +243,21 @@ class SeenByComputation:
     reached_deg: Array = field(default_factory=lambda: np.zeros(0), init=False)
 
     def arrived(self, _pose: int, reached_deg: Array) -> None:
-        """Store the angles, (n_servos,) degrees, of the pose that the robot holds."""
+        """Store the angles of the pose that the robot holds, by the encoders.
+
+        Parameters
+        ----------
+        reached_deg : Array
+            (n_servos,) degrees.
+        """
         self.reached_deg = reached_deg
 
     def measure(self) -> Array:
-        """Return the markers, (n_markers, 3) mm, computed from the stored angles."""
+        """Return the markers computed from the stored angles.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm.
+        """
         return self.look(self.reached_deg)

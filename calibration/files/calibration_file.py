@@ -111,14 +111,26 @@ class Place:
         return int(self._checked("a whole number", is_right=type(self._value) is int))
 
     def rows(self, n: int) -> Array:
-        """Return this list of lists of `n` numbers, at least one; CalibrationError otherwise."""
+        """Return this list of lists of `n` numbers, at least one; CalibrationError otherwise.
+
+        Returns
+        -------
+        Array
+            (n_lists, n).
+        """
         values = self._value
         if not isinstance(values, list) or not values:
             raise CalibrationError(f"{self.path} should be a list")
         return np.array([Place(v, f"{self.path}[{i}]").numbers(n) for i, v in enumerate(values)])
 
     def by_name(self, names: Sequence[str], missing: float | None = None) -> Array:
-        """Return the numbers under `names`, in their order; `missing` (None: an error) for none."""
+        """Return the numbers under `names`, in their order; `missing` (None: an error) for none.
+
+        Returns
+        -------
+        Array
+            (n_names,).
+        """
         return np.array(
             [
                 missing if missing is not None and not self.has(name) else self.at(name).number()

@@ -46,7 +46,15 @@ class JawBlend:
     def alpha(self, points_mm: Array) -> Array:
         """Return how far the jaw is open where its line is nearest to points, by least squares.
 
-        points_mm: (n, n_points, 3). Returns (n,): 0 closed, 1 open.
+        Parameters
+        ----------
+        points_mm : Array
+            (n, n_points, 3) mm.
+
+        Returns
+        -------
+        Array
+            (n,): 0 closed, 1 open.
         """
         way_mm = self.open_mm - self.closed_mm
         along = np.sum((points_mm - self.closed_mm) * way_mm, axis=(1, 2))

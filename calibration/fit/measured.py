@@ -386,7 +386,12 @@ def split_frames(
     """Return frames to fit and frames to hold out, from different AnimPhos, drawn by `seed`.
 
     n_animphos: a fifth of so many is held out, the others are fitted; None: as a measured fit.
-    (n, n_components) each. Raises CalibrationError for a model with fewer than two AnimPhos.
+    Raises CalibrationError for a model with fewer than two AnimPhos.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n, n_components) each.
     """
     order = np.random.default_rng(seed).permutation(len(model.animphos))
     if len(order) < 2:

@@ -111,6 +111,11 @@ def calibrate_by_eye(
 def fit_by_eye(setup: CalibrationSetup, made_deg: Mapping[str, Array]) -> CalibrationResult:
     """Fit a calibration to poses that a person made. Raises CalibrationError for too few.
 
-    made_deg: (n_servos,) degrees of each pose, by its name.
+    Parameters
+    ----------
+    setup : CalibrationSetup
+        The face and its servos.
+    made_deg : Mapping[str, Array]
+        (n_servos,) degrees of each pose, by its name.
     """
     return CalibrationResult(fit_guided(setup.model, setup.servos, made_deg, date=today()))
