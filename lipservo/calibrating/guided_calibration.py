@@ -151,7 +151,7 @@ class LimpFront:
     def after_order(self, session: GuidedSession) -> GuidedSession:
         """Return the session after the next key, with the steady pose of the servos if kept.
 
-        A pose that is not steady, not heard or outside limits is not kept, and said so.
+        A pose that is unsteady, unread or outside limits is not kept; the reason is printed.
         """
         key = self._keys.next_key(READ_EVERY_S)
         if key is None or key not in (*KEEP_KEYS, "x", "b", "q"):
