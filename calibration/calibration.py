@@ -197,20 +197,66 @@ class Calibration:
             (k, n_servos) degrees, in the order of `servo_names`.
         """
         x = np.minimum(np.maximum(faces - self.rest, self.x_range[0]), self.x_range[1])
-        free_deg = self.rest_deg + x @ self.weights.T
-        if self.quadratic_weights.shape[1]:
-            first, second = pairs(x.shape[1])
-            free_deg = free_deg + (x[:, first] * x[:, second]) @ self.quadratic_weights.T
-        if len(self.centres):
-            apart = x[:, None] - self.centres
-            far = np.sqrt(np.einsum("kmn,kmn->km", apart, apart))
-            free_deg = free_deg + far @ self.centre_weights.T
+        free_deg = free_angles_deg(
+            x, self.rest_deg, self.weights, self.quadratic_weights, self.centres,
+            self.centre_weights,
+        )  # fmt: skip
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         if self.closure is not None:
             kept_deg = self.closure.corrected_deg(x, kept_deg, self.min_deg, self.max_deg)
         if not self.rules:
             return kept_deg
         return np.array([keep_rules(self.rules, pose_deg) for pose_deg in kept_deg])
+
+
+def free_angles_deg(
+    x: Array,
+    rest_deg: Array,
+    weights: Array,
+    quadratic_weights: Array,
+    centres: Array,
+    centre_weights: Array,
+) -> Array:
+    """Return a map's angles before lips are corrected to meet, limits and rules.
+
+    The map's parts are shaped as in `Calibration`.
+
+    Parameters
+    ----------
+    x : Array
+        (n, n_components), coefficients less the rest, within the map's range.
+    rest_deg,weights,quadratic_weights,centres,centre_weights : Array
+        The map's parts.
+
+    Returns
+    -------
+    Array
+        (n, n_servos) degrees.
+    """
+    free_deg = rest_deg + x @ weights.T
+    if quadratic_weights.shape[1]:
+        first, second = pairs(x.shape[1])
+        free_deg = free_deg + (x[:, first] * x[:, second]) @ quadratic_weights.T
+    if len(centres):
+        free_deg = free_deg + distances(x, centres) @ centre_weights.T
+    return np.asarray(free_deg)
+
+
+def distances(x: Array, centres: Array) -> Array:
+    """Return the distance of each row of x from each centre.
+
+    Parameters
+    ----------
+    x,centres : Array
+        (n, n_components) and (m, n_components) mm.
+
+    Returns
+    -------
+    Array
+        (n, m) mm.
+    """
+    apart = x[:, None] - centres
+    return np.asarray(np.sqrt(np.einsum("kmn,kmn->km", apart, apart)))
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:

@@ -1,13 +1,20 @@
 """The servos of one mouth, as the fits need them from its face YAML."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from calibration.calibration import CalibrationError, CouplingRule
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    CouplingRule,
+    linear_calibration_parts,
+)
 from lipsync.arrays import Array
+from lipsync.face.model import FaceModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +72,49 @@ class MouthServos:
         tuple[Array, Array]
             (n_servos,) degrees each.
         """
-        return (
-            np.array([joint.min_deg for joint in self.joints]),
-            np.array([joint.max_deg for joint in self.joints]),
-        )
+        return limits_of(self.joints)
+
+
+def limits_of(joints: Sequence[JointRange]) -> tuple[Array, Array]:
+    """Return the least and the most angle of joints.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n_servos,) degrees each.
+    """
+    ends = np.array([(joint.min_deg, joint.max_deg) for joint in joints]).reshape(-1, 2)
+    return ends[:, 0].copy(), ends[:, 1].copy()
+
+
+def linear_calibration(
+    model: FaceModel, servos: MouthServos, weights: Array, **others: Any
+) -> Calibration:
+    """Return a calibration with a linear map that is 0 degrees at rest unless `others` says else.
+
+    Parameters
+    ----------
+    model : FaceModel
+        The speaker's face model.
+    servos : MouthServos
+        The mouth's joints.
+    weights : Array
+        (n_servos, n_components) degrees per mm of a coefficient.
+    others : Any
+        Fields of the calibration, `errors` at least.
+    """
+    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    min_deg, max_deg = servos.limits_deg
+    linear = {
+        "servo_names": servos.names,
+        "weights": weights,
+        "quadratic_weights": quadratic_weights,
+        "rest": model.rest,
+        "rest_deg": rest_deg,
+        "x_range": x_range,
+        "min_deg": min_deg,
+        "max_deg": max_deg,
+        "model_checksum": model.checksum,
+        "face_checksum": servos.face_checksum,
+    }
+    return Calibration(**{**linear, **others})

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from calibration.calibration import CalibrationError, CouplingRule, keep_rules
-from calibration.mouth_servos import JointRange
+from calibration.mouth_servos import JointRange, limits_of
 from lipsync.arrays import Array, Indices
 from lipsync.output_file import write_whole
 
@@ -154,24 +154,17 @@ def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
 def plan_rows(plan: PosePlan, rows: Sequence[int]) -> PosePlan:
     """Return a plan of the poses in `rows` only, in that order."""
     chosen = list(rows)
-    return replace(
-        plan,
-        goals_deg=plan.goals_deg[chosen],
-        from_below=plan.from_below[chosen],
-        start_deg=plan.start_deg[chosen],
-        ladders=ladders_of(plan)[chosen],
-    )
+    return PosePlan(plan.servo_names, *(each[chosen] for each in _arrays(plan)))
 
 
 def joined(first: PosePlan, second: PosePlan) -> PosePlan:
     """Return one plan of the poses of `first` followed by those of `second`."""
-    return PosePlan(
-        first.servo_names,
-        np.concatenate([first.goals_deg, second.goals_deg]),
-        np.concatenate([first.from_below, second.from_below]),
-        np.concatenate([first.start_deg, second.start_deg]),
-        np.concatenate([ladders_of(first), ladders_of(second)]),
-    )
+    parts = zip(_arrays(first), _arrays(second), strict=True)
+    return PosePlan(first.servo_names, *(np.concatenate(part) for part in parts))
+
+
+def _arrays(plan: PosePlan) -> tuple[Any, ...]:
+    return plan.goals_deg, plan.from_below, plan.start_deg, ladders_of(plan)
 
 
 def reached_from(
@@ -193,7 +186,7 @@ def reached_from(
     PosePlan
         A plan of n poses, in degrees.
     """
-    limits = np.array([[j.min_deg for j in joints], [j.max_deg for j in joints]])
+    limits = limits_of(joints)
     goals_deg = np.array([keep_rules(rules, goal) for goal in np.clip(goals_deg, *limits)])
     start_deg = np.clip(goals_deg - LEAD_IN_DEG * side, *limits)
     start_deg = np.array([keep_rules(rules, start) for start in start_deg])
@@ -202,8 +195,7 @@ def reached_from(
 
 def _inside(joints: Sequence[JointRange]) -> tuple[Array, Array]:
     """Return least and most angles, (n_servos,) each, that leave room for a last step to a pose."""
-    low = np.array([j.min_deg for j in joints])
-    high = np.array([j.max_deg for j in joints])
+    low, high = limits_of(joints)
     room = np.minimum(LEAD_IN_DEG, (high - low) / 4)
     return np.minimum(low + room, 0.0), np.maximum(high - room, 0.0)
 

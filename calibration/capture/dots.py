@@ -9,8 +9,6 @@ equal in every row. Pictures end in the number of their pose: `pose_7.png`.
 Needs OpenCV, the extra `dots`; imported only when pictures are read. Loads SciPy.
 """
 
-import csv
-import io
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,6 +19,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from calibration.calibration import CalibrationError
+from calibration.capture.marker_files import Reading, csv_rows, number_in
 from lipsync.arrays import Array
 from lipsync.errors import check_extra
 
@@ -30,10 +29,11 @@ PICTURES: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _FOREIGN: Final = (".heic", ".heif", ".dng", ".cr2", ".nef", ".arw", ".webp", ".gif")
 
 
-def pose_pictures(folder: Path) -> list[tuple[int, Path]]:
-    """Return pose number and file of a folder's pictures, sorted by file name; [] without pictures.
+def pose_pictures(folder: Path, pose: int | None = None) -> list[tuple[int, Path]]:
+    """Return pose number and file of a folder's pictures, sorted by file name.
 
-    Raises CalibrationError for a picture whose name has no number or whose format is not read.
+    pose: only that one's, [] without any; None: all. Raises CalibrationError for a file name
+    without a number, for a format that no reader reads, and, of all, for no picture.
     """
     pictures = []
     for path in sorted(folder.iterdir()):
@@ -45,7 +45,10 @@ def pose_pictures(folder: Path) -> list[tuple[int, Path]]:
         numbers = re.findall(r"\d+", path.stem)
         if not numbers:
             raise CalibrationError(f"{path}: no pose number in the name; call it pose_1.png")
-        pictures.append((int(numbers[-1]), path))
+        if pose in (None, int(numbers[-1])):
+            pictures.append((int(numbers[-1]), path))
+    if pose is None and not pictures:
+        raise CalibrationError(f"{folder}: no picture in it; expected pose_1.png, ...")
     return pictures
 
 
@@ -72,17 +75,8 @@ _LONGEST = 2.2
 _LEAST_FILLED = 0.8
 
 
-@dataclass(frozen=True, slots=True)
-class DotColour:
-    """The colour range of dots: OpenCV's hue 0..179, and least saturation and brightness, 0..255.
-
-    The default is blue: neither skin, lips, nor most rubber.
-    """
-
-    least_hue: int = 100
-    most_hue: int = 130
-    least_saturation: int = 120
-    least_brightness: int = 60
+#: Blue: least hue (OpenCV's, 0..179), saturation and brightness, and the most of them.
+_LEAST_HSV, _MOST_HSV = (100, 120, 60), (130, 255, 255)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,13 +84,12 @@ class FoundDots:
     """The dots found in a picture. size_px: the picture's height and width.
 
     middles_px: (n, 2), column and row of every dot; n_merged: number of spots that are two touching
-    dots, both of which are in middles_px; n_other: spots of the dots' colour that are no dots.
+    dots, both of which are in middles_px.
     """
 
     middles_px: Array
     size_px: tuple[int, int]
     n_merged: int = 0
-    n_other: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +110,8 @@ class _Spot:
         return self.length <= _LONGEST and self.filled >= _LEAST_FILLED
 
 
-def find_dots(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> FoundDots:
-    """Return every dot of `colour` in a picture; spots below `least_area_px` are ignored.
+def find_dots(picture: Path, *, least_area_px: int = 12) -> FoundDots:
+    """Return every blue dot in a picture; spots below `least_area_px` are ignored.
 
     Raises CalibrationError if the file is not a picture, MissingExtraError without OpenCV.
     """
@@ -128,9 +121,8 @@ def find_dots(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> F
     pixels = cv2.imread(str(picture))
     if pixels is None:
         raise CalibrationError(f"{picture}: not readable as a picture")
-    low = (colour.least_hue, colour.least_saturation, colour.least_brightness)
-    high = (colour.most_hue, 255, 255)
-    mask = cv2.inRange(cv2.cvtColor(pixels, cv2.COLOR_BGR2HSV), np.array(low), np.array(high))
+    hsv = cv2.cvtColor(pixels, cv2.COLOR_BGR2HSV)
+    mask = cv2.inRange(hsv, np.array(_LEAST_HSV), np.array(_MOST_HSV))
     n_spots, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
     spots = []
     for label in range(1, n_spots):  # the first is what is not of that colour
@@ -155,7 +147,7 @@ def _spot(pixels: Array) -> _Spot:
 def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
     usual_px, usual_length = _usual(spots)
     middles: list[Array] = []
-    n_merged = n_other = 0
+    n_merged = 0
     for spot in spots:
         size = spot.area_px / usual_px
         # Of dots that are seen at an angle all are long, and two of them may be less so.
@@ -165,10 +157,8 @@ def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
             n_merged += 1
         elif spot.is_round and _SMALLEST <= size <= _LARGEST:
             middles.append(spot.pixels.mean(axis=0))
-        else:
-            n_other += 1
     places = np.array(middles, dtype=np.float64).reshape(-1, 2)
-    return FoundDots(places, size_px, n_merged, n_other)
+    return FoundDots(places, size_px, n_merged)
 
 
 def _usual(spots: list[_Spot]) -> tuple[float, float]:
@@ -263,8 +253,6 @@ def dots_mm(places_px: Mapping[str, Array], origin_px: Array, mm_per_px: float) 
     }
 
 
-Reading = tuple[int, str, Array]
-
 NAMES_FILE = "dots.csv"
 _COLUMNS = ("marker", "column_px", "row_px", "mm_per_px")
 #: A dot is looked for as far from its first place as a wide open jaw carries it, not farther. All
@@ -299,29 +287,21 @@ class DotsFolder:
         self._first: tuple[str, tuple[int, int]] | None = None
         self._warned: set[str] = set()
 
-    def readings(self, pose: int) -> list[Reading]:
+    def readings(self, pose: int | None = None) -> list[Reading]:
         """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in one pose.
 
-        Empty without a picture of the pose. Raises CalibrationError for an unusable picture.
+        pose: None: of all pictures. The origin is the mean of the dots in `dots.csv`. Raises
+        CalibrationError for an unusable picture, one of another size, or, of all, for none.
         """
-        pictures = pose_pictures(self._folder)
         return [
-            each for number, path in pictures if number == pose for each in self._look(number, path)
+            each
+            for number, path in pose_pictures(self._folder, pose)
+            for each in self._look(number, path)
         ]
-
-    def all_readings(self) -> list[Reading]:
-        """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in all pictures.
-
-        Raises CalibrationError without pictures, or for an unreadable one or one of another size.
-        """
-        pictures = pose_pictures(self._folder)
-        if not pictures:
-            raise CalibrationError(f"{self._folder}: no picture in it; expected pose_1.png, ...")
-        return [each for number, path in pictures for each in self._look(number, path)]
 
     def _look(self, pose: int, picture: Path) -> list[Reading]:
         names = self._names
-        found = find_dots(picture, DotColour())
+        found = find_dots(picture)
         self._check_size(picture.name, found.size_px)
         places_px = name_dots(
             found.middles_px,
@@ -362,36 +342,17 @@ class DotsFolder:
                 self._tell(line)
 
 
-def read_dots_folder(folder: Path, only: int | None = None) -> list[Reading]:
-    """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in the pictures.
-
-    only: a single pose to read; None: all. The origin is the mean of the dots in `dots.csv`. Raises
-    CalibrationError, with the file, for an unreadable picture or `dots.csv`.
-    """
-    pictures = DotsFolder(folder)
-    return pictures.all_readings() if only is None else pictures.readings(only)
-
-
 def read_names(path: Path) -> DotNames:
     """Return each dot's name, position in pixels and the scale from a `dots.csv`.
 
     Raises CalibrationError for a missing column or number, a repeated name, or differing scales.
     """
-    try:
-        rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot be read as text") from error
+    rows = list(csv_rows(path, _COLUMNS))
     first_px: dict[str, Array] = {}
-    scales = set()
-    for number, row in enumerate(rows):
-        try:
-            name, column, line, scale = (row[key] for key in _COLUMNS)
-            first_px[str(name)] = np.array([float(column), float(line)])
-            scales.add(float(scale))
-        except (KeyError, TypeError, ValueError) as error:
-            raise CalibrationError(
-                f"{path}, line {number + 2}: expected {','.join(_COLUMNS)}"
-            ) from error
+    for place, row in rows:
+        pixels = [number_in(row[key], place) for key in _COLUMNS[1:3]]
+        first_px[str(row["marker"])] = np.array(pixels)
+    scales = {number_in(row["mm_per_px"], place) for place, row in rows}
     if len(scales) != 1 or not 0.0 < max(scales) < np.inf or len(first_px) != len(rows):
         raise CalibrationError(
             f"{path}: expected one line for each dot, with the same mm_per_px above 0 in all"

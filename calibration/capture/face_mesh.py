@@ -5,7 +5,7 @@ robot's face is found where it is human enough. Across and up are measured; forw
 estimate from people's faces, and no measurement.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from calibration.calibration import CalibrationError
 from calibration.capture.dots import pose_pictures
+from calibration.capture.marker_files import Reading
 from lipsync.arrays import Array
 from lipsync.face.head_motion import apply_similarity, fit_similarity
 from lipsync.markers import MARKERS_47
@@ -99,24 +100,6 @@ class MeshFrame:
         return np.asarray(apply_similarity(face[:, list(MARKERS_47.landmarks)], *fit)[0])
 
 
-def median_markers_mm(seen_mm: Sequence[Array]) -> Array:
-    """Return the median of the markers in several pictures of one pose.
-
-    Parameters
-    ----------
-    seen_mm : Sequence[Array]
-        (47, 3) mm each.
-
-    Returns
-    -------
-    Array
-        (47, 3) mm.
-    """
-    return np.asarray(np.median(np.array(seen_mm), axis=0))
-
-
-Reading = tuple[int, str, Array]
-
 #: What to do about a picture without a face.
 _FOLDER_REMEDY: Final = (
     "light it from the front and let it fill a third of the picture; a robot that is not human "
@@ -151,13 +134,7 @@ class MeshFolder:
 
     def readings(self, pose: int) -> list[Reading]:
         """Return pose, marker and position (3,) in mm, from all usable photographs of one pose."""
-        readings = []
-        for number, path in pose_pictures(self._folder):
-            if number == pose:
-                found = self._markers(path)
-                if not isinstance(found, str):
-                    readings += _named(pose, found)
-        return readings
+        return self._read(pose)[0]
 
     def all_readings(self) -> list[Reading]:
         """Read every photograph in the folder; return a list of (pose, marker, position).
@@ -166,16 +143,7 @@ class MeshFolder:
         its position (3,) in mm. Raises CalibrationError if there is no picture, or naming those
         that are unreadable or show no face or two.
         """
-        pictures = pose_pictures(self._folder)
-        if not pictures:
-            raise CalibrationError(f"{self._folder}: no picture in it; expected pose_1.jpg, ...")
-        readings, useless = [], []
-        for pose, path in pictures:
-            found = self._markers(path)
-            if isinstance(found, str):
-                useless.append((path.name, found))
-            else:
-                readings += _named(pose, found)
+        readings, useless = self._read(None)
         if useless:
             named = ", ".join(f"{name} ({why})" for name, why in useless[:_MOST_NAMED])
             more = f" and {len(useless) - _MOST_NAMED} more" if len(useless) > _MOST_NAMED else ""
@@ -183,6 +151,19 @@ class MeshFolder:
                 f"{self._folder}: {named}{more}: take these again or remove them; {_FOLDER_REMEDY}"
             )
         return readings
+
+    def _read(self, pose: int | None) -> tuple[list[Reading], list[tuple[str, str]]]:
+        """Return readings of a pose, None: of all, and the names of useless files with reasons."""
+        readings: list[Reading] = []
+        useless = []
+        for number, path in pose_pictures(self._folder, pose):
+            found = self._markers(path)
+            if isinstance(found, str):
+                useless.append((path.name, found))
+            else:
+                named = zip(MARKERS_47.names, found, strict=True)
+                readings += [(number, name, np.asarray(place_mm)) for name, place_mm in named]
+        return readings, useless
 
     def _markers(self, path: Path) -> Array | str:
         try:
@@ -218,13 +199,6 @@ class MeshFolder:
         if self._frame is None:
             self._frame = MeshFrame(points_px, self._eye_distance_mm)
         return self._frame.markers_mm(points_px)
-
-
-def _named(pose: int, markers_mm: Array) -> list[Reading]:
-    return [
-        (pose, name, np.asarray(place_mm))
-        for name, place_mm in zip(MARKERS_47.names, markers_mm, strict=True)
-    ]
 
 
 #: The points (478, 3) of the one face in a picture that is taken now, in pixels. Raises
@@ -287,7 +261,8 @@ class CameraTracker:
         points_px, why = self._pictures()
         if points_px:
             self._n_lost = 0
-            return median_markers_mm([self._frame.markers_mm(each) for each in points_px])
+            seen_mm = [self._frame.markers_mm(each) for each in points_px]
+            return np.asarray(np.median(np.array(seen_mm), axis=0))
         self._n_lost += 1
         if self._n_lost == _MOST_LOST:
             raise CalibrationError(

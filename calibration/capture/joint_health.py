@@ -210,9 +210,9 @@ def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> J
     sure = max(sure, _by_chance(base, y, (n - _FIRST - _LAST) * x.shape[1]))
     # A joint that stands still is somewhere else, too: so a stop is asked for first.
     stops, shifts = _stops(base, x, y, healthy, sure), _shifts(base, x, y, healthy, sure)
-    if stops and (not shifts or stops[0][0] > _STOP_SHARE * shifts[0][0]):
-        return stops[0][1]
-    return shifts[0][1] if shifts else None
+    if stops and (not shifts or stops[0] > _STOP_SHARE * shifts[0]):
+        return stops[1]
+    return shifts[1] if shifts else None
 
 
 def _by_chance(inputs: Array, y: Array, n_tries: int) -> float:
@@ -236,7 +236,7 @@ def _left(inputs: Array, y: Array) -> float:
 
 def _stops(
     base: Array, x: Array, y: Array, healthy: float, sure: float
-) -> list[tuple[float, JointFault]]:
+) -> tuple[float, JointFault] | None:
     """Return the F value and fault of the joint whose stop from some pose on explains most.
 
     base: (n, k), columns of the fit without a fault; x: (n, n_servos), angles scaled to -1..1; y:
@@ -258,14 +258,14 @@ def _stops(
     (gain, k), joint = best[0]
     second = best[1][0][0] if len(best) > 1 else 0.0
     if gain > sure and gain > _AHEAD * max(second, 0.0):
-        return [(gain, JointFault("stopped", joint, k + 1))]
-    return []
+        return gain, JointFault("stopped", joint, k + 1)
+    return None
 
 
 def _shifts(
     base: Array, x: Array, y: Array, healthy: float, sure: float
-) -> list[tuple[float, JointFault]]:
-    """Return the F value and fault of a shift of all markers from some pose on; [] below `sure`.
+) -> tuple[float, JointFault] | None:
+    """Return the F value and fault of a shift of all markers from some pose on; None below `sure`.
 
     Arguments: as of `_stops`. The fault is `slipped` where the shift is like one joint's motion
     alone, else `shifted`.
@@ -278,13 +278,12 @@ def _shifts(
         tries.append(((healthy - left) / (left / (n - inputs.shape[1])), k))
     gain, k = max(tries)
     if gain <= sure:
-        return []
+        return None
     fit = np.linalg.lstsq(np.hstack([base, np.arange(n)[:, None] >= k]), y, rcond=None)[0]
     shift, does = fit[-1], fit[1 : 1 + n_servos]
     alike = np.abs(does @ shift) / (np.linalg.norm(does, axis=1) * np.linalg.norm(shift) + 1e-12)
     order = np.argsort(alike)[::-1]
     second = alike[order[1]] if n_servos > 1 else 0.0
     own = alike[order[0]] > _ALIKE and alike[order[0]] > second + _UNLIKE
-    return [
-        (gain, JointFault("slipped" if own else "shifted", int(order[0]) if own else -1, k + 1))
-    ]
+    kind, joint = ("slipped", int(order[0])) if own else ("shifted", -1)
+    return gain, JointFault(kind, joint, k + 1)

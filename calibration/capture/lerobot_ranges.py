@@ -25,7 +25,6 @@ class RecordedRange:
 
     name: str
     servo_id: int
-    reversed: bool
     homing_offset_ticks: int
     least_tick: int
     most_tick: int
@@ -89,7 +88,6 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
     return RecordedRange(
         name,
         values["id"],
-        bool(values["drive_mode"]),
         values["homing_offset"],
         values["range_min"],
         values["range_max"],

@@ -23,11 +23,12 @@ import numpy as np
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import LEAD_IN_DEG, Capture, PosePlan, ladders_of
-from calibration.capture.dots import is_dots_folder, read_dots_folder
 from lipsync.arrays import Array, Indices
 from lipsync.errors import check_extra, shown
 from lipsync.output_file import write_whole
 
+#: A marker that was seen: pose, name, and place (3,) in mm.
+Reading = tuple[int, str, Array]
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Channels that stand beside the points and are no places (The C3D File Format, POINT:ANGLES ...).
 _NO_PLACES = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
@@ -36,7 +37,7 @@ _C3D_KEY = b"\x50"
 _AXIS = re.compile(r"^([+-]?)([xyz])$")
 
 
-def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
+def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[Reading]:
     """Read every `*.c3d` of a folder; the last number in a file's name is the pose.
 
     Points that the system marks as lost are NaN. Raises CalibrationError without such files, for a
@@ -51,7 +52,7 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, A
 
     Returns
     -------
-    list[tuple[int, str, Array]]
+    list[Reading]
         Pose, marker and median position (3,) in mm.
     """
     turn = _axes_matrix(axes)
@@ -174,15 +175,26 @@ _MOST_NAMED = 8
 
 def write_plan(plan: PosePlan, path: Path) -> None:
     """Write a plan as CSV, whole or not at all; poses count from 1. Raises OutputError."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    header, rows = plan_table(plan)
+    ladders = ladders_of(plan).tolist()
+    write_table(path, [*header, _LADDER], [[*r, n] for r, n in zip(rows, ladders, strict=True)])
+
+
+def plan_table(plan: PosePlan) -> tuple[list[str], list[list[object]]]:
+    """Return the columns of a plan's goals and sides, and their row for each pose."""
     degrees = [f"{name}_deg" for name in plan.servo_names]
     sides = [f"{name}_from" for name in plan.servo_names]
-    writer.writerow(["pose", *degrees, *sides, _LADDER])
-    rows = zip(plan.goals_deg, plan.from_below, ladders_of(plan).tolist(), strict=True)
-    for pose, (goals, from_, ladder) in enumerate(rows):
-        numbers = (*(f"{g:.2f}" for g in goals), *(f"{s:.0f}" for s in from_))
-        writer.writerow([pose + 1, *numbers, ladder])
+    rows = [
+        [pose + 1, *(f"{g:.2f}" for g in goals), *(f"{s:.0f}" for s in from_)]
+        for pose, (goals, from_) in enumerate(zip(plan.goals_deg, plan.from_below, strict=True))
+    ]
+    return ["pose", *degrees, *sides], rows
+
+
+def write_table(path: Path, header: list[str], rows: Iterable[list[object]]) -> None:
+    """Write CSV, whole or not at all. Raises OutputError."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
     write_whole(path, text.getvalue())
 
 
@@ -204,7 +216,7 @@ def read_capture(
     servo_names: tuple[str, ...],
     *,
     axes: str = "x y z",
-    read: Callable[[], list[tuple[int, str, Array]]] | None = None,
+    read: Callable[[], list[Reading]] | None = None,
 ) -> Capture:
     """Return a capture: the poses of a plan's file that markers were recorded for.
 
@@ -218,7 +230,7 @@ def read_capture(
         Names of the face's servos.
     axes : str
         Axes of C3D files to the robot's left, up and forward, such as `x z -y`.
-    read : Callable[[], list[tuple[int, str, Array]]] | None
+    read : Callable[[], list[Reading]] | None
         Function that returns the readings; None: `markers_path` is read.
 
     Returns
@@ -230,29 +242,6 @@ def read_capture(
     ------
     CalibrationError
         A file is malformed, has no readings, or readings of a pose not in the plan.
-    """
-    return read_recorded(plan_path, markers_path, servo_names, axes=axes, read=read)[1]
-
-
-def read_recorded(
-    plan_path: Path,
-    markers_path: Path,
-    servo_names: tuple[str, ...],
-    *,
-    axes: str = "x y z",
-    read: Callable[[], list[tuple[int, str, Array]]] | None = None,
-) -> tuple[list[int], Capture]:
-    """Return the rows of a plan that markers were recorded for, and the capture of these poses.
-
-    Parameters
-    ----------
-    plan_path,markers_path,servo_names,axes,read : Path
-        Plan's file, markers' file or folder, servos, C3D axes; `read` returns readings instead.
-
-    Returns
-    -------
-    tuple[list[int], Capture]
-        Rows, counted from 0, and the capture, whose markers are (n, n_markers, 3) mm.
     """
     poses, goals_deg, from_below, ladders = _read_plan(plan_path, servo_names)
     readings = read_readings(markers_path, axes) if read is None else read()
@@ -274,13 +263,14 @@ def read_recorded(
                 markers_mm[row, column] = median_place(seen[pose, name])
     rows = [poses.index(pose) for pose in used]
     left_out = _left_out([pose for pose in poses if pose not in recorded], len(poses))
-    return rows, Capture(
+    return Capture(
         servo_names,
         names,
         goals_deg[rows],
         from_below[rows],
         markers_mm,
         left_out,
+        rows=tuple(rows),
         ladders=ladders[rows],
     )
 
@@ -333,7 +323,7 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
     )
 
 
-def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
+def read_readings(path: Path, axes: str = "x y z") -> list[Reading]:
     """Return every marker reading in a file or folder.
 
     A folder contains C3D files, or pictures of coloured dots with a `dots.csv`.
@@ -347,11 +337,11 @@ def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array
 
     Returns
     -------
-    list[tuple[int, str, Array]]
+    list[Reading]
         Pose, marker and position (3,) in mm, NaN where lost.
     """
     if path.is_dir():
-        return read_dots_folder(path) if is_dots_folder(path) else read_c3d_folder(path, axes)
+        return read_c3d_folder(path, axes)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path, _COLUMNS)
     return [
         (

@@ -40,13 +40,12 @@ class FaceChange:
     """A change of the face: `slipped` by degrees, `stopped` by a share, or `shifted` by mm.
 
     joint: its number, -1 for `shifted`. first, last: poses between which it happened, counted from
-    1. errors: the size of the change in standard errors.
+    1.
     """
 
     kind: str
     joint: int
     by: float
-    errors: float
     first: int
     last: int
 
@@ -247,7 +246,7 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
         slips, loses = float(slip_errors[joint]), float(lost_errors[joint])
         stops = lost > _LOST_SHARE and loses > _SURE_LOST_ERRORS
         if stops:
-            fault = FaceChange("stopped", joint, min(float(lost), 1.0), loses, *where)
+            fault = FaceChange("stopped", joint, min(float(lost), 1.0), *where)
             found.append((lost_mm[joint], fault))
         # A joint that stands still somewhere is off in all poses, too; a horn that slipped moves.
         moves = not stops or lost < _ALL_LOST
@@ -256,14 +255,13 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
         alike = is_known and changed.alike[joint] > _ALIKE
         is_slip = _SLIPPED_DEG < abs(slip_deg) < _MOST_SLIPPED_DEG
         if moves and alike and is_slip and slips > _SURE_ERRORS:
-            fault = FaceChange("slipped", joint, float(slip_deg), slips, *where)
+            fault = FaceChange("slipped", joint, float(slip_deg), *where)
             found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
     if found:
         return max(found, key=lambda each: float(each[0]))[1]
     most_mm = float(np.sort(np.linalg.norm(changed.common_mm, axis=1))[-3:].mean())
-    errors = most_mm / changed.common_error_mm
-    if most_mm > _SURE_MM and errors > _SURE_ERRORS:
-        return FaceChange("shifted", -1, most_mm, errors, *where)
+    if most_mm > max(_SURE_MM, _SURE_ERRORS * changed.common_error_mm):
+        return FaceChange("shifted", -1, most_mm, *where)
     return None
 
 

@@ -6,7 +6,7 @@ did not reach their goals. Axes are compared with the speaker's closed mouth und
 and reversal: a robot is another face, but its nose is above its chin and its left is not its right.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations, product
 
@@ -33,14 +33,27 @@ from calibration.capture.straight_lines import (
 from calibration.capture.swaps import (
     described_swaps,
     exchanged,
-    refuse_swaps,
     swapped_everywhere,
     swapped_in_poses,
+    swaps_refused,
 )
 from calibration.joint_motion import Channel, joint_motion
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a check found: a warning, and the refusal of the capture, if any, with its remedy.
+
+    is_judgement: with --accept it is a warning only.
+    """
+
+    warning: str
+    refusal: str = ""
+    is_judgement: bool = False
+
 
 #: With fewer markers several ways round look alike.
 _LEAST_MARKERS = 8
@@ -154,12 +167,17 @@ def check_frame(
     CalibrationError
         Wrong axes, or an odd size that is not accepted.
     """
+    return _settled(_frame_findings(marker_names, usual_mm, model), accept=accept)
+
+
+def _frame_findings(
+    marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel
+) -> Iterator[Finding]:
     axes, size = frame_faults(marker_names, usual_mm, model)
     if axes is not None:
-        raise CalibrationError(f"{axes}; correct the tracker's axes and capture again")
-    if size is not None and not accept:
-        raise CalibrationError(f"{size} If the robot is that large, add --accept")
-    return () if size is None else (size,)
+        yield Finding("", f"{axes}; correct the tracker's axes and capture again")
+    if size is not None:
+        yield Finding(size, f"{size} If the robot is that large, add --accept", is_judgement=True)
 
 
 def _likeness(robot: Array, human: Array) -> float:
@@ -202,6 +220,26 @@ class CheckedCapture:
     still: tuple[int, ...] = ()
 
 
+@dataclass(slots=True)
+class _Record:
+    """A capture under the checks, each of which may take wrong readings from it.
+
+    given: the capture before them; lines: through `capture` as it is now; positive: a word for each
+    joint's positive angle, or empty; still: numbers of dead joints.
+    """
+
+    given: Capture
+    model: FaceModel
+    positive: Sequence[str]
+    capture: Capture
+    lines: StraightLines
+    still: list[int] = field(default_factory=list)
+
+    def correct(self, capture: Capture) -> None:
+        """Go on with a corrected capture."""
+        self.capture, self.lines = capture, straight_lines(capture)
+
+
 def check_capture(
     capture: Capture, model: FaceModel, positive: Sequence[str] = (), *, accept: bool = False
 ) -> CheckedCapture:
@@ -213,112 +251,150 @@ def check_capture(
     positive: what a positive angle of each joint does, from the face's YAML; empty: reversed joints
     are not found. accept: doubts about size, swaps and joints become warnings.
     """
+    warnings = _settled(found for check in _FIRST_CHECKS for found in check(capture))
+    usual_mm = np.nanmedian(capture.markers_mm, axis=0)
+    warnings += check_frame(capture.marker_names, usual_mm, model, accept=accept)
+    record = _Record(capture, model, positive, capture, straight_lines(capture))
+    for check in _CHECKS:
+        warnings += _settled(check(record), accept=accept)
+    return CheckedCapture(record.capture, warnings, tuple(record.still))
+
+
+def _settled(findings: Iterable[Finding], *, accept: bool = False) -> tuple[str, ...]:
+    """Return the warnings of findings. Raises CalibrationError for the first that refuses.
+
+    accept: findings that are judgement only warn.
+    """
+    warnings = []
+    for found in findings:
+        if found.refusal and not (accept and found.is_judgement):
+            raise CalibrationError(found.refusal)
+        warnings.append(found.warning)
+    return tuple(warnings)
+
+
+def _too_few(capture: Capture) -> Iterator[Finding]:
     least = least_poses_to_fit(len(capture.servo_names))
     if len(capture) < least:
         why = f"; left out: {capture.stalled[0]}" if capture.stalled else ""
-        raise CalibrationError(
-            f"{len(capture)} poses are too few for {len(capture.servo_names)} servos, "
-            f"{least} are needed{why}"
-        )
-    _check_range(capture)
-    stalled = capture.stalled
-    lost = _lost_points(capture)
-    _check_doubles(capture)
-    usual_mm = np.nanmedian(capture.markers_mm, axis=0)
-    sizes = check_frame(capture.marker_names, usual_mm, model, accept=accept)
-    everywhere = swapped_everywhere(capture, model)
-    lines = straight_lines(capture)
-    capture, moved = in_head_frame(capture, lines)
-    lines = straight_lines(capture) if moved else lines
-    swaps = swapped_in_poses(capture, lines.expected_mm)
-    refuse_swaps([*everywhere, *(() if accept else swaps)])
-    renamed: tuple[str, ...] = ()
-    if swaps:
-        capture = replace(capture, markers_mm=exchanged(capture, swaps))
-        lines = straight_lines(capture)
-        renamed = (f"markers {described_swaps(swaps)}: exchanged there",)
-    capture, far = without_far_points(capture, lines)
+        few = f"{len(capture)} poses are too few for {len(capture.servo_names)} servos"
+        yield Finding("", f"{few}, {least} are needed{why}")
+
+
+def _never_moved(capture: Capture) -> Iterator[Finding]:
+    for joint in np.flatnonzero(np.ptp(capture.goals_deg, axis=0) < _LEAST_RANGE_DEG):
+        name = capture.servo_names[joint]
+        never = f"the captured poses never move servo {name!r}"
+        yield Finding("", f"{never}; were markers recorded for all poses?")
+
+
+def _stalled(capture: Capture) -> Iterator[Finding]:
+    yield from map(Finding, capture.stalled)
+
+
+def _lost_points(capture: Capture) -> Iterator[Finding]:
+    is_seen = np.isfinite(capture.markers_mm).all(axis=2)
+    seen, n_lost = is_seen.mean(axis=0), int((~is_seen).sum())
+    worst = int(seen.argmin())
+    name = capture.marker_names[worst]
+    if seen[worst] < _LEAST_SEEN:
+        text = f"marker {name!r} was seen in {seen[worst]:.0%} of the poses; fix or hide that dot"
+        yield Finding("", f"{text}, or leave the marker out, and capture again")
+    elif n_lost:
+        often = f"most often {name} ({1 - seen[worst]:.0%})"
+        yield Finding(f"{n_lost} points were lost by the tracker, {often}")
+
+
+def _doubles(capture: Capture) -> Iterator[Finding]:
+    """Find two markers at one position in every pose: one dot with two names."""
+    names = capture.marker_names
+    for a, b in combinations(range(len(names)), 2):
+        apart_mm = np.linalg.norm(capture.markers_mm[:, a] - capture.markers_mm[:, b], axis=1)
+        if np.nanmax(apart_mm, initial=0.0) < _SAME_DOT_MM:
+            text = f"markers {names[a]!r} and {names[b]!r} are the same point in every pose"
+            yield Finding("", f"{text}; name them anew in the tracker and capture again")
+
+
+def _moved_head(record: _Record) -> Iterator[Finding]:
+    capture, lines = in_head_frame(record.capture, record.lines)
+    if lines:
+        record.correct(capture)
+    yield from map(Finding, lines)
+
+
+def _exchanged_names(record: _Record) -> Iterator[Finding]:
+    everywhere = swapped_everywhere(record.given, record.model)
+    in_poses = swapped_in_poses(record.capture, record.lines.expected_mm)
+    if in_poses:
+        text = f"markers {described_swaps(in_poses)}: exchanged there"
+        yield Finding(text, swaps_refused([*everywhere, *in_poses]), is_judgement=True)
+    if everywhere:
+        yield Finding("", swaps_refused(everywhere))
+    if in_poses:
+        record.correct(replace(record.capture, markers_mm=exchanged(record.capture, in_poses)))
+
+
+def _far_points(record: _Record) -> Iterator[Finding]:
+    record.capture, lines = without_far_points(record.capture, record.lines)
+    yield from map(Finding, lines)
+
+
+def _faulty_joints(record: _Record) -> Iterator[Finding]:
+    """Find joints that stopped, slipped, are dead, reversed or weak: first what refuses.
+
+    Poses that were captured twice are preferred as evidence of what happened during the capture.
+    """
     # Lips that press each other are no fault of a joint.
-    conditions = outside_ladders(capture)
-    joints = _joint_warnings(conditions, straight_lines(conditions), positive)
-    if joints.certain and not accept:
-        raise CalibrationError(f"{joints.certain[0]}. If it is as it should be, add --accept")
-    all_faults = (*joints.certain, *joints.doubtful)
-    warnings = (*stalled, *lost, *sizes, *moved, *renamed, *far, *all_faults)
-    return CheckedCapture(capture, warnings, tuple(joints.still))
-
-
-def _check_range(capture: Capture) -> None:
-    """Raise CalibrationError for a joint that no captured pose moves; it cannot be learnt."""
-    still = np.ptp(capture.goals_deg, axis=0) < _LEAST_RANGE_DEG
-    if still.any():
-        name = capture.servo_names[int(still.argmax())]
-        raise CalibrationError(
-            f"the captured poses never move servo {name!r}; were markers recorded for all poses?"
-        )
-
-
-@dataclass(slots=True)
-class _JointFindings:
-    """Messages about faulty joints, by how sure the fault is.
-
-    certain: faults that are errors unless the user accepts them; doubtful: warnings; still: the
-    numbers of dead joints.
-    """
-
-    certain: list[str] = field(default_factory=list)
-    doubtful: list[str] = field(default_factory=list)
-    still: list[int] = field(default_factory=list)
-
-
-def _joint_warnings(
-    capture: Capture, lines: StraightLines, positive: Sequence[str]
-) -> _JointFindings:
-    """Return the faults of joints: stopped, slipped, dead, reversed or weak.
-
-    positive: one word per joint for its positive angle, or empty. Poses that were captured twice
-    are preferred as evidence of what happened during the capture.
-    """
-    found = _JointFindings()
-    changed = changed_poses(capture, lines)
-    fault: JointFault | FaceChange | None
-    if changed is None:
-        fault = joint_fault(capture, lines)
-    else:
-        fault = face_change(changed)
-        suspected = joint_fault(capture, lines, SUSPECTED)
-        if suspected is not None and bears_out(changed, suspected):
-            # It knows at which pose, and a joint that stands still from one that slipped.
-            fault = suspected if fault is None or fault.joint == suspected.joint else fault
+    capture, positive = outside_ladders(record.capture), record.positive
+    lines = straight_lines(capture)
+    fault = _change_on_the_way(capture, lines)
+    found = []
     if fault is not None:
-        description = fault.description(capture.servo_names)
-        (found.certain if fault.joint >= 0 else found.doubtful).append(description)
+        found.append((fault.description(capture.servo_names), fault.joint >= 0))
     n_servos = len(capture.servo_names)
-    found.still += [joint for joint in range(n_servos) if is_dead(capture, lines, joint)]
+    record.still += [joint for joint in range(n_servos) if is_dead(capture, lines, joint)]
     # Where something happened on the way, what joints seem to do is not what they do.
-    conditions = capture.servo_names if fault is None else ()
-    for joint, name in enumerate(conditions):
+    for joint, name in enumerate(capture.servo_names if fault is None else ()):
         word = positive[joint] if positive else ""
-        if joint in found.still and positive and not word:
-            found.doubtful.append(
-                f"servo {name!r} moves the lips forward, which is not seen here: it stays at 0"
+        if joint in record.still and positive and not word:
+            found.append(("moves the lips forward, which is not seen here: it stays at 0", False))
+        elif joint in record.still:
+            dead = (
+                "moves no marker by more than chance, so speech would not move it; check its horn, "
+                "linkage and limits, look again (`plan --refine`), or give it `part: other`"
             )
-        elif joint in found.still:
-            found.certain.append(
-                f"servo {name!r} moves no marker by more than chance, so speech would not move it; "
-                "check its horn, linkage and limits, look again (`plan --refine`), or give it "
-                "`part: other`"
-            )
+            found.append((dead, True))
         elif word and _is_reversed(capture, lines, joint, _usual_word(name, word)):
-            found.certain.append(
-                f"servo {name!r} is reversed: a positive angle should {_bare(word)}, "
-                "and does the opposite; change its `sign` in the face YAML"
+            turned = (
+                f"is reversed: a positive angle should {_bare(word)}, and does the opposite; "
+                "change its `sign` in the face YAML"
             )
+            found.append((turned, True))
         elif alive(lines, joint) < WEAK:
-            found.doubtful.append(
-                f"servo {name!r} is weak or dead: it moves the markers little above chance"
-            )
-    return found
+            found.append(("is weak or dead: it moves the markers little above chance", False))
+        else:
+            continue
+        found[-1] = (f"servo {name!r} {found[-1][0]}", found[-1][1])
+    for text, refuses in sorted(found, key=lambda each: not each[1]):
+        refusal = f"{text}. If it is as it should be, add --accept" if refuses else ""
+        yield Finding(text, refusal, is_judgement=True)
+
+
+def _change_on_the_way(capture: Capture, lines: StraightLines) -> JointFault | FaceChange | None:
+    """Return what happened to a joint, or to the face, between the first pose and the last."""
+    changed = changed_poses(capture, lines)
+    if changed is None:
+        return joint_fault(capture, lines)
+    fault, suspected = face_change(changed), joint_fault(capture, lines, SUSPECTED)
+    if suspected is None or not bears_out(changed, suspected):
+        return fault
+    # It knows at which pose, and a joint that stands still from one that slipped.
+    return suspected if fault is None or fault.joint == suspected.joint else fault
+
+
+#: Every check in its order: of the capture as it was given, then of one that they correct.
+_FIRST_CHECKS = (_too_few, _never_moved, _stalled, _lost_points, _doubles)
+_CHECKS = (_moved_head, _exchanged_names, _far_points, _faulty_joints)
 
 
 def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) -> bool:
@@ -344,33 +420,6 @@ def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) 
     return along_mm < -_REVERSED_SHARE * all_mm and along_mm < -_REVERSED_ERRORS * error_mm
 
 
-def _lost_points(capture: Capture) -> tuple[str, ...]:
-    seen = np.isfinite(capture.markers_mm).all(axis=2).mean(axis=0)
-    worst = int(seen.argmin())
-    name = capture.marker_names[worst]
-    if seen[worst] < _LEAST_SEEN:
-        raise CalibrationError(
-            f"marker {name!r} was seen in {seen[worst]:.0%} of the poses; "
-            "fix or hide that dot, or leave the marker out, and capture again"
-        )
-    n_lost = int((~np.isfinite(capture.markers_mm).all(axis=2)).sum())
-    if not n_lost:
-        return ()
-    return (f"{n_lost} points were lost by the tracker, most often {name} ({1 - seen[worst]:.0%})",)
-
-
-def _check_doubles(capture: Capture) -> None:
-    """Raise CalibrationError for two markers at one position in every pose: one dot, two names."""
-    for a, b in combinations(range(len(capture.marker_names)), 2):
-        apart_mm = np.linalg.norm(capture.markers_mm[:, a] - capture.markers_mm[:, b], axis=1)
-        if np.nanmax(apart_mm, initial=0.0) < _SAME_DOT_MM:
-            names = capture.marker_names
-            raise CalibrationError(
-                f"markers {names[a]!r} and {names[b]!r} are the same point in every pose; "
-                "name them anew in the tracker and capture again"
-            )
-
-
 def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Array | None:
     """Return the direction in which `word` moves each marker, (n_markers, 3); None: unknown word.
 
@@ -378,26 +427,24 @@ def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Arr
     that it moves, because words contain no side.
     """
     lips = [i for i, name in enumerate(names) if name in MARKERS_47.names and "lip" in name]
+    rides = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]
+    corners = [(names.index(n), side) for n, side in ((_LEFT, 1.0), (_RIGHT, -1.0)) if n in names]
+    moved_mm = {corner: float(np.linalg.norm(slope_mm[corner])) for corner, _ in corners}
     wanted = np.zeros((len(names), 3))
-    if word in ("opens", "closes"):
-        rides = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]
-        wanted[rides, 1] = -1.0 if word == "opens" else 1.0
-    elif word in ("raises", "lowers"):
-        wanted[lips, 1] = 1.0 if word == "raises" else -1.0
-    elif word in ("widens", "narrows"):
-        sign = 1.0 if word == "widens" else -1.0
-        corners = [
-            (names.index(n), side) for n, side in ((_LEFT, 1.0), (_RIGHT, -1.0)) if n in names
-        ]
-        moved_mm = [float(np.linalg.norm(slope_mm[i])) for i, _ in corners]
-        for (corner, side), by_mm in zip(corners, moved_mm, strict=True):
-            if by_mm > 0.5 * max(moved_mm):
-                wanted[corner, 0] = sign * side
-    elif word in ("protrudes", "retracts"):
-        wanted[lips, 2] = 1.0 if word == "protrudes" else -1.0
-    else:
-        return None
-    return wanted
+    for onwards, back, which, axis in (
+        ("closes", "opens", rides, 1),
+        ("raises", "lowers", lips, 1),
+        ("protrudes", "retracts", lips, 2),
+        ("widens", "narrows", [], 0),
+    ):
+        if word in (onwards, back):
+            sign = 1.0 if word == onwards else -1.0
+            wanted[which, axis] = sign
+            for corner, side in corners if axis == 0 else ():
+                if moved_mm[corner] > 0.5 * max(moved_mm.values()):
+                    wanted[corner, 0] = sign * side
+            return wanted
+    return None
 
 
 #: What a joint does in a channel's forward direction, and in its backward one.

@@ -6,6 +6,7 @@ Where its markers move together, by more than the tracker's noise, each reading 
 position of the rigid markers by the best rotation and shift (Kabsch 1976).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,15 +86,26 @@ def without_far_points(capture: Capture, lines: StraightLines) -> tuple[Capture,
     left_out = lines.far & np.isfinite(capture.markers_mm).all(axis=2)
     if not left_out.any():
         return capture, ()
-    by_marker = left_out.sum(axis=0)
-    most = sorted(zip(by_marker, capture.marker_names, strict=True), reverse=True)[:5]
-    counted = ", ".join(f"{name} {count}" for count, name in most if count)
-    others = ", ..." if (by_marker > 0).sum() > len(most) else ""
     markers_mm = np.where(left_out[..., None], np.nan, capture.markers_mm)
-    return (
-        replace(capture, markers_mm=markers_mm),
-        (f"{left_out.sum()} readings were far off and left out: {counted}{others}",),
-    )
+    return replace(capture, markers_mm=markers_mm), far_line(left_out, capture.marker_names)
+
+
+def far_line(left_out: NDArray[np.bool_], names: Sequence[str]) -> tuple[str, ...]:
+    """Return a line about readings that are left out; () if there are none.
+
+    Parameters
+    ----------
+    left_out : NDArray[np.bool_]
+        (n, n_markers), of n poses.
+    names : Sequence[str]
+        Names of the markers.
+    """
+    counts = left_out.sum(axis=0)
+    most = sorted(zip(counts.tolist(), names, strict=True), reverse=True)[:5]
+    counted = ", ".join(f"{name} {count}" for count, name in most if count)
+    others = ", ..." if (counts > 0).sum() > len(most) else ""
+    text = f"{left_out.sum()} readings were far off and left out: {counted}{others}"
+    return (text,) if counted else ()
 
 
 _RIGID = ("nose", "cheek_50", "cheek_280")

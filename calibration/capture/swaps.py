@@ -11,7 +11,6 @@ from itertools import combinations
 
 import numpy as np
 
-from calibration.calibration import CalibrationError
 from calibration.capture.capture import (
     NOT_KEPT,
     Capture,
@@ -64,14 +63,12 @@ def described_swaps(swaps: Sequence[Swap]) -> str:
     return "; ".join(swap.description() for swap in swaps)
 
 
-def refuse_swaps(swaps: Sequence[Swap]) -> None:
-    """Raise CalibrationError with the remedy, all swaps in one line; return if there are none."""
-    if swaps:
-        described = described_swaps(swaps)
-        raise CalibrationError(
-            f"markers {described}; name them the other way round in the tracker, capture again, or "
-            "add --accept where it was in single poses, and they are exchanged there"
-        )
+def swaps_refused(swaps: Sequence[Swap]) -> str:
+    """Return the refusal of a capture with these swaps, all in one line, with the remedy."""
+    return (
+        f"markers {described_swaps(swaps)}; name them the other way round in the tracker, capture "
+        "again, or add --accept where it was in single poses, and they are exchanged there"
+    )
 
 
 def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:

@@ -6,6 +6,7 @@ waits by a function that the caller passes, so that the servos are held meanwhil
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
@@ -13,8 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.dots import is_dots_folder, read_dots_folder
-from calibration.capture.marker_files import median_place, read_readings
+from calibration.capture.marker_files import Reading, median_place, read_readings
 from lipsync.arrays import Array
 from lipsync.output_file import write_whole
 
@@ -24,7 +24,7 @@ Wait = Callable[[float], None]
 Say = Callable[[str], None]
 
 #: The readings of one pose: pose, marker, place (3,) in mm.
-ReadPose = Callable[[int], list[tuple[int, str, Array]]]
+ReadPose = Callable[[int], list[Reading]]
 
 _LOOK_EVERY_S = 0.1
 #: Readings of a pose are whole when all markers are there, or nothing new came for so long.
@@ -213,8 +213,6 @@ class FileTracker:
         try:
             if self._read is not None:
                 readings = self._read(pose)
-            elif self._path.is_dir() and is_dots_folder(self._path):
-                readings = read_dots_folder(self._path, only=pose)
             else:
                 readings = read_readings(self._path, self._axes)
         except CalibrationError:
@@ -233,31 +231,26 @@ class FileTracker:
         return is_csv and not self._path.read_bytes().endswith(b"\n")
 
 
+@dataclass(slots=True)
 class SeenByComputation:
-    """A tracker whose markers are computed from the encoders' angles, for a simulated face."""
+    """A tracker whose markers are computed from the encoders' angles, for a simulated face.
 
-    def __init__(self, marker_names: tuple[str, ...], look: Callable[[Array], Array]) -> None:
-        """Store `look`, a function from angles (n_servos,) degrees to markers (n_markers, 3) mm."""
-        self._names = marker_names
-        self._look = look
-        self._reached_deg = np.zeros(0)
+    look: from angles (n_servos,) degrees to markers (n_markers, 3) mm.
+    """
 
-    @property
-    def marker_names(self) -> tuple[str, ...]:
-        """The names of the markers, as passed to the constructor."""
-        return self._names
+    marker_names: tuple[str, ...]
+    look: Callable[[Array], Array]
+    reached_deg: Array = field(default_factory=lambda: np.zeros(0), init=False)
 
     def arrived(self, _pose: int, reached_deg: Array) -> None:
         """Store the angles of the pose that the robot holds, by the encoders.
 
         Parameters
         ----------
-        _pose : int
-            Not used.
         reached_deg : Array
             (n_servos,) degrees.
         """
-        self._reached_deg = reached_deg
+        self.reached_deg = reached_deg
 
     def measure(self) -> Array:
         """Return the markers computed from the stored angles.
@@ -267,4 +260,4 @@ class SeenByComputation:
         Array
             (n_markers, 3) mm.
         """
-        return self._look(self._reached_deg)
+        return self.look(self.reached_deg)

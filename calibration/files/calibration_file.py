@@ -4,8 +4,10 @@ A file is parsed value by value, so that every error names the value's keys.
 """
 
 import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
@@ -23,6 +25,7 @@ from calibration.closure import Closure, pairs
 from calibration.files.calibration_text import (
     CALIBRATION_VERSION,
     SAFE_LOADER,
+    Record,
     calibration_text,
     check_checksum,
 )
@@ -51,7 +54,7 @@ class Place:
     Its methods raise CalibrationError, which names the keys, for a value of another type.
     """
 
-    def __init__(self, value: object, path: str) -> None:
+    def __init__(self, value: Any, path: str) -> None:
         self._value = value
         self.path = path
 
@@ -76,18 +79,19 @@ class Place:
             raise CalibrationError(f"{path} is missing")
         return Place(self._value[key], path)
 
+    def _checked(self, expected: str, *, is_right: bool) -> Any:
+        if not is_right:
+            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected {expected}")
+        return self._value
+
     def text(self) -> str:
         """Return the value, which must be text; CalibrationError names its keys otherwise."""
-        if not isinstance(self._value, str):
-            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected text in quotes")
-        return self._value
+        return str(self._checked("text in quotes", is_right=isinstance(self._value, str)))
 
     def number(self) -> float:
         """Return the value, which must be a finite number; CalibrationError otherwise."""
-        value = self._value
-        if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX:
-            return float(value)
-        raise CalibrationError(f"{self.path} is {shown(value)}, expected a finite number")
+        is_number = type(self._value) in (int, float) and abs(self._value) <= _MAX
+        return float(self._checked("a finite number", is_right=is_number))
 
     def has(self, key: str) -> bool:
         """Return whether this mapping contains `key`. Raises CalibrationError for no mapping."""
@@ -95,30 +99,44 @@ class Place:
 
     def count(self) -> int:
         """Return the value, which must be a whole number >= 0; CalibrationError otherwise."""
-        if isinstance(self._value, bool) or not isinstance(self._value, int) or self._value < 0:
-            raise CalibrationError(
-                f"{self.path} is {shown(self._value)}, expected a whole number >= 0"
-            )
-        return self._value
+        is_count = type(self._value) is int and self._value >= 0
+        return int(self._checked("a whole number >= 0", is_right=is_count))
 
     def flag(self) -> bool:
         """Return the value, which must be true or false; CalibrationError otherwise."""
-        if not isinstance(self._value, bool):
-            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected true or false")
-        return self._value
+        return bool(self._checked("true or false", is_right=isinstance(self._value, bool)))
 
     def whole(self) -> int:
         """Return the value, which must be a whole number; CalibrationError otherwise."""
-        if isinstance(self._value, bool) or not isinstance(self._value, int):
-            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected a whole number")
-        return self._value
+        return int(self._checked("a whole number", is_right=type(self._value) is int))
 
-    def places(self) -> list["Place"]:
-        """Return the values of this list as places, at least one; CalibrationError otherwise."""
+    def rows(self, n: int) -> Array:
+        """Return this list of lists of `n` numbers, at least one; CalibrationError otherwise.
+
+        Returns
+        -------
+        Array
+            (n_lists, n).
+        """
         values = self._value
         if not isinstance(values, list) or not values:
             raise CalibrationError(f"{self.path} should be a list")
-        return [Place(value, f"{self.path}[{i}]") for i, value in enumerate(values)]
+        return np.array([Place(v, f"{self.path}[{i}]").numbers(n) for i, v in enumerate(values)])
+
+    def by_name(self, names: Sequence[str], missing: float | None = None) -> Array:
+        """Return the numbers under `names`, in their order; `missing` (None: an error) for none.
+
+        Returns
+        -------
+        Array
+            (n_names,).
+        """
+        return np.array(
+            [
+                missing if missing is not None and not self.has(name) else self.at(name).number()
+                for name in names
+            ]
+        )
 
     def numbers(self, n: int | None = None) -> Array:
         """Return this list of `n` numbers, None: of any number; CalibrationError otherwise."""
@@ -214,116 +232,118 @@ def _parse(file: Place) -> Calibration:
         n_pairs = len(pairs(len(rest))[0])
         quadratic_weights = np.array([servo.at(key).numbers(n_pairs) for servo in servos])
         x_range = np.array([file.at(key).numbers(len(rest)) for key in ("x_least", "x_most")])
-    centres, centre_weights = _parse_centres(file, servos, len(rest))
+    centres, centre_weights = np.zeros((0, len(rest))), np.zeros((len(servos), 0))
+    if file.has("centres"):
+        centres = file.at("centres").rows(len(rest))
+        centre_weights = np.array([s.at("centre_weights").numbers(len(centres)) for s in servos])
     return Calibration(
         servo_names=names,
         weights=weights,
         quadratic_weights=quadratic_weights,
         rest=rest,
-        rest_deg=np.array([servo.at("rest_deg").number() for servo in servos]),
+        rest_deg=_each(servos, "rest_deg"),
         x_range=x_range,
-        min_deg=np.array([servo.at("min_deg").number() for servo in servos]),
-        max_deg=np.array([servo.at("max_deg").number() for servo in servos]),
+        min_deg=_each(servos, "min_deg"),
+        max_deg=_each(servos, "max_deg"),
         errors=_parse_errors(file.at("hold_out"), servos),
         model_checksum=file.at("model_checksum").text(),
         face_checksum=file.at("face_checksum").text(),
         origin=_parse_origin(file, servos),
         following=_parse_following(servos),
-        touch=_parse_touch(file, names),
-        coverage=parse_coverage(file),
+        touch=_part(file, "touch", lambda touch: _parse_touch(touch, names)),
+        coverage=_mapping(file, "coverage", lambda reach: _record(reach, VisemeReach)),
         trim=_parse_trim(file, names),
         centres=centres,
         centre_weights=centre_weights,
-        grade=parse_grade(file),
-        learnt_lips=parse_learnt_lips(file),
-        hand_poses=_parse_hand_poses(file, names),
-        closure=_parse_closure(file, len(names), len(rest)),
-        closing=_parse_closing(file),
+        grade=_part(file, "grade", lambda grade: _record(grade, Grade)),
+        learnt_lips=_part(file, "learnt_lips", lambda lips: _record(lips, LearntLips)),
+        hand_poses=_mapping(file, "hand_poses", lambda pose: pose.by_name(names)),
+        closure=_part(file, "closure", lambda it: _parse_closure(it, len(names), len(rest))),
+        closing=_part(file, "closing", _parse_closing),
     )
 
 
-def _parse_closure(file: Place, n_servos: int, n_components: int) -> Closure | None:
-    if not file.has("closure"):
-        return None
-    closure = file.at("closure")
+Part = TypeVar("Part")
+Kind = TypeVar("Kind", bound=Record)
+#: How a field of a record is read, by its type.
+_READ: Mapping[object, Callable[[Place], object]] = {
+    str: Place.text, float: Place.number, float | None: Place.number, int: Place.count,
+    bool: Place.flag,
+}  # fmt: skip
+#: Fields that a file may lack, besides those that may be None.
+_MAY_LACK = ("held_back_mm", "n_measured", "not_measured")
 
-    def rows(key: str, n: int) -> Array:
-        return np.array([row.numbers(n) for row in closure.at(key).places()])
 
+def _record(place: Place, kind: type[Kind], **others: Any) -> Kind:
+    """Return the record, of dataclass `kind`, that a mapping holds under its fields' names.
+
+    others: fields that are read otherwise. Raises CalibrationError for a missing or malformed one.
+    """
+    for field in fields(kind):
+        may_lack = field.default is None or field.name in _MAY_LACK
+        if field.name not in others and (place.has(field.name) or not may_lack):
+            others[field.name] = _READ[field.type](place.at(field.name))
+    return kind(**others)
+
+
+def _part(file: Place, key: str, read: Callable[[Place], Part]) -> Part | None:
+    """Return what `read` makes of the value under `key`; None if the file has none."""
+    return read(file.at(key)) if file.has(key) else None
+
+
+def _mapping(file: Place, key: str, read: Callable[[Place], Part]) -> dict[str, Part]:
+    """Return what `read` makes of each value of the mapping under `key`; {} if there is none."""
+    if not file.has(key):
+        return {}
+    return {name: read(file.at(key).at(name)) for name in file.at(key).names}
+
+
+def _each(servos: list[Place], key: str, unknown: float | None = None) -> Array:
+    """Return each servo's number under `key`, (n_servos,), `unknown` where it may be missing."""
+    return np.concatenate([servo.by_name([key], unknown) for servo in servos])
+
+
+def _parse_closure(closure: Place, n_servos: int, n_components: int) -> Closure:
     gaps_mm = closure.at("gaps_mm").numbers()
-    parsed = Closure(
-        speaker_mm=rows("speaker_mm", n_components),
+    n_gaps = len(gaps_mm)
+    shapes = {
+        "speaker_mm": (3, n_components),
+        "opens_mm": (n_gaps, n_components),
+        "slopes": (n_gaps, n_servos),
+        "bends": (n_gaps, len(pairs(n_servos)[0])),
+        "turns_deg": (n_servos, n_gaps),
+    }
+    rows = {key: closure.at(key).rows(width) for key, (_, width) in shapes.items()}
+    for key, (n, _) in shapes.items():
+        if len(rows[key]) != n:
+            raise CalibrationError(f"closure.{key}: needs {n} lists")
+    return Closure(
         speaker_rest_mm=closure.at("speaker_rest_mm").numbers(3),
-        opens_mm=rows("opens_mm", n_components),
         at_deg=closure.at("at_deg").numbers(n_servos),
         gaps_mm=gaps_mm,
-        slopes=rows("slopes", n_servos),
-        bends=rows("bends", len(pairs(n_servos)[0])),
-        turns_deg=rows("turns_deg", len(gaps_mm)),
         press_mm=closure.at("press_mm").number(),
+        **rows,
     )
-    counts = {
-        "speaker_mm": 3,
-        "opens_mm": len(gaps_mm),
-        "slopes": len(gaps_mm),
-        "bends": len(gaps_mm),
-        "turns_deg": n_servos,
-    }
-    for key, n in counts.items():
-        if len(getattr(parsed, key)) != n:
-            raise CalibrationError(f"closure.{key}: needs {n} lists")
-    return parsed
 
 
-def _parse_closing(file: Place) -> Closing | None:
-    if not file.has("closing"):
-        return None
-    closing = file.at("closing")
+def _parse_closing(closing: Place) -> Closing:
     evidence = closing.at("evidence").text()
     if evidence not in (CONTACT, PASSED, LIMITS):
         known = ", ".join((CONTACT, PASSED, LIMITS))
         raise CalibrationError(f"{closing.path}.evidence is {shown(evidence)}, expected {known}")
-    if evidence != LIMITS:
-        return Closing(evidence)
-    return Closing(
-        evidence,
-        closing.at("apart_mm").number(),
-        closing.at("joint").text(),
-        closing.at("missing_deg").number(),
-    )
-
-
-def _parse_centres(file: Place, servos: list[Place], n_components: int) -> tuple[Array, Array]:
-    """Return centres and weights of bends that are not quadratic; empty arrays without `centres`.
-
-    servos: one mapping per servo, each with `centre_weights`.
-    """
-    if not file.has("centres"):
-        return np.zeros((0, n_components)), np.zeros((len(servos), 0))
-    centres = np.array([centre.numbers(n_components) for centre in file.at("centres").places()])
-    weights = [servo.at("centre_weights").numbers(len(centres)) for servo in servos]
-    return centres, np.array(weights)
+    return _record(closing, Closing) if evidence == LIMITS else Closing(evidence)
 
 
 def _parse_origin(file: Place, servos: list[Place]) -> Origin:
     named = any(servo.has("model") for servo in servos)
-    return Origin(
-        method=file.at("method").text(),
-        date=file.at("date").text(),
-        poses=file.at("poses").count(),
-        servo_models=tuple(s.at("model").text() for s in servos) if named else (),
-        servo_memories=_parse_memories(servos),
-        not_measured=file.at("not_measured").text() if file.has("not_measured") else "",
-    )
-
-
-def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
-    """Return each servo's registers as they were at the calibration; () if the file has none."""
-    if not any(servo.has("memory") for servo in servos):
-        return ()
+    remembered = any(servo.has("memory") for servo in servos)
     keys = [field.name for field in fields(ServoMemory)]
-    return tuple(
-        ServoMemory(*(servo.at("memory").at(key).whole() for key in keys)) for servo in servos
+    memories = [s.at("memory") for s in servos] if remembered else []
+    return _record(
+        file,
+        Origin,
+        servo_models=tuple(s.at("model").text() for s in servos) if named else (),
+        servo_memories=tuple(ServoMemory(*(m.at(key).whole() for key in keys)) for m in memories),
     )
 
 
@@ -331,141 +351,39 @@ def _parse_following(servos: list[Place]) -> Following | None:
     """Return how servos follow goals; None without `lag_s`; CalibrationError if some lack it."""
     if not any(servo.has("lag_s") for servo in servos):
         return None
-
-    def known(key: str) -> Array:
-        return np.array([s.at(key).number() if s.has(key) else np.inf for s in servos])
-
     return Following(
-        lag_s=np.array([servo.at("lag_s").number() for servo in servos]),
-        backlash_deg=np.array([servo.at("backlash_deg").number() for servo in servos]),
-        top_speed_deg_s=known("top_speed_deg_s"),
-        bandwidth_hz=known("bandwidth_hz"),
+        lag_s=_each(servos, "lag_s"),
+        backlash_deg=_each(servos, "backlash_deg"),
+        top_speed_deg_s=_each(servos, "top_speed_deg_s", np.inf),
+        bandwidth_hz=_each(servos, "bandwidth_hz", np.inf),
     )
 
 
-def _parse_touch(file: Place, names: tuple[str, ...]) -> Touch | None:
-    if not file.has("touch"):
-        return None
-    degrees = file.at("touch").at("positions_deg")
-    return Touch(
-        np.array([degrees.at(name).number() for name in names]),
-        file.at("touch").at("current_cap_ma").number(),
-    )
+def _parse_touch(touch: Place, names: tuple[str, ...]) -> Touch:
+    return Touch(touch.at("positions_deg").by_name(names), touch.at("current_cap_ma").number())
 
 
 def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
     """Return the trims by viseme class; names are checked, because people write trims by hand."""
-    if not file.has("trim"):
-        return {}
-    trim = file.at("trim")
     classes = [viseme[0] for viseme in VISEME_CLASSES]
-    for viseme in trim.names:
+    trims = _mapping(file, "trim", lambda trim: trim)
+    for viseme, trim in trims.items():
         if viseme not in classes:
             raise CalibrationError(f"trim.{viseme}: no viseme class; known: {' '.join(classes)}")
-        for name in trim.at(viseme).names:
+        for name in trim.names:
             if name not in names:
                 raise CalibrationError(f"trim.{viseme}.{name}: no such servo in this file")
-    return {
-        viseme: np.array(
-            [trim.at(viseme).at(n).number() if trim.at(viseme).has(n) else 0.0 for n in names]
-        )
-        for viseme in trim.names
-    }
-
-
-def _parse_hand_poses(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
-    if not file.has("hand_poses"):
-        return {}
-    poses = file.at("hand_poses")
-    return {
-        pose: np.array([poses.at(pose).at(name).number() for name in names]) for pose in poses.names
-    }
+    return {viseme: trim.by_name(names, missing=0.0) for viseme, trim in trims.items()}
 
 
 def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
-    return HoldOutErrors(
-        n_frames=hold_out.at("n_frames").count(),
-        marker_rms_mm=hold_out.at("marker_rms_mm").number(),
-        lip_rms_mm=hold_out.at("lip_rms_mm").number(),
-        nearest_lip_rms_mm=hold_out.at("nearest_lip_rms_mm").number(),
-        gap_rms_mm=hold_out.at("gap_rms_mm").number(),
-        gap_correlation=hold_out.at("gap_correlation").number(),
-        n_closures=hold_out.at("n_closures").count(),
-        closed_gap_mm=hold_out.at("closed_gap_mm").number(),
-        clipped_share=hold_out.at("clipped_share").number(),
-        joint_rms_deg=tuple(servo.at("hold_out_rms_deg").number() for servo in servos),
-        each_marker_rms_mm=_parse_each_marker(hold_out),
-        **{
-            key: hold_out.at(key).number()
-            for key in ("gap_slope", "small_gaps_kept")
-            if hold_out.has(key)
-        },
-    )
-
-
-def _parse_each_marker(hold_out: Place) -> dict[str, float]:
-    """Return each marker's rms error in mm, by its name; {} if `n_markers` is 0.
-
-    Raises CalibrationError if there are not `n_markers` errors.
-    """
     n_markers = hold_out.at("n_markers").count()
-    if n_markers == 0:
-        return {}
-    each = hold_out.at("each_marker_rms_mm")
-    if len(each.names) != n_markers:
-        raise CalibrationError(f"{each.path} holds {len(each.names)} markers, expected {n_markers}")
-    return {name: each.at(name).number() for name in each.names}
-
-
-def parse_learnt_lips(file: Place) -> LearntLips | None:
-    """Return how the lips were learnt; None if not in the file; CalibrationError if malformed."""
-    if not file.has("learnt_lips"):
-        return None
-    lips = file.at("learnt_lips")
-    return LearntLips(
-        left_out_rms_mm=lips.at("left_out_rms_mm").number(),
-        noise_mm=lips.at("noise_mm").number(),
-        own_gap_mm=lips.at("own_gap_mm").number(),
-        stop=lips.at("stop").flag(),
-        held_back_mm=lips.at("held_back_mm").number() if lips.has("held_back_mm") else 0.0,
-    )
-
-
-def parse_grade(file: Place) -> Grade | None:
-    """Return the grade; None if the file has none. Raises CalibrationError for a malformed one."""
-    if not file.has("grade"):
-        return None
-    grade = file.at("grade")
-    return Grade(
-        n_poses=grade.at("n_poses").count(),
-        lip_rms_mm=grade.at("lip_rms_mm").number(),
-        gap_rms_mm=grade.at("gap_rms_mm").number(),
-        closed_gap_mm=grade.at("closed_gap_mm").number(),
-        gap_slope=grade.at("gap_slope").number(),
-        small_gaps_kept=_number_at(grade, "small_gaps_kept"),
-    )
-
-
-def parse_coverage(file: Place) -> dict[str, VisemeReach]:
-    """Return the reach of each viseme class; {} if the file has none. Raises CalibrationError."""
-    if not file.has("coverage"):
-        return {}
-    coverage = file.at("coverage")
-    return {viseme: _parse_reach(coverage.at(viseme)) for viseme in coverage.names}
-
-
-def _parse_reach(reach: Place) -> VisemeReach:
-    return VisemeReach(
-        reachable=reach.at("reachable").number(),
-        off_mm=reach.at("off_mm").number(),
-        gap_slope=_number_at(reach, "gap_slope"),
-        closed_gap_mm=_number_at(reach, "closed_gap_mm"),
-        small_gaps_kept=_number_at(reach, "small_gaps_kept"),
-        at_limit=_number_at(reach, "at_limit"),
-        n_measured=reach.at("n_measured").count() if reach.has("n_measured") else 0,
-        measured_mm=_number_at(reach, "measured_mm"),
-    )
-
-
-def _number_at(place: Place, key: str) -> float | None:
-    return place.at(key).number() if place.has(key) else None
+    each: dict[str, float] = {}
+    if n_markers:
+        each = _mapping(hold_out, "each_marker_rms_mm", Place.number)
+        if len(each) != n_markers:
+            raise CalibrationError(
+                f"hold_out.each_marker_rms_mm holds {len(each)} markers, expected {n_markers}"
+            )
+    joint_rms_deg = tuple(_each(servos, "hold_out_rms_deg").tolist())
+    return _record(hold_out, HoldOutErrors, joint_rms_deg=joint_rms_deg, each_marker_rms_mm=each)

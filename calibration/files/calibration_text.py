@@ -7,17 +7,24 @@ do not count, and neither do trims (degrees added for a viseme), which a person 
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, fields
-from typing import Final
+from dataclasses import Field, asdict, fields
+from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 import yaml
 
-from calibration.calibration import Calibration, CalibrationError, Following, Touch
+from calibration.calibration import Calibration, CalibrationError
 from calibration.closure import Closure
-from calibration.grade import Closing, Grade, HoldOutErrors, LearntLips, VisemeReach
+from calibration.grade import HoldOutErrors, VisemeReach
 from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES
+
+
+class Record(Protocol):
+    """A dataclass that is a part of a calibration."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
 
 #: libyaml's reader where PyYAML has it: ten times as fast.
 SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -82,7 +89,7 @@ _WRITTEN_APART = ("joint_rms_deg", "each_marker_rms_mm")
 
 def calibration_text(calibration: Calibration) -> str:
     """Return the file's text: weights with 6 significant digits, errors with 4, limits exactly."""
-    origin = calibration.origin
+    origin, names = calibration.origin, calibration.servo_names
     lines = [
         f"version: {CALIBRATION_VERSION}",
         f"method: {origin.method}",
@@ -102,28 +109,53 @@ def calibration_text(calibration: Calibration) -> str:
         lines.append("centres:")
         lines += [f"- {_list(centre, _six)}" for centre in calibration.centres]
     lines.append("servos:")
-    for i in range(len(calibration.servo_names)):
+    for i in range(len(names)):
         lines += _servo_lines(calibration, i)
-    lines += _touch_lines(calibration.touch, calibration.servo_names)
+    if (touch := calibration.touch) is not None:
+        lines += [
+            "touch:  # the lips just meet; press no harder than this",
+            f"  current_cap_ma: {_exact(touch.current_cap_ma)}",
+            f"  positions_deg: {_by_servo(names, touch.positions_deg, _four)}",
+        ]
     lines += _hold_out_lines(calibration.errors)
-    lines += learnt_lips_lines(calibration.learnt_lips)
-    lines += _closing_lines(calibration.closing)
+    if calibration.learnt_lips is not None:
+        lines.append(f"learnt_lips: {_inline(_known(calibration.learnt_lips))}")
+    if (closing := calibration.closing) is not None:
+        apart = {} if closing.closes else _known(closing) | {"joint": f'"{closing.joint}"'}
+        known = {"evidence": closing.evidence, **apart}
+        lines.append(f"closing: {_inline(known)}")
     lines += _closure_lines(calibration.closure)
-    lines += grade_lines(calibration.grade)
-    lines += coverage_lines(calibration.coverage)
-    lines += _trim_lines(calibration)
-    lines += _hand_pose_lines(calibration)
+    if calibration.grade is not None:
+        lines.append("grade:  # measured on the robot, at poses of speech that were never fitted")
+        lines += [f"  {name}: {value}" for name, value in _known(calibration.grade).items()]
+    lines += _coverage_lines(calibration.coverage)
+    trims = {
+        viseme: {name: deg for name, deg in zip(names, degrees, strict=True) if deg != 0.0}
+        for viseme, degrees in calibration.trim.items()
+    }
+    if any(trims.values()):
+        lines.append("trim:  # degrees to add while a viseme class is spoken")
+        lines += [
+            f"  {viseme}: {_by_servo(added, added.values(), _six)}"
+            for viseme, added in trims.items()
+            if added
+        ]
+    if calibration.hand_poses:
+        lines.append("hand_poses:  # made with the fingers, torque off")
+        lines += [
+            f"  {pose}: {_by_servo(names, degrees, _four)}"
+            for pose, degrees in calibration.hand_poses.items()
+        ]
     return with_checksum(_HEADER + "\n".join(lines) + "\n")
 
 
 def _servo_lines(calibration: Calibration, i: int) -> list[str]:
-    origin = calibration.origin
+    origin, following = calibration.origin, calibration.following
     model = origin.servo_models[i] if origin.servo_models else ""
     lines = [f"  {calibration.servo_names[i]}:"]
     lines += [f"    model: {model}"] if model else []
     if origin.servo_memories:
-        memory = asdict(origin.servo_memories[i])
-        lines.append(f"    memory: {{{', '.join(f'{k}: {v}' for k, v in memory.items())}}}")
+        lines.append(f"    memory: {_inline(asdict(origin.servo_memories[i]))}")
     lines += [
         f"    min_deg: {_exact(calibration.min_deg[i])}",
         f"    max_deg: {_exact(calibration.max_deg[i])}",
@@ -134,51 +166,16 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
         lines.append(f"    quadratic_weights: {_list(calibration.quadratic_weights[i], _six)}")
     if len(calibration.centres):
         lines.append(f"    centre_weights: {_list(calibration.centre_weights[i], _six)}")
-    lines += _following_lines(calibration.following, i)
+    for field in () if following is None else fields(following):
+        value = getattr(following, field.name)[i]
+        lines += [f"    {field.name}: {_four(value)}"] if np.isfinite(value) else []
     return [*lines, f"    hold_out_rms_deg: {_four(calibration.errors.joint_rms_deg[i])}"]
-
-
-def _following_lines(following: Following | None, i: int) -> list[str]:
-    """Return the YAML lines of how servo number `i` follows goals; unknown values are left out."""
-    if following is None:
-        return []
-    lines = [
-        f"    lag_s: {_four(following.lag_s[i])}",
-        f"    backlash_deg: {_four(following.backlash_deg[i])}",
-    ]
-    if np.isfinite(following.top_speed_deg_s[i]):
-        lines.append(f"    top_speed_deg_s: {_four(following.top_speed_deg_s[i])}")
-    if np.isfinite(following.bandwidth_hz[i]):
-        lines.append(f"    bandwidth_hz: {_four(following.bandwidth_hz[i])}")
-    return lines
-
-
-def _touch_lines(touch: Touch | None, servo_names: tuple[str, ...]) -> list[str]:
-    if touch is None:
-        return []
-    degrees = zip(servo_names, touch.positions_deg, strict=True)
-    return [
-        "touch:  # the lips just meet; press no harder than this",
-        f"  current_cap_ma: {_exact(touch.current_cap_ma)}",
-        f"  positions_deg: {{{', '.join(f'{name}: {_four(deg)}' for name, deg in degrees)}}}",
-    ]
-
-
-def _closing_lines(closing: Closing | None) -> list[str]:
-    if closing is None:
-        return []
-    if closing.closes:
-        return [f"closing: {{evidence: {closing.evidence}}}"]
-    return [
-        f"closing: {{evidence: {closing.evidence}, apart_mm: {_four(closing.apart_mm)}, "
-        f'joint: "{closing.joint}", missing_deg: {_four(closing.missing_deg)}}}'
-    ]
 
 
 def _closure_lines(closure: Closure | None) -> list[str]:
     """Return the YAML lines of a closure, the model of how lips meet; [] for None.
 
-    Two-dimensional arrays are row by row.
+    Numbers have 6 digits.
     """
     if closure is None:
         return []
@@ -187,54 +184,61 @@ def _closure_lines(closure: Closure | None) -> list[str]:
         if not field.init:
             continue
         value = getattr(closure, field.name)
-        if isinstance(value, float):
-            lines.append(f"  {field.name}: {_six(value)}")
-            continue
-        shown = [_list(row, _six) for row in value] if value.ndim == 2 else None
-        lines.append(f"  {field.name}: " + (_list(value, _six) if shown is None else ""))
-        lines += [f"  - {row}" for row in shown or ()]
+        if np.ndim(value) == 2:
+            lines += [f"  {field.name}: ", *(f"  - {_list(row, _six)}" for row in value)]
+        else:
+            text = _list(value, _six) if np.ndim(value) else _six(value)
+            lines.append(f"  {field.name}: {text}")
     return lines
 
 
 def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
     lines = ["hold_out:"]
-    for field in fields(errors):
-        value = getattr(errors, field.name)
-        if field.name in _WRITTEN_APART or value is None:
-            continue
-        note = _HOLD_OUT_NOTES.get(field.name)
-        shown = str(value) if isinstance(value, int) else _four(value)
-        lines.append(f"  {field.name}: {shown}" + (f"  # {note}" if note else ""))
+    for name, value in _known(errors).items():
+        note = _HOLD_OUT_NOTES.get(name)
+        lines.append(f"  {name}: {value}" + (f"  # {note}" if note else ""))
     each = errors.each_marker_rms_mm
     lines.append(f"  n_markers: {len(each)}")
-    if each:
-        lines.append("  each_marker_rms_mm:")
-        lines += [f"    {name}: {_four(rms_mm)}" for name, rms_mm in each.items()]
+    lines += ["  each_marker_rms_mm:"] if each else []
+    return lines + [f"    {name}: {_four(rms_mm)}" for name, rms_mm in each.items()]
+
+
+def _coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
+    """Return the YAML lines of the coverage, one per viseme class; [] without any."""
+    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
+    head = "coverage:  # of each viseme class, on the face as learnt; measured_mm on the robot"
+    lines = [head] if coverage else []
+    for viseme, reach in coverage.items():
+        known = _known(reach)
+        if not reach.n_measured:
+            del known["n_measured"]
+        lines.append(f"  {viseme}: {_inline(known)}  # {phonemes.get(viseme, '')}")
     return lines
 
 
-def _trim_lines(calibration: Calibration) -> list[str]:
-    """Return the YAML lines of the trims, without zeros; [] where no trim changes a servo."""
-    lines = []
-    for viseme, degrees in calibration.trim.items():
-        parts = [
-            f"{name}: {_six(deg)}"
-            for name, deg in zip(calibration.servo_names, degrees, strict=True)
-            if deg != 0.0
-        ]
-        if parts:
-            lines.append(f"  {viseme}: {{{', '.join(parts)}}}")
-    return ["trim:  # degrees to add while a viseme class is spoken", *lines] if lines else []
+def _known(part: Record) -> dict[str, str]:
+    """Return a record's fields that are not None, as YAML text by their names."""
+    values = {field.name: getattr(part, field.name) for field in fields(part)}
+    return {
+        name: _shown(value)
+        for name, value in values.items()
+        if value is not None and name not in _WRITTEN_APART
+    }
 
 
-def _hand_pose_lines(calibration: Calibration) -> list[str]:
-    if not calibration.hand_poses:
-        return []
-    lines = ["hand_poses:  # made with the fingers, torque off"]
-    for pose, positions_deg in calibration.hand_poses.items():
-        places = zip(calibration.servo_names, positions_deg, strict=True)
-        lines.append(f"  {pose}: {{{', '.join(f'{name}: {_four(deg)}' for name, deg in places)}}}")
-    return lines
+def _shown(value: str | float) -> str:
+    """Return a value as YAML text, numbers that are not whole with 4 significant digits."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(value) if isinstance(value, int | str) else _four(value)
+
+
+def _inline(parts: Mapping[str, object]) -> str:
+    return f"{{{', '.join(f'{name}: {value}' for name, value in parts.items())}}}"
+
+
+def _by_servo(names: Iterable[str], degrees: Iterable[float], text: Callable[[float], str]) -> str:
+    return _inline({name: text(deg) for name, deg in zip(names, degrees, strict=True)})
 
 
 def _list(values: Array, shown: Callable[[float], str]) -> str:
@@ -255,53 +259,4 @@ def _four(value: float) -> str:
 
 def _yaml_float(text: str) -> str:
     """Return a number's `text` changed so that YAML 1.1 parses it as a number: 1e-05 to 1.0e-05."""
-    return text if "." in text else text.replace("e", ".0e")
-
-
-_HEAD: Final = "coverage:  # of each viseme class, on the face as learnt; measured_mm on the robot"
-
-
-def learnt_lips_lines(lips: LearntLips | None) -> list[str]:
-    """Return the YAML line of what was learnt of the lips; [] for None."""
-    if lips is None:
-        return []
-    parts = ", ".join(f"{name}: {_shown(value)}" for name, value in _known(lips))
-    return [f"learnt_lips: {{{parts}}}"]
-
-
-def grade_lines(grade: Grade | None) -> list[str]:
-    """Return the YAML lines of a grade; [] for None."""
-    if grade is None:
-        return []
-    head = "grade:  # measured on the robot, at poses of speech that were never fitted"
-    return [head, *(f"  {name}: {_shown(value)}" for name, value in _known(grade))]
-
-
-def coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
-    """Return the YAML lines of the coverage, one per viseme class; [] without any."""
-    if not coverage:
-        return []
-    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
-    lines = [_HEAD]
-    for viseme, reach in coverage.items():
-        parts = [(n, v) for n, v in _known(reach) if reach.n_measured or n != "n_measured"]
-        listed = ", ".join(f"{name}: {_shown(value)}" for name, value in parts)
-        lines.append(f"  {viseme}: {{{listed}}}  # {phonemes.get(viseme, '')}")
-    return lines
-
-
-def _known(part: Grade | LearntLips | VisemeReach) -> Iterable[tuple[str, float]]:
-    for field in fields(part):
-        value = getattr(part, field.name)
-        if value is not None:
-            yield field.name, value
-
-
-def _shown(value: float) -> str:
-    """Return a value as YAML text, numbers with 4 significant digits: 1.0e-05, not 1e-05."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int):
-        return str(value)
-    text = f"{value:.4g}"
     return text if "." in text else text.replace("e", ".0e")

@@ -47,13 +47,11 @@ _MarkersOf = Callable[[Array], Array]
 class Ladder:
     """Poses of one ladder, which closes the lips in small steps.
 
-    goals_deg: (n_steps, n_servos); at_limits: whether the last step is as closed as the limits
-    allow; from_below: (n_servos,), 1 or -1, the side that joints come from.
+    goals_deg: (n_steps, n_servos); from_below: (n_servos,), 1 or -1, the side joints come from.
     """
 
     goals_deg: Array
     from_below: Array
-    at_limits: bool
 
 
 def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> list[Ladder]:
@@ -98,7 +96,7 @@ def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
     short = np.flatnonzero(np.diff(-goals_deg @ slopes[0]) < _LEAST_STEP_MM)
     n_reached = int(short[0]) + 1 if len(short) else n_steps
     ahead = np.sign(goals_deg[n_reached - 1] - base_deg)
-    return Ladder(goals_deg[:n_reached], np.where(ahead == 0.0, 1.0, ahead), n_reached < n_steps)
+    return Ladder(goals_deg[:n_reached], np.where(ahead == 0.0, 1.0, ahead))
 
 
 def pair_slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[int, int]]) -> Array:

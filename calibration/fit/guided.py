@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from sklearn.linear_model import RidgeCV
 
-from calibration.calibration import Calibration, CalibrationError, Origin, linear_calibration_parts
+from calibration.calibration import Calibration, CalibrationError, Origin
 from calibration.fit.run_time_map import rounded
 from calibration.grade import HoldOutErrors
-from calibration.mouth_servos import JointRange, MouthServos
+from calibration.mouth_servos import JointRange, MouthServos, linear_calibration
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
@@ -145,19 +145,12 @@ def fit_guided(
     x = np.array([pose.coefficients - model.rest for pose in poses if pose.name != CLOSED])
     turned_deg = np.array([made_deg[p.name] - closed_deg for p in poses if p.name != CLOSED])
     weights, left_out_deg = _ridge(x, turned_deg)
-    quadratic_weights, _, x_range = linear_calibration_parts(len(servos.joints), model.n_components)
-    return Calibration(
-        servo_names=servos.names,
-        weights=weights,
-        quadratic_weights=quadratic_weights,
-        rest=model.rest,
+    return linear_calibration(
+        model,
+        servos,
+        weights,
         rest_deg=rounded(closed_deg),
-        x_range=x_range,
-        min_deg=servos.limits_deg[0],
-        max_deg=servos.limits_deg[1],
         errors=HoldOutErrors(joint_rms_deg=tuple(left_out_deg.tolist())),
-        model_checksum=model.checksum,
-        face_checksum=servos.face_checksum,
         origin=Origin("guided", date, len(poses), servos.models),
     )
 
@@ -179,12 +172,13 @@ def _ridge(x: Array, turned_deg: Array) -> tuple[Array, Array]:
 #: Degrees of a key press: one is about the backlash of a printed gear train, five cross a
 #: range soon.
 _SMALL_DEG, _LARGE_DEG = 1.0, 5.0
+KEEP_KEYS = ("\r", "\n", " ")
 #: What each key is for, as shown to the person.
 KEYS: Mapping[str, str] = {
     "w s or arrows up, down": "previous, next servo",
     "d a or arrows right, left": "one degree more, less",
     "D A": "five degrees more, less",
-    "enter": "the pose is right: next one",
+    "enter or space": "the pose is right: next one",
     "x": "leave this pose out",
     "b": "back to the pose before",
     "q": "stop; what was made is kept",
@@ -219,8 +213,9 @@ class GuidedSession:
             return replace(self, servo=(self.servo + (1 if key == "s" else -1)) % n_servos)
         steps = {"d": _SMALL_DEG, "a": -_SMALL_DEG, "D": _LARGE_DEG, "A": -_LARGE_DEG}
         if key in steps:
-            return self._turned(steps[key])
-        if key in ("\r", "\n"):
+            turned_deg = float(self.positions_deg[self.servo]) + steps[key]
+            return self.moved({self.joints[self.servo].name: turned_deg})
+        if key in KEEP_KEYS:
             name = self.poses[self.pose].name
             return replace(
                 self,
@@ -230,15 +225,21 @@ class GuidedSession:
         if key == "x":
             return replace(self, pose=self.pose + 1)
         if key == "b":
-            return replace(self, pose=max(0, self.pose - 1))
+            before = max(0, self.pose - 1)
+            made_deg = self.made_deg.get(self.poses[before].name, self.positions_deg)
+            return replace(self, pose=before, positions_deg=made_deg.copy())
         return replace(self, stopped=True) if key == "q" else self
 
-    def _turned(self, by_deg: float) -> "GuidedSession":
-        joint = self.joints[self.servo]
+    def moved(self, to_deg: Mapping[str, object]) -> "GuidedSession":
+        """Return the session with joints at new angles, clipped to their limits.
+
+        to_deg: finite angles in degrees by the joint's name; anything else is skipped.
+        """
         positions_deg = self.positions_deg.copy()
-        positions_deg[self.servo] = np.clip(
-            positions_deg[self.servo] + by_deg, joint.min_deg, joint.max_deg
-        )
+        for n, joint in enumerate(self.joints):
+            deg = to_deg.get(joint.name)
+            if isinstance(deg, int | float) and np.isfinite(deg):
+                positions_deg[n] = np.clip(deg, joint.min_deg, joint.max_deg)
         return replace(self, positions_deg=positions_deg)
 
 
@@ -284,15 +285,15 @@ def keep_poses(made_deg: Mapping[str, Array], servo_names: Sequence[str], path: 
     write_whole(path, json.dumps(content, indent=2) + "\n")
 
 
-def kept_poses(servo_names: Sequence[str], path: Path) -> dict[str, Array]:
+def kept_poses(servo_names: Sequence[str], path: Path | None) -> dict[str, Array]:
     """Read the poses that an earlier session wrote.
 
     Parameters
     ----------
     servo_names : Sequence[str]
         Names of the n_servos servos.
-    path : Path
-        JSON file of the poses.
+    path : Path | None
+        JSON file of the poses; None: no file.
 
     Returns
     -------
@@ -304,7 +305,7 @@ def kept_poses(servo_names: Sequence[str], path: Path) -> dict[str, Array]:
     CalibrationError
         The file is damaged, or one of other servos.
     """
-    if not path.exists():
+    if path is None or not path.exists():
         return {}
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.calibration import Calibration, CalibrationError, Origin, linear_calibration_parts
+from calibration.calibration import Calibration, CalibrationError, Origin
 from calibration.capture.capture import Capture
 from calibration.capture.sanity import check_capture
 from calibration.fit.learnt_face import ridge_weights
 from calibration.fit.measured import backlash_only, split_frames
 from calibration.fit.robot_face import fit_robot_face
 from calibration.grade import HoldOutErrors, each_marker_rms_mm
-from calibration.mouth_servos import MouthServos
+from calibration.mouth_servos import MouthServos, linear_calibration
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
@@ -30,10 +30,6 @@ from lipsync.markers import MARKERS_47
 JAW_LINE: tuple[int, ...] = tuple(
     i for i, name in enumerate(MARKERS_47.names) if name.startswith(("jaw", "chin"))
 )
-#: The cost is quadratic, so differences of any size are exact; this one is far from rounding.
-_DIFFERENCE = 0.1
-#: Newton is there after one step; the second only takes away rounding.
-_STEPS = 2
 #: A jaw line that moves less than this between closed and open says nothing.
 _LEAST_MOTION_MM = 1.0
 #: The speaker's open jaw: wider is rare.
@@ -47,46 +43,22 @@ class JawBlend:
     closed_mm: Array
     open_mm: Array
 
-    def cost_mm2(self, alpha: Array, points_mm: Array) -> Array:
-        """Return the sum of squared distances of points from the blend at alpha.
-
-        Parameters
-        ----------
-        alpha : Array
-            (n,): 0 closed, 1 open.
-        points_mm : Array
-            (n, n_points, 3) mm, the jaw line.
-
-        Returns
-        -------
-        Array
-            (n,) mm^2.
-        """
-        blend = self.closed_mm + alpha[:, None, None] * (self.open_mm - self.closed_mm)
-        return np.asarray(np.sum((points_mm - blend) ** 2, axis=(1, 2)))
-
     def alpha(self, points_mm: Array) -> Array:
-        """Return alpha, how far the jaw is open, at least cost (Newton's method from 0).
+        """Return how far the jaw is open where its line is nearest to points, by least squares.
 
         Parameters
         ----------
         points_mm : Array
-            (n, n_points, 3) mm, the jaw line.
+            (n, n_points, 3) mm.
 
         Returns
         -------
         Array
-            (n,): 0 closed, 1 open, below 0 or above 1 for a jaw beyond these.
+            (n,): 0 closed, 1 open.
         """
-        alpha = np.zeros(len(points_mm))
-        for _ in range(_STEPS):
-            before, at, after = (
-                self.cost_mm2(alpha + step, points_mm) for step in (-_DIFFERENCE, 0.0, _DIFFERENCE)
-            )
-            slope = (after - before) / (2 * _DIFFERENCE)
-            bend = (after - 2 * at + before) / _DIFFERENCE**2
-            alpha = alpha - slope / bend
-        return alpha
+        way_mm = self.open_mm - self.closed_mm
+        along = np.sum((points_mm - self.closed_mm) * way_mm, axis=(1, 2))
+        return np.asarray(along / np.sum(way_mm**2))
 
 
 def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
@@ -129,45 +101,22 @@ def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:
     return JawBlend(closed_mm, open_mm)
 
 
-@dataclass(frozen=True, slots=True)
-class JawDegrees:
-    """A table from blend to jaw angle: alphas (n,), ascending, and degrees (n,)."""
-
-    alphas: Array
-    degrees: Array
-
-    def degrees_at(self, alpha: Array) -> Array:
-        """Return the jaw's angle at alpha, interpolated linearly, constant beyond the table.
-
-        Parameters
-        ----------
-        alpha : Array
-            (n,): 0 closed, 1 open.
-
-        Returns
-        -------
-        Array
-            (n,) degrees.
-        """
-        return np.asarray(np.interp(alpha, self.alphas, self.degrees))
-
-
-def jaw_degrees(blend: JawBlend, degrees: Array, points_mm: Array) -> JawDegrees:
-    """Return the table from blend to angle of a sweep of the robot's jaw.
+def steady_alphas(blend: JawBlend, degrees: Array, points_mm: Array) -> Array:
+    """Return alpha, how far the jaw is open, in each pose of a sweep of the robot's jaw.
 
     Parameters
     ----------
     blend : JawBlend
-        Blend of the robot's closed and open jaw.
+        The robot's closed and open jaw line.
     degrees : Array
-        (n,), ascending angles of the sweep.
+        (n,) ascending joint angles of the sweep.
     points_mm : Array
-        (n, n_points, 3) mm, the robot's jaw line at each angle.
+        (n, n_points, 3) mm, the jaw line at them.
 
     Returns
     -------
-    JawDegrees
-        Angles by opening.
+    Array
+        (n,), ascending.
 
     Raises
     ------
@@ -179,7 +128,7 @@ def jaw_degrees(blend: JawBlend, degrees: Array, points_mm: Array) -> JawDegrees
         raise CalibrationError(
             "the jaw does not open steadily with its angle; sweep it again, or turn its `sign`"
         )
-    return JawDegrees(alphas, degrees.copy())
+    return alphas
 
 
 #: Enough for a curve that hardly bends.
@@ -224,7 +173,7 @@ def fit_jaw(
     swept_mm = face.markers_mm(sweep_deg[:, None])[:, line]
     closed_mm = face.markers_mm(np.zeros((1, 1)))[0, line]
     robot = jaw_blend(closed_mm, swept_mm[-1])
-    degrees = jaw_degrees(robot, sweep_deg, swept_mm)
+    alphas = steady_alphas(robot, sweep_deg, swept_mm)
     speaker = speakers_jaw(model)
 
     def wanted_alpha(frames: Array) -> Array:
@@ -233,12 +182,11 @@ def fit_jaw(
     fit, held_out = split_frames(model, seed)
     limits = servos.limits_deg
     # Straight, and beyond the ends too: limits cut it off at run time, and a line fits a line.
-    degrees_per_alpha = float(degrees.alphas @ degrees.degrees / (degrees.alphas @ degrees.alphas))
+    degrees_per_alpha = float(alphas @ sweep_deg / (alphas @ alphas))
     weights = ridge_weights(fit - model.rest, degrees_per_alpha * wanted_alpha(fit)[:, None])
-    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     free_deg = (held_out - model.rest) @ weights.T
     mapped_deg = np.clip(free_deg, *limits)
-    wanted_deg = degrees.degrees_at(wanted_alpha(held_out))[:, None]
+    wanted_deg = np.interp(wanted_alpha(held_out), alphas, sweep_deg)[:, None]
     off_mm = (face.markers_mm(mapped_deg) - face.markers_mm(wanted_deg))[:, line]
     off_deg = mapped_deg - wanted_deg
     names = [capture.marker_names[i] for i in line]
@@ -249,18 +197,11 @@ def fit_jaw(
         joint_rms_deg=(float(np.sqrt(np.mean(off_deg**2))),),
         each_marker_rms_mm=each_marker_rms_mm(names, off_mm),
     )
-    calibration = Calibration(
-        servo_names=capture.servo_names,
-        weights=weights,
-        quadratic_weights=quadratic_weights,
-        rest=model.rest,
-        rest_deg=rest_deg,
-        x_range=x_range,
-        min_deg=limits[0],
-        max_deg=limits[1],
+    calibration = linear_calibration(
+        model,
+        servos,
+        weights,
         errors=errors,
-        model_checksum=model.checksum,
-        face_checksum=servos.face_checksum,
         origin=Origin("jaw alone", date, len(capture), servos.models),
         following=backlash_only(face.backlash_deg),
     )

@@ -6,27 +6,21 @@ from functools import partial
 import numpy as np
 from sklearn.linear_model import RidgeCV
 
-from calibration.calibration import (
-    Calibration,
-    CalibrationError,
-    CouplingRule,
-    linear_calibration_parts,
-)
+from calibration.calibration import Calibration, CalibrationError, CouplingRule
+from calibration.fit.measured import split_frames
 from calibration.fit.retargeting import RobotMouth, correspond
+from calibration.fit.run_time_map import rounded
 from calibration.grade import HoldOutErrors, measure_hold_out
-from calibration.mouth_servos import JointRange
+from calibration.mouth_servos import JointRange, MouthServos, linear_calibration
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
-HOLD_OUT_SHARE = 0.2
 #: Half or twice as many changed the lip error on grid_s1 by less than 0.02 mm; 3 s to fit.
 MAX_ANIMPHOS = 1000
 #: From next to none (coefficients are millimetres, a fit has thousands of frames) to heavy.
 _RIDGE_STRENGTHS = np.logspace(-2, 6, 17)
-#: The file keeps this many digits, so the fit does as well and its errors are those of the file.
-SIGNIFICANT_DIGITS = 6
 
 
 def fit_calibration(
@@ -47,33 +41,20 @@ def fit_calibration(
     well as either. Raises CalibrationError for a servo unknown to the simulated face, or fewer than
     2 AnimPhos.
     """
-    min_deg = np.array([joint.min_deg for joint in joints])
-    max_deg = np.array([joint.max_deg for joint in joints])
-    fit, held_out = _split(model, seed, max_animphos)
+    servos = MouthServos(tuple(joints), face_checksum, rules=tuple(rules))
+    fit, held_out = split_frames(model, seed, max_animphos)
     try:
         neutral_mm = model.markers_mm(model.rest[None])[0]
-        face = simulated_face(neutral_mm, [joint.name for joint in joints])
+        face = simulated_face(neutral_mm, servos.names)
     except ValueError as error:
         raise CalibrationError(str(error)) from error
     names = correspond(MARKERS_47.names)
-    mouth = RobotMouth(partial(marker_positions_mm, face), names, (min_deg, max_deg), tuple(rules))
+    markers_of = partial(marker_positions_mm, face)
+    mouth = RobotMouth(markers_of, names, servos.limits_deg, servos.rules)
     nearest_deg = mouth.nearest_deg(names.shape_features.of(model.markers_mm(fit)))
     weights = ridge_weights(fit - model.rest, nearest_deg)
-    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
-    return Calibration(
-        servo_names=face.servo_names,
-        weights=weights,
-        quadratic_weights=quadratic_weights,
-        rest=model.rest,
-        rest_deg=rest_deg,
-        x_range=x_range,
-        min_deg=min_deg,
-        max_deg=max_deg,
-        errors=_errors(model, mouth, weights, held_out),
-        model_checksum=model.checksum,
-        face_checksum=face_checksum,
-        rules=tuple(rules),
-    )
+    errors = _errors(model, mouth, weights, held_out)
+    return linear_calibration(model, servos, weights, errors=errors, rules=servos.rules)
 
 
 def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
@@ -94,22 +75,8 @@ def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
         (n_servos, n_components) degrees per mm.
     """
     ridge = RidgeCV(_RIDGE_STRENGTHS, fit_intercept=False).fit(from_rest, positions_deg)
-    coefficients = np.asarray(ridge.coef_, dtype=np.float64).reshape(positions_deg.shape[1], -1)
-    rounded = [float(f"{weight:.{SIGNIFICANT_DIGITS}g}") for weight in coefficients.ravel()]
-    return np.array(rounded).reshape(coefficients.shape)
-
-
-def _split(model: FaceWithAnimPhos, seed: int, max_animphos: int) -> tuple[Array, Array]:
-    """Return frames (n, n_components) to fit and frames to hold out, from different AnimPhos.
-
-    Up to max_animphos AnimPhos (stretches of motion about a phoneme) are drawn by `seed`.
-    """
-    order = np.random.default_rng(seed).permutation(len(model.animphos))[:max_animphos]
-    if len(order) < 2:
-        raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
-    n_held_out = max(1, round(HOLD_OUT_SHARE * len(order)))
-    frames = model.animphos.samples[order].reshape(len(order), -1, model.n_components)
-    return np.concatenate(frames[n_held_out:]), np.concatenate(frames[:n_held_out])
+    coefficients = np.asarray(ridge.coef_, dtype=np.float64)
+    return rounded(coefficients.reshape(positions_deg.shape[1], -1))
 
 
 def _errors(

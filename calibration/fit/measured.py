@@ -6,8 +6,7 @@ face's own fit, noise included, is reported beside these.
 Loads scikit-learn; the live path never does.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,28 +140,6 @@ def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Arra
     """
     squares = np.sum((markers_mm - targets_mm)[:, lips] ** 2, axis=2)
     return np.asarray(np.sqrt(squares.mean(axis=1)))
-
-
-def measure_shapes(
-    on: ShapeErrors, run: RunTimeMap, held_out: Array
-) -> tuple[HoldOutErrors, Mapping[str, VisemeReach]]:
-    """Return a map's errors on held-out frames, and its coverage of every viseme class.
-
-    Parameters
-    ----------
-    on : ShapeErrors
-        Speaker, learnt mouth and wanted shapes.
-    run : RunTimeMap
-        Map to be measured.
-    held_out : Array
-        (n, n_components) mm, frames left out of the fit.
-
-    Returns
-    -------
-    tuple[HoldOutErrors, Mapping[str, VisemeReach]]
-        Errors in mm, and coverage by the first phoneme of each class.
-    """
-    return _errors(on, run, held_out), _coverage(on, run)
 
 
 def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
@@ -347,64 +324,46 @@ def fit_measured(
     """
     # Threads that share small products wait for each other: a minute in place of twenty seconds.
     with threadpool_limits(limits=1):
-        return _fit(model, capture, servos, date, seed, accept)
-
-
-def _fit(
-    model: FaceWithAnimPhos,
-    capture: Capture,
-    servos: MouthServos,
-    date: str,
-    seed: int,
-    accept: bool,
-) -> MeasuredFit:
-    names = correspond(capture.marker_names)
-    checked = check_capture(capture, model, servos.positive, accept=accept)
-    capture = checked.capture
-    face = fit_robot_face(capture, names.shape_features)
-    warnings = (*checked.warnings, *loose_joint(face.servo_names, face.backlash_deg))
-    limits = servos.limits_deg
-    fit, held_out = split_frames(model, seed)
-    mouth = replace(
-        mouth_of(face, names, servos.holding(checked.still)),
-        doubt_mm_per_deg=_doubt_mm_per_deg(outside_ladders(capture), names),
-    )
-    retargeting = retargeting_of(model, mouth, face, capture)
-    run = choose_map(retargeting, fit - model.rest).without(checked.still)
-    closing = closing_of(face, mouth, capture)
-    apart_mm = 0.0 if closing is None else closing.apart_mm
-    on = ShapeErrors(model, mouth, retargeting, apart_mm)
-    errors, coverage = measure_shapes(on, run, held_out)
-    calibration = Calibration(
-        servo_names=capture.servo_names,
-        weights=run.weights,
-        quadratic_weights=run.quadratic_weights,
-        rest=model.rest,
-        rest_deg=run.rest_deg,
-        x_range=run.x_range,
-        min_deg=limits[0],
-        max_deg=limits[1],
-        errors=errors,
-        model_checksum=model.checksum,
-        face_checksum=servos.face_checksum,
-        origin=Origin("measured", date, len(capture), servos.models),
-        following=backlash_only(face.backlash_deg),
-        touch=Touch(_touch_deg(retargeting), TOUCH_CURRENT_MA),
-        coverage=coverage,
-        rules=servos.rules,
-        centres=run.centres,
-        centre_weights=run.centre_weights,
-        closure=run.closure,
-        closing=closing,
-        learnt_lips=LearntLips(
-            left_out_rms_mm=face.left_out_rms_mm,
-            noise_mm=face.noise_mm,
-            own_gap_mm=float(retargeting.closed_mm[0]),
-            stop=face.contact is not None,
-            held_back_mm=retargeting.held_back_mm((held_out - model.rest)[::_SOME]),
-        ),
-    )
-    return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
+        names = correspond(capture.marker_names)
+        checked = check_capture(capture, model, servos.positive, accept=accept)
+        capture = checked.capture
+        face = fit_robot_face(capture, names.shape_features)
+        warnings = (*checked.warnings, *loose_joint(face.servo_names, face.backlash_deg))
+        limits = servos.limits_deg
+        fit, held_out = split_frames(model, seed)
+        mouth = replace(
+            mouth_of(face, names, servos.holding(checked.still)),
+            doubt_mm_per_deg=_doubt_mm_per_deg(outside_ladders(capture), names),
+        )
+        retargeting = retargeting_of(model, mouth, face, capture)
+        run = choose_map(retargeting, fit - model.rest).without(checked.still)
+        closing = closing_of(face, mouth, capture)
+        apart_mm = 0.0 if closing is None else closing.apart_mm
+        on = ShapeErrors(model, mouth, retargeting, apart_mm)
+        calibration = Calibration(
+            servo_names=capture.servo_names,
+            rest=model.rest,
+            min_deg=limits[0],
+            max_deg=limits[1],
+            errors=_errors(on, run, held_out),
+            model_checksum=model.checksum,
+            face_checksum=servos.face_checksum,
+            origin=Origin("measured", date, len(capture), servos.models),
+            following=backlash_only(face.backlash_deg),
+            touch=Touch(_touch_deg(retargeting), TOUCH_CURRENT_MA),
+            coverage=_coverage(on, run),
+            rules=servos.rules,
+            closing=closing,
+            **{part.name: getattr(run, part.name) for part in fields(run)},
+            learnt_lips=LearntLips(
+                left_out_rms_mm=face.left_out_rms_mm,
+                noise_mm=face.noise_mm,
+                own_gap_mm=float(retargeting.closed_mm[0]),
+                stop=face.contact is not None,
+                held_back_mm=retargeting.held_back_mm((held_out - model.rest)[::_SOME]),
+            ),
+        )
+        return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
 
 
 def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
@@ -421,18 +380,13 @@ def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
     return np.asarray(chance_mm * (_KNOWN_WELL / np.maximum(signals, 1e-9)) ** 1.5)
 
 
-def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
+def split_frames(
+    model: FaceWithAnimPhos, seed: int, n_animphos: int | None = None
+) -> tuple[Array, Array]:
     """Return frames to fit and frames to hold out, from different AnimPhos, drawn by `seed`.
 
-    An AnimPho is a recorded mouth motion about one phoneme. Raises CalibrationError for a model
-    with fewer than 2.
-
-    Parameters
-    ----------
-    model : FaceWithAnimPhos
-        Speaker's face with AnimPhos.
-    seed : int
-        Seed of the draw.
+    n_animphos: a fifth of so many is held out, the others are fitted; None: as a measured fit.
+    Raises CalibrationError for a model with fewer than two AnimPhos.
 
     Returns
     -------
@@ -442,8 +396,12 @@ def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
     order = np.random.default_rng(seed).permutation(len(model.animphos))
     if len(order) < 2:
         raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
-    n_held_out = min(MAX_HELD_OUT, max(1, round(HOLD_OUT_SHARE * len(order))))
-    held_out, fit = order[:n_held_out], order[n_held_out : n_held_out + MAX_FITTED]
+    n_held_out, n_fitted = MAX_HELD_OUT, MAX_FITTED
+    if n_animphos is not None:
+        n_held_out = round(HOLD_OUT_SHARE * n_animphos)
+        n_fitted = n_animphos - n_held_out
+    n_held_out = min(n_held_out, max(1, round(HOLD_OUT_SHARE * len(order))))
+    held_out, fit = order[:n_held_out], order[n_held_out : n_held_out + n_fitted]
     frames = model.animphos.samples.reshape(len(order), -1, model.n_components)
     return np.concatenate(frames[fit]), np.concatenate(frames[held_out])
 

@@ -11,13 +11,11 @@ gap and the tracker's noise; the map's checksum; and the wanted position of each
 Loads scikit-learn; the live path never does.
 """
 
-import csv
 import hashlib
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +23,14 @@ from sklearn.cluster import KMeans
 
 from calibration.calibration import Calibration, CalibrationError
 from calibration.capture.capture import Capture, PosePlan, plan_around
-from calibration.capture.marker_files import csv_rows, number_in, read_plan
-from calibration.capture.straight_lines import on_head
+from calibration.capture.marker_files import (
+    csv_rows,
+    number_in,
+    plan_table,
+    read_plan,
+    write_table,
+)
+from calibration.capture.straight_lines import far_line, on_head
 from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.measured import MeasuredFit, lips_apart_mm
 from calibration.fit.retargeting import correspond, gap_heights_mm
@@ -34,7 +38,6 @@ from calibration.grade import Grade, gap_figures, is_small
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, FaceWithAnimPhos
 from lipsync.arrays import Array
-from lipsync.output_file import write_whole
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF
 
 N_GRADED = 10
@@ -106,7 +109,7 @@ def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> Graded
 
 
 def graded(
-    calibration: Calibration, poses: GradedPoses, seen: Capture, rows: NDArray[np.int64]
+    calibration: Calibration, poses: GradedPoses, seen: Capture
 ) -> tuple[Calibration, tuple[str, ...]]:
     """Return the calibration with a grade by the capture of graded poses, and warnings.
 
@@ -117,9 +120,7 @@ def graded(
     poses : GradedPoses
         The planned poses and wanted markers.
     seen : Capture
-        Capture of some of the poses.
-    rows : NDArray[np.int64]
-        (n,): number of the pose in each row of `seen`.
+        Capture of some of the poses, in the rows that it names.
 
     Returns
     -------
@@ -131,7 +132,8 @@ def graded(
     CalibrationError
         Lips were captured in fewer than half of the poses.
     """
-    if len(seen) < len(poses) // 2 or len(rows) != len(seen):
+    rows = np.array(seen.rows, dtype=np.int64)
+    if len(seen) < len(poses) // 2:
         raise CalibrationError(
             f"{len(seen)} of {len(poses)} poses to grade by were captured; capture them all"
         )
@@ -252,14 +254,7 @@ def _without_far(
         known = own_mm[np.isfinite(own_mm)]
         if len(known):
             far[pose, lips] = own_mm > max(_FAR_MM, _TIMES * float(np.median(known)))
-    if not far.any():
-        return seen_mm, ()
-    counts = far.sum(axis=0)
-    counted = ", ".join(f"{names[i]} {counts[i]}" for i in np.argsort(-counts)[:5] if counts[i])
-    return (
-        np.where(far[..., None], np.nan, seen_mm),
-        (f"{far.sum()} readings were far off and left out: {counted}",),
-    )
+    return np.where(far[..., None], np.nan, seen_mm), far_line(far, names)
 
 
 def _root(squares: Array, shares: Array) -> float:
@@ -269,9 +264,11 @@ def _root(squares: Array, shares: Array) -> float:
 
 
 _AXES: Final = ("x_mm", "y_mm", "z_mm")
-_NUMBERS: Final = (
-    "human_gap_mm", "share", "asked_open_mm", "expected_mm", "own_gap_mm", "noise_mm"
-)  # fmt: skip
+#: Columns of numbers, and the fields of `GradedPoses` that they hold.
+_NUMBERS: Final = {
+    "human_gap_mm": "human_gap_mm", "share": "shares", "asked_open_mm": "wanted_open_mm",
+    "expected_mm": "expected_mm", "own_gap_mm": "own_gap_mm", "noise_mm": "noise_mm",
+}  # fmt: skip
 _VISEME, _MAP, _FIRST = "viseme", "map", "_x_mm"
 
 
@@ -280,41 +277,13 @@ def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -
 
     The file is written whole or not at all. Raises OutputError.
     """
-    plan = poses.plan
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        [
-            "pose",
-            *(f"{name}_deg" for name in plan.servo_names),
-            *(f"{name}_from" for name in plan.servo_names),
-            _VISEME,
-            *_NUMBERS,
-            _MAP,
-            *(f"{name}_{axis}" for name in poses.marker_names for axis in _AXES),
-        ]
-    )
-    for i in range(len(poses)):
-        numbers = (
-            poses.human_gap_mm[i],
-            poses.shares[i],
-            poses.wanted_open_mm[i],
-            poses.expected_mm[i],
-            poses.own_gap_mm,
-            poses.noise_mm,
-        )
-        writer.writerow(
-            [
-                i + 1,
-                *(f"{goal:.2f}" for goal in plan.goals_deg[i]),
-                *(f"{side:.0f}" for side in plan.from_below[i]),
-                poses.visemes[i],
-                *(f"{number:.4f}" for number in numbers),
-                map_checksum(calibration),
-                *(f"{place:.3f}" for place in poses.targets_mm[i].ravel()),
-            ]
-        )
-    write_whole(path, text.getvalue())
+    header, rows = plan_table(poses.plan)
+    places = [f"{name}_{axis}" for name in poses.marker_names for axis in _AXES]
+    columns = [np.broadcast_to(getattr(poses, each), len(poses)) for each in _NUMBERS.values()]
+    for i, row in enumerate(rows):
+        row += [poses.visemes[i], *(f"{column[i]:.4f}" for column in columns)]
+        row += [map_checksum(calibration), *(f"{mm:.3f}" for mm in poses.targets_mm[i].ravel())]
+    write_table(path, [*header, _VISEME, *_NUMBERS, _MAP, *places], rows)
 
 
 def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
@@ -343,17 +312,15 @@ def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
         return np.array([number_in(row[column], place) for place, row in rows])
 
     targets_mm = [[numbers(f"{name}_{axis}") for axis in _AXES] for name in names]
+    figures: dict[str, Any] = {field: numbers(column) for column, field in _NUMBERS.items()}
+    for single in ("own_gap_mm", "noise_mm"):
+        figures[single] = float(figures[single][0])
     return GradedPoses(
         plan=plan,
         marker_names=names,
         targets_mm=np.array(targets_mm).transpose(2, 0, 1),
-        wanted_open_mm=numbers("asked_open_mm"),
         visemes=tuple(str(row[_VISEME]) for _, row in rows),
-        human_gap_mm=numbers("human_gap_mm"),
-        shares=numbers("share"),
-        expected_mm=numbers("expected_mm"),
-        own_gap_mm=float(numbers("own_gap_mm")[0]),
-        noise_mm=float(numbers("noise_mm")[0]),
+        **figures,
     )
 
 

@@ -9,7 +9,6 @@ what slipped, tore or was moved meanwhile. Loads scikit-learn; the live path nev
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from sklearn.cluster import KMeans
@@ -18,13 +17,9 @@ from threadpoolctl import threadpool_limits
 from calibration.calibration import CouplingRule
 from calibration.capture.capture import (
     NOT_KEPT,
-    STALL_DEG,
-    Arrived,
     Capture,
     CapturedPose,
     KeptPoses,
-    Measure,
-    Move,
     PosePlan,
     Robot,
     gather,
@@ -73,13 +68,9 @@ _ABOUT_CLOSED_MM, _FROM_NEUTRAL_MM = (0.8, -1.2), (0.3, -2.8)
 _FRAMES = 400
 
 
-class _Take(Protocol):
-    """A function that captures the poses missing from a plan and returns the whole capture.
-
-    pressing: rows of poses that close the lips farther and farther.
-    """
-
-    def __call__(self, plan: PosePlan, pressing: Sequence[int] = ()) -> Capture: ...
+#: Captures the poses missing from a plan, of which it may leave out the `pressing` ones, given
+#: second, once a servo is strained; gives back the whole capture.
+_Take = Callable[..., Capture]
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,25 +202,20 @@ class Procedure:
     def capture(
         self,
         marker_names: tuple[str, ...],
-        move: Move,
-        measure: Measure,
+        on: Robot,
         *,
         kept: KeptPoses = NOT_KEPT,
-        arrived: Arrived = lambda *_: None,
-        progress: Callable[[int], None] = lambda _: None,
-        strained: Callable[[], str | None] = lambda: None,
         report: Callable[[str], None] = lambda _: None,
     ) -> Capture:
         """Capture range, speech and ladders, and repeat the first poses; return the capture.
 
-        Ladders are poses that close the lips step by step. move, measure, arrived, progress,
-        strained: as in `Robot`. kept: file of poses, from which an interrupted capture is resumed.
+        Ladders are poses that close the lips step by step. kept: file of poses, from which an
+        interrupted capture is resumed.
         Axes and size are checked by the first pose. Beyond `n_poses`, a joint that may be dead is
         captured again alone, and the first part of the plan at the end; a pose in which the tracker
         exchanged two names is captured again. report is called with a line for each. Once a servo
         is strained, lips are closed no farther. Raises CalibrationError for a capture with faults.
         """
-        on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []
 
         def take(plan: PosePlan, pressing: Sequence[int] = ()) -> Capture:
@@ -262,7 +248,7 @@ class Procedure:
         return take(joined(plan, first_part(self.range_plan())))
 
     def _with_ladders(
-        self, plan: PosePlan, captured: Capture, still: Sequence[int], take: "_Take"
+        self, plan: PosePlan, captured: Capture, still: Sequence[int], take: _Take
     ) -> PosePlan:
         """Capture ladders by `take` until lips are seen to meet or joints are at limits.
 
@@ -312,20 +298,12 @@ def take_grade(
     plan = posed.plan
     kept = kept.after(n_captured, plan)
     before = kept.read(plan, marker_names)
-    on = replace(on, arrived=_numbered(on.arrived, kept.first))
-    poses = take_poses(plan, marker_names, on, before, kept)
-    poses = put_right(plan, marker_names, on, poses, kept, expected_mm=posed.targets_mm)
+    numbered = replace(on, arrived=lambda row, deg: on.arrived(kept.first + row, deg))
+    poses = take_poses(plan, marker_names, numbered, before, kept)
+    poses = put_right(plan, marker_names, numbered, poses, kept, expected_mm=posed.targets_mm)
     seen = gather(plan, marker_names, poses)
-    stood = [
-        p.index for p in poses if np.abs(p.reached_deg - plan.goals_deg[p.index]).max() <= STALL_DEG
-    ]
-    rows = np.array(sorted(stood), dtype=np.int64)
-    calibration, lines = graded(fit.calibration, posed, seen, rows)
+    calibration, lines = graded(fit.calibration, posed, seen)
     return replace(fit, calibration=calibration, warnings=(*fit.warnings, *lines))
-
-
-def _numbered(arrived: Arrived, first: int) -> Arrived:
-    return lambda row, reached_deg: arrived(first + row, reached_deg)
 
 
 def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:

@@ -376,17 +376,6 @@ class Retargeting:
     closed_mm: Array
     press_mm: float
 
-    def wanted(self, from_rest: Array) -> Array:
-        """Return features of the speaker's copied motion with the wanted gaps, (n, n_features).
-
-        Parameters
-        ----------
-        from_rest : Array
-            (n, n_components) mm, coefficients less the rest.
-        """
-        copies_mm, gaps_mm = self.copies_mm(from_rest)
-        return self.mouth.names.shape_features.of(copies_mm, gaps_mm)
-
     def poses_deg(self, from_rest: Array) -> Array:
         """Return the nearest poses, lips closed where the speaker's are, (n, n_servos) degrees.
 

@@ -41,12 +41,11 @@ class LipContact:
     """The gaps at which lips stop each other, and how markers yield then.
 
     closed_mm: (n_gaps,), the dots' gaps where lips touch; pushed: (n_gaps, n_markers, 3), motion of
-    markers per millimetre of overlap in each gap; sure_mm: the standard error of closed_mm.
+    markers per millimetre of overlap in each gap.
     """
 
     closed_mm: Array
     pushed: Array
-    sure_mm: float
 
     def overlap_mm(self, free_gaps_mm: Array) -> Array:
         """Return how far lips would overlap if they did not stop each other, (n, n_gaps) mm, >= 0.
@@ -179,7 +178,6 @@ def is_stopped(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> bo
 
 def fit_contact(
     missed_mm: Array,
-    seen_gaps_mm: Array,
     free_gaps_mm: Array,
     closed_mm: Array,
     gaps: tuple[tuple[int, int], ...],
@@ -190,8 +188,8 @@ def fit_contact(
     ----------
     missed_mm : Array
         (n, n_markers, 3) mm, captured less free, NaN where lost.
-    seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps) mm: captured, and of the free face.
+    free_gaps_mm : Array
+        (n, n_gaps) mm, of the free face.
     closed_mm : Array
         (n_gaps,) mm, gaps of closed lips.
     gaps : tuple[tuple[int, int], ...]
@@ -217,10 +215,7 @@ def fit_contact(
             short = total - (shaped[other, upper, 1] - shaped[other, lower, 1])
             shaped[other, upper, 1] += short / 2
             shaped[other, lower, 1] -= short / 2
-    spread = seen_gaps_mm[touched, 0]
-    n = max(1, int(np.isfinite(spread).sum()))
-    sure_mm = float(np.nanstd(spread)) / np.sqrt(n)
-    return LipContact(closed_mm, shaped, sure_mm)
+    return LipContact(closed_mm, shaped)
 
 
 _FOLDS = 6
@@ -326,13 +321,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     if closed_mm is not None:
         free_mm = centre_mm + learnt.predict(inputs)
         free_gaps_mm = gap_heights_mm(free_mm, gaps)
-        contact = fit_contact(
-            capture.markers_mm - free_mm,
-            gap_heights_mm(capture.markers_mm, gaps),
-            free_gaps_mm,
-            closed_mm,
-            gaps,
-        )
+        contact = fit_contact(capture.markers_mm - free_mm, free_gaps_mm, closed_mm, gaps)
     return RobotFace(
         servo_names=capture.servo_names,
         marker_names=capture.marker_names,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.cluster import KMeans
 
+from calibration.calibration import distances, free_angles_deg
 from calibration.closure import Closure, pairs
 from calibration.fit.retargeting import (
     MarkersOf,
@@ -19,6 +20,7 @@ from calibration.fit.retargeting import (
     RobotMouth,
     ShapeFeatures,
     gap_heights_mm,
+    shape_slopes,
 )
 from lipsync.arrays import Array
 
@@ -29,7 +31,6 @@ _STRENGTH = 3.0
 _CENTRE_STRENGTH = 0.1
 #: Degrees that count as much as a weighted millimetre: also joints that show little stay tame.
 _ANGLE_WEIGHT_MM_PER_DEG = 0.05
-_DIFFERENCE_DEG = 0.5
 #: The file keeps this many digits, so the fit does as well and its errors are those of the file.
 SIGNIFICANT_DIGITS = 6
 
@@ -73,17 +74,17 @@ class RunTimeMap:
         """Return a map whose joints numbered in `still` are at 0 degrees for every wanted face."""
         if not still:
             return self
-        moves = np.ones(len(self.rest_deg))
+        moves = np.ones((len(self.rest_deg), 1))
         moves[list(still)] = 0.0
         closure = self.closure
         if closure is not None:
-            closure = replace(closure, turns_deg=closure.turns_deg * moves[:, None])
+            closure = replace(closure, turns_deg=closure.turns_deg * moves)
         return replace(
             self,
-            rest_deg=self.rest_deg * moves,
-            weights=self.weights * moves[:, None],
-            quadratic_weights=self.quadratic_weights * moves[:, None],
-            centre_weights=self.centre_weights * moves[:, None],
+            rest_deg=self.rest_deg * moves[:, 0],
+            weights=self.weights * moves,
+            quadratic_weights=self.quadratic_weights * moves,
+            centre_weights=self.centre_weights * moves,
             closure=closure,
         )
 
@@ -101,13 +102,10 @@ class RunTimeMap:
             (n, n_servos) degrees.
         """
         x = np.clip(from_rest, *self.x_range)
-        first, second = pairs(x.shape[1])
-        products = (
-            x[:, first] * x[:, second] if self.quadratic_weights.shape[1] else np.zeros((len(x), 0))
-        )
-        far = _distances(x, self.centres)
-        free_deg = self.rest_deg + x @ self.weights.T + products @ self.quadratic_weights.T
-        return np.asarray(free_deg + far @ self.centre_weights.T)
+        return free_angles_deg(
+            x, self.rest_deg, self.weights, self.quadratic_weights, self.centres,
+            self.centre_weights,
+        )  # fmt: skip
 
 
 def fit_run_time_map(
@@ -150,7 +148,7 @@ def fit_run_time_map(
     centres = np.zeros((0, n)) if centres is None else rounded(centres)
     x_range = rounded(np.array([from_rest.min(axis=0), from_rest.max(axis=0)]))
     products = from_rest[:, first] * from_rest[:, second]
-    features = np.hstack([from_rest, products, _distances(from_rest, centres)])
+    features = np.hstack([from_rest, products, distances(from_rest, centres)])
     centre, spread = features.mean(axis=0), features.std(axis=0) + 1e-12
     inputs = (features - centre) / spread
     counts = np.ones(len(inputs)) if counts is None else counts / counts.mean()
@@ -179,12 +177,6 @@ def fit_run_time_map(
     )
 
 
-def _distances(from_rest: Array, centres: Array) -> Array:
-    """Return the distance, (n, m), of each of n rows of from_rest from each of m centres."""
-    apart = from_rest[:, None] - centres[None]
-    return np.asarray(np.sqrt(np.einsum("nmk,nmk->nm", apart, apart)))
-
-
 def rounded(values: Array) -> Array:
     """Return values rounded to the significant digits of the calibration file.
 
@@ -209,13 +201,7 @@ def _metric(poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatur
     """
     n_servos = poses_deg.shape[1]
     at = shape_features.of(markers_of(poses_deg))
-    slopes = np.stack(
-        [
-            (shape_features.of(markers_of(poses_deg + step)) - at) / _DIFFERENCE_DEG
-            for step in _DIFFERENCE_DEG * np.eye(n_servos)
-        ],
-        axis=2,
-    )
+    slopes = shape_slopes(markers_of, shape_features, poses_deg, at)
     cost = np.einsum("nks,nkt->st", slopes, slopes) / len(poses_deg)
     return np.asarray(cost + _ANGLE_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos))
 

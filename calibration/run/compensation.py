@@ -162,7 +162,3 @@ class VisemeTrim:
             wanted = self._wanted[VISEME_OF[phoneme]]
             self._added_deg = self._added_deg + self._share * (wanted - self._added_deg)
         return self._added_deg
-
-    def reset(self) -> None:
-        """Set the added trim to 0 degrees at once."""
-        self._added_deg = self._nothing

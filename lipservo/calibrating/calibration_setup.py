@@ -120,16 +120,8 @@ class CalibrationSetup:
 
     def procedure(self, seed: int = 0) -> Procedure:
         """Return the capture procedure for this face; `seed` draws its poses."""
-        servos = self.servos
-        return Procedure(
-            self.model,
-            servos.joints,
-            self.n_poses,
-            servos.rules,
-            seed,
-            servos.positive,
-            self.accept,
-        )
+        of, n = self.servos, self.n_poses
+        return Procedure(self.model, of.joints, n, of.rules, seed, of.positive, self.accept)
 
 
 def today() -> str:

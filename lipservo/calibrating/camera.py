@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from lipsync.errors import UserError, check_extra
 
@@ -32,25 +32,6 @@ _PATIENCE_S = 5.0
 
 class CameraError(UserError):
     """A camera that cannot be opened or has failed; one line: which one, why, and the remedy."""
-
-
-class Camera(Protocol):
-    """A camera that yields pictures as they come; a `with` block opens and closes the device."""
-
-    @property
-    def name(self) -> str:
-        """The name of the camera as the user gave it."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Nominal number of pictures per second."""
-
-    def frames(self) -> Iterator[Frame]:
-        """Yield (monotonic s, picture) until a file ends; CameraError if the camera fails."""
-
-    def __enter__(self) -> "Camera": ...
-
-    def __exit__(self, *exc: object) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +161,7 @@ _WAITING = 120
 class CameraFeed:
     """The newest 120 pictures of a camera, read by a thread inside a `with` block."""
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: AvCamera) -> None:
         self.camera = camera
         self._waiting: deque[Frame] = deque(maxlen=_WAITING)
         self._stopping = threading.Event()

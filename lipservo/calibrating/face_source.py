@@ -3,13 +3,14 @@
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from calibration.calibration import CalibrationError
+from calibration.capture.capture import Capture, KeptPoses
 from calibration.capture.dots import (
     PROTRUSION_IS_UNSEEN,
     DotsFolder,
@@ -17,14 +18,19 @@ from calibration.capture.dots import (
     is_dots_folder,
 )
 from calibration.capture.face_mesh import PROTRUSION_IS_GUESSED, CameraTracker, MeshFolder, one_face
+from calibration.capture.marker_files import Reading, read_capture
 from calibration.capture.trackers import FileTracker, ReadPose, Tracker
 from firmware_bridge.clock import Clock, MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.camera import AvCamera, CameraFeed
-from lipservo.calibrating.measured_calibration import tracker_of
+from lipservo.calibrating.measured_calibration import (
+    CalibrationResult,
+    Save,
+    calibrate_on_servos,
+    computed_tracker,
+    say,
+)
 from lipservo.runtime.servos.held_face import HeldFace
-from lipservo.terminal.output import MESSAGES
-from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.video.face_detection import Picture
 from lipsync.video.face_tracker import FaceTracker
@@ -37,7 +43,7 @@ _PATIENCE_S: Final = 10.0
 _MOST_HELD_BACK: Final = 4
 MakeTracker = Callable[[HeldFace], Tracker]
 #: The readings of all poses: pose, marker, place (3,) in mm.
-ReadAll = Callable[[], list[tuple[int, str, Array]]]
+ReadAll = Callable[[], list[Reading]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +102,20 @@ def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Read
     if is_mesh_folder(markers, mesh):
         return mesh_folder(markers, setup, mesh).all_readings
     if markers.is_dir() and is_dots_folder(markers):
-        return dots_folder(markers).all_readings
+        return dots_folder(markers).readings
     return None
+
+
+def read_seen(
+    setup: CalibrationSetup, plan: Path, markers: Path, axes: str, mesh: MeshOptions
+) -> tuple[CalibrationSetup, Capture]:
+    """Return the capture of a plan's file and recorded markers, and the setup for what saw them.
+
+    axes: of C3D files; mesh: options for pictures without dots. Raises UserError.
+    """
+    read = reader_of(markers, setup, mesh)
+    seen = replace(setup, sees_forward=not is_seen_from_the_front(markers, mesh))
+    return seen, read_capture(plan, markers, setup.servos.names, axes=axes, read=read)
 
 
 @contextmanager
@@ -106,8 +124,9 @@ def tracker_source(
 ) -> Iterator[MakeTracker]:
     """Yield a function that, called with the held servos, makes the source of marker positions.
 
-    source: `camera`, a folder of pictures, or as for `tracker_of`; axes: as for it; mesh: options
-    for pictures without dots. Raises UserError for missing files and extras at once, before servos
+    source: `camera`, a folder of pictures, or a file or folder that another program fills; axes:
+    those of C3D files that point left, up and forward, as `x z -y`; mesh: options for pictures
+    without dots. Raises UserError for missing files and extras at once, before servos
     move.
     """
     folder = Path(source)
@@ -132,7 +151,27 @@ def tracker_source(
     elif folder.is_dir() and is_dots_folder(folder):
         yield _pictures(folder, setup.servos.names, _warned_once(dots_folder(folder).readings))
     else:
-        yield tracker_of(setup, source, axes)
+        if not folder.is_dir() and folder.suffix.lower() not in (".csv", ".json"):
+            raise CalibrationError(
+                f"--tracker {source}: expected a .csv or .json file, or a folder"
+            )
+        names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
+        yield lambda face: FileTracker(folder, names, face.hold, say, axes=axes, kept=kept)
+
+
+def calibrate_seen(
+    setup: CalibrationSetup, source: str | None, axes: str, mesh: MeshOptions, save: Save
+) -> CalibrationResult:
+    """Capture, fit and grade a calibration with markers of a source, then measure the lags.
+
+    source, axes, mesh: as for `tracker_source`; source None: markers are computed, a rehearsal.
+    save: as for `calibrate_on_servos`. Raises UserError.
+    """
+    if source is None:
+        return calibrate_on_servos(setup, lambda _: computed_tracker(setup), save=save)
+    seen = replace(setup, sees_forward=not is_seen_from_the_front(Path(source), mesh))
+    with tracker_source(seen, source, axes, mesh) as make_tracker:
+        return calibrate_on_servos(seen, make_tracker, save=save)
 
 
 def dots_folder(folder: Path) -> DotsFolder:
@@ -161,7 +200,7 @@ def _warned_once(read: ReadPose) -> ReadPose:
     """
     seen: Counter[str] = Counter()
 
-    def readings(pose: int) -> list[tuple[int, str, Array]]:
+    def readings(pose: int) -> list[Reading]:
         try:
             return read(pose)
         except CalibrationError as error:
@@ -190,11 +229,6 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
                 return picture
         clock.sleep_until(clock.now() + _LOOK_EVERY_S)
     raise UserError(f"camera {feed.camera.name!r} gives no pictures; plug it in again")
-
-
-def say(line: str) -> None:
-    """Print a line on stderr."""
-    MESSAGES.print(line)
 
 
 def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:

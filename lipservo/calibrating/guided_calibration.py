@@ -1,31 +1,25 @@
-"""`lipservo calibrate guided`: a person moves the robot's mouth by keys into displayed shapes."""
+"""Poses made in a terminal: by keys on held servos, or with the fingers on limp ones."""
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import replace
 
 import numpy as np
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from calibration.capture.capture import Move
-from calibration.fit.guided import (
-    KEYS,
-    GuidedSession,
-    LandmarkPose,
-    fit_guided,
-    keep_poses,
-    kept_poses,
-    landmark_poses,
-    start_session,
-)
-from calibration.mouth_servos import JointRange
+from calibration.fit.guided import KEEP_KEYS, KEYS, GuidedSession, landmark_poses
+from calibration.mouth_servos import MouthServos
 from calibration.simulated.practice_robot import markers_of_face
-from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, today
-from lipservo.calibrating.hand_poses import HAND_POSES, ROUNDED, WIDEST
-from lipservo.calibrating.measured_calibration import CalibrationResult, Save, with_lags
-from lipservo.runtime.servos.assembly import servo_memories
-from lipservo.terminal.keys import read_key
+from firmware_bridge.stopping import named_by_reason
+from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos
+from lipservo.calibrating.hand_poses import HAND_POSES, ROUNDED, WIDEST, beyond_limits
+from lipservo.calibrating.measured_calibration import CalibrationResult, Save
+from lipservo.calibrating.posing import calibrate_by_eye, fit_by_eye, make_poses
+from lipservo.runtime.servos.limp_servos import READ_EVERY_S, LimpServos
+from lipservo.terminal.keys import PressedKeys, read_key
 from lipservo.terminal.output import MESSAGES
 from lipservo.terminal.view import draw_mouth
 from lipsync.animpho.units import FaceWithAnimPhos
@@ -35,149 +29,167 @@ from lipsync.arrays import Array
 Drawn = Callable[[Array], Array]
 
 
-def calibrate_by_eye(setup: CalibrationSetup, save: Save = lambda _: None) -> CalibrationResult:
+def calibrate_by_keys(setup: CalibrationSetup, save: Save = lambda _: None) -> CalibrationResult:
     """Let a person make poses by keys, on the face's servos or simulated ones; fit a calibration.
 
     save: called with the calibration before the servos' lags are measured. Raises CalibrationError
     for too few poses.
     """
-    model, joints = setup.model, setup.servos.joints
-    if setup.settings.capabilities.in_memory:
-        markers_of = markers_of_face(model.markers_mm(model.rest[None])[0], setup.servos)
-
-        def drawn(positions_deg: Array) -> Array:
-            return np.asarray(markers_of(positions_deg[None])[0])
-
-        made_deg = guide(
-            model, joints, lambda goal_deg: goal_deg, read_key, MESSAGES,
-            keep=setup.keep, drawn=drawn,
-        )  # fmt: skip
-        return fit_by_eye(setup, made_deg)
-    memories = servo_memories(setup.settings)
-    with held_servos(setup) as robot:
-        made_deg = guide(
-            model, joints, robot.lead, lambda: robot.hold_while(read_key), MESSAGES, keep=setup.keep
+    model = setup.model
+    if not setup.settings.capabilities.in_memory:
+        return calibrate_by_eye(
+            setup, lambda face: KeysFront(model, lambda: face.hold_while(read_key), MESSAGES), save
         )
-        result = fit_by_eye(setup, made_deg).with_memories(memories)
-        save(result)
-        return with_lags(setup, robot, result) if setup.lags else result
+    markers_of = markers_of_face(model.markers_mm(model.rest[None])[0], setup.servos)
+
+    def drawn(positions_deg: Array) -> Array:
+        return np.asarray(markers_of(positions_deg[None])[0])
+
+    front = KeysFront(model, read_key, MESSAGES, drawn)
+    poses, joints = landmark_poses(model), setup.servos.joints
+    return fit_by_eye(setup, make_poses(joints, poses, front, lambda deg: deg, setup.keep))
 
 
 def hand_poses_by_keys(setup: CalibrationSetup) -> dict[str, Array]:
     """Let a person make the hand poses by keys, for servos that report no position.
 
-    Returns (n_servos,) degrees by the name of the pose.
+    Returns (n_servos,) degrees of each pose made, by its name.
     """
     model = setup.model
     frames = {pose.name: pose.coefficients for pose in landmark_poses(model)}
     shown = {WIDEST: frames["open"], ROUNDED: frames["narrow"]}
-    poses = [
-        LandmarkPose(pose.name, pose.instruction, shown.get(pose.name, model.rest))
-        for pose in HAND_POSES
-    ]
+    poses = [replace(p, coefficients=shown.get(p.name, model.rest)) for p in HAND_POSES]
     with held_servos(setup) as robot:
-        return guide(
-            model, setup.servos.joints, robot.lead, lambda: robot.hold_while(read_key), MESSAGES,
-            keep=setup.keep, poses=poses,
-        )  # fmt: skip
+        front = KeysFront(model, lambda: robot.hold_while(read_key), MESSAGES)
+        return make_poses(setup.servos.joints, poses, front, robot.lead, setup.keep)
 
 
-def fit_by_eye(setup: CalibrationSetup, made_deg: Mapping[str, Array]) -> CalibrationResult:
-    """Fit a calibration to poses that a person made. Raises CalibrationError for too few.
+class KeysFront:
+    """A front of a terminal: the wanted mouth is drawn, and keys turn the joints.
 
-    Parameters
-    ----------
-    setup : CalibrationSetup
-        Model and servos.
-    made_deg : Mapping[str, Array]
-        (n_servos,) degrees by the name of the pose.
-
-    Returns
-    -------
-    CalibrationResult
-        The calibration, without errors in mm, as none are measured.
+    drawn: markers by angles, to draw the robot's mouth; None: it is not drawn.
     """
-    calibration = fit_guided(setup.model, setup.servos, made_deg, date=today())
-    return CalibrationResult(calibration)
+
+    def __init__(
+        self,
+        model: FaceWithAnimPhos,
+        read_key: Callable[[], str],
+        console: Console,
+        drawn: Drawn | None = None,
+    ) -> None:
+        self._model, self._read_key = model, read_key
+        self._console, self._drawn = console, drawn
+
+    def show(self, session: GuidedSession) -> None:
+        """Print the speaker's mouth, the robot's if it can be drawn, the joints and the keys."""
+        ascii_only, pose = self._console.options.ascii_only, session.poses[session.pose]
+        mouths = Table.grid(padding=(0, 3))
+        row = [self._mouth(self._model.markers_mm(pose.coefficients[None])[0], "yellow")]
+        if self._drawn is not None:
+            row.append(self._mouth(self._drawn(session.positions_deg), "red"))
+        mouths.add_row(*row)
+        mark = ">" if ascii_only else "\u25b6"
+        joints = [
+            (
+                mark if n == session.servo else " ",
+                joint.name,
+                f"{session.positions_deg[n]:6.1f} deg",
+            )
+            for n, joint in enumerate(session.joints)
+        ]
+        keys = Text("   ".join(f"{key}: {what}" for key, what in KEYS.items()), style="dim")
+        self._console.print(_screen(session, mouths, joints, keys))
+
+    def after_order(self, session: GuidedSession) -> GuidedSession:
+        """Return the session after the next key."""
+        return session.press(self._read_key())
+
+    def _mouth(self, markers_mm: Array, style: str) -> Text:
+        model, ascii_only = self._model, self._console.options.ascii_only
+        rest_mm = model.markers_mm(model.rest[None])[0]
+        lines = draw_mouth(markers_mm, rest_mm, model.layout, ascii_only=ascii_only)
+        return Text("\n".join(lines), style=style)
 
 
-def guide(
-    model: FaceWithAnimPhos,
-    joints: Sequence[JointRange],
-    move: Move,
-    read_key: Callable[[], str],
-    console: Console,
-    *,
-    keep: Path | None = None,
-    drawn: Drawn | None = None,
-    poses: Sequence[LandmarkPose] = (),
-) -> dict[str, Array]:
-    """Let a person make poses by keys (the landmark poses: open, wide, ...), and return them.
+_LIMP_KEYS = "space or Enter: keep   x: leave this pose out   b: back   q: stop"
+_BAR = 31
 
-    The robot is in neutral afterwards. Every finished pose is written to `keep` at once; a later
-    session continues from that file.
 
-    Parameters
-    ----------
-    model : FaceWithAnimPhos
-        Model of the face, with the landmark poses.
-    joints : Sequence[JointRange]
-        Joints with their ranges.
-    move : Move
-        Moves the robot to joint angles.
-    read_key : Callable[[], str]
-        Returns the next key.
-    console,drawn : Console
-        Where poses are shown; computes the simulated robot's markers to show (None: not shown).
-    keep : Path | None
-        File of the poses; None: they are not written.
-    poses : Sequence[LandmarkPose]
-        Other poses to be made; empty: the landmark poses.
+class LimpFront:
+    """A front of a terminal for limp servos, whose pose under the fingers is read until a key.
 
-    Returns
-    -------
-    dict[str, Array]
-        (n_servos,) degrees by the name of the pose.
+    mouth: the joints of the servos. live: shows the joints. undivided: a context in which no signal
+    interrupts.
     """
-    names = [joint.name for joint in joints]
-    kept = {} if keep is None else kept_poses(names, keep)
-    session = start_session(joints, poses or landmark_poses(model), kept)
-    try:
-        while not session.done:
-            move(session.positions_deg)
-            ascii_only = console.options.ascii_only
-            console.print(_page(model, session, drawn, ascii_only=ascii_only))
-            after = session.press(read_key())
-            if keep is not None and len(after.made_deg) != len(session.made_deg):
-                keep_poses(after.made_deg, names, keep)
-            session = after
-    finally:
-        move(np.zeros(len(joints)))
-    return dict(session.made_deg)
+
+    def __init__(
+        self,
+        servos: LimpServos,
+        mouth: MouthServos,
+        keys: PressedKeys,
+        live: Live,
+        undivided: Callable[[], AbstractContextManager[object]],
+    ) -> None:
+        self._servos, self._mouth, self._keys = servos, mouth, keys
+        self._live, self._undivided = live, undivided
+        self._note = ""
+
+    def show(self, session: GuidedSession) -> None:
+        """Show where the joints are, and why the last pose was not kept."""
+        with self._undivided():
+            seen = self._servos.read_pose()
+        outside = beyond_limits(self._mouth, seen.positions_deg)
+        rows = []
+        for n, joint in enumerate(self._mouth.joints):
+            here_deg, off = float(seen.positions_deg[n]), joint.name in outside
+            why = seen.obstacles.get(joint.name, "outside its limits" if off else "")
+            bar = _bar(here_deg, joint.min_deg, joint.max_deg)
+            rows.append((joint.name, f"{here_deg:7.1f} deg", bar, Text(why, style="bold yellow")))
+        note, keys = Text(self._note, style="yellow"), Text(_LIMP_KEYS, "dim")
+        self._live.update(_screen(session, None, rows, note, keys), refresh=True)
+
+    def after_order(self, session: GuidedSession) -> GuidedSession:
+        """Return the session after the next key, with the steady pose of the servos if kept.
+
+        A pose that is unsteady, unread or outside limits is not kept; the reason is printed.
+        """
+        key = self._keys.next_key(READ_EVERY_S)
+        if key is None or key not in (*KEEP_KEYS, "x", "b", "q"):
+            return session
+        self._note = ""
+        if key in KEEP_KEYS:
+            with self._undivided():
+                held = self._servos.steady_pose()
+            obstacles = held.obstacles | beyond_limits(self._mouth, held.positions_deg)
+            if obstacles:
+                name = session.poses[session.pose].name
+                self._note = f"{name} is not kept: {named_by_reason(obstacles)}"
+                self._live.console.print(self._note, soft_wrap=True, highlight=False)
+                return session
+            session = replace(session, positions_deg=held.positions_deg)
+        return session.press(key)
 
 
-def _page(
-    model: FaceWithAnimPhos, session: GuidedSession, drawn: Drawn | None, *, ascii_only: bool
+def _screen(
+    session: GuidedSession,
+    mouths: RenderableType | None,
+    joints: Iterable[Sequence[RenderableType]],
+    *below: Text,
 ) -> Group:
+    """Return the pose to make, mouths, a row for each joint, and what is below."""
     pose = session.poses[session.pose]
-    wanted_mm = model.markers_mm(pose.coefficients[None])[0]
-    mouths = Table.grid(padding=(0, 3))
-    row = [_mouth(model, wanted_mm, "yellow", ascii_only=ascii_only)]
-    if drawn is not None:
-        made_mm = drawn(session.positions_deg)
-        row.append(_mouth(model, made_mm, "red", ascii_only=ascii_only))
-    mouths.add_row(*row)
-    servos = Table.grid(padding=(0, 2))
-    for index, joint in enumerate(session.joints):
-        mark = (">" if ascii_only else "▶") if index == session.servo else " "
-        servos.add_row(mark, joint.name, f"{session.positions_deg[index]:6.1f} deg")
-    keys = Text("   ".join(f"{key}: {what}" for key, what in KEYS.items()), style="dim")
+    table = Table.grid(padding=(0, 2))
+    for row in joints:
+        table.add_row(*row)
     title = f"{session.pose + 1} of {len(session.poses)}, {pose.name}: {pose.instruction}"
-    return Group(Text(title, style="bold"), mouths, servos, keys)
+    drawn = () if mouths is None else (mouths,)
+    return Group(Text(title, style="bold"), *drawn, table, *below)
 
 
-def _mouth(model: FaceWithAnimPhos, markers_mm: Array, style: str, *, ascii_only: bool) -> Text:
-    rest_mm = model.markers_mm(model.rest[None])[0]
-    return Text(
-        "\n".join(draw_mouth(markers_mm, rest_mm, model.layout, ascii_only=ascii_only)), style=style
-    )
+def _bar(here_deg: float, min_deg: float, max_deg: float) -> str:
+    """Return an ASCII bar from `min_deg` to `max_deg` with a mark at `here_deg`; NaN: no mark."""
+    if not np.isfinite(here_deg) or max_deg <= min_deg:
+        return "." * _BAR
+    share = (here_deg - min_deg) / (max_deg - min_deg)
+    place = round(float(np.clip(share, 0.0, 1.0)) * (_BAR - 1))
+    return "." * place + "o" + "." * (_BAR - 1 - place)

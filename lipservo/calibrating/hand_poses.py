@@ -6,23 +6,17 @@ joints that open and narrow the mouth. Trims are degrees added in a viseme class
 calibration file, and are kept when the face is calibrated again.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
 
 from calibration.calibration import Calibration, CalibrationError, Touch
 from calibration.files.calibration_file import load_calibration
+from calibration.fit.guided import LandmarkPose
 from calibration.mouth_servos import MouthServos
-from firmware_bridge.stopping import named_by_reason
-from lipservo.runtime.servos.limp_servos import READ_EVERY_S, LimpPose, LimpServos
 from lipsync.arrays import Array
 
 CLOSED, WIDEST, ROUNDED, TOUCHED = "closed", "widest", "rounded", "touched"
@@ -39,19 +33,15 @@ _BOUNDED: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class HandPose:
-    """A pose to be made by hand: its name and the instruction for it."""
-
-    name: str
-    instruction: str
-
-
-HAND_POSES: Final = (
-    HandPose(CLOSED, "the mouth as it rests in silence, lips together without force"),
-    HandPose(WIDEST, "the mouth as wide open as it may ever be in speech"),
-    HandPose(ROUNDED, "the corners as near to each other as they may ever be, as for OO"),
-    HandPose(TOUCHED, "lips that just touch along their whole length, as for P"),
+#: Without a shape of the speaker's: fingers need none.
+HAND_POSES: Final = tuple(
+    LandmarkPose(name, instruction, np.zeros(0))
+    for name, instruction in (
+        (CLOSED, "the mouth as it rests in silence, lips together without force"),
+        (WIDEST, "the mouth as wide open as it may ever be in speech"),
+        (ROUNDED, "the corners as near to each other as they may ever be, as for OO"),
+        (TOUCHED, "lips that just touch along their whole length, as for P"),
+    )
 )
 
 
@@ -175,126 +165,6 @@ def pose_lines(before: Calibration, after: Calibration) -> list[str]:
                 f"{after.servo_names[worst]} {-off_deg[worst]:.1f}`"
             )
     return lines
-
-
-_KEEP, _LEAVE_OUT, _BACK, _STOP = (" ", "\n", "\r"), "x", "b", "q"
-_KEYS = "space or Enter: keep   x: leave this pose out   b: back   q: stop"
-_BAR = 31
-
-
-class Keys(Protocol):
-    """A source of single keys: a terminal or a script."""
-
-    def next_key(self, timeout_s: float) -> str | None:
-        """Return the next key, or None if none comes within `timeout_s`."""
-
-
-@dataclass(slots=True)
-class Posing:
-    """The state of a session in which a person makes `poses`.
-
-    made_deg: angles of those made, (n_servos,) degrees by name. keep: called with all made so far
-    after each new one. undivided: makes a context manager that no signal interrupts. note: why the
-    last one was refused; empty if not. current: index of the pose to make.
-    """
-
-    poses: Sequence[HandPose]
-    made_deg: dict[str, Array]
-    keep: Callable[[Mapping[str, Array]], None]
-    undivided: Callable[[], AbstractContextManager[object]]
-    note: str = ""
-    current: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Set `current` to the first pose not made in an earlier session, or 0 if all were."""
-        names = [pose.name for pose in self.poses]
-        self.current = next((n for n, name in enumerate(names) if name not in self.made_deg), 0)
-
-
-def pose_by_hand(
-    servos: LimpServos, mouth: MouthServos, posing: Posing, keys: Keys, console: Console
-) -> Mapping[str, Array]:
-    """Let a person make poses by hand until all are made or the person stops.
-
-    Raises PortGone if the servos' port disappears.
-
-    Parameters
-    ----------
-    servos : LimpServos
-        The servos, limp already.
-    mouth : MouthServos
-        The same servos, with names and limits.
-    posing : Posing
-        The poses to make.
-    keys,console : Keys
-        The terminal's keys and output.
-
-    Returns
-    -------
-    Mapping[str, Array]
-        (n_servos,) degrees by the name of the pose.
-    """
-    with Live(console=console, transient=True, auto_refresh=False) as live:
-        while posing.current < len(posing.poses):
-            with posing.undivided():
-                seen = servos.read_pose()
-            live.update(_page(posing, mouth, seen), refresh=True)
-            key = keys.next_key(READ_EVERY_S)
-            if key is None:
-                continue
-            posing.note = ""
-            if key == _STOP:
-                break
-            if key in _KEEP:
-                with posing.undivided():
-                    _keep(servos, mouth, posing)
-                if posing.note:
-                    console.print(posing.note, soft_wrap=True, highlight=False)
-            elif key == _LEAVE_OUT:
-                posing.current += 1
-            elif key == _BACK:
-                posing.current = max(0, posing.current - 1)
-    return posing.made_deg
-
-
-def _keep(servos: LimpServos, mouth: MouthServos, posing: Posing) -> None:
-    """Add the servos' present pose to `posing` and go on; or set `posing.note` why it is refused.
-
-    mouth: the same servos, with their limits.
-    """
-    held = servos.steady_pose()
-    obstacles = held.obstacles | beyond_limits(mouth, held.positions_deg)
-    name = posing.poses[posing.current].name
-    if obstacles:
-        posing.note = f"{name} is not kept: {named_by_reason(obstacles)}"
-        return
-    posing.made_deg[name] = held.positions_deg
-    posing.keep(posing.made_deg)
-    posing.current += 1
-
-
-def _page(posing: Posing, mouth: MouthServos, seen: LimpPose) -> RenderableType:
-    pose = posing.poses[posing.current]
-    table = Table.grid(padding=(0, 2))
-    outside = beyond_limits(mouth, seen.positions_deg)
-    for n, joint in enumerate(mouth.joints):
-        here_deg = float(seen.positions_deg[n])
-        why = seen.obstacles.get(joint.name, "outside its limits" if joint.name in outside else "")
-        bar = _bar(here_deg, joint.min_deg, joint.max_deg)
-        table.add_row(joint.name, f"{here_deg:7.1f} deg", bar, Text(why, style="bold yellow"))
-    title = f"{posing.current + 1} of {len(posing.poses)}, {pose.name}: {pose.instruction}"
-    return Group(
-        Text(title, style="bold"), table, Text(posing.note, style="yellow"), Text(_KEYS, "dim")
-    )
-
-
-def _bar(here_deg: float, min_deg: float, max_deg: float) -> str:
-    """Return an ASCII bar from `min_deg` to `max_deg` with a mark at `here_deg`; NaN: no mark."""
-    if not np.isfinite(here_deg) or max_deg <= min_deg:
-        return "." * _BAR
-    share = (here_deg - min_deg) / (max_deg - min_deg)
-    place = round(float(np.clip(share, 0.0, 1.0)) * (_BAR - 1))
-    return "." * place + "o" + "." * (_BAR - 1 - place)
 
 
 #: A trim that goes farther than its joint can turn belongs to other limits.

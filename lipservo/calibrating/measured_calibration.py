@@ -7,7 +7,6 @@ measures alone.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from calibration.capture.sanity import is_flat
 from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker
 from calibration.fit.jaw import fit_jaw, jaw_agreement, jaw_markers
 from calibration.fit.learnt_face import fit_calibration
-from calibration.fit.measured import MeasuredFit, fit_measured
+from calibration.fit.measured import MeasuredFit, backlash_only, fit_measured
 from calibration.fit.procedure import take_grade
 from calibration.fit.retargeting import LIPS_NEEDED
 from calibration.fit.servo_response import identify
@@ -64,17 +63,6 @@ class CalibrationResult:
     fit: MeasuredFit | None = None
     warnings: tuple[str, ...] = ()
 
-    @property
-    def backlash_deg(self) -> Array:
-        """The backlash of each servo, as in the calibration.
-
-        Returns
-        -------
-        Array
-            (n_servos,) degrees, 0 where it is unknown.
-        """
-        return backlash_of(self.calibration)
-
     def graded_by(
         self, setup: CalibrationSetup, on: Robot, n_captured: int = 0
     ) -> "CalibrationResult":
@@ -112,22 +100,9 @@ class CalibrationResult:
         return replace(self, calibration=replace(self.calibration, origin=origin))
 
 
-def backlash_of(calibration: Calibration) -> Array:
-    """Return the backlash of each servo.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        With or without a measured response.
-
-    Returns
-    -------
-    Array
-        (n_servos,) degrees, 0 where it is unknown.
-    """
-    if calibration.following is None:
-        return np.zeros(len(calibration.servo_names))
-    return calibration.following.backlash_deg
+def _known_following(calibration: Calibration) -> Following:
+    """Return how servos follow as far as it is known: without lags, at any speed, if nothing is."""
+    return calibration.following or backlash_only(np.zeros(len(calibration.servo_names)))
 
 
 def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
@@ -180,14 +155,17 @@ def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibrati
     names = setup.servos.names
     check_calibration(calibration, setup.model, names, setup.settings.checksum)
     if setup.settings.capabilities.in_memory:
-        bus, clock = simulated_wire(setup.settings)
-        with HeldFace(setup.settings, clock, bus=bus) as face:
-            following = _measured_following(setup, face, calibration)
+        held = _on_simulated_wire(setup)
     else:
         check_servo_memories(calibration, servo_memories(setup.settings))
-        with held_servos(setup) as face:
-            following = _measured_following(setup, face, calibration)
-    return replace(calibration, following=following)
+        held = held_servos(setup)
+    with held as face:
+        return replace(calibration, following=_measured_following(setup, face, calibration))
+
+
+def _on_simulated_wire(setup: CalibrationSetup) -> HeldFace:
+    bus, clock = simulated_wire(setup.settings)
+    return HeldFace(setup.settings, clock, bus=bus)
 
 
 #: No hobby servo is later; a second would be a typing error.
@@ -203,7 +181,7 @@ def typed_lags(
     """
     names = list(setup.servos.names)
     check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
-    following = calibration.following or _unknown_following(len(names))
+    following = _known_following(calibration)
     lag_s, seen = following.lag_s.copy(), set()
     for each in typed:
         name, _, number = each.partition("=")
@@ -235,11 +213,11 @@ def _measured_following(
     measured = np.flatnonzero(face.has_place)
     if len(measured) < len(joints):
         blind = [joint.name for joint, has in zip(joints, face.has_place, strict=True) if not has]
-        _say(
+        say(
             f"how late {', '.join(blind)} follow cannot be measured, for want of encoders; film "
             f"one and type it: `lipservo calibrate lags FILE --lag-ms {blind[0]}=60`"
         )
-    known = calibration.following or _unknown_following(len(joints))
+    known = _known_following(calibration)
     if not len(measured):
         return known
 
@@ -253,21 +231,11 @@ def _measured_following(
         found = identify(
             drive, own, known.backlash_deg[measured], rate_hz=face.rate_hz, progress=done
         )
-    whole = replace(
-        known,
-        lag_s=known.lag_s.copy(),
-        top_speed_deg_s=known.top_speed_deg_s.copy(),
-        bandwidth_hz=known.bandwidth_hz.copy(),
-    )
-    whole.lag_s[measured] = found.lag_s
-    whole.top_speed_deg_s[measured] = found.top_speed_deg_s
-    whole.bandwidth_hz[measured] = found.bandwidth_hz
-    return whole
-
-
-def _unknown_following(n_servos: int) -> Following:
-    unknown = np.full(n_servos, np.inf)
-    return Following(np.zeros(n_servos), np.zeros(n_servos), unknown, unknown)
+    whole = {}
+    for field in ("lag_s", "top_speed_deg_s", "bandwidth_hz"):
+        whole[field] = getattr(known, field).copy()
+        whole[field][measured] = getattr(found, field)
+    return replace(known, **whole)
 
 
 #: Called with a calibration that is usable though not yet whole.
@@ -349,16 +317,6 @@ def calibrate_on_servos(
         return with_lags(setup, face, result) if setup.lags else result
 
 
-def calibrate_on_computed_skin(
-    setup: CalibrationSetup, save: Save = lambda _: None
-) -> CalibrationResult:
-    """Calibrate as a rehearsal: the face's servos move; markers are computed from their positions.
-
-    save: as for `calibrate_on_servos`.
-    """
-    return calibrate_on_servos(setup, lambda _: computed_tracker(setup), save=save)
-
-
 def computed_tracker(setup: CalibrationSetup) -> Tracker:
     """Return a tracker of the simulated face, whose markers are computed from servos' positions."""
     markers_of = markers_of_face(setup.model.markers_mm(setup.model.rest[None])[0], setup.servos)
@@ -369,19 +327,6 @@ def computed_tracker(setup: CalibrationSetup) -> Tracker:
         return np.asarray(exact_mm + noise.normal(0.0, SENSOR_NOISE_MM, exact_mm.shape))
 
     return SeenByComputation(MARKERS_47.names, look)
-
-
-def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[HeldFace], Tracker]:
-    """Return a function that, called with the held servos, makes the source of marker positions.
-
-    source: the path of a file or folder that another program fills. axes: those of C3D files that
-    point left, up and forward, as `x z -y`. Raises CalibrationError for other sources.
-    """
-    path = Path(source)
-    if not path.is_dir() and path.suffix.lower() not in (".csv", ".json"):
-        raise CalibrationError(f"--tracker {source}: expected a .csv or .json file, or a folder")
-    names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
-    return lambda face: FileTracker(path, names, face.hold, _say, axes=axes, kept=kept)
 
 
 def capture_face(
@@ -396,21 +341,14 @@ def capture_face(
     more = ""
     if setup.n_poses != n_wanted:
         more = f": {n_joints} joints need more than {n_wanted}"
-    _say(
+    say(
         f"about {setup.reckoned_poses} poses{more}; {setup.reckoned_s / 60.0:.0f} minutes and what "
         "the tracker needs"
     )
     with progress_bar(setup, "poses", setup.n_poses) as done:
-        return setup.procedure(seed).capture(
-            marker_names,
-            on.move,
-            on.measure,
-            kept=KeptPoses(setup.keep),
-            arrived=on.arrived,
-            progress=done,
-            strained=on.strained,
-            report=_say,
-        )
+        kept = KeptPoses(setup.keep)
+        on = replace(on, progress=done)
+        return setup.procedure(seed).capture(marker_names, on, kept=kept, report=say)
 
 
 def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
@@ -430,12 +368,13 @@ def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
     """
     for (name, servo), share in zip(setup.settings.mouth_servos.items(), effort, strict=True):
         if servo.strain(share) >= _STRAINED:
-            _say(f"{name} draws its max_current_ma: lips are closed no farther than this")
+            say(f"{name} draws its max_current_ma: lips are closed no farther than this")
             return name
     return None
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
+    """Print a line on stderr."""
     MESSAGES.print(line)
 
 
@@ -457,8 +396,7 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
     can = setup.settings.capabilities
     if not (setup.lags and can.in_memory and can.place):
         return fitted
-    bus, clock = simulated_wire(setup.settings)
-    with HeldFace(setup.settings, clock, bus=bus) as face:
+    with _on_simulated_wire(setup) as face:
         return with_lags(setup, face, fitted)
 
 
@@ -482,7 +420,8 @@ def practise_in_memory(
         return result
     joints = setup.servos.joints
     servos = SimulatedServos.drawn(len(joints), seed)
-    return result.with_following(identify(servos.encoders_deg, joints, result.backlash_deg))
+    backlash_deg = _known_following(result.calibration).backlash_deg
+    return result.with_following(identify(servos.encoders_deg, joints, backlash_deg))
 
 
 def practise_over_wire(

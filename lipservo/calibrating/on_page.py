@@ -2,29 +2,14 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from calibration.fit.guided import (
-    GuidedSession,
-    keep_poses,
-    kept_poses,
-    landmark_poses,
-    start_session,
-)
+from calibration.fit.guided import GuidedSession
 from calibration.simulated.practice_robot import markers_of_face
-from lipservo.calibrating.calibration_setup import (
-    CHIRPS_S,
-    CalibrationSetup,
-    Watch,
-    held_servos,
-)
-from lipservo.calibrating.guided_calibration import fit_by_eye
-from lipservo.calibrating.measured_calibration import CalibrationResult, with_lags
-from lipservo.runtime.servos.assembly import servo_memories
+from lipservo.calibrating.calibration_setup import CHIRPS_S, CalibrationSetup, Watch
 from lipservo.runtime.servos.held_face import HeldFace
 from lipservo.terminal.page_line import END, Order, PageLine
 from lipservo.terminal.view import lip_loops_mm
@@ -100,101 +85,57 @@ def _loop(group: str, landmarks: Sequence[int], marker_names: Sequence[str]) -> 
     return [marker_names.index(name) for name in names if name in marker_names]
 
 
-def calibrate_by_eye_on_page(
-    setup: CalibrationSetup, page: PageLine, *, simulated: bool
-) -> CalibrationResult:
-    """Let a person make poses with a page's sliders, on the face's servos; fit a calibration.
+class PageFront:
+    """A front on a web page, whose sliders move the joints that `robot` holds.
 
-    simulated: the page shows the robot's mouth too, computed from the servos' goals. Raises
-    CalibrationError for too few poses.
+    simulated: the page shows the robot's mouth too, computed from the servos' goals.
     """
-    memories = servo_memories(setup.settings)
-    with held_servos(setup) as robot:
-        made_deg = _guide(setup, robot, page, simulated=simulated)
-        result = robot.hold_while(lambda: fit_by_eye(setup, made_deg)).with_memories(memories)
-        return with_lags(setup, robot, result) if setup.lags else result
 
+    def __init__(
+        self, setup: CalibrationSetup, page: PageLine, robot: HeldFace, *, simulated: bool
+    ) -> None:
+        self._model, self._page, self._robot = setup.model, page, robot
+        self._names = setup.servos.names
+        self._rest_mm = self._model.markers_mm(self._model.rest[None])[0]
+        self._seen_of = markers_of_face(self._rest_mm, setup.servos) if simulated else None
 
-def _guide(
-    setup: CalibrationSetup, robot: HeldFace, page: PageLine, *, simulated: bool
-) -> dict[str, Array]:
-    """Return the poses that a person makes on the page, (n_servos,) degrees by name.
+    def show(self, session: GuidedSession) -> None:
+        """Send the page the wanted mouth, the robot's, the poses made and the servos' goals."""
+        self._robot.hold_while(lambda: self._tell(session))
 
-    The servos are in neutral afterwards. simulated: the page shows the robot's computed mouth too.
-    """
-    model, joints, names = setup.model, setup.servos.joints, setup.servos.names
-    kept = {} if setup.keep is None else kept_poses(names, setup.keep)
-    session = start_session(joints, landmark_poses(model), kept)
-    rest_mm = model.markers_mm(model.rest[None])[0]
-    seen_of = markers_of_face(rest_mm, setup.servos) if simulated else None
+    def after_order(self, session: GuidedSession) -> GuidedSession:
+        """Return the session after the page's next order: a key, or joints moved.
 
-    def loops(markers_mm: Array) -> list[list[list[float]]]:
-        found = lip_loops_mm(markers_mm, rest_mm, model.layout)
-        return [np.round(loop_mm, 2).tolist() for loop_mm in found]
-
-    def show(session: GuidedSession) -> None:
+        After a move, the orders that wait are applied too: all moves, and the first key.
+        """
+        order: Order | None = self._robot.hold_while(lambda: self._page.next_order() or END)
+        while order is not None and (moved := order.get("move")) is not None:
+            session = session.moved(moved if isinstance(moved, dict) else {})
+            order = self._page.next_order(0.0)
+        if order is not None:
+            session = session.press(str(order.get("key")))
         if session.done:
-            return
-        pose = session.poses[session.pose]
-        made_mm = None if seen_of is None else seen_of(session.positions_deg[None])[0]
-        page.tell(
+            self._page.tell("fitting")
+        return session
+
+    def _tell(self, session: GuidedSession) -> None:
+        pose, goals_deg = session.poses[session.pose], session.positions_deg
+        made_mm = None if self._seen_of is None else self._seen_of(goals_deg[None])[0]
+        self._page.tell(
             "eye",
             pose=session.pose,
             name=pose.name,
             instruction=pose.instruction,
             poses=[each.name for each in session.poses],
             made=list(session.made_deg),
-            wanted=loops(model.markers_mm(pose.coefficients[None])[0]),
-            robot=None if made_mm is None else loops(made_mm),
-            goals_deg=_by_name(names, session.positions_deg),
+            wanted=self._loops(self._model.markers_mm(pose.coefficients[None])[0]),
+            robot=None if made_mm is None else self._loops(made_mm),
+            goals_deg=_by_name(self._names, goals_deg),
         )
 
-    try:
-        while not session.done:
-            robot.hold_while(partial(show, session))
-            robot.lead(session.positions_deg)
-            order = robot.hold_while(lambda: page.next_order() or END)
-            after = _after(session, order, page)
-            if setup.keep is not None and len(after.made_deg) != len(session.made_deg):
-                keep_poses(after.made_deg, names, setup.keep)
-            session = after
-    finally:
-        robot.lead(np.zeros(len(joints)))
-    page.tell("fitting")
-    return dict(session.made_deg)
-
-
-def _after(session: GuidedSession, order: Order, page: PageLine) -> GuidedSession:
-    """Return the session after the page's `order`: a key, or joints moved.
-
-    After a move, the orders that wait are applied too: all moves, and the first key.
-    """
-    while (moved := order.get("move")) is not None:
-        session = _moved(session, moved)
-        following = page.next_order(0.0)
-        if following is None:
-            return session
-        order = following
-    key = order.get("key")
-    if key == "b" and session.pose:
-        session = session.press("b")
-        made_deg = session.made_deg.get(session.poses[session.pose].name)
-        return session if made_deg is None else replace(session, positions_deg=made_deg.copy())
-    return session.press(str(key))
-
-
-def _moved(session: GuidedSession, moved: object) -> GuidedSession:
-    """Return the session with joints at the degrees `moved`, {name: angle}, clipped to limits.
-
-    Invalid angles are skipped; `moved` is unchecked JSON.
-    """
-    positions_deg = session.positions_deg.copy()
-    wanted = moved if isinstance(moved, dict) else {}
-    for n, joint in enumerate(session.joints):
-        deg = wanted.get(joint.name)
-        if isinstance(deg, (int, float)) and np.isfinite(deg):
-            positions_deg[n] = np.clip(deg, joint.min_deg, joint.max_deg)
-    return replace(session, positions_deg=positions_deg)
+    def _loops(self, markers_mm: Array) -> list[list[list[float]]]:
+        found = lip_loops_mm(markers_mm, self._rest_mm, self._model.layout)
+        return [np.round(loop_mm, 2).tolist() for loop_mm in found]
 
 
 def _by_name(names: Sequence[str], deg: Array) -> dict[str, float | None]:

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from calibration.calibration import Calibration, CalibrationError
-from calibration.capture.capture import Capture, PosePlan
-from calibration.capture.marker_files import read_numbered_plan, read_recorded
+from calibration.capture.capture import Capture, PosePlan, plan_rows
+from calibration.capture.marker_files import read_capture, read_numbered_plan
 from calibration.capture.sanity import check_frame
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.measured_grade import graded, graded_poses, read_check_plan, write_check_plan
@@ -43,8 +43,8 @@ def read_poses(
             f"{high_deg[joint]:g}; is it a plan of this face?"
         )
     rows = [numbers.index(number) for number in wanted or numbers]
-    start_deg = np.clip(plan.start_deg[rows], low_deg, high_deg)
-    chosen = PosePlan(plan.servo_names, plan.goals_deg[rows], plan.from_below[rows], start_deg)
+    chosen = plan_rows(plan, rows)
+    chosen = replace(chosen, start_deg=np.clip(chosen.start_deg, low_deg, high_deg))
     return tuple(numbers[row] for row in rows), chosen
 
 
@@ -109,17 +109,15 @@ def grade_by_files(
     """Return the calibration graded by recorded markers, and warnings.
 
     plan: as `fit --check-plan` wrote it. markers: the file or folder of the recording; axes: of C3D
-    files, as for `tracker_of`; read: reads pictures instead, None for others. Raises
+    files, as for `tracker_source`; read: reads pictures instead, None for others. Raises
     CalibrationError.
     """
     poses = read_check_plan(plan, calibration)
-    rows, capture = read_recorded(plan, markers, calibration.servo_names, axes=axes, read=read)
+    capture = read_capture(plan, markers, calibration.servo_names, axes=axes, read=read)
     seen = _in_order(capture, poses.marker_names, markers)
-    recorded = [i for i, name in enumerate(seen.marker_names) if name in capture.marker_names]
-    usual_mm = _usual_mm(seen.markers_mm)[recorded]
-    names = tuple(seen.marker_names[i] for i in recorded)
-    sizes = check_frame(names, usual_mm, setup.model, accept=setup.accept)
-    calibration, lines = graded(calibration, poses, seen, np.array(rows))
+    usual_mm = _usual_mm(capture.markers_mm)
+    sizes = check_frame(capture.marker_names, usual_mm, setup.model, accept=setup.accept)
+    calibration, lines = graded(calibration, poses, seen)
     return calibration, (*capture.stalled, *sizes, *lines)
 
 

@@ -5,7 +5,7 @@ matplotlib, the extra `plots`.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +25,7 @@ from lipsync.phonemes import VISEME_CLASSES
 
 if TYPE_CHECKING:  # loads scikit-learn, and `calibrate show` does without it
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from calibration.fit.measured import MeasuredFit
 
@@ -195,17 +196,21 @@ Value = str | float | Sequence[float] | None
 def following_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
     """Return each servo's lag, backlash, speed and bandwidth, by name; None where not measured."""
     following = calibration.following
-    keys = ("lag_ms", "backlash_deg", "top_speed_deg_s", "bandwidth_hz")
-    if following is None:
-        return {name: dict.fromkeys(keys) for name in calibration.servo_names}
     columns = (
-        np.round(following.lag_s * 1e3, 3),
-        following.backlash_deg,
-        following.top_speed_deg_s,
-        following.bandwidth_hz,
+        {}
+        if following is None
+        else {
+            "lag_ms": np.round(following.lag_s * 1e3, 3),
+            "backlash_deg": following.backlash_deg,
+            "top_speed_deg_s": following.top_speed_deg_s,
+            "bandwidth_hz": following.bandwidth_hz,
+        }
     )
     return {
-        name: {key: _known(column[i]) for key, column in zip(keys, columns, strict=True)}
+        name: {
+            key: _known(columns[key][i]) if columns else None
+            for key in ("lag_ms", "backlash_deg", "top_speed_deg_s", "bandwidth_hz")
+        }
         for i, name in enumerate(calibration.servo_names)
     }
 
@@ -243,6 +248,17 @@ def closing_values(calibration: Calibration) -> dict[str, object] | None:
     return {"closes": closing.closes, **asdict(closing), "press_mm": press_mm}
 
 
+def measured_values(calibration: Calibration) -> dict[str, object]:
+    """Return what was measured of lips and viseme classes, for JSON; None for what was not."""
+    lips = calibration.learnt_lips
+    return {
+        "grade": grade_values(calibration),
+        "learnt_lips": None if lips is None else asdict(lips),
+        "closing": closing_values(calibration),
+        "coverage": coverage_values(calibration),
+    }
+
+
 def shown_values(
     calibration: Calibration, rules: Sequence[PreventSettings] | None
 ) -> dict[str, object]:
@@ -251,7 +267,6 @@ def shown_values(
     rules: the `prevent` rules of the face's YAML; None: they are left out.
     """
     origin, errors = calibration.origin, asdict(calibration.errors)
-    lips = calibration.learnt_lips
     errors.pop("joint_rms_deg")
     values: dict[str, object] = {
         "method": origin.method,
@@ -262,10 +277,7 @@ def shown_values(
         "face_checksum": calibration.face_checksum,
         "servos": servo_values(calibration),
         "hold_out": errors,
-        "grade": grade_values(calibration),
-        "learnt_lips": None if lips is None else asdict(lips),
-        "closing": closing_values(calibration),
-        "coverage": coverage_values(calibration),
+        **measured_values(calibration),
         "trim": trim_values(calibration),
     }
     if rules is not None:
@@ -298,12 +310,20 @@ def trim_lines(calibration: Calibration) -> list[str]:
 
 def servo_table(calibration: Calibration) -> Table:
     """Return a table of range, error, lag, ..., a row for each servo, a dash if unknown."""
+    rows = {
+        name: [_cell(values[key]) for key in _COLUMNS]
+        for name, values in servo_values(calibration).items()
+    }
+    return _table("servo", _COLUMNS.values(), rows)
+
+
+def _table(head: str, titles: Iterable[str], rows: Mapping[str, Sequence[str]]) -> Table:
     table = Table(box=None, pad_edge=False)
-    table.add_column("servo", no_wrap=True)
-    for title in _COLUMNS.values():
+    table.add_column(head, no_wrap=True)
+    for title in titles:
         table.add_column(title, justify="right")
-    for name, values in servo_values(calibration).items():
-        table.add_row(name, *(_cell(values[key]) for key in _COLUMNS))
+    for name, cells in rows.items():
+        table.add_row(name, *cells)
     return table
 
 
@@ -336,15 +356,14 @@ def coverage_values(calibration: Calibration) -> dict[str, dict[str, float | Non
 
 def coverage_table(calibration: Calibration) -> Table:
     """Return a table of reach and errors, a row for each viseme class, a dash if unknown."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("class", no_wrap=True)
-    for title, _ in _VISEME_COLUMNS.values():
-        table.add_column(title, justify="right")
     phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
-    for viseme, values in coverage_values(calibration).items():
-        cells = (_measured(values[key], unit) for key, (_, unit) in _VISEME_COLUMNS.items())
-        table.add_row(phonemes[viseme], *cells)
-    return table
+    rows = {
+        phonemes[viseme]: [
+            _measured(values[key], unit) for key, (_, unit) in _VISEME_COLUMNS.items()
+        ]
+        for viseme, values in coverage_values(calibration).items()
+    }
+    return _table("class", (title for title, _ in _VISEME_COLUMNS.values()), rows)
 
 
 def _measured(value: float | None, unit: str) -> str:
@@ -402,25 +421,15 @@ def draw_coverage(
         vmax=_WORST_MM,
     )  # fmt: skip
     missed = off_mm > REACHABLE_MM
-    left.scatter(
-        width_mm[missed],
-        opening_mm[missed],
-        s=42,
-        facecolors="none",
-        edgecolors="red",
-        linewidths=0.7,
-    )
+    ring = {"s": 42, "facecolors": "none", "edgecolors": "red", "linewidths": 0.7}
+    left.scatter(width_mm[missed], opening_mm[missed], **ring)
     left.set_xlabel("width asked for, mm")
     left.set_ylabel("opening asked for, mm (below 0: pressed)")
     left.set_title(f"{1 - missed.mean():.0%} of speech within {REACHABLE_MM} mm; red circles: not")
     figure.colorbar(points, ax=left, label="best pose off in opening or width, mm")
     _draw_classes(right, calibration)
     figure.suptitle(f"What this robot can make of speech, {calibration.origin.poses} poses")
-    figure.tight_layout()
-    path = folder / PICTURE
-    save_picture(figure, path)
-    plt.close(figure)
-    return path
+    return _saved(figure, folder)
 
 
 def draw_reach(folder: Path, calibration: Calibration) -> Path:
@@ -437,11 +446,16 @@ def draw_reach(folder: Path, calibration: Calibration) -> Path:
 
     figure, axes = plt.subplots(figsize=(5.5, 4.6))
     _draw_classes(axes, calibration)
+    return _saved(figure, folder)
+
+
+def _saved(figure: "Figure", folder: Path) -> Path:
+    from matplotlib import pyplot as plt
+
     figure.tight_layout()
-    path = folder / PICTURE
-    save_picture(figure, path)
+    save_picture(figure, folder / PICTURE)
     plt.close(figure)
-    return path
+    return folder / PICTURE
 
 
 def _draw_classes(axes: "Axes", calibration: Calibration) -> None:

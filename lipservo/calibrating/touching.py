@@ -17,7 +17,7 @@ from calibration.capture.capture import (
 from calibration.capture.trackers import FileTracker, Tracker
 from calibration.fit.touch import touch_plan, touched_by_current, touched_by_eye, touched_by_markers
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, progress_bar
-from lipservo.calibrating.measured_calibration import computed_tracker, strained_servo
+from lipservo.calibrating.measured_calibration import strained_servo
 from lipservo.calibrating.plan_poses import check_face
 from lipservo.runtime.servos.assembly import servo_memories
 from lipservo.runtime.servos.held_face import HeldFace
@@ -61,14 +61,6 @@ def touch_by_markers(
             if isinstance(tracker, FileTracker):
                 tracker.close()
     return touched_by_markers(calibration, gather(plan, tracker.marker_names, poses))
-
-
-def touch_computed(setup: CalibrationSetup, calibration: Calibration) -> tuple[Calibration, float]:
-    """Do as `touch_by_markers`, for a rehearsal, with markers computed from servos' positions.
-
-    Returns the new calibration, and how many mm later its lips meet than before.
-    """
-    return touch_by_markers(setup, calibration, lambda _: computed_tracker(setup))
 
 
 def touch_by_current(

@@ -157,50 +157,47 @@ def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
     config = request["config"]
     keep = None if request.get("keep") is None else Path(request["keep"])
     check_files(Path(request["output"]), keep=keep)
-    setup = load_setup(config, None)
-    setup = replace(
-        setup,
-        settings=setup.settings.at_port(request["port"]),
+    setup = load_setup(
+        config,
+        None,
         keep=keep,
         quiet=True,
         lags=bool(request.get("lags")),
         accept=bool(request.get("accept")),
         config=config,
     )
+    setup = replace(setup, settings=setup.settings.at_port(request["port"]))
     return replace(setup, watch=PageWatch(page, setup).watch)
 
 
 def _by_eye(request: Request, page: "PageLine") -> None:
     """Save a calibration fitted to mouth shapes that a person matches with the page's sliders."""
-    from lipservo.calibrating.on_page import calibrate_by_eye_on_page
+    from lipservo.calibrating.on_page import PageFront
+    from lipservo.calibrating.posing import calibrate_by_eye
+    from lipservo.commands.calibrate.making import save_so_far
 
-    setup = _setup(request, page)
-    simulated = bool(request.get("simulated"))
-    _finish(setup, calibrate_by_eye_on_page(setup, page, simulated=simulated), request, page)
+    setup, simulated = _setup(request, page), bool(request.get("simulated"))
+    result = calibrate_by_eye(
+        setup,
+        lambda face: PageFront(setup, page, face, simulated=simulated),
+        lambda so_far: save_so_far(setup, so_far, Path(request["output"])),
+    )
+    _finish(setup, result, request, page)
 
 
 def _measure(request: Request, page: "PageLine") -> None:
     """Move the servos through poses, measure markers, and save the calibration fitted to them."""
-    from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
-    from lipservo.calibrating.measured_calibration import (
-        calibrate_on_computed_skin,
-        calibrate_on_servos,
-    )
+    from lipservo.calibrating.face_source import calibrate_seen
     from lipservo.commands.calibrate.making import mesh_options, save_so_far
 
     setup, tracker = _setup(request, page), request["tracker"]
+    mesh = mesh_options(None, request.get("eye_distance_mm"), request.get("camera") or "0")
+    source = None if tracker == "computed" else tracker
 
     def save(so_far: "CalibrationResult") -> None:
         save_so_far(setup, so_far, Path(request["output"]))
 
-    if tracker == "computed":
-        _finish(setup, calibrate_on_computed_skin(setup, save), request, page)
-        return
-    mesh = mesh_options(None, request.get("eye_distance_mm"), request.get("camera") or "0")
-    setup = replace(setup, sees_forward=not is_seen_from_the_front(Path(tracker), mesh))
-    with tracker_source(setup, tracker, "x y z", mesh) as make_tracker:
-        result = calibrate_on_servos(setup, make_tracker, save=save)
-    _finish(setup, result, request, page)
+    _finish(setup, calibrate_seen(setup, source, "x y z", mesh, save), request, page)
 
 
 def _drawn(request: Request, page: "PageLine") -> None:

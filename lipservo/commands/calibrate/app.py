@@ -1,5 +1,6 @@
 """The command group `lipservo calibrate`, with a sub-command for each step."""
 
+from collections.abc import Iterable
 from types import MappingProxyType
 
 import typer
@@ -7,8 +8,42 @@ import typer
 from lipservo.commands.lazy_group import Command, LazyGroup
 
 _HERE = "lipservo.commands.calibrate"
-_FACE = "The mouth"
-_SINGLE = "Single steps"
+_AT_PORT = "--config my_face.yaml --port /dev/ttyUSB0"
+_FILE = "my_face.calibration.yaml"
+
+
+_CONFIG = "--config my_face.yaml"
+_SEEN = "--markers markers.csv"
+#: Command, its module here, its line in the help, and an example of its arguments.
+_OF_MOUTH = (
+    ("plan", "by_files", "Write poses to move the robot through.", f"poses.csv {_CONFIG}"),
+    ("fit", "by_files", "Fit from poses and the markers seen at them.",
+     f"{_CONFIG} --plan poses.csv {_SEEN} -o {_FILE}"),
+    ("grade", "by_files", "Grade a calibration by other poses.",
+     f"{_FILE} {_CONFIG} --plan check.csv {_SEEN}"),
+    ("measure", "on_servos", "Move the servos, watch the markers, fit.",
+     f"{_AT_PORT} --tracker markers.csv -o {_FILE}"),
+    ("guided", "on_servos", "Match mouth shapes by eye.", f"{_AT_PORT} -o {_FILE}"),
+    ("practise", "on_servos", "Calibrate a simulated robot.", "3 -o practice.calibration.yaml"),
+    ("by-hand", "by_hand", "Pose the mouth by hand: limits, touch.", f"{_FILE} {_AT_PORT}"),
+)  # fmt: skip
+_STEPS = (
+    ("pose", "on_servos", "Hold one pose of a plan.", f"poses.csv 7 8 {_AT_PORT}"),
+    ("lags", "on_servos", "Measure how late each servo is.", f"{_FILE} {_AT_PORT}"),
+    ("touch", "on_servos", "Find anew where the lips meet.", f"{_FILE} {_AT_PORT}"),
+    ("trim", "written", "Change one mouth shape by hand.", f"{_FILE} P jaw -1"),
+    ("show", "written", "Draw what a calibration says.", f"{_FILE} {_CONFIG}"),
+)
+
+
+def _commands(rows: Iterable[tuple[str, str, str, str]], section: str) -> dict[str, Command]:
+    return {
+        name: Command(
+            f"{_HERE}.{module}:{name.replace('-', '_')}", text, section, name == "trim",
+            example=example,
+        )
+        for name, module, text, example in rows
+    }  # fmt: skip
 
 
 class CalibrateGroup(LazyGroup):
@@ -17,91 +52,17 @@ class CalibrateGroup(LazyGroup):
     prefix = "calibrate."
     table = MappingProxyType(
         {
-            "plan": Command(
-                f"{_HERE}.by_files:plan",
-                "Write poses to move the robot through.",
-                _FACE,
-                example="poses.csv --config my_face.yaml",
-            ),
-            "fit": Command(
-                f"{_HERE}.by_files:fit",
-                "Fit from poses and the markers seen at them.",
-                _FACE,
-                example="--config my_face.yaml --plan poses.csv --markers markers.csv -o "
-                "my_face.calibration.yaml",
-            ),
-            "grade": Command(
-                f"{_HERE}.by_files:grade",
-                "Grade a calibration by other poses.",
-                _FACE,
-                example="my_face.calibration.yaml --config my_face.yaml --plan check.csv --markers "
-                "check_markers.csv",
-            ),
-            "measure": Command(
-                f"{_HERE}.on_servos:measure",
-                "Move the servos, watch the markers, fit.",
-                _FACE,
-                example="--config my_face.yaml --port /dev/ttyUSB0 --tracker markers.csv -o "
-                "my_face.calibration.yaml",
-            ),
-            "guided": Command(
-                f"{_HERE}.on_servos:guided",
-                "Match mouth shapes by eye.",
-                _FACE,
-                example="--config my_face.yaml --port /dev/ttyUSB0 -o my_face.calibration.yaml",
-            ),
-            "practise": Command(
-                f"{_HERE}.on_servos:practise",
-                "Calibrate a simulated robot.",
-                _FACE,
-                example="3 -o practice.calibration.yaml",
-            ),
-            "by-hand": Command(
-                f"{_HERE}.by_hand:by_hand",
-                "Write the map joint by joint.",
-                _FACE,
-                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
-            ),
-            "pose": Command(
-                f"{_HERE}.on_servos:pose",
-                "Hold one pose of a plan.",
-                _SINGLE,
-                example="poses.csv 7 8 --config my_face.yaml --port /dev/ttyUSB0",
-            ),
-            "lags": Command(
-                f"{_HERE}.on_servos:lags",
-                "Measure how late each servo is.",
-                _SINGLE,
-                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
-            ),
-            "touch": Command(
-                f"{_HERE}.on_servos:touch",
-                "Find anew where the lips meet.",
-                _SINGLE,
-                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
-            ),
-            "trim": Command(
-                f"{_HERE}.written:trim",
-                "Change one mouth shape by hand.",
-                _SINGLE,
-                takes_numbers=True,
-                example="my_face.calibration.yaml P jaw -1",
-            ),
-            "show": Command(
-                f"{_HERE}.written:show",
-                "Draw what a calibration says.",
-                _SINGLE,
-                example="my_face.calibration.yaml --config my_face.yaml",
-            ),
+            **_commands(_OF_MOUTH, "The mouth"),
+            **_commands(_STEPS, "Single steps"),
             "neutral": Command(
                 "lipservo.commands.build.jogging:neutral",
                 "Bring every joint to its neutral.",
-                _SINGLE,
+                "Single steps",
             ),
             "audio": Command(
                 "lipservo.commands.run.calibrate_audio:calibrate_audio",
                 "Measure how late a loudspeaker is.",
-                _SINGLE,
+                "Single steps",
             ),
         }
     )

@@ -1,6 +1,5 @@
 """`calibrate plan`, `fit` and `grade`, which use files: for robots moved by other programs."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -57,23 +56,20 @@ def plan(
         raise typer.BadParameter("--refine PLAN and --markers FILE go together")
     check_inputs(refine, markers)
     check_output(file, replaces=is_plan, kind="plan of poses", inputs=[markers, refine])
-    setup = replace(load_setup(config, model, ranges), n_poses=poses)
+    setup = load_setup(config, model, ranges, n_poses=poses)
     from calibration.capture.capture import joined
-    from calibration.capture.marker_files import read_capture, read_plan, write_plan
+    from calibration.capture.marker_files import read_plan, write_plan
 
     procedure, names = setup.procedure(), setup.servos.names
     if refine is None or markers is None:
         made = procedure.whole_range_plan()
         then = f"--plan {file} --markers FILE -o FILE"
     else:
-        from lipservo.calibrating.face_source import is_seen_from_the_front, reader_of
+        from lipservo.calibrating.face_source import read_seen
 
         mesh = mesh_options(landmarker, eye_distance_mm)
-        read = reader_of(markers, setup, mesh)
-        has_depth = not is_seen_from_the_front(markers, mesh)
-        positive = replace(setup, sees_forward=has_depth).servos.positive
-        capture = read_capture(refine, markers, names, axes=axes, read=read)
-        further, lines = procedure.further_plan(capture, positive, accept=accept)
+        seen, capture = read_seen(setup, refine, markers, axes, mesh)
+        further, lines = procedure.further_plan(capture, seen.servos.positive, accept=accept)
         for line in lines:
             MESSAGES.print(line)
         made = joined(read_plan(refine, names), further)
@@ -136,23 +132,19 @@ def fit(
             raise typer.BadParameter("--check-plan and -o name the same file")
         inputs = [plan, markers]
         check_output(check_plan, replaces=is_plan, kind="plan of poses", inputs=inputs)
-    setup = replace(load_setup(config, model, ranges), quiet=quiet or as_json, lags=lags)
-    setup = replace(setup, accept=accept)
+    setup = load_setup(config, model, ranges, quiet=quiet or as_json, lags=lags, accept=accept)
     if plan is None or markers is None:
         from lipservo.calibrating.measured_calibration import fit_simulated_face
 
         result = fit_simulated_face(setup)
     else:
-        from calibration.capture.marker_files import read_capture
-        from lipservo.calibrating.face_source import is_seen_from_the_front, reader_of
+        from lipservo.calibrating.face_source import read_seen
         from lipservo.calibrating.measured_calibration import fit_capture
         from lipservo.calibrating.plan_poses import check_plan as check_goals
 
         check_goals(setup, plan)
         mesh = mesh_options(landmarker, eye_distance_mm)
-        read = reader_of(markers, setup, mesh)
-        setup = replace(setup, sees_forward=not is_seen_from_the_front(markers, mesh))
-        capture = read_capture(plan, markers, setup.servos.names, axes=axes, read=read)
+        setup, capture = read_seen(setup, plan, markers, axes, mesh)
         with MESSAGES.status("fitting", spinner="line"):
             result = fit_capture(setup, capture)
     finish(setup, result, output, plots=plots, check_plan=check_plan, as_json=as_json)
@@ -183,7 +175,7 @@ def grade(
 
     before = load_calibration(file)
     check_files(file, inputs=[plan, markers])
-    setup = replace(load_setup(config, model), accept=accept)
+    setup = load_setup(config, model, accept=accept)
     from calibration.fit.measured_grade import too_bad
     from lipservo.calibrating.face_source import reader_of
     from lipservo.calibrating.plan_poses import check_face, grade_by_files

@@ -24,15 +24,13 @@ if TYPE_CHECKING:
     from firmware_bridge.bus import ServoBus
     from firmware_bridge.stop_signals import DeferredSignals
     from lipservo.calibrating.calibration_setup import CalibrationSetup
-    from lipservo.runtime.servos.limp_servos import LimpServos
     from lipsync.arrays import Array
 
 
 @dataclass(slots=True)
-class _Session:
-    """The poses made by hand (deg), and the report on torque off; None: not switched off yet."""
+class _LetGo:
+    """The report on torque off, which outlives whatever ends the session; None: not yet off."""
 
-    made_deg: "Mapping[str, Array]"
     report: StopReport | None = None
 
 
@@ -63,29 +61,33 @@ def by_hand(
     check_files(file, keep=keep)
     setup = load_setup(config, model)
     check_calibration(before, setup.model, setup.servos.names, setup.settings.checksum)
+    from calibration.fit.guided import kept_poses
+    from calibration.fit.measured import TOUCH_CURRENT_MA
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from lipservo.calibrating.guided_calibration import hand_poses_by_keys
     from lipservo.calibrating.hand_poses import pose_lines, with_hand_poses
     from lipservo.runtime.servos.assembly import servo_memories
 
-    session, status = _Session(_kept(setup, keep)), 0
+    let_go, status = _LetGo(), 0
+    kept_poses(setup.servos.names, keep)
     with setup_at_port(setup, port, sim, config) as at, DeferredSignals() as signals:
         check_servo_memories(before, servo_memories(at.settings))
         try:
-            if at.has_place:
-                _pose(at, session, keep, signals)
-            else:
-                session.made_deg = hand_poses_by_keys(replace(at, keep=keep))
+            at = replace(at, keep=keep)
+            made_deg = _pose(at, let_go, signals) if at.has_place else hand_poses_by_keys(at)
         except StopRequested as stop:
             status = 128 + stop.number
-            complain(f"stopped by {stop}; {file} stays as it is" + _kept_text(session, keep))
+            n_kept = len(kept_poses(setup.servos.names, keep))
+            kept = f"; {n_kept} poses are in {keep}: the same command goes on" if n_kept else ""
+            complain(f"stopped by {stop}; {file} stays as it is{kept}")
         finally:
             with contextlib.suppress(StopRequested, OSError), signals.finish_first():
-                _tell(session.report)
+                if let_go.report is not None:
+                    MESSAGES.print(f"{let_go.report.line()}; it stays off")
     if status:
         raise typer.Exit(status)
     # Trims may have been set while fingers were busy.
-    after = with_hand_poses(load_calibration(file), setup.servos, session.made_deg, _cap_ma())
+    after = with_hand_poses(load_calibration(file), setup.servos, made_deg, TOUCH_CURRENT_MA)
     save_calibration(after, file)
     if as_json:
         poses = {
@@ -96,36 +98,32 @@ def by_hand(
             {
                 "calibration": str(file),
                 "poses": poses,
-                "torque_off": None if session.report is None else session.report.as_dict(),
+                "torque_off": None if let_go.report is None else let_go.report.as_dict(),
             }
         )
     else:
         for line in pose_lines(before, after):
             RESULTS.print(line)
-    if session.report is not None and not session.report.complete:
+    if let_go.report is not None and not let_go.report.complete:
         raise typer.Exit(ExitStatus.UNCONFIRMED)
 
 
 def _pose(
-    at: "CalibrationSetup", session: _Session, keep: Path | None, signals: "DeferredSignals"
-) -> None:
-    """Switch torque off if the user agrees, and record hand poses in the session.
+    at: "CalibrationSetup", let_go: _LetGo, signals: "DeferredSignals"
+) -> "Mapping[str, Array]":
+    """Switch torque off if the user agrees; return hand poses, (n_servos,) degrees by name.
 
-    Torque is switched off once more at the end. keep: file for each pose at once; None: none.
-    Raises UserError if the user refuses.
+    Torque is switched off once more at the end. Raises UserError if the user refuses.
     """
-    from calibration.fit.guided import keep_poses
+    from rich.live import Live
+
     from firmware_bridge.clock import Clock, MonotonicClock
-    from lipservo.calibrating.hand_poses import HAND_POSES, Posing, pose_by_hand
+    from lipservo.calibrating.guided_calibration import LimpFront
+    from lipservo.calibrating.hand_poses import HAND_POSES
+    from lipservo.calibrating.posing import make_poses
     from lipservo.runtime.servos.assembly import bus_for, simulated_wire
     from lipservo.runtime.servos.limp_servos import LimpServos
     from lipservo.terminal.keys import PressedKeys
-
-    names = at.servos.names
-
-    def kept(made_deg: "Mapping[str, Array]") -> None:
-        if keep is not None:
-            keep_poses(made_deg, names, keep)
 
     with ExitStack() as stack:
         clock: Clock = MonotonicClock()
@@ -140,8 +138,9 @@ def _pose(
         servos = LimpServos(at.settings, bus, clock)
         keys = stack.enter_context(PressedKeys())
         MESSAGES.print(
-            f"The servos of the mouth ({', '.join(names)}) are let go now: what they hold falls. "
-            "Hold the jaw with a hand. Space or Enter: let go. Any other key: leave all as it is.",
+            f"The servos of the mouth ({', '.join(at.servos.names)}) are let go now: what they "
+            "hold falls. Hold the jaw with a hand. Space or Enter: let go. Any other key: leave "
+            "all as it is.",
             soft_wrap=True, style="bold yellow",
         )  # fmt: skip
         key = None
@@ -149,43 +148,19 @@ def _pose(
             key = keys.next_key(1.0)
         if key not in (" ", "\n", "\r"):
             raise UserError("nothing was let go, and nothing kept")
-        with signals.finish_first():
-            session.report = servos.let_go()
-        stack.callback(_let_go_again, session, servos, signals)
-        if not session.report.complete:
+
+        def release() -> None:
+            with signals.finish_first():
+                let_go.report = servos.let_go()
+
+        release()
+        stack.callback(release)
+        if let_go.report is not None and not let_go.report.complete:
             raise UserError(
-                f"torque off is NOT confirmed by {named_by_reason(session.report.unconfirmed)}; "
+                f"torque off is NOT confirmed by {named_by_reason(let_go.report.unconfirmed)}; "
                 "keep your hands away"
             )
-        posing = Posing(HAND_POSES, dict(session.made_deg), kept, signals.finish_first)
-        session.made_deg = posing.made_deg
-        pose_by_hand(servos, at.servos, posing, keys, MESSAGES)
-
-
-def _let_go_again(session: _Session, servos: "LimpServos", signals: "DeferredSignals") -> None:
-    """Switch torque off once more, and store the servos' confirmations in the session."""
-    with signals.finish_first():
-        session.report = servos.let_go()
-
-
-def _tell(report: StopReport | None) -> None:
-    if report is not None:
-        MESSAGES.print(f"{report.line()}; it stays off")
-
-
-def _kept(setup: "CalibrationSetup", keep: Path | None) -> "Mapping[str, Array]":
-    from calibration.fit.guided import kept_poses
-
-    return {} if keep is None else kept_poses(setup.servos.names, keep)
-
-
-def _kept_text(session: _Session, keep: Path | None) -> str:
-    if keep is None or not session.made_deg:
-        return ""
-    return f"; {len(session.made_deg)} poses are in {keep}: the same command goes on"
-
-
-def _cap_ma() -> float:
-    from calibration.fit.measured import TOUCH_CURRENT_MA
-
-    return TOUCH_CURRENT_MA
+        live = stack.enter_context(Live(console=MESSAGES, transient=True, auto_refresh=False))
+        front = LimpFront(servos, at.servos, keys, live, signals.finish_first)
+        joints, undivided = at.servos.joints, signals.finish_first
+        return make_poses(joints, HAND_POSES, front, lambda _: None, at.keep, undivided)

@@ -1,11 +1,11 @@
 """Options that the sub-commands of `calibrate` share, and their checks, loading and saving."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -81,7 +81,9 @@ Accept = Annotated[
 ]
 
 
-def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "CalibrationSetup":
+def load_setup(
+    config: str, model: Path | None, ranges: Path | None = None, /, **options: Any
+) -> "CalibrationSetup":
     """Return a face's settings and face model as a setup for calibration.
 
     model: the face model's file; None: the shipped one. ranges: a LeRobot range file that the
@@ -106,7 +108,7 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
         check_within_recorded(read_ranges(ranges), limits, per_deg)
     from lipservo.calibrating.calibration_setup import CalibrationSetup
 
-    return CalibrationSetup(settings, speaker)
+    return CalibrationSetup(settings, speaker, **options)
 
 
 @contextmanager
@@ -207,6 +209,24 @@ def going_on(output: Path, keep: Path | None) -> Iterator[Path]:
         kept.replace(kept.with_name(f"{kept.name}.previous"))
 
 
+@contextmanager
+def making(
+    setup: "CalibrationSetup",
+    output: Path,
+    keep: Path | None,
+    port: str | None,
+    sim: str | None,
+    config: str,
+) -> Iterator["tuple[CalibrationSetup, Callable[[CalibrationResult], None]]"]:
+    """Yield the setup at its servos' port with its kept poses, and a function that saves so far.
+
+    As `going_on` and `setup_at_port`. The function takes a calibration that is not yet whole.
+    """
+    with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
+        at = replace(at, keep=kept)
+        yield at, lambda so_far: save_so_far(at, so_far, output)
+
+
 def saved(
     setup: "CalibrationSetup", result: "CalibrationResult", output: Path
 ) -> "tuple[Calibration, list[str]]":
@@ -217,8 +237,7 @@ def saved(
     """
     from calibration.files.calibration_file import PREVIOUS_SUFFIX
 
-    calibration, kept = _with_hand_made(setup, result, output)
-    bad = _why_bad(setup, result, calibration)
+    calibration, kept, bad = _made(setup, result, output)
     if bad is not None:
         if calibration.grade is not None and _is_unfinished(calibration, output):
             before = output.with_name(output.name + PREVIOUS_SUFFIX)
@@ -239,26 +258,25 @@ def save_so_far(setup: "CalibrationSetup", result: "CalibrationResult", output: 
 
     What would be refused in the end is not saved.
     """
-    calibration, _ = _with_hand_made(setup, result, output)
-    if _why_bad(setup, result, calibration) is None:
+    calibration, _, bad = _made(setup, result, output)
+    if bad is None:
         _save(calibration, output)
         MESSAGES.print(f"{output} is saved, and usable; what follows is added to it")
 
 
-def _with_hand_made(
+def _made(
     setup: "CalibrationSetup", result: "CalibrationResult", output: Path
-) -> "tuple[Calibration, list[str]]":
+) -> "tuple[Calibration, list[str], str | None]":
+    """Return a calibration with the hand-made parts of the file `output`.
+
+    Also lines about these parts, and why it is too bad to be saved, or None.
+    """
+    from calibration.fit.measured_grade import too_bad
     from lipservo.calibrating.hand_poses import with_hand_made
 
-    return with_hand_made(result.calibration, setup.servos, output)
-
-
-def _why_bad(
-    setup: "CalibrationSetup", result: "CalibrationResult", calibration: "Calibration"
-) -> str | None:
-    from calibration.fit.measured_grade import too_bad
-
-    return None if result.fit is None or setup.accept else too_bad(calibration)
+    calibration, kept = with_hand_made(result.calibration, setup.servos, output)
+    is_taken = result.fit is None or setup.accept
+    return calibration, kept, None if is_taken else too_bad(calibration)
 
 
 def _save(calibration: "Calibration", output: Path) -> None:
@@ -317,26 +335,18 @@ def finish(
     jaw_r = jaw_check(setup, calibration)
     speeds = within_speeds(setup.model, calibration, setup.settings)
     if as_json:
-        from lipservo.calibrating.shown_calibration import (
-            closing_values,
-            coverage_values,
-            grade_values,
-        )
+        from lipservo.calibrating.shown_calibration import measured_values
 
-        lips = calibration.learnt_lips
         report = {
             "calibration": str(output),
             "method": calibration.origin.method,
             "poses": calibration.origin.poses,
             **asdict(calibration.errors),
-            "coverage": coverage_values(calibration),
-            "learnt_lips": None if lips is None else asdict(lips),
+            **measured_values(calibration),
             "check_plan": None if check_plan is None else str(check_plan),
             "jaw_correlation": jaw_r,
             "warnings": result.warnings,
             "kept": kept,
-            "grade": grade_values(calibration),
-            "closing": closing_values(calibration),
             "within_speeds": asdict(speeds),
         }
         if fit is not None:

@@ -23,11 +23,10 @@ from lipservo.commands.calibrate.making import (
     Speed,
     check_files,
     finish,
-    going_on,
     keep_beside,
     load_setup,
+    making,
     mesh_options,
-    save_so_far,
     setup_at_port,
 )
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
@@ -35,7 +34,6 @@ from lipservo.terminal.output import RESULTS, print_json, say_simulated
 from lipsync.errors import check_inputs
 
 if TYPE_CHECKING:
-    from lipservo.calibrating.measured_calibration import CalibrationResult
     from lipsync.arrays import Array
 
 
@@ -76,33 +74,21 @@ def measure(
             "calibrate guided`"
         )
     check_files(output, keep=keep_beside(output, keep), plots=plots)
-    setup = replace(
-        load_setup(config, model, ranges),
+    setup = load_setup(
+        config,
+        model,
+        ranges,
         n_poses=poses,
         quiet=quiet or as_json,
         lags=lags,
         speed_deg_s=speed,
         accept=accept,
     )
-    from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
-    from lipservo.calibrating.measured_calibration import (
-        calibrate_on_computed_skin,
-        calibrate_on_servos,
-    )
+    from lipservo.calibrating.face_source import calibrate_seen
 
-    with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
-        at = replace(at, keep=kept)
-
-        def save(so_far: "CalibrationResult") -> None:
-            save_so_far(at, so_far, output)
-
-        if tracker is None:
-            result = calibrate_on_computed_skin(at, save)
-        else:
-            mesh = mesh_options(landmarker, eye_distance_mm, camera)
-            at = replace(at, sees_forward=not is_seen_from_the_front(Path(tracker), mesh))
-            with tracker_source(at, tracker, axes, mesh) as make_tracker:
-                result = calibrate_on_servos(at, make_tracker, save=save)
+    mesh = mesh_options(landmarker, eye_distance_mm, camera)
+    with making(setup, output, keep, port, sim, config) as (at, save):
+        result = calibrate_seen(at, tracker, axes, mesh, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
 
@@ -124,17 +110,18 @@ def guided(
     Coarser than a measured calibration: without a tracker no millimetres are known.
     """
     check_files(output, keep=keep_beside(output, keep))
-    setup = replace(
-        load_setup(config, model, ranges),
+    setup = load_setup(
+        config,
+        model,
+        ranges,
         quiet=quiet or as_json,
         lags=lags,
         speed_deg_s=speed,
     )
-    from lipservo.calibrating.guided_calibration import calibrate_by_eye
+    from lipservo.calibrating.guided_calibration import calibrate_by_keys
 
-    with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
-        at = replace(at, keep=kept)
-        result = calibrate_by_eye(at, lambda so_far: save_so_far(at, so_far, output))
+    with making(setup, output, keep, port, sim, config) as (at, save):
+        result = calibrate_by_keys(at, save)
         finish(setup, result, output, as_json=as_json)
 
 
@@ -166,8 +153,9 @@ def practise(
     With --sim pty its servos are simulated to the byte and spoken to over a wire, at their speed.
     """
     check_files(output, keep=keep_beside(output, keep), plots=plots)
-    setup = replace(
-        load_setup(config, model),
+    setup = load_setup(
+        config,
+        model,
         n_poses=poses,
         quiet=quiet or as_json,
         lags=lags,
@@ -176,13 +164,8 @@ def practise(
     )
     from lipservo.calibrating.measured_calibration import practise_in_memory, practise_over_wire
 
-    with going_on(output, keep) as kept, setup_at_port(setup, None, sim, config) as at:
-        at = replace(at, keep=kept)
-
-        def save(so_far: "CalibrationResult") -> None:
-            save_so_far(at, so_far, output)
-
-        practise_on = practise_in_memory if sim is None else practise_over_wire
+    practise_on = practise_in_memory if sim is None else practise_over_wire
+    with making(setup, output, keep, None, sim, config) as (at, save):
         result = practise_on(at, seed, family, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
@@ -203,7 +186,7 @@ def pose(
     For markers that are recorded by hand. At the end all go to neutral and are let go.
     """
     check_inputs(plan)
-    setup = replace(load_setup(config, None), speed_deg_s=speed)
+    setup = load_setup(config, None, speed_deg_s=speed)
     from lipservo.calibrating.plan_poses import read_poses, stand_in_poses
     from lipservo.terminal.keys import read_line
 
@@ -248,7 +231,7 @@ def lags(
 
     before = load_calibration(file)
     check_files(file)
-    setup = replace(load_setup(config, model), quiet=quiet or as_json, speed_deg_s=speed)
+    setup = load_setup(config, model, quiet=quiet or as_json, speed_deg_s=speed)
     from lipservo.calibrating.measured_calibration import measure_lags, typed_lags
     from lipservo.calibrating.shown_calibration import following_lines, following_values
 
@@ -310,14 +293,10 @@ def touch(
 
     before = load_calibration(file)
     check_files(file)
-    setup = replace(load_setup(config, model), quiet=quiet or as_json, speed_deg_s=speed)
+    setup = load_setup(config, model, quiet=quiet or as_json, speed_deg_s=speed)
     from lipservo.calibrating.face_source import tracker_source
-    from lipservo.calibrating.touching import (
-        touch_by_current,
-        touch_by_eye,
-        touch_by_markers,
-        touch_computed,
-    )
+    from lipservo.calibrating.measured_calibration import computed_tracker
+    from lipservo.calibrating.touching import touch_by_current, touch_by_eye, touch_by_markers
     from lipservo.terminal.keys import read_key
 
     if by_eye and tracker is not None:
@@ -329,7 +308,7 @@ def touch(
             with tracker_source(at, tracker, axes, mesh) as make_tracker:
                 found, later_mm = touch_by_markers(at, before, make_tracker)
         elif sim is not None and not by_eye:
-            found, later_mm = touch_computed(at, before)
+            found, later_mm = touch_by_markers(at, before, lambda _: computed_tracker(at))
         elif by_eye or not at.has_load:
             found, later_mm = touch_by_eye(at, before, read_key)
         else:

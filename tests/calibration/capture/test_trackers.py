@@ -5,7 +5,7 @@ import pytest
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import plan_poses
-from calibration.capture.dots import DotColour, dots_mm, find_dots, name_dots
+from calibration.capture.dots import dots_mm, find_dots, name_dots
 from calibration.capture.marker_files import read_c3d, read_c3d_folder, read_capture, write_plan
 from calibration.mouth_servos import JointRange
 
@@ -141,7 +141,7 @@ def test_dots_of_a_rendered_picture_are_found_within_a_third_of_a_pixel(tmp_path
     dots = np.random.default_rng(1).uniform(0, 1, (12, 2)) * 30 + np.array(
         [[50 + 60 * (i % 4), 40 + 60 * (i // 4)] for i in range(12)]
     )
-    found = find_dots(rendered_face(tmp_path / "p.png", dots), DotColour()).middles_px
+    found = find_dots(rendered_face(tmp_path / "p.png", dots)).middles_px
     assert len(found) == 12
     apart = np.linalg.norm(found[:, None] - dots, axis=2).min(axis=1)
     assert apart.max() < 0.34
@@ -166,7 +166,7 @@ def test_two_dots_that_touch_are_found_as_two(tmp_path, apart_px):
         centre = (round(16 * x), round(16 * y))
         cv2.circle(picture, centre, 5 * 16, (200, 60, 20), -1, cv2.LINE_AA, 4)
     cv2.imwrite(str(tmp_path / "p.png"), picture)
-    found = find_dots(tmp_path / "p.png", DotColour()).middles_px
+    found = find_dots(tmp_path / "p.png").middles_px
     found = found[np.lexsort((found[:, 1], found[:, 0].round(-1)))]
     np.testing.assert_allclose(found, middles, atol=1.0)
 
@@ -192,4 +192,4 @@ def test_a_file_that_is_no_picture_is_one_clear_line(tmp_path):
     pytest.importorskip("cv2", reason="dots need OpenCV, the extra `dots`")
     (tmp_path / "p.png").write_bytes(b"not this")
     with pytest.raises(CalibrationError, match="not readable as a picture"):
-        find_dots(tmp_path / "p.png", DotColour())
+        find_dots(tmp_path / "p.png")

@@ -16,7 +16,7 @@ from calibration.calibration import (
     Touch,
     check_servo_memories,
 )
-from calibration.capture.capture import KeptPoses, ladders_of
+from calibration.capture.capture import KeptPoses, Robot, ladders_of
 from calibration.capture.repeated_poses import first_part
 from calibration.capture.trackers import PATIENCE_S, FileTracker
 from calibration.files.calibration_file import parse_calibration
@@ -139,11 +139,13 @@ def test_the_second_part_of_a_capture_is_where_speech_will_be_and_keeps_the_rule
         return first.measure()
 
     with pytest.raises(StopIteration):
-        procedure.capture(MARKERS_47.names, first.move, measure_until_the_power_goes, kept=keep)
+        procedure.capture(
+            MARKERS_47.names, Robot(first.move, measure_until_the_power_goes), kept=keep
+        )
     before = [json.loads(line)["goals_deg"] for line in keep.path.read_text().splitlines()]
     assert len(before) == 17
     second = robot()
-    capture = procedure.capture(MARKERS_47.names, second.move, second.measure, kept=keep)
+    capture = procedure.capture(MARKERS_47.names, Robot(second.move, second.measure), kept=keep)
     again = len(first_part(procedure.range_plan()))
     assert (ladders_of(capture) == 0).sum() == 20 + again
     assert np.allclose(capture.goals_deg[:17], before, atol=1e-3)

@@ -86,15 +86,15 @@ def own_slope(poses):
     return np.polyfit(poses.wanted_open_mm, heights_mm, 1, w=weights)[0]
 
 
-def captured(seen_mm) -> Capture:
+def captured(seen_mm, rows=None) -> Capture:
     n = len(seen_mm)
-    return Capture(SERVOS.names, MARKERS_47.names, np.zeros((n, 2)), np.ones((n, 2)), seen_mm)
+    rows = range(n) if rows is None else rows
+    goals_deg, sides = np.zeros((n, 2)), np.ones((n, 2))
+    return Capture(SERVOS.names, MARKERS_47.names, goals_deg, sides, seen_mm, rows=tuple(rows))
 
 
 def grade_of(fit: MeasuredFit, seen_mm, rows=None) -> Grade:
-    rows = np.arange(len(seen_mm)) if rows is None else rows
-    asked = asked_of(fit)
-    return graded(fit.calibration, asked, captured(seen_mm), rows)[0].grade
+    return graded(fit.calibration, asked_of(fit), captured(seen_mm, rows))[0].grade
 
 
 def test_the_poses_are_speech_that_was_left_out_and_three_are_closed(poses):
@@ -120,7 +120,7 @@ def test_each_pose_is_of_the_class_that_is_spoken_there(fit, poses):
     calibration = replace(fit.calibration, coverage=known)
     seen_mm = poses.targets_mm.copy()
     seen_mm[0, list(NAMES.shape_features.lips)] += [0.0, 0.0, 3.0]
-    found = graded(calibration, poses, captured(seen_mm), np.arange(N_GRADED))[0].coverage
+    found = graded(calibration, poses, captured(seen_mm))[0].coverage
     assert sum(reach.n_measured for reach in found.values()) == N_GRADED
     assert set(found) <= {"SIL", "P", "AA", "IY", "UW"}
     for viseme, reach in found.items():
@@ -131,7 +131,7 @@ def test_each_pose_is_of_the_class_that_is_spoken_there(fit, poses):
 def test_one_wild_reading_is_left_out_and_counted_by_marker(fit, poses):
     seen_mm = poses.targets_mm.copy()
     seen_mm[4, NAMES.shape_features.lips[3]] = 9999.0
-    found, lines = graded(fit.calibration, poses, captured(seen_mm), np.arange(N_GRADED))
+    found, lines = graded(fit.calibration, poses, captured(seen_mm))
     assert found.grade.lip_rms_mm < 0.05
     wild = MARKERS_47.names[NAMES.shape_features.lips[3]]
     assert lines == (f"1 readings were far off and left out: {wild} 1",)
@@ -144,7 +144,7 @@ def test_a_tracker_that_was_set_up_anew_is_told_by_the_nose(fit, poses):
         [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
     )
     seen_mm = (poses.targets_mm - at) @ rotation.T + at + [30.0, -5.0, 2.0]
-    found, lines = graded(fit.calibration, poses, captured(seen_mm), np.arange(N_GRADED))
+    found, lines = graded(fit.calibration, poses, captured(seen_mm))
     assert found.grade.lip_rms_mm < 0.05
     assert lines == ("the tracker was moved since the fit: markers are counted from the nose",)
 
@@ -176,8 +176,7 @@ def test_poses_that_are_harder_than_speech_do_not_make_a_grade_worse(fit, poses)
     hard = replace(poses, expected_mm=np.full(N_GRADED, 1.2))
     seen_mm = poses.targets_mm.copy()
     seen_mm[:, list(NAMES.shape_features.lips)] += [0.0, 0.0, 1.5]
-    rows = np.arange(N_GRADED)
-    grade = graded(fit.calibration, hard, captured(seen_mm), rows)[0].grade
+    grade = graded(fit.calibration, hard, captured(seen_mm))[0].grade
     assert grade.lip_rms_mm == pytest.approx(np.hypot(ERRORS.lip_rms_mm, 0.9))
 
 

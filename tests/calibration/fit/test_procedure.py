@@ -52,7 +52,7 @@ def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed,
     procedure, keep = shortest(servos, seed), tmp_path / "poses.jsonl"
 
     capture = procedure.capture(
-        MARKERS_47.names, robot.move, robot.measure, kept=KeptPoses(keep), report=told.append
+        MARKERS_47.names, Robot(robot.move, robot.measure), kept=KeptPoses(keep), report=told.append
     )
 
     assert len(told) == 1
@@ -64,7 +64,9 @@ def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed,
     def measured_again():
         raise AssertionError("everything was kept")
 
-    again = procedure.capture(MARKERS_47.names, robot.move, measured_again, kept=KeptPoses(keep))
+    again = procedure.capture(
+        MARKERS_47.names, Robot(robot.move, measured_again), kept=KeptPoses(keep)
+    )
     assert np.array_equal(again.markers_mm, capture.markers_mm)
 
 
@@ -97,7 +99,7 @@ def test_a_dead_joint_is_named_after_the_second_look():
 
     told = []
     capture = shortest(servos, 104).capture(
-        MARKERS_47.names, move, robot.measure, report=told.append
+        MARKERS_47.names, Robot(move, robot.measure), report=told.append
     )
     assert ["'cheek_l'" in line for line in told] == [True] * MOST_FRAMES
     with pytest.raises(CalibrationError, match="'cheek_l' moves no marker"):
@@ -122,12 +124,14 @@ def test_two_names_that_change_places_are_looked_at_again_and_told(tmp_path):
 
     keep = tmp_path / "poses.jsonl"
     capture = procedure.capture(
-        MARKERS_47.names, robot.move, measure, kept=KeptPoses(keep), report=told.append
+        MARKERS_47.names, Robot(robot.move, measure), kept=KeptPoses(keep), report=told.append
     )
     assert told == ["pose 8: the tracker exchanged 'outer_lip_61' with 'outer_lip_0': taken again"]
     assert len(looks) == len(capture) + 1
     check_capture(capture, SMALL, SERVOS.positive)
-    again = procedure.capture(MARKERS_47.names, robot.move, robot.measure, kept=KeptPoses(keep))
+    again = procedure.capture(
+        MARKERS_47.names, Robot(robot.move, robot.measure), kept=KeptPoses(keep)
+    )
     assert np.array_equal(again.markers_mm, capture.markers_mm)
 
 
@@ -147,7 +151,7 @@ def test_names_that_three_looks_agree_to_be_exchanged_are_exchanged():
             seen_mm[pair] = seen_mm[pair[::-1]]
         return seen_mm
 
-    capture = procedure.capture(MARKERS_47.names, move, measure, report=told.append)
+    capture = procedure.capture(MARKERS_47.names, Robot(move, measure), report=told.append)
     assert ["3 times: named anew" in line for line in told] == [True]
     check_capture(capture, SMALL, SERVOS.positive)
 
@@ -155,7 +159,7 @@ def test_names_that_three_looks_agree_to_be_exchanged_are_exchanged():
 def test_a_pose_to_grade_by_is_taken_again_where_two_names_changed_places():
     face, procedure = two_servos()
     robot, n_looks = SimulatedRobot(face), []
-    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+    capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure))
     fit = fit_measured(SMALL, capture, SERVOS)
     pair = [MARKERS_47.names.index(name) for name in ("outer_lip_61", "outer_lip_0")]
 
@@ -180,7 +184,7 @@ def test_a_face_of_the_wrong_size_is_refused_at_its_first_pose():
         return looks[-1]
 
     with pytest.raises(CalibrationError, match=r"0\.40 times as large"):
-        procedure.capture(MARKERS_47.names, robot.move, measure)
+        procedure.capture(MARKERS_47.names, Robot(robot.move, measure))
     assert len(looks) == 1
 
 
@@ -193,7 +197,7 @@ def test_a_horn_that_slips_among_the_poses_of_speech_is_named():
         robot.move(goal_deg + np.array([0.0, 15.0 * (len(n_moves) > 34)]))
         return goal_deg
 
-    capture = procedure.capture(MARKERS_47.names, move, robot.measure)
+    capture = procedure.capture(MARKERS_47.names, Robot(move, robot.measure))
     with pytest.raises(CalibrationError, match=r"'corners' slipped on its shaft"):
         check_capture(capture, SMALL, SERVOS.positive)
 
@@ -205,7 +209,7 @@ def test_the_lips_are_seen_as_far_apart_as_they_go():
     robot = SimulatedRobot(face, noise_seed=109)
     procedure = replace(shortest(servos, 109), n_poses=30)
 
-    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+    capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure))
 
     assert np.abs(capture.goals_deg - widest_deg).max(axis=1).min() < 1.0
 
@@ -232,7 +236,7 @@ def test_a_capture_cut_short_on_its_way_and_again_while_it_is_graded_asks_for_no
             noise = np.random.default_rng(pose).normal(0.0, 0.3, (47, 3))
             return robot.true_markers_mm() + noise
 
-        capture = procedure.capture(MARKERS_47.names, robot.move, measure, kept=kept)
+        capture = procedure.capture(MARKERS_47.names, Robot(robot.move, measure), kept=kept)
         fit = fit_measured(SMALL, capture, SERVOS)
         on = Robot(robot.move, measure)
         fit = take_grade(fit, SERVOS, MARKERS_47.names, on, kept, capture.n_planned)

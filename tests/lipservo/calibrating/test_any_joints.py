@@ -5,7 +5,7 @@ from typer.testing import CliRunner
 
 from calibration.files.calibration_file import load_calibration
 from lipservo.calibrating.calibration_setup import CalibrationSetup
-from lipservo.calibrating.measured_calibration import calibrate_on_computed_skin
+from lipservo.calibrating.measured_calibration import calibrate_on_servos, computed_tracker
 from lipservo.cli import app
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.servos.sim_process import simulated_port
@@ -70,7 +70,7 @@ def test_a_rehearsal_over_the_wire_takes_a_jaw_of_any_name_and_no_lips(tmp_path)
             settings.at_port(port), load_face_with_animphos(None), n_poses=6, quiet=True,
             lags=False, speed_deg_s=400.0, accept=True,
         )  # fmt: skip
-        calibration = calibrate_on_computed_skin(setup).calibration
+        calibration = calibrate_on_servos(setup, lambda _: computed_tracker(setup)).calibration
     assert calibration.servo_names == ("hinge",)
     assert len(calibration.origin.servo_memories) == 1
 

@@ -8,24 +8,26 @@ import numpy as np
 import pytest
 from dynamixel_chain import MemoryFace
 from rich.console import Console
+from rich.live import Live
 
 from calibration.calibration import CalibrationError
 from calibration.files.calibration_file import load_calibration, parse_calibration
 from calibration.files.calibration_text import calibration_text
+from calibration.fit.guided import kept_poses
 from calibration.mouth_servos import JointRange, MouthServos
 from firmware_bridge.dynamixel.mounting import mounted_servos
+from lipservo.calibrating.guided_calibration import LimpFront
 from lipservo.calibrating.hand_poses import (
     CLOSED,
     HAND_POSES,
     ROUNDED,
     TOUCHED,
     WIDEST,
-    Posing,
     beyond_limits,
-    pose_by_hand,
     pose_lines,
     with_hand_poses,
 )
+from lipservo.calibrating.posing import make_poses
 from lipservo.runtime.servos.limp_servos import LimpServos
 from lipservo.settings.settings import calibration_file, load_shipped_face
 
@@ -63,42 +65,50 @@ def turn(face, *angles_deg):
     return turned
 
 
-def pose(face, *steps, made_deg=None):
-    screen, kept = io.StringIO(), []
-    posing = Posing(
-        HAND_POSES, dict(made_deg or {}), lambda made: kept.append(list(made)),
-        contextlib.nullcontext,
-    )  # fmt: skip
-    made = pose_by_hand(face.limp, face.mouth, posing, Hands(*steps), Console(file=screen))
-    return made, kept, screen.getvalue()
+@pytest.fixture
+def pose(face, tmp_path):
+    """Make hand poses by keys and fingers; a file goes on from one call to the next."""
+
+    def made_by(*steps):
+        console = Console(file=io.StringIO())
+        with Live(console=console, auto_refresh=False) as live:
+            front = LimpFront(face.limp, face.mouth, Hands(*steps), live, contextlib.nullcontext)
+            made = make_poses(
+                face.mouth.joints, HAND_POSES, front, lambda _: None, tmp_path / "kept.json"
+            )
+        return made, console.file.getvalue()
+
+    return made_by
 
 
-def test_a_key_keeps_the_pose_that_the_fingers_hold(face):
-    made, kept, _ = pose(
-        face, turn(face, 0.0), " ", turn(face, 18.0, 4.0), "\n", "x", turn(face, 1.0, -3.0), "\r"
+def test_a_key_keeps_the_pose_that_the_fingers_hold(face, pose, tmp_path):
+    made, _ = pose(
+        turn(face, 0.0), " ", turn(face, 18.0, 4.0), "\n", "x", turn(face, 1.0, -3.0), "\r"
     )
     assert list(made) == [CLOSED, WIDEST, TOUCHED]
     assert made[WIDEST] == pytest.approx([18.0, 4.0, 0.0, 0.0], abs=0.1)
     assert made[TOUCHED] == pytest.approx([1.0, -3.0, 0.0, 0.0], abs=0.1)
-    assert kept[-1] == [CLOSED, WIDEST, TOUCHED]
+    kept = kept_poses(face.limp.names, tmp_path / "kept.json")
+    assert list(kept) == [CLOSED, WIDEST, TOUCHED]
 
 
-def test_a_pose_is_made_again_and_a_session_goes_on(face):
-    made, _, _ = pose(face, " ", turn(face, 18.0), " ", "b", turn(face, 15.0), " ", "q")
+def test_a_pose_is_made_again_and_a_session_goes_on(face, pose):
+    made, _ = pose(" ", turn(face, 18.0), " ", "b", turn(face, 15.0), " ", "q")
     assert made[WIDEST][0] == pytest.approx(15.0, abs=0.1)
-    further, _, _ = pose(face, turn(face, 3.0), " ", "q", made_deg=made)
+    further, _ = pose(turn(face, 3.0), " ", "q")
     assert list(further) == [CLOSED, WIDEST, ROUNDED]
+    assert further[WIDEST][0] == pytest.approx(15.0, abs=0.1)
 
 
-def test_a_joint_outside_its_limits_is_named_and_the_pose_not_kept(face):
-    made, kept, shown = pose(face, turn(face, 40.0), " ", turn(face, 5.0), " ", "q")
+def test_a_joint_outside_its_limits_is_named_and_the_pose_not_kept(face, pose):
+    made, shown = pose(turn(face, 40.0), " ", turn(face, 5.0), " ", "q")
     assert "jaw: 40.0 deg is outside its limits, -2..25" in " ".join(shown.split())
     assert made[CLOSED][0] == pytest.approx(5.0, abs=0.1)
-    assert len(kept) == 1
+    assert list(made) == [CLOSED]
 
 
-def test_a_servo_that_holds_is_named_and_the_pose_not_kept(face):
-    made, _, shown = pose(face, lambda: face.bus.enable_torque(2), " ", "q")
+def test_a_servo_that_holds_is_named_and_the_pose_not_kept(face, pose):
+    made, shown = pose(lambda: face.bus.enable_torque(2), " ", "q")
     assert not made
     assert f"{face.limp.names[2]}: holds" in shown
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import Calibration, CalibrationError, Following
+from calibration.capture.capture import Robot
 from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm
@@ -136,7 +137,7 @@ def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> 
 
     began_s = time.perf_counter()
     procedure = Procedure(model, joints, N_POSES, seed=seed)
-    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+    capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure))
     fit = fit_measured(model, capture, servos)
     following = identify(late_servos.encoders_deg, joints, fit.face.backlash_deg)
     procedure_s = time.perf_counter() - began_s

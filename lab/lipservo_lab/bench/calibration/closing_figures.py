@@ -125,7 +125,7 @@ def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
     procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
     closing, refused = None, ""
     try:
-        capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+        capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure))
         fit = fit_measured(model, capture, servos)
         on = Robot(robot.move, robot.measure)
         closing = take_grade(fit, servos, MARKERS_47.names, on).calibration.closing

@@ -66,7 +66,7 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
     face = ElasticFace(draw)
     robot = SimulatedRobot(face, noise_seed=seed)
     procedure = Procedure(model, servos.joints, N_POSES, seed=seed, positive=servos.positive)
-    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+    capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure))
     fit = fit_measured(model, capture, servos)
     fit = take_grade(fit, servos, MARKERS_47.names, Robot(robot.move, robot.measure))
     assert fit.calibration.grade is not None

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Capture, capture_poses
+from calibration.capture.capture import Capture, Robot, capture_poses
 from calibration.capture.sanity import check_capture
 from calibration.fit.procedure import Procedure
 from calibration.mouth_servos import MouthServos
@@ -149,7 +149,7 @@ def _captured(
         return goal_deg
 
     if fault.endswith(_MEASURED):
-        return procedure.capture(MARKERS_47.names, move, robot.measure)
+        return procedure.capture(MARKERS_47.names, Robot(move, robot.measure))
     seen = capture_poses(plan, MARKERS_47.names, move, robot.measure)
     return replace(seen, markers_mm=_as_seen(fault, seen.markers_mm, seed))
 
@@ -254,8 +254,7 @@ def _refusal(
     try:
         capture = procedure.capture(
             tracker.marker_names,
-            robot.move,
-            lambda: tracker.disturbed(robot.measure()[seen], rng),
+            Robot(robot.move, lambda: tracker.disturbed(robot.measure()[seen], rng)),
         )
         check_capture(capture, model, servos.positive)
     except CalibrationError as error:

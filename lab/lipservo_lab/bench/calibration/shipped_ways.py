@@ -241,7 +241,7 @@ def _ratio(hobby_mm: float | str, positions_mm: float | str) -> float:
 def _whole_procedure(task: _Task, on: Robot) -> CalibrationResult:
     """Both parts of the capture, the fit, and the grade."""
     procedure = task.setup.procedure(task.seed)
-    capture = procedure.capture(MARKERS_47.names, on.move, on.measure)
+    capture = procedure.capture(MARKERS_47.names, Robot(on.move, on.measure))
     return fit_capture(task.setup, capture).graded_by(task.setup, on, capture.n_planned)
 
 
@@ -254,9 +254,7 @@ def _dots(task: _Task) -> Calibration:
         folder.mkdir()
         write_plan(plan, file)
         write_dots_pictures(folder, MARKERS_47.names, seen.markers_mm, task.seed)
-        capture = read_capture(
-            file, folder, task.servos.names, read=DotsFolder(folder).all_readings
-        )
+        capture = read_capture(file, folder, task.servos.names, read=DotsFolder(folder).readings)
     return fit_measured(task.model, capture, setup.servos).calibration
 
 
