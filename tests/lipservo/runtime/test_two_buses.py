@@ -39,23 +39,26 @@ WORDS = "pulses off; a digital servo may hold"
 
 
 @contextlib.contextmanager
-def two_ports(folder, **faults):
-    """Both simulators, each behind a link; faults: a script by the name of the bus."""
+def two_ports(folder):
+    """Both simulators, each behind a link; `plug(name)` plugs one in anew, once `plugs` let it go.
+
+    plugs: what is closed to pull one, by the name of its bus.
+    """
+    log, names = folder / "pulses.jsonl", ("lips", "neck")
     with contextlib.ExitStack() as stack:
-        ports, log = {}, folder / "pulses.jsonl"
-        for name in ("lips", "neck"):
-            link = folder / name
-            arguments = ["--config", FACE, "--bus", name, "--link", str(link)]
+        plugs = {name: stack.enter_context(contextlib.ExitStack()) for name in names}
+
+        def plug(name):
+            arguments = ["--config", FACE, "--bus", name, "--link", str(folder / name)]
             if name == "lips":
                 arguments += ["--log", str(log)]
-            if name in faults:
-                script = folder / f"{name}.yaml"
-                script.write_text(faults[name])
-                arguments += ["--faults", str(script)]
-            stack.enter_context(simulated_port(arguments))
-            ports[name] = str(link)
+            plugs[name].enter_context(simulated_port(arguments))
+
+        ports = {name: str(folder / name) for name in names}
+        for name in names:
+            plug(name)
         text = ",".join(f"{name}={port}" for name, port in ports.items())
-        yield SimpleNamespace(**ports, text=text, log=log, folder=folder)
+        yield SimpleNamespace(**ports, text=text, log=log, folder=folder, plug=plug, plugs=plugs)
 
 
 @pytest.fixture
@@ -181,15 +184,13 @@ def is_stopped_on_the_wire(head):
 
 
 @pytest.mark.parametrize("lost", ["lips", "neck"])
-def test_a_plug_that_is_pulled_lets_go_of_the_other_bus_and_all_come_back(
-    tmp_path, monkeypatch, lost
-):
-    own_folder(monkeypatch)
-    faults = {lost: "faults: [{kind: unplug, at_s: 18.0, lasts_s: 1.5}]"}
-    with two_ports(tmp_path, **faults) as head, driven(head) as daemon:
+def test_a_plug_that_is_pulled_lets_go_of_the_other_bus_and_all_come_back(head, lost):
+    with driven(head) as daemon:
+        head.plugs[lost].close()
         wait_for(lambda: "port of the servos is gone" in daemon.said.read_text())
         if lost == "neck":
             wait_for(lambda: lips_are_off(head))
+        head.plug(lost)
         wait_for(lambda: "the port is back" in daemon.said.read_text())
         wait_for(lambda: all_driven(daemon) and not lips_are_off(head))
         assert f"bus {lost}: " in daemon.said.read_text()
