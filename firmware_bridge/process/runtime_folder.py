@@ -113,7 +113,9 @@ def _temporary_folder() -> Path:
 
 def _folders_of_others() -> Iterator[Path]:
     yield from Path("/run/user").glob(f"*/{_NAME}")
-    yield from Path(tempfile.gettempdir()).glob(f"{_NAME}-*")
+    for folder in Path(tempfile.gettempdir()).glob(f"{_NAME}-*"):
+        if _OF_A_USER.fullmatch(str(folder)):  # any other name is of a job that keeps apart
+            yield folder
 
 
 def _is_its_users(folder: Path) -> bool:

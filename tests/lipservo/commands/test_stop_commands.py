@@ -202,6 +202,17 @@ def test_a_job_with_a_runtime_folder_of_its_own_neither_finds_nor_stops_other_fa
     assert (tim, tom) == ([], [StopLevel.SOFT])
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root looks into folders of others")
+@pytest.mark.parametrize("name", ["lipservo-job", "lipservo-2m025j_8", "lipservo-7-b"])
+def test_root_stops_no_face_of_a_job_that_keeps_apart(own_folder, monkeypatch, name):
+    monkeypatch.setattr(tempfile, "tempdir", str(own_folder))
+    monkeypatch.setenv("LIPSERVO_RUNTIME", str(own_folder / name))
+    with face("tom") as tom:
+        monkeypatch.delenv("LIPSERVO_RUNTIME")
+        invoke("stop")
+    assert tom == []
+
+
 def test_a_port_is_never_opened_because_an_answer_names_it(port):
     """A face that goes without a report and says that this port is its own."""
     transport = open_port(port, 2_000_000)
