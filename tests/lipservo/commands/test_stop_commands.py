@@ -17,7 +17,11 @@ from typer.testing import CliRunner
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.port_holders import holders_of
-from firmware_bridge.process.runtime_folder import runtime_folder, searched_folders
+from firmware_bridge.process.runtime_folder import (
+    _folders_of_others,
+    runtime_folder,
+    searched_folders,
+)
 from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.stopping import StopLevel
 from lipservo.cli import app
@@ -206,6 +210,7 @@ def test_a_job_with_a_runtime_folder_of_its_own_neither_finds_nor_stops_other_fa
 @pytest.mark.parametrize("name", ["lipservo-job", "lipservo-2m025j_8", "lipservo-7-b"])
 def test_root_stops_no_face_of_a_job_that_keeps_apart(own_folder, monkeypatch, name):
     monkeypatch.setattr(tempfile, "tempdir", str(own_folder))
+    monkeypatch.setattr(f"{RUNTIME}._folders_of_others", _folders_of_others)
     monkeypatch.setenv("LIPSERVO_RUNTIME", str(own_folder / name))
     with face("tom") as tom:
         monkeypatch.delenv("LIPSERVO_RUNTIME")
