@@ -64,7 +64,8 @@ def runtime_folders() -> list[Path]:
     of_users += [Path(f"/run/user/{user}") / _FOLDER_NAME, own_temporary]
     if user == 0:
         of_users += Path("/run/user").glob(f"*/{_FOLDER_NAME}")
-        of_users += temporary.glob(f"{_FOLDER_NAME}-*")
+        others = temporary.glob(f"{_FOLDER_NAME}-*")
+        of_users += [each for each in others if _OF_A_USER.fullmatch(str(each))]
     candidates += [_SERVICE_FOLDER, *filter(_is_its_users, of_users)]
     return [each for each in dict.fromkeys(candidates) if _may_look_into(each)]
 
