@@ -21,9 +21,13 @@ def test_a_terminal_that_takes_nothing_more_does_not_hold_up_the_end(tmp_path, m
     termios.tcsetwinsize(terminal, (40, 120))
     command = [*LIPSERVO, "run", "--wav", str(sound)]
     environment = {**os.environ, "TERM": "xterm", "LIPSERVO_STATE": str(tmp_path)}
-    with subprocess.Popen(
-        command, stdin=terminal, stdout=subprocess.DEVNULL, stderr=terminal, env=environment
-    ) as process:
+    with (
+        subprocess.Popen(
+            command, stdin=terminal, stdout=subprocess.DEVNULL, stderr=terminal, env=environment
+        ) as process,
+        contextlib.ExitStack() as whatever_fails,
+    ):
+        whatever_fails.callback(process.kill)  # a terminal that stands would be waited for
         seen = b""
         while b"lip gap" not in seen:  # its first picture
             seen += os.read(ours, 4096)
