@@ -74,7 +74,6 @@ MOVED = MappingProxyType(
         "train": "learn face",
         "train-recognizer": "learn recognizer",
         "train-offline": "learn offline",
-        "train-expression": "learn expression",
         "adapt": "learn adapt",
         "import-video": "learn import-video",
         "import-scans": "learn import-scans",

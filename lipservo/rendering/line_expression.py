@@ -53,12 +53,10 @@ def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[n
     ------
     SettingsError
         The face cannot be read.
-    ExpressionModelError
-        Its expression model cannot be read.
     """
-    settings, folder = load_settings(face)
+    settings, _ = load_settings(face)
     seed = settings.expression.seed ^ int.from_bytes(sha256(line.samples.tobytes()).digest()[:4])
-    source = expression_source(settings, folder, seed)
+    source = expression_source(settings.expression, seed)
     n_before = round(_BEFORE_S * RATE_HZ)
     voices = voice_frames(line.samples)[round(_LEAD_S * RATE_HZ) :]
     heard = chain(repeat(SILENT_VOICE, n_before), voices, repeat(SILENT_VOICE))

@@ -15,7 +15,6 @@ import numpy as np
 from lipservo.rendering.line_expression import line_expression
 from lipservo.rendering.spoken_line import Script, spoken_line
 from lipservo.runtime.servos.assembly import load_settings
-from lipservo.runtime.speech.expression import check_expression
 from lipsync.arrays import Array
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
@@ -142,10 +141,8 @@ def _origin_of_all(how: Rendering) -> list[object]:
     models = resources.files("lipsync.models")
     expression: object = None
     if how.expression is not None:
-        settings, folder = load_settings(how.expression)
-        learned = settings.expression.model
-        model = None if learned is None else _digest((folder or Path()) / learned)
-        expression = [settings.model_dump_json(), model]
+        settings, _ = load_settings(how.expression)
+        expression = settings.model_dump_json()
     return [
         version("lipservo"),
         [how.method, how.strength, how.includes_sound, expression],
@@ -183,11 +180,6 @@ def rendered_faces(
     synthesizer, notes = line_synthesizer(speaker, line, method, strength)
     n_frames = int(np.ceil(len(line.samples) / SAMPLE_RATE_HZ * RATE_HZ)) + 1
     return shown_faces(synthesizer, np.arange(n_frames) / RATE_HZ), tuple(notes)
-
-
-def check_expression_of(face: str) -> None:
-    """Raise SettingsError or ExpressionModelError now if the face's expression cannot be used."""
-    check_expression(*load_settings(face))
 
 
 @cache

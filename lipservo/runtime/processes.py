@@ -228,7 +228,6 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     from lipservo.health.health_log import stop_record_path
     from lipservo.runtime.servos.assembly import check_servos
     from lipservo.runtime.sound import check_sound
-    from lipservo.runtime.speech.expression import check_expression
     from lipservo.traces.trace_file import is_trace
     from lipsync.recognition.recognizers import recognizer_kind
 
@@ -241,7 +240,6 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     check_sound(request)
     recognizer_kind(request.motion.engine)
     request = requested.with_resolved_avatars()
-    check_expression(settings, face.folder)
     at_ports = [
         (
             one.bus_kind.port_release(at, one.wiring),

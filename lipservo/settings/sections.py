@@ -151,15 +151,13 @@ class ExpressionSettings(Strict):
 
     seed: of the spontaneous motion. eye_contact: share of the time in which the eyes are on the
     partner while the robot talks; None: as of people. rest_after_s: after so long a silence torque
-    is off until a person speaks. model: learned by `lipservo learn expression`, a file from the
-    folder of the YAML; None: the motion is generated.
+    is off until a person speaks.
     """
 
     amount: Annotated[float, within(0.0, LIVELIEST)] = 1.0
     seed: Annotated[int, within(0, 2**31 - 1)] = 0
     eye_contact: Annotated[float, within(0.05, 0.95)] | None = None
     rest_after_s: Annotated[float, within(10.0, _LONGEST_REST_S)] = 600.0
-    model: Text | None = None
 
 
 class PreventSettings(Strict):

@@ -62,10 +62,6 @@ class ExpressionSource(Protocol):
     def step(self, cue: ExpressionCue) -> Expression:
         """Return the expression at the cue's time; call it once for each cue, in order."""
 
-
-class WholeExpression(ExpressionSource, Protocol):
-    """An `ExpressionSource` that reports when the face is at rest."""
-
     @property
     def is_resting(self) -> bool:
         """Whether the face is at neutral, and stays there until a person speaks or moves."""

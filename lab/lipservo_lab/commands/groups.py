@@ -86,9 +86,6 @@ class LearnGroup(LazyGroup):
             ),
             "recognizer": Command(f"{_LEARN}.recognizer:train_recognizer", "Train the recogniser."),
             "offline": Command(f"{_LEARN}.training:train_offline", "Train for `lines render`."),
-            "expression": Command(
-                f"{_LEARN}.training:train_expression", "Head, lids and brows of a speaker."
-            ),
             "adapt": Command(f"{_LEARN}.recognizer:adapt", "Recogniser weights for one voice."),
             "import-video": Command(
                 f"{_LEARN}.imports:import_video", "Videos of a face as recordings."

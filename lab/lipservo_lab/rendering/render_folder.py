@@ -68,7 +68,8 @@ def render_folder(
     the recogniser listens. What is rendered already, of the same sound by the same models and
     options, is not rendered again.
     """
-    from lipservo.rendering.rendered import Rendering, check_expression_of
+    from lipservo.rendering.rendered import Rendering
+    from lipservo.runtime.servos.assembly import load_settings
     from lipsync.errors import check_extra
 
     if method == "model-based":
@@ -77,7 +78,7 @@ def render_folder(
         raise UserError("--jobs and --dask: give one of them")
     how = Rendering(method, strength, model, offline, not reference_sound, expression)
     if expression is not None:
-        check_expression_of(expression)
+        load_settings(expression)  # refused before anything is heard
     n_processes = jobs or os.cpu_count() or 1
     with ExitStack() as stack:
         cluster = None if dask is None else stack.enter_context(_cluster(dask))

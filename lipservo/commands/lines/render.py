@@ -64,7 +64,8 @@ def render(
 
     Without --text and --textgrid the recogniser listens. Folders: `lines render-folder`.
     """
-    from lipservo.rendering.rendered import Rendering, check_expression_of
+    from lipservo.rendering.rendered import Rendering
+    from lipservo.runtime.servos.assembly import load_settings
     from lipsync.audio.file import open_sound
     from lipsync.errors import check_extra, check_inputs
 
@@ -72,7 +73,7 @@ def render(
         raise UserError("--text and --textgrid: give one of them")
     how = Rendering(method, strength, model, offline, not reference_sound, expression)
     if expression is not None:
-        check_expression_of(expression)
+        load_settings(expression)  # refused before anything is heard
     if audio.is_dir():
         raise UserError(f"{audio}: is a folder; `lipservo lines render-folder` renders its sounds")
     open_sound(audio).close()

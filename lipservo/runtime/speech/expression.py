@@ -1,29 +1,25 @@
 """The expression of a face that speaks: head, eyes, lids, brows and a smile.
 
 The settings of it, the servos that show it, and the layer that claims those servos. The head and
-eyes of a performance replace the live ones. A model learned from tracks is played by lipservo-lab:
-the entry point `lipservo.expressions`.
+eyes of a performance replace the live ones.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import entry_points
-from pathlib import Path
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
 
 from firmware_bridge.process.commands import Setting
 from lipservo.runtime.speech.layers import Claim, Indices, Layer
 from lipservo.runtime.speech.phoneme_sources import HeardVoice
-from lipservo.settings.sections import LIVELIEST
+from lipservo.settings.sections import LIVELIEST, ExpressionSettings
 from lipservo.settings.settings import FaceSettings
-from lipsync.errors import UserError
 from lipsync.expression.cue import (
     CUE_PERIOD_S,
     ExpressionCue,
-    WholeExpression,
+    ExpressionSource,
     smoothstep,
     toward,
 )
@@ -256,7 +252,7 @@ class ExpressionLayer:
 
     def __init__(
         self,
-        source: WholeExpression | None,
+        source: ExpressionSource | None,
         voice: HeardVoice,
         servos: Sequence[ExpressionServo],
         requests: ExpressionRequests,
@@ -362,63 +358,23 @@ class ExpressionLayer:
         return [*claims, *self._claims.mouth(self.expression, mouth)]
 
 
-def check_expression(face: FaceSettings, folder: Path | None) -> None:
-    """Raise ExpressionModelError or UserError if the learned expression model cannot be used.
-
-    folder: of the YAML, to which the model's path is relative; None: a shipped face.
-    """
-    if face.expression.model is not None:
-        expression_source(face, folder, face.expression.seed)
-
-
-def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> WholeExpression:
-    """Return the source of a face's live expressions: generated, or from its learned model.
-
-    folder: of the YAML, to which the model's path is relative; None: a shipped face. seed: of
-    random motion. Raises ExpressionModelError, and UserError without lipservo-lab.
-    """
-    expression_settings = face.expression
-    # Of a face that its YAML lets look more or less often at whoever it speaks with.
+def expression_source(settings: ExpressionSettings, seed: int) -> ExpressionSource:
+    """Return the source of a face's live expressions. seed: of random motion."""
+    # Loaded by faces that show an expression alone.
     from lipsync.expression.live_expression import LiveExpression
 
-    shares = (
-        {}
-        if expression_settings.eye_contact is None
-        else {"talking_mutual_share": expression_settings.eye_contact}
-    )
-    source: WholeExpression = LiveExpression(
-        seed, rest_after_s=expression_settings.rest_after_s, **shares
-    )
-    if expression_settings.model is None:
-        return source
-    return _player_of_models()((folder or Path()) / expression_settings.model, seed, source)
+    shares = {} if settings.eye_contact is None else {"talking_mutual_share": settings.eye_contact}
+    return LiveExpression(seed, rest_after_s=settings.rest_after_s, **shares)
 
 
-def _player_of_models() -> Callable[[Path, int, WholeExpression], WholeExpression]:
-    """Return the function that loads a learned expression model.
-
-    The function gets the model's path, a seed, and the generated source that the model replaces.
-    Raises UserError without lipservo-lab.
-    """
-    for point in entry_points(group="lipservo.expressions"):
-        return cast(Callable[[Path, int, WholeExpression], WholeExpression], point.load())
-    raise UserError(
-        "expression: {model: ...} needs lipservo-lab, which is not installed: "
-        "`pip install lipservo-lab`, or remove the key"
-    )
-
-
-def make_expression(
-    face: FaceSettings, folder: Path | None, *, is_watched: bool
-) -> ExpressionLayer:
+def make_expression(face: FaceSettings, *, is_watched: bool) -> ExpressionLayer:
     """Return the expression layer of a face, with its voice tracker, source and servos.
 
-    folder: of the YAML, to which a model's path is relative; None: a shipped face. is_watched: a
-    page may show a head with eyes, so a source is made even without expression servos. Raises
-    ExpressionModelError for a model that cannot be used.
+    is_watched: a page may show a head with eyes, so a source is made even without expression
+    servos.
     """
     servos, source = expression_servos(face), None
     if servos or is_watched:
-        source = expression_source(face, folder, face.expression.seed)
+        source = expression_source(face.expression, face.expression.seed)
     voice, requests = HeardVoice(VoiceTracker()), ExpressionRequests(face.expression.amount)
     return ExpressionLayer(source, voice, servos, requests, face.expression.rest_after_s)

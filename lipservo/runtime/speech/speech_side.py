@@ -409,7 +409,7 @@ def make_speech_side(
     """
     names: Sequence[str] = list(face.settings.servos)
     mouth, rest = AdjustableMouth(synthesizer), face.model.rest
-    expression = make_expression(face.settings, face.folder, is_watched=board is not None)
+    expression = make_expression(face.settings, is_watched=board is not None)
     voice = expression.voice
     offset_mm = face.settings.motion.lip_gap_offset_mm or 0.0
     lip_gap = LipGapOffset(face.model, offset_mm, PUBLISH_PERIOD_S)

@@ -9,7 +9,7 @@ from lipservo_lab.evaluation.expression.expression_figures import (
     lag_ms,
     shown,
 )
-from lipservo_lab.learning.expression.expression_training import canonical_correlation
+from sklearn.cross_decomposition import CCA
 from synthetic_prosody import synthetic_voice
 
 from lipsync.expression.cue import CUE_PERIOD_S
@@ -19,6 +19,13 @@ from lipsync.expression.live_expression import LiveExpression
 @pytest.fixture(scope="module")
 def live():
     return shown(LiveExpression(1), cues_of(synthetic_voice(5, 240.0, 4.0, 0.6)))
+
+
+def canonical_correlation(voice, moves):
+    """The correlation of the two directions (n, 4) and (n, 2) that correlate most."""
+    return np.corrcoef(*(each[:, 0] for each in CCA(n_components=1).fit_transform(voice, moves)))[
+        0, 1
+    ]
 
 
 def following(lag, noise):

@@ -152,7 +152,7 @@ def test_a_face_rests_only_in_silence_and_gets_up_for_whatever_happens(layer, to
 )
 def test_a_face_without_servos_for_it_still_opens_its_mouth_wider_when_excited(arousal, gain):
     mouth = load_shipped_face("face_sim")
-    layer = make_expression(mouth, None, is_watched=False)
+    layer = make_expression(mouth, is_watched=False)
     layer.change({"affect_arousal": arousal, "affect_valence": 0.5, "affect_at_s": 1.0})
     advance(layer, 0.1, is_speaking=True, now_s=1.0)
 
@@ -164,12 +164,12 @@ def test_a_face_without_servos_for_it_still_opens_its_mouth_wider_when_excited(a
 
 def test_a_face_without_servos_for_it_has_a_head_on_the_page_and_rests_as_others_do():
     mouth = load_shipped_face("face_sim")
-    watched = make_expression(mouth, None, is_watched=True)
+    watched = make_expression(mouth, is_watched=True)
     advance(watched, 1.0, is_speaking=True)
     assert watched.expression.neck_yaw_deg is not None
 
     asked = mouth.expression.model_copy(update={"rest_after_s": 10.0})
-    alone = make_expression(mouth.model_copy(update={"expression": asked}), None, is_watched=False)
+    alone = make_expression(mouth.model_copy(update={"expression": asked}), is_watched=False)
     advance(alone, 9.9, is_speaking=False)
     assert not alone.is_resting
     advance(alone, 0.2, is_speaking=False)

@@ -1,1 +1,0 @@
-"""Head, gaze and lids as they were learned from a person's tracks; live, NumPy only."""
