@@ -18,6 +18,9 @@ from lipsync.arrays import Array, Indices
 #: that angles do not jump; and corrected whole up to there, then less and less.
 CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM = 1.0, 0.8, 2.6
 _FADES_MM = _CORRECTED_MM - CLOSED_GAP_MM - BLEND_MM
+#: Nearer to the rest than this, in mm of the coefficients, closed lips are pressed less and less:
+#: servos need not press all day. Recorded closures of speech are 2.9 or more from it.
+_RESTS_MM = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +32,7 @@ class Closure:
     change of the robot's wanted gaps by each coefficient. at_deg: (n_servos,), a pose with lips
     closed; gaps_mm: (n_gaps,), its gaps; slopes: (n_gaps, n_servos) and bends: (n_gaps, n_pairs),
     change of the gaps away from at_deg, pairs i <= j row by row. turns_deg: (n_servos, n_gaps),
-    turns that open each gap by a millimetre. press_mm: how far past contact closures go.
+    turns that open each gap by a millimetre. press_mm: how far past contact closures of speech go.
     """
 
     speaker_mm: Array
@@ -71,6 +74,8 @@ class Closure:
     def wanted_mm(self, from_rest: Array, apart_mm: float) -> Array:
         """Return a face's wanted gaps beyond contact; negative where the speaker's lips close.
 
+        At rest closed lips just touch.
+
         Parameters
         ----------
         from_rest : Array
@@ -85,7 +90,8 @@ class Closure:
         """
         closes = min(max(1.0 - (apart_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0), 1.0)
         opened_mm = np.maximum(self.opens_mm @ from_rest, 0.0)
-        return np.asarray((1.0 - closes) * opened_mm - closes * self.press_mm)
+        press_mm = self.press_mm * min(math.sqrt(from_rest @ from_rest) / _RESTS_MM, 1.0)
+        return np.asarray((1.0 - closes) * opened_mm - closes * press_mm)
 
     def corrected_deg(self, from_rest: Array, poses_deg: Array, low: Array, high: Array) -> Array:
         """Return poses (k, n_servos) corrected so that near lips are as far apart as wanted.

@@ -1,12 +1,14 @@
 """Ladders that close lips: contact is what moves on although the gap does not, and nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_model import small_model
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture, plan_around
-from calibration.closure import Closure, pairs
+from calibration.closure import CLOSED_GAP_MM, Closure, pairs
 from calibration.fit.closing import find_kink, plan_ladders
 from calibration.fit.learnt_face import fit_calibration
 from calibration.fit.measured import closing_of
@@ -20,6 +22,7 @@ from calibration.fit.touch import (
 )
 from calibration.grade import CONTACT, LIMITS, LearntLips
 from calibration.mouth_servos import JointRange, MouthServos
+from lipsync.animpho.units import load_face_with_animphos
 from lipsync.markers import MARKERS_47
 
 MODEL = small_model()
@@ -133,9 +136,26 @@ CLOSURE = Closure(
 SERVOS = MouthServos((JointRange("jaw", -10.0, 20.0), JointRange("out", -20.0, 20.0)))
 
 
-def with_closure():
-    from dataclasses import replace
+@pytest.mark.parametrize(("from_rest_mm", "pressed_mm"), [(0.0, 0.0), (1.25, 0.35), (3.0, 0.7)])
+def test_lips_press_in_speech_and_just_touch_at_rest(from_rest_mm, pressed_mm):
+    """A servo that presses all day burns; recorded closures are 2.9 mm or more from the rest."""
+    face = np.zeros((1, MODEL.n_components))
+    face[0, 0] = from_rest_mm
+    poses_deg = CLOSURE.corrected_deg(face, np.array([[6.0, 1.0]]), *SERVOS.limits_deg)
+    assert CLOSURE.open_mm(poses_deg)[0, 0] == pytest.approx(-pressed_mm)
 
+
+def test_no_recorded_closure_is_pressed_less():
+    model = load_face_with_animphos()
+    frames = model.animphos.frames
+    closed = frames[model.lip_gaps_mm(model.markers_mm(frames)) <= CLOSED_GAP_MM] - model.rest
+    closure = replace(CLOSURE, opens_mm=np.zeros((1, model.n_components)))
+    pressed = [closure.wanted_mm(face, 0.0)[0] for face in closed]
+    assert len(pressed) > 1000
+    assert set(pressed) == {-closure.press_mm}
+
+
+def with_closure():
     face = MouthServos((JointRange("jaw", -10.0, 20.0), JointRange("corner_left_out", -20.0, 20.0)))
     fitted = fit_calibration(MODEL, face.joints, "f" * 16)
     lips = LearntLips(0.3, 0.3, 0.0, stop=True)

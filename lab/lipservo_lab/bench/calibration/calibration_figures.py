@@ -198,8 +198,6 @@ def own_figures(robots: Sequence[OwnRobot]) -> dict[str, object]:
         "robots": len(robots),
         "refused": len(refused),
         "refused_why": refused,
-        # Lips that pass through each other press nothing.
-        "force_over_needed": None,
         **fault_figures([robot.faults for robot in robots]),
     }
 

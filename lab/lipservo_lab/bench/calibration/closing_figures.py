@@ -138,14 +138,15 @@ def closing_figures(mouths: Sequence[TriedMouth]) -> dict[str, object]:
     """Of mouths that cannot close.
 
     cannot_close_reported: the share that is refused for it, or reported with the joint;
-    gaps_below: how many of these were reported nearer by more than .3 mm than they come;
+    bound_broken: how many of these were reported nearer by more than .3 mm than they come;
     limits_called_contact: how many were reported to close.
     """
     limits = [m for m in mouths if m.closing is not None and m.closing.evidence == LIMITS]
+    nearer = [m for m in limits if m.closing and m.closing.apart_mm < m.stay_mm - _BELOW_MM]
     reported = len(limits) + sum("not close" in mouth.refused for mouth in mouths)
     return {
         "cannot_close_reported": reported / max(len(mouths), 1),
-        "gaps_below": sum(m.closing.apart_mm < m.stay_mm - _BELOW_MM for m in limits if m.closing),
+        "bound_broken": len(nearer),
         "limits_called_contact": sum(
             mouth.closing is not None and mouth.closing.evidence == CONTACT for mouth in mouths
         ),

@@ -31,6 +31,7 @@ from lipservo_lab.bench.calibration.shown_motion import (
     WantedShapes,
     behind_play,
     played,
+    rest_force_ratio,
     rival_poses_deg,
     shown,
     wanted_shapes,
@@ -41,8 +42,8 @@ from lipsync.markers import MARKERS_47
 N_POSES = 60
 N_FRAMES = 400
 _GOOD_GRADE = (0.8, 1.3)
-#: The share of robots that `force_over_needed` is of, and how often what suffices is little force.
-_MOST, _ENOUGH_FORCE = 0.9, 4.0
+#: How often what suffices is little force.
+_ENOUGH_FORCE = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +56,9 @@ class RobotScore:
     printed_mm: float
     gap_r: float
     gap_slope: float
-    closures_touch: float
-    closure_force_ratio: float
+    closure_touch: float
+    force_over_needed: float
+    rest_force: float
     contact_called: bool
 
 
@@ -82,8 +84,9 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
         printed_mm=lips_off_mm(fit.calibration.grade, fit.calibration.learnt_lips),
         gap_r=ours.gap_r,
         gap_slope=ours.gap_slope,
-        closures_touch=ours.touch,
-        closure_force_ratio=ours.force_ratio,
+        closure_touch=ours.touch,
+        force_over_needed=ours.force_ratio,
+        rest_force=rest_force_ratio(face, fit.calibration),
         contact_called=closing is not None and closing.closes,
     )
 
@@ -144,25 +147,23 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
 
     grades = np.array([score.printed_mm / score.true_mm for score in found])
     good = (grades >= _GOOD_GRADE[0]) & (grades <= _GOOD_GRADE[1])
-    little = sum(score.closure_force_ratio <= _ENOUGH_FORCE for score in found)
+    little = sum(score.force_over_needed <= _ENOUGH_FORCE for score in found)
     return {
         "robots": len(scores) + len(refused),
         "true_rms_mm": middle(lambda s: s.true_mm),
         "worst_rms_mm": max((s.true_mm for s in found), default=float("nan")),
         "gap_r": middle(lambda s: s.gap_r),
         "gap_slope": middle(lambda s: s.gap_slope),
-        "closures_touch": middle(lambda s: s.closures_touch),
-        "worst_closures_touch": min((s.closures_touch for s in found), default=float("nan")),
-        "closure_force_ratio": middle(lambda s: s.closure_force_ratio),
-        "force_over_needed": (
-            float(np.quantile([s.closure_force_ratio for s in found], _MOST)) if found else None
-        ),
-        "force_within_4": little / max(len(found), 1),
+        "closure_touch": middle(lambda s: s.closure_touch),
+        "closure_touch_worst": min((s.closure_touch for s in found), default=float("nan")),
+        "force_over_needed": middle(lambda s: s.force_over_needed),
+        "force_share": little / max(len(found), 1),
+        "rest_force": middle(lambda s: s.rest_force),
         "contact_called": float(np.mean([s.contact_called for s in found])) if found else 0.0,
         "best_rival_ratio": middle(lambda s: s.true_mm / s.rival_mm),
         "rival_rms_mm": middle(lambda s: s.rival_mm),
         "grade_over_truth": float(np.median(grades)) if found else float("nan"),
-        "grades_within": float(good.mean()) if found else 0.0,
+        "grade_share": float(good.mean()) if found else 0.0,
         "refused": len(refused),
         "refused_why": {str(seed): reason for seed, reason in refused.items()},
         "each": {

@@ -79,7 +79,6 @@ def bench_figures(
     figures |= found[0]
     if len(found) > 1:
         figures["elastic"] = found[1]
-        figures["force_over_needed"] = found[1]["force_over_needed"]
         figures |= fault_figures([robot.faults for robot in own] + [r.faults for r in elastic])
         figures["refused"] = sum(int(str(each["refused"])) for each in found)
     figures |= closing_figures(_of(TriedMouth, outcomes))

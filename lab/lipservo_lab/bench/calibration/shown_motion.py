@@ -203,6 +203,8 @@ def widest_gap_mm(face: ElasticFace, servos: MouthServos) -> float:
 _TOUCH_MM = 0.02
 #: The force that suffices closes a slit that is so much too wide all along.
 _ENOUGH_MM = 0.15
+#: Frames after which a silent face stands still.
+_SETTLES = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,6 +297,13 @@ def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
         touch=float(touches[closed].mean()),
         force_ratio=float(np.median(state.force_n[closed]) / face.closing_force_n(_ENOUGH_MM)),
     )
+
+
+def rest_force_ratio(face: ElasticFace, calibration: Calibration) -> float:
+    """Return the force between the lips of a silent face, over that which closes them."""
+    silent = np.repeat(calibration.rest[None], _SETTLES, axis=0)
+    state = face.state(played(face, calibration, silent)[-1:])
+    return float(state.force_n[0] / face.closing_force_n(_ENOUGH_MM))
 
 
 _STRENGTHS = np.logspace(-3, 3, 13)

@@ -38,7 +38,6 @@ def test_refused_robots_of_both_families_are_counted_together():
     assert (figures["refused"], figures["elastic"]["refused"]) == (4, 2)
     assert (figures["faults_named"], figures["faults_misnamed"]) == (0.75, 0.25)
     assert figures["faults"]["slipped, measured"] == {"tried": 4, "named": 2, "misnamed": 2}
-    assert figures["force_over_needed"] is None
     assert figures["cannot_close_reported"] == 1.0
     assert len(figures["cannot_close"]) == 20
 
@@ -60,4 +59,4 @@ def test_a_limit_called_contact_and_a_gap_below_the_true_one_are_counted():
     ]
     figures = closing_figures(mouths)
     assert figures["cannot_close_reported"] == 0.5
-    assert (figures["limits_called_contact"], figures["gaps_below"]) == (1, 1)
+    assert (figures["limits_called_contact"], figures["bound_broken"]) == (1, 1)
