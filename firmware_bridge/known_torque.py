@@ -38,14 +38,16 @@ class KnownTorque:
     states: (n,) int8, numbers of `Torque`; read-only and replaced at a change, so that it may be
     handed out without a copy, also to another thread. at_s: (n,) monotonic seconds of the newest
     evidence; -infinity before any. It is written after `states` and therefore read before it.
+    sent_us: (n,) the pulse that was sent last to each hobby servo; NaN: none is known.
     """
 
-    def __init__(self, n_servos: int) -> None:
-        """Know nothing yet."""
+    def __init__(self, n_servos: int, sent_us: NDArray[np.float64] | None = None) -> None:
+        """Know nothing yet. sent_us: (n_servos,), of the bus; None: it sends no pulses."""
         self._nothing = np.full(n_servos, _UNKNOWN, dtype=np.int8)
         self._nothing.flags.writeable = False
         self.states: NDArray[np.int8] = self._nothing
         self.at_s = np.full(n_servos, -np.inf)
+        self.sent_us = np.full(n_servos, np.nan) if sent_us is None else sent_us
 
     def note(self, index: int, at_s: float, *, on: bool) -> None:
         """Take evidence of one servo: it confirmed at monotonic `at_s` that its torque is `on`."""
@@ -74,7 +76,7 @@ class KnownTorque:
         part : KnownTorque
             May be written meanwhile by another thread.
         """
-        self.at_s[indices] = part.at_s
+        self.at_s[indices], self.sent_us[indices] = part.at_s, part.sent_us
         states = self.states.copy()
         states[indices] = part.states
         states.flags.writeable = False

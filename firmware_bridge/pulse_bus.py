@@ -194,13 +194,14 @@ class PulseBus:
         self._kept = kept or KeptPulses(None)
         self._low_us, self._high_us = scale.min_us, scale.max_us
         self._slow_us_s = np.minimum(CATCH_UP_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
-        self.torque = KnownTorque(n)
         self._held = np.zeros(n, dtype=np.bool_)
         self._pulsed = np.zeros(n, dtype=np.bool_)  # by the last write that was accepted
         self._slow = np.zeros(n, dtype=np.bool_)
         self._on_s = np.full(n, np.inf)
         self._left_on = np.zeros(n, dtype=np.bool_)  # not started by us, and gets pulses
-        self._last_us = np.full(n, np.nan)  # sent last, by anybody; the file follows it in place
+        # Sent last, by anybody; the file and what is told of pulses follow it in place.
+        self._last_us = np.full(n, np.nan)
+        self.torque = KnownTorque(n, self._last_us)
         self._start_us = scale.neutral_us.copy()  # of those that come on: their first pulse
         self._goal_us = scale.neutral_us.copy()
         self._wrong, self._n_failed = [""] * n, np.zeros(n, dtype=np.int64)

@@ -1,5 +1,6 @@
 """One tick of the bridge: targets in, one safe goal a servo out. The caller has loop and clock."""
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -186,18 +187,18 @@ class Bridge:
         return self._servos.remarks()
 
     def pulses(self) -> dict[str, dict[str, float | None]]:
-        """Return by joint name each hobby servo's `JointPulse` and sent_us, the pulse it gets now.
+        """Return by joint name each hobby servo's `JointPulse` and sent_us, the pulse sent last.
 
         sent_us is None for a servo that is not known to get one.
         """
-        sent_deg = self._servos.limiter.sent_deg.tolist()
-        rows = zip(self._joints, sent_deg, self.torque.as_json(), strict=True)
+        known = self.torque
+        rows = zip(self._joints, known.sent_us.tolist(), known.as_json(), strict=True)
         return {
             joint.name: {
                 **asdict(joint.pulse),
-                "sent_us": round(joint.pulse.us(deg), 2) if is_on else None,
+                "sent_us": round(us, 2) if is_on and math.isfinite(us) else None,
             }
-            for joint, deg, is_on in rows
+            for joint, us, is_on in rows
             if joint.pulse is not None
         }
 

@@ -12,12 +12,13 @@ from firmware_bridge.bus import GOAL_OUT_OF_RANGE, Array, Feedback, Health, Read
 from firmware_bridge.capabilities import IN_MEMORY, BusCapabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError
-from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
+from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint, JointPulse
 from firmware_bridge.known_torque import KnownTorque
 
 #: XL330-M288-T without load at 5 V: 103 rev/min;
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications
 XL330_TOP_SPEED_DEG_S = 618.0
+_NO_PULSE = JointPulse(np.nan, np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,9 @@ class SimulatedBus:
         self._errors = np.zeros(n_servos, dtype=np.uint8)
         self._torque_on = np.zeros(n_servos, dtype=np.bool_)
         self.torque = KnownTorque(n_servos)
+        pulses = [joint.pulse or _NO_PULSE for joint in joints]
+        self._neutral_us = np.array([pulse.neutral_us for pulse in pulses])
+        self._us_per_deg = np.array([pulse.us_per_deg for pulse in pulses])
         self._is_open = False
         self._moved_until_s = clock.now()
         self._history: deque[Motion] = deque(maxlen=n_remembered)
@@ -103,7 +107,7 @@ class SimulatedBus:
         check_shape(positions_deg, self._goals_deg.shape)
         self._move()
         taken = (self._min_deg <= positions_deg) & (positions_deg <= self._max_deg)
-        self._goals_deg = np.where(taken, positions_deg, self._goals_deg)
+        self._set_goals(np.where(taken, positions_deg, self._goals_deg))
         self._errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
@@ -172,8 +176,8 @@ class SimulatedBus:
         """Switch a servo's torque on, to hold its position; return "", or why it may not."""
         obstacle = self.obstacle(index)
         if not obstacle:
-            self._goals_deg = self._goals_deg.copy()
-            self._goals_deg[index] = self._positions_deg[index]
+            here = np.arange(len(self._goals_deg)) == index
+            self._set_goals(np.where(here, self._positions_deg, self._goals_deg))
             self._set_torque_of(index, on=True)
         return obstacle
 
@@ -215,6 +219,10 @@ class SimulatedBus:
     def _places_deg(self) -> Array:
         """The positions as reported, in degrees: NaN for servos that report none."""
         return np.where(self._has_place, self._positions_deg, np.nan)
+
+    def _set_goals(self, goals_deg: Array) -> None:
+        self._goals_deg = goals_deg
+        self.torque.sent_us[:] = self._neutral_us + self._us_per_deg * goals_deg
 
     def _set_torque_of(self, index: int, *, on: bool) -> None:
         self._torque_on = self._torque_on.copy()

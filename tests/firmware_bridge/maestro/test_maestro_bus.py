@@ -12,7 +12,7 @@ from firmware_bridge.bus_kinds import bus_kind
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.gate.limits import PreventRule
-from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.bridge import Bridge, face_status
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.maestro.controller import MaestroController
@@ -130,6 +130,30 @@ def test_servos_come_on_one_after_another_where_they_were_and_go_slowly(tmp_path
         assert steps.max() <= 600.0 / RATE_HZ + 1.0
         assert one[-1].pulse_us == 1500.0
     assert json.loads(kept.read_text())["pulses_us"] == {str(n): 1500.0 for n in range(N)}
+
+
+def test_no_pulse_is_said_to_be_sent_before_it_is_written():
+    face = put_together()
+    receive, heard = face.maestro.receive, []
+
+    def said():
+        return [each["sent_us"] for each in face_status(face.bridge)["pulses"].values()]
+
+    def receive_pulses(data, *rest):
+        heard.append(said())
+        receive(data, *rest)
+
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0, goal_deg=-5.0)
+        face.maestro.receive = receive_pulses
+        for goal_deg in np.linspace(-4.0, 10.0, 30):
+            heard.clear()
+            before = said()
+            drive(face, 1.0 / RATE_HZ, goal_deg=goal_deg)
+            assert heard[0] == before  # a tick writes its pulses first
+            assert said() != before
+        face.maestro.receive = receive
 
 
 @pytest.mark.parametrize("tolerant", [False, True])
