@@ -96,17 +96,12 @@ class LitertTracker:
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
-        """Return the points of each face, the largest face first; () if there is no face.
+        """Return the (478, 3) points of each face, the largest first; see `FaceTracker`.
 
         Parameters
         ----------
         picture : Picture
             (height, width, 3).
-
-        Returns
-        -------
-        tuple[Array, ...]
-            (478, 3) pixels each.
         """
         found = []
         for detection, square in self._detect(picture):
@@ -197,17 +192,12 @@ class MediapipeTracker:
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
-        """Return the points of each face, the largest face first; () if there is no face.
+        """Return the (478, 3) points of each face, the largest first; see `FaceTracker`.
 
         Parameters
         ----------
         picture : Picture
             (height, width, 3).
-
-        Returns
-        -------
-        tuple[Array, ...]
-            (478, 3) pixels each.
         """
         height, width = picture.shape[:2]
         found = self._mesh.process(picture).multi_face_landmarks or ()

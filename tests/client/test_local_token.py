@@ -5,6 +5,7 @@ import socket
 import tempfile
 
 import pytest
+from laid_token import laid
 from lipservo_client import local_token
 from lipservo_client.local_token import (
     connected_users,
@@ -47,25 +48,6 @@ def test_it_looks_there_without_a_session_of_its_own(folder, session, monkeypatc
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     assert runtime_folders() == searched_folders()
     assert temporary / f"lipservo-{os.geteuid()}" in runtime_folders()
-
-
-def laid(folder, how):
-    """Something in the token's place."""
-    folder.mkdir()
-    path = folder / "token"
-    if how == "link":
-        (folder / "mine").write_text("a secret\n")
-        path.symlink_to(folder / "mine")
-    elif how == "broken link":
-        path.symlink_to(folder / "nothing")
-    elif how == "folder":
-        path.mkdir()
-    elif how == "fifo":
-        os.mkfifo(path, 0o600)
-    else:
-        path.write_text("" if how == "empty" else "a secret\n")
-        path.chmod({"others read": 0o644, "group writes": 0o660}.get(how, 0o640))
-    return path
 
 
 @pytest.fixture

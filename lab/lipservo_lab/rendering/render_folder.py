@@ -7,9 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lipservo.commands.lines.render import Method
+from lipservo.commands.lines.render import (
+    ExpressionOf,
+    LineMethodName,
+    LineStrength,
+    Offline,
+    ReferenceSound,
+)
 from lipservo.commands.options import Json, Model, Quiet
-from lipservo.settings.motion_names import STRONGEST
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
@@ -23,30 +28,12 @@ def render_folder(
         Path, typer.Argument(exists=True, file_okay=False, help="Folder of sound files.")
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into.")],
-    method: Annotated[
-        Method,
-        typer.Option(help="By phonemes and sound; as published; or as a face does live."),
-    ] = "heard",
-    strength: Annotated[
-        float, typer.Option(min=0.0, max=STRONGEST, help="How far the mouth moves.")
-    ] = 1.0,
+    method: LineMethodName = "heard",
+    strength: LineStrength = 1.0,
     model: Model = None,
-    offline: Annotated[
-        Path | None,
-        typer.Option(help="Offline model (.npz); default: the shipped one.", show_default=False),
-    ] = None,
-    reference_sound: Annotated[
-        bool,
-        typer.Option("--reference-sound", help="Name the sound in the file, do not include it."),
-    ] = False,
-    expression: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FACE",
-            help="Store head, eyes, lids and brows too, as this face (name or YAML) moves them.",
-            show_default=False,
-        ),
-    ] = None,
+    offline: Offline = None,
+    reference_sound: ReferenceSound = False,
+    expression: ExpressionOf = None,
     jobs: Annotated[
         int | None,
         typer.Option(min=1, help="Processes; default: one a core.", show_default=False),

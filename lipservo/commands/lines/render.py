@@ -16,6 +16,30 @@ if TYPE_CHECKING:
 
 Method = Literal["heard", "model-based", "live"]
 
+# ---- options of all that renders lines ----
+
+LineMethodName = Annotated[
+    Method, typer.Option(help="By phonemes and sound; as published; or as a face does live.")
+]
+LineStrength = Annotated[
+    float, typer.Option(min=0.0, max=STRONGEST, help="How far the mouth moves.")
+]
+Offline = Annotated[
+    Path | None,
+    typer.Option(help="Offline model (.npz); default: the shipped one.", show_default=False),
+]
+ReferenceSound = Annotated[
+    bool, typer.Option("--reference-sound", help="Name the sound in the file, do not include it.")
+]
+ExpressionOf = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FACE",
+        help="Store head, eyes, lids and brows too, as this face (name or YAML) moves them.",
+        show_default=False,
+    ),
+]
+
 
 def render(
     audio: Annotated[Path, typer.Argument(help="Sound file.")],
@@ -34,30 +58,12 @@ def render(
     tier: Tier = "",
     alphabet: Alphabet = "",
     channel: Channel = "",
-    method: Annotated[
-        Method,
-        typer.Option(help="By phonemes and sound; as published; or as a face does live."),
-    ] = "heard",
-    strength: Annotated[
-        float, typer.Option(min=0.0, max=STRONGEST, help="How far the mouth moves.")
-    ] = 1.0,
+    method: LineMethodName = "heard",
+    strength: LineStrength = 1.0,
     model: Model = None,
-    offline: Annotated[
-        Path | None,
-        typer.Option(help="Offline model (.npz); default: the shipped one.", show_default=False),
-    ] = None,
-    reference_sound: Annotated[
-        bool,
-        typer.Option("--reference-sound", help="Name the sound in the file, do not include it."),
-    ] = False,
-    expression: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FACE",
-            help="Store head, eyes, lids and brows too, as this face (name or YAML) moves them.",
-            show_default=False,
-        ),
-    ] = None,
+    offline: Offline = None,
+    reference_sound: ReferenceSound = False,
+    expression: ExpressionOf = None,
     as_json: Json = False,
 ) -> None:
     """Render a line to a performance: the whole line is heard before the mouth moves.

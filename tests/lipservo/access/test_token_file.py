@@ -5,6 +5,7 @@ import stat
 import threading
 
 import pytest
+from laid_token import laid
 from places import short_folder
 
 from lipservo.access.token_file import read_token, runtime_token_file
@@ -53,25 +54,6 @@ def test_faces_that_start_at_the_same_time_have_one_token(folder):
     assert len(tokens) == 8
     assert len(set(tokens)) == 1
     assert [each.name for each in folder.iterdir()] == ["token"]
-
-
-def laid(folder, how):
-    """Something in the token's place."""
-    folder.mkdir()
-    path = folder / "token"
-    if how == "link":
-        (folder / "mine").write_text("a secret\n")
-        path.symlink_to(folder / "mine")
-    elif how == "broken link":
-        path.symlink_to(folder / "nothing")
-    elif how == "folder":
-        path.mkdir()
-    elif how == "fifo":
-        os.mkfifo(path, 0o600)
-    else:
-        path.write_text("" if how == "empty" else "a secret\n")
-        path.chmod({"others read": 0o644, "group writes": 0o660}.get(how, 0o640))
-    return path
 
 
 @pytest.mark.parametrize(
