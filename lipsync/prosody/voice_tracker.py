@@ -9,7 +9,7 @@ Speech is sound that is loud above the noise, voiced now and then, and unlike mu
 opens the gate (`VoiceActivityDetector`: noise floor by minimum statistics), so steady noise
 closes it within 1.2 s. Speech is voiced for a good part of its time, and its pitch glides; notes
 do not. Bars measured on grid_s1, LibriSpeech, speechocean762 (speech), on made-up chords,
-bands and coloured noise (docs/expression-voice.md). Whispering is no speech here.
+bands and coloured noise (docs/expression.md). Whispering is no speech here.
 """
 
 import math

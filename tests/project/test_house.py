@@ -187,7 +187,7 @@ def test_pages_and_docstrings_keep_to_their_bars():
 
     assert pages["readme_words"] <= 700
     assert pages["readme_first_sentence_words"] <= 15
-    assert pages["docs_words"] <= 35_000
+    assert pages["docs_words"] <= 30_000
     assert pages["readme_figures_unmeasured"] == []
     assert len(found["dialect_names"]) <= 1, found["dialect_names"]
     assert len(found["dialect_docstrings"]) <= 20, found["dialect_docstrings"]
