@@ -6,6 +6,8 @@ from typing import Final
 
 #: What a servo is called that has reported that its torque is off.
 LIMP: Final = "limp"
+#: A servo whose torque has just come on stays slow so long, and a hobby servo has caught up.
+SOFT_START_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,19 @@ class BusCapabilities:
         }
 
 
+#: Of serial servos of every make.
+SERIAL_SERVOS: Final = BusCapabilities(
+    place=True,
+    load=True,
+    heat=True,
+    voltage=True,
+    confirmed_limp=True,
+    hold=True,
+    profile=True,
+    soft_start_s=SOFT_START_S,
+    memory=True,
+    set_up=True,
+)
 #: What becomes of a face with several buses when one of them is lost; said when it starts.
 ONE_LOST: Final = (
     "the port of one bus is lost: the servos of all others are let go at once; the face comes back "

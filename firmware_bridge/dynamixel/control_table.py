@@ -12,23 +12,9 @@ from typing import Any, Final
 
 import yaml
 
-from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.capabilities import SERIAL_SERVOS
 
-#: How long a servo whose torque has just come on stays slow.
-SOFT_START_S: Final = 1.0
-CAPABILITIES: Final = BusCapabilities(
-    place=True,
-    load=True,
-    heat=True,
-    voltage=True,
-    watchdog=True,
-    confirmed_limp=True,
-    hold=True,
-    profile=True,
-    soft_start_s=SOFT_START_S,
-    memory=True,
-    set_up=True,
-)
+CAPABILITIES: Final = replace(SERIAL_SERVOS, watchdog=True)
 #: profile_velocity: 0.229 rev/min.
 VELOCITY_UNIT_DEG_S: Final = 0.229 * 6.0
 #: bus_watchdog.

@@ -7,12 +7,8 @@ from typing import Final
 import numpy as np
 
 from firmware_bridge.bus import any_set
-from firmware_bridge.dynamixel.control_table import (
-    SOFT_START_S,
-    VELOCITY_UNIT_DEG_S,
-    WATCHDOG_UNIT_S,
-    register,
-)
+from firmware_bridge.capabilities import SOFT_START_S
+from firmware_bridge.dynamixel.control_table import VELOCITY_UNIT_DEG_S, WATCHDOG_UNIT_S, register
 from firmware_bridge.dynamixel.mounting import MountedServo, ServoIdentity, identify, mismatches
 from firmware_bridge.dynamixel.present_state import PresentState
 from firmware_bridge.dynamixel.wire import codec

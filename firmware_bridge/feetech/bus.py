@@ -16,15 +16,10 @@ from firmware_bridge.bus import (
     any_set,
     check_shape,
 )
+from firmware_bridge.capabilities import SERIAL_SERVOS
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, SpanRead, Status, statuses_in
-from firmware_bridge.feetech.control_table import (
-    CAPABILITIES,
-    CONTROL,
-    STATE,
-    TORQUE_ENABLE,
-    Dialect,
-)
+from firmware_bridge.feetech.control_table import CONTROL, STATE, TORQUE_ENABLE, Dialect
 from firmware_bridge.feetech.line import Answers, Group, Line
 from firmware_bridge.feetech.mounting import MountedServo, identify_all
 from firmware_bridge.feetech.present_state import PresentState
@@ -88,7 +83,7 @@ class FeetechBus(SerialBus[Line]):
     gets no goals until it was read that it has not restarted.
     """
 
-    capabilities: Final = CAPABILITIES
+    capabilities: Final = SERIAL_SERVOS
     _torque: TorqueSwitch
     _present: PresentState
 

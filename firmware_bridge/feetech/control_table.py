@@ -9,22 +9,6 @@ from typing import Any, Final, Literal
 
 import yaml
 
-from firmware_bridge.capabilities import BusCapabilities
-
-#: How long a servo whose torque has just come on stays slow.
-SOFT_START_S: Final = 1.0
-CAPABILITIES: Final = BusCapabilities(
-    place=True,
-    load=True,
-    heat=True,
-    voltage=True,
-    confirmed_limp=True,
-    hold=True,
-    profile=True,
-    soft_start_s=SOFT_START_S,
-    memory=True,
-    set_up=True,
-)
 #: return_delay_time.
 RETURN_DELAY_UNIT_S: Final = 2e-6
 #: Bits of `phase`: the unit of speeds is one step a second; places are counted over many turns.

@@ -5,8 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from firmware_bridge.bus_kinds import BusKind, Finding, PortRelease, Wiring
-from firmware_bridge.capabilities import BusCapabilities
-from firmware_bridge.feetech.control_table import CAPABILITIES
+from firmware_bridge.capabilities import SERIAL_SERVOS, BusCapabilities
 from firmware_bridge.feetech.settings import FeetechServo, FeetechSettings
 
 if TYPE_CHECKING:
@@ -31,8 +30,8 @@ class FeetechKind(BusKind):
         When the computer dies these servos go on to the goal sent last, and hold.
         """
         if settings.port is None:
-            return replace(CAPABILITIES, in_memory=True, memory=False, set_up=False)
-        return CAPABILITIES
+            return replace(SERIAL_SERVOS, in_memory=True, memory=False, set_up=False)
+        return SERIAL_SERVOS
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
         """Return the bus at its port; without a port, one that is simulated in memory by `clock`.

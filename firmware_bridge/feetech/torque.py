@@ -5,8 +5,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from firmware_bridge.bus import Array
+from firmware_bridge.capabilities import SOFT_START_S
 from firmware_bridge.feetech import codec
-from firmware_bridge.feetech.control_table import CONTROL, SOFT_START_S, TORQUE_ENABLE
+from firmware_bridge.feetech.control_table import CONTROL, TORQUE_ENABLE
 from firmware_bridge.feetech.line import Line
 from firmware_bridge.feetech.mounting import MountedServo, ServoIdentity, identify, mismatches
 from firmware_bridge.feetech.present_state import PresentState

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from firmware_bridge.bus_kinds import BusKind, Finding, PortRelease, Severity, Wiring
-from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.capabilities import SOFT_START_S, BusCapabilities
 from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_bus import PULSES_OFF, STAGGER_S, usb_product
 from firmware_bridge.pulse_servos import PulseServo
@@ -16,12 +16,10 @@ if TYPE_CHECKING:
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.clock import Clock
 
-#: A servo has caught up so long after its turn; speech waits for it.
-_SOFT_START_S: Final = 1.0
 CAPABILITIES: Final = BusCapabilities(
     hold=True,
     profile=True,
-    soft_start_s=_SOFT_START_S,
+    soft_start_s=SOFT_START_S,
     stagger_s=STAGGER_S,
     pulse_rate_hz=50.0,
     released_words=PULSES_OFF,

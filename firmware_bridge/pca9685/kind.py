@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from firmware_bridge.bus_kinds import BusKind, Finding, PortRelease, Wiring
-from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.capabilities import SOFT_START_S, BusCapabilities
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.pca9685.registers import N_CHANNELS
 from firmware_bridge.pca9685.settings import Pca9685Servo, Pca9685Settings, check_pulses
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from firmware_bridge.pca9685.i2c import I2cChip
     from firmware_bridge.pca9685.oe_guard import OeGuard
 
-#: A servo has caught up so long after its turn; speech waits for it.
-_SOFT_START_S: Final = 1.0
 #: Bits a second of a bus of which nothing else is known, and those of a byte with its acknowledge.
 _STANDARD_HZ: Final = 100_000
 _BYTE_BITS: Final = 9
@@ -44,7 +42,7 @@ class Pca9685Kind(BusKind):
         assert isinstance(settings, Pca9685Settings)
         return BusCapabilities(
             hold=True,
-            soft_start_s=_SOFT_START_S,
+            soft_start_s=SOFT_START_S,
             stagger_s=STAGGER_S,
             in_memory=settings.port is None,
             watchdog=_has_guard(settings),

@@ -34,18 +34,10 @@ def tree():
 
 @pytest.mark.parametrize("room", budgets())
 def test_a_room_keeps_to_its_budget(room, lines):
-    """Raising a number of house.yaml is a decision; `held` may only fall."""
-    row = budgets()[room]
+    """A ceiling falls with the code, and never rises."""
+    spare = budgets()[room].ceiling - lines[room]
 
-    assert lines[room] <= row.limit
-    assert row.held is None or row.held > row.budget
-
-
-def test_the_budget_of_the_wheel_has_room_for_that_of_every_room():
-    table = budgets()
-    in_wheel = [row for name, row in table.items() if name not in ("client", "lab", "wheel", "all")]
-
-    assert sum(row.budget for row in in_wheel) <= table["wheel"].budget
+    assert 0 <= spare < 200
 
 
 def test_documenting_costs_nothing():

@@ -87,7 +87,7 @@ def above_bars(figures: dict[str, Any]) -> list[str]:
         for key, bar in table[kind].items()
     ]
     rows += [
-        (f"code_lines {name}", figures["code_lines"][name], row.budget)
+        (f"code_lines {name}", figures["code_lines"][name], row.ceiling)
         for name, row in budgets().items()
     ]
     return [f"{name}: {value:.4g}, bar {bar:.4g}" for name, value, bar in rows if value > bar]
