@@ -15,12 +15,11 @@ import numpy as np
 from lipsync.arrays import Array, Indices
 
 #: Speaker's gaps up to the first are closed, up to so much more blended from pressed to open, so
-#: that angles do not jump; and corrected whole up to there, then less and less.
-CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM = 1.0, 0.8, 2.6
+#: that angles do not jump; and corrected whole up to there, then less and less. Nearer to the rest
+#: than the last, mm of the coefficients, closed lips are pressed less and less, since servos must
+#: not press all day; recorded closures of speech are 2.9 or more from it.
+CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM, _RESTS_MM = 1.0, 0.8, 2.6, 2.5
 _FADES_MM = _CORRECTED_MM - CLOSED_GAP_MM - BLEND_MM
-#: Nearer to the rest than this, in mm of the coefficients, closed lips are pressed less and less:
-#: servos need not press all day. Recorded closures of speech are 2.9 or more from it.
-_RESTS_MM = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +114,7 @@ class Closure:
         """
         poses_deg = poses_deg.copy()
         for row, x in enumerate(from_rest):
-            between_mm = self.speaker_rest_mm + self.speaker_mm @ x
-            apart_mm = math.sqrt(between_mm @ between_mm)
+            apart_mm = math.hypot(*(self.speaker_rest_mm + self.speaker_mm @ x))
             if apart_mm >= _CORRECTED_MM:  # most of the ticks
                 continue
             share = min((_CORRECTED_MM - apart_mm) / _FADES_MM, 1.0)
