@@ -13,7 +13,7 @@ BIN := $(VENV)/bin
 PYTEST := $(BIN)/python -m pytest
 SLOW := -m "slow and not campaign"
 # Tests of processes share the processors with each other. What failed is tried once more alone, and
-# the log shows both: docs/decisions/0066-failed-tests-once-more-alone.md.
+# the log shows both: docs/decisions/tests-and-mutants.md.
 once_more_alone = || { [ $$? = 1 ] && echo "=== what failed beside others, once more alone ===" \
 	&& $(PYTEST) --last-failed --last-failed-no-failures none $(1); }
 
@@ -32,7 +32,7 @@ test: $(VENV)/.installed-dev
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py
 
-# These modules need torch, pipecat, livekit or wyoming, which .venv does not have: docs/decisions/0016-api-reference.md.
+# These modules need torch, pipecat, livekit or wyoming, which .venv does not have: docs/decisions/release-and-site.md.
 UNDOCUMENTED := $(addprefix lipservo_client.,pipecat_face livekit_face wyoming_face) \
 	$(addprefix lipservo_lab.bench.agents.,pipecat_agent livekit_agent openai_agent wyoming_agent day_agent) \
 	lipservo_lab.learning.adaptation.voice_learning \

@@ -275,7 +275,7 @@ MAX_FITTED, MAX_HELD_OUT = 240, 160
 TOUCH_CURRENT_MA = 294.0
 
 #: Where lips were seen to stop each other, closures go so far past contact: less leaves the middle
-#: of lips open that are pulled at their sides (docs/decisions/0064).
+#: of lips open that are pulled at their sides (docs/decisions/calibration.md).
 _CONTACT_PRESS_MM = 1.0
 #: What noise gives a kink of three ladders at the most, in square standard errors.
 _HINT = 15.0

@@ -20,7 +20,7 @@ from firmware_bridge.gate.limits import AccelerationLimit, clip
 #: target is a float.
 _SHARE_OF_LIMITS = 0.99
 #: Nineteen of twenty P B M last so long or longer, so lips that are so late still touch within it.
-#: Measured: docs/decisions/0059.
+#: Measured: docs/decisions/closures.md.
 _NOTICE_S = 0.04
 #: More sweeps come nearer to the least squares, and cost 30 us each where a window is too fast.
 _SWEEPS: Final = 3

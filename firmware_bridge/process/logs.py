@@ -1,7 +1,7 @@
 """Set up where a process logs: as lines for people, as JSON for programs, or to journald.
 
 Modules log by `logging.getLogger(__name__)`. docs/hardware.md, "What it logs", is for users,
-docs/decisions/0045-logging.md says why it is so.
+docs/decisions/architecture.md says why it is so.
 """
 
 import contextlib

@@ -28,7 +28,7 @@ _OF_A_USER: Final = re.compile(rf"/run/user/(\d+)/{_NAME}|.*/{_NAME}-(\d+)", re.
 
 
 #: Unix sockets that keep messages whole and name their peer, file locks and /proc. Without them
-#: what needs no running face works: docs/decisions/0082-release.md.
+#: what needs no running face works: docs/decisions/release-and-site.md.
 RUNS_FACES: Final = hasattr(socket, "SO_PEERCRED")
 NEEDS_LINUX: Final = "servos and running faces need Linux; `lipservo doctor` says what works here"
 

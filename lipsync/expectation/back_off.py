@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lipsync.arrays import Array
 from lipsync.phonemes import PHONEMES, SILENCE
 
-#: The fixed method's share where a diphone is new. Chosen on inner splits (docs/decisions/0068).
+#: The fixed method's share where a diphone is new, by inner splits (docs/decisions/motion.md).
 BACK_OFF_SHARE: Final = 0.2
 #: A phone pulls with exp(-(24 |tau|)^1.4), tau in s from its centre: the benchmarks' reference.
 _RATE_PER_S, _POWER = 24.0, 1.4

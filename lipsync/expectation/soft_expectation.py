@@ -26,7 +26,7 @@ from lipsync.phonemes import PHONEMES, FramePosteriors, PhonemeEvent
 #: Of the posteriors that it was learned from.
 FRAMES_PER_S: Final = 100
 #: First and last frame of each mean that is taken, from an instant. Further back a window tells
-#: words apart by heart, and those never met are read worse (docs/decisions/0063).
+#: words apart by heart, and those never met are read worse (docs/decisions/motion.md).
 WINDOWS: Final = (
     (-15, -11), (-10, -8), (-7, -5), (-4, -2), (-1, 1), (2, 4), (5, 7), (8, 10), (11, 15),
 )  # fmt: skip

@@ -139,7 +139,8 @@ BILABIALS = ("P", "B", "M")
 LABIODENTALS = ("F", "V")
 
 #: Lips take this long to close, and to part: 12 mm at 300 mm/s at most. Chosen on inner splits of
-#: the training part (docs/decisions/0063): shorter jumps, longer closes the vowels around as well.
+#: the training part: shorter jumps, longer closes the vowels around as well
+#: (docs/decisions/closures.md).
 CLOSING_S = 0.06
 PARTING_S = 0.06
 #: They touch this long at least, around the moment at which the recordings are tightest.
@@ -241,7 +242,7 @@ DEFAULT_UNIT_SHARE = 1.0
 STAGE_STRENGTH = 1.3
 
 #: A window shows the face so long after its frame, and where a closure is complete. Finer steps
-#: change no plan of joints by more than their noise (docs/decisions/0043).
+#: change no plan of joints by more than their noise (docs/decisions/closures.md).
 _WINDOW_S: Final = (0.05, 0.1, 0.15, 0.2)
 
 

@@ -147,7 +147,7 @@ class ExpectedMotion:
         posteriors = update.posteriors
         if posteriors is None:
             return
-        # A new pair of phonemes that are heard may be a mistake (docs/decisions/0068).
+        # A new pair of phonemes that are heard may be a mistake (docs/decisions/motion.md).
         self._expectation = self._networks
         if self._believed.push(posteriors) or self._has_warned:
             return

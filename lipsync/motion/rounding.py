@@ -23,7 +23,7 @@ from lipsync.phonemes import PHONEMES
 ROUNDED: Final = frozenset(map(PHONEMES.index, ("W", "UW", "UH", "OW", "AO", "OY")))
 #: Corners of round lips are at most this share of their distance at rest apart; of recorded ones of
 #: grid_s1, who hardly rounds, 1 % are. A reader of recordings reads lips as round as that worse
-#: (docs/decisions/0077), so this is for a stage and for the page.
+#: (docs/decisions/closures.md), so this is for a stage and for the page.
 ROUNDED_SHARE: Final = 0.8
 #: Lips take so long to round and to spread: 9 mm at 140 mm/s at most, as of any cubic.
 ROUNDING_S: Final = 0.1

@@ -3,8 +3,8 @@
 An AnimPho is chosen at its phone's onset and again whenever the phonemes around it are revised or
 become known; every 40 ms its rest is planned anew. Each time the rest of the phone begins at the
 mouth's present position and speed. Departures from the paper's equations: an AnimPho is chosen by
-the expected face too, and moved half-way to it; a_t is reached 20 ms after the phone's onset, not
-at its end (decisions/0068); and what it departs from the face that was expected at
+the expected face too, and moved .7 of the way to it; a_t is reached 20 ms after the phone's onset,
+not at its end (docs/decisions/animphos.md); and what it departs from the face that was expected at
 planning is played on top of the face expected now, so that no plan is older than a tick.
 """
 

@@ -124,7 +124,7 @@ def shown_faces(line: FinishedSynthesizer, times_s: Sequence[float] | Array) -> 
 
 
 LineMethod = Literal["heard", "model-based", "live"]
-#: Which of them `render` uses: the nearest to the recordings (docs/decisions/0029).
+#: Which of them `render` uses: the nearest to the recordings (docs/decisions/scripted-lines.md).
 DEFAULT_METHOD: LineMethod = "heard"
 #: The expectation of sound counts so much, the live one, of phonemes alone, the rest.
 _SOUND_SHARE = 0.5

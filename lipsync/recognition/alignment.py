@@ -7,7 +7,7 @@ pocketsphinx's own beams. Where these lose the way in the second pass, tight one
 then; the accuracy of such alignments was never compared.
 
 Words that its dictionary lacks are pronounced by gruut's lexicon, else its model, in IPA;
-docs/decisions/0003-pronunciations.md says why.
+docs/decisions/labels-and-text.md says why.
 
 Forced alignment lays any text over any sound as long as it finds a path. The score is the mean
 over frames of log p(aligned phone) - log p(likeliest phone), the "goodness of pronunciation" of

@@ -5,9 +5,10 @@ Every frame in between has the scores of the best head that covers it (that of t
 A Viterbi search with a penalty for every change of phoneme runs over all of it: the frames after
 n - D, known from the quick heads, smooth what is settled without waiting any longer.
 
-After a pause speech has to be believed before it is settled (decisions/0032): leaving silence costs
-more, so that evidence adds up over frames as in Wald's sequential test (Annals of Mathematical
-Statistics 16(2), 1945), and all that is known of the frames after n - D has to be speech too.
+After a pause speech has to be believed before it is settled (docs/decisions/ears.md): leaving
+silence costs more, so that evidence adds up over frames as in Wald's sequential test (Annals of
+Mathematical Statistics 16(2), 1945), and all that is known of the frames after n - D has to be
+speech too.
 """
 
 from dataclasses import dataclass
@@ -54,7 +55,7 @@ class PosteriorFormat:
 
     names: phonemes of the last axis. delays: frames that each head waits, rising: in frame k the
     head that waits d frames gives frame k - d. The posteriors of a head in a frame sum to 1; the
-    shipped weights are as sure as they are right (docs/decisions/0087).
+    shipped weights are as sure as they are right (docs/decisions/training-of-the-ears.md).
     """
 
     names: tuple[str, ...]

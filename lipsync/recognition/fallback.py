@@ -4,7 +4,7 @@ Levels from the best down: network, energy (the jaw only), neutral. A level that
 once, one that cannot keep up once there is a backlog (`Pace`); the next one takes over at the first
 block not fed to that level, after the seconds of sound before it. Where a clock is given better
 levels are tried again beside the one in use (`Trial`), and take over in a pause. The neutral level,
-a closed mouth, cannot fail. Why so: docs/decisions/0038.
+a closed mouth, cannot fail. Why so: docs/decisions/ears.md.
 
 Whether a level keeps up is decided by its own cost and by what waits, not by one second: a
 computer that is busy for a moment makes any recogniser late, and a fast one catches up afterwards.
@@ -41,7 +41,7 @@ _BACKLOG_S = 0.3
 _HOPELESS_SHARE = 3.0
 #: A level that is tried needs time to spare: the one in use goes on beside it.
 _TRIED_SHARE = 0.5
-#: In a backlog so many blocks are worked on at once, at a third of the cost (decisions/0038).
+#: In a backlog so many blocks are worked on at once, at a third of the cost.
 _AT_ONCE = 8
 #: So long a backlog may last, of at least so many steps, if the recogniser had this share of the
 #: time: where it had less, all else is as late, and a cheaper one would not be heard any sooner.

@@ -11,7 +11,7 @@ the way to the power heard, shared among the E as they share in N
 (normalised least mean squares, Haykin, Adaptive Filter Theory, in logarithms).
 
 Sound that is no louder than the servos are expected to be is explained by them. Nothing is
-subtracted from the sound: that made recognition worse (docs/decisions/0036).
+subtracted from the sound: that made recognition worse (docs/decisions/ears.md).
 
 Hum, buzz, fans and a note held by a machine are steady; no voice is. The floor of each mel band
 is the least that it had in the last seconds (minimum statistics, after R. Martin, "Noise power
@@ -84,7 +84,7 @@ SURE_OF_SILENCE = 0.8
 _SMOOTHING = 0.12
 #: The mean over the bands by which sound may be louder than expected and still be the servos', in
 #: natural logarithms of power: 3 dB before the mouth wakes. While somebody speaks it is 1 dB, for
-#: half a second on end, so that its own noise does not keep a mouth talking (decisions/0036).
+#: half a second on end, so that its own noise keeps no mouth talking (docs/decisions/ears.md).
 _EXPLAINED_AT_REST, _EXPLAINED_AWAKE, _AWAKE_FRAMES = 0.7, 0.25, 50
 
 

@@ -1,6 +1,6 @@
 """The synthesiser espeak-ng: a hundred languages, with the time of every phoneme.
 
-Why espeak-ng, and what its times are worth: docs/decisions/0018-text-to-speech.md.
+Why espeak-ng, and what its times are worth: docs/decisions/speech-out.md.
 
 The events of its phonemes are corrected by its own sound. Measured on version 1.51
 (docs/speech.md, times): most events lie at the sound to the millisecond. Two kinds do not.

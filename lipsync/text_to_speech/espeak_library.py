@@ -2,7 +2,7 @@
 
 Names and numbers are those of espeak-ng/speak_lib.h, version 1.51. The library has one state for
 the whole process and is not thread safe: one thread of a process of its own uses it
-(`espeak_process`). Why no package of Python's: docs/decisions/0018-text-to-speech.md.
+(`espeak_process`). Why no package of Python's: docs/decisions/speech-out.md.
 """
 
 import ctypes

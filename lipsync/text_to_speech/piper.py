@@ -3,7 +3,7 @@
 It loads a model in a second or two, so it has a process of its own, which keeps the model that
 spoke last. Its phonemes are returned without the times that its network planned for them, to
 be found in the sound: P B M begin 34 ms before their planned times (docs/benchmarks.md). Why it is
-not imported into the face: docs/decisions/0062-voices-of-others.md.
+not imported into the face: docs/decisions/speech-out.md.
 """
 
 from collections.abc import Sequence

@@ -3,7 +3,7 @@
 English comes from gruut: its normaliser writes numbers, money, dates and abbreviations out in
 words, its lexicon (the CMU dictionary in IPA) has the pronunciations of 124,000, and its model
 guesses the others. Other languages, and English where gruut is not installed, come from espeak-ng,
-whose own phonemes for the text are used. Why these: docs/decisions/0057-known-words.md.
+whose own phonemes for the text are used. Why these: docs/decisions/labels-and-text.md.
 
 Nothing here is quick: it is called where text arrives, never in a tick.
 """

@@ -1,9 +1,9 @@
 """What a person would say of a text as language models write it.
 
-Markdown is read by markdown-it-py (docs/decisions/0092-said-text.md). Left out are marks, addresses
-behind links, pictures, code blocks, formulas, smileys, footnotes, stage directions in brackets,
-what is struck out, and what a model thinks; spoken are the words between SSML tags, hosts of bare
-links, and in English times, money, dates and ranges as they are read out.
+Markdown is read by markdown-it-py (docs/decisions/labels-and-text.md). Left out are marks,
+addresses behind links, pictures, code blocks, formulas, smileys, footnotes, stage directions in
+brackets, what is struck out, and what a model thinks; spoken are the words between SSML tags, hosts
+of bare links, and in English times, money, dates and ranges as they are read out.
 """
 
 import html

@@ -183,7 +183,7 @@ def _inside(points: Array, polygon: Array) -> Array:
 
 
 #: 6 per square centimetre. Without this membrane term the lips overshoot beyond the outermost
-#: markers; above 10 the surface begins to show a dimple at each (docs/decisions/0023).
+#: markers; above 10 the surface begins to show a dimple at each (docs/decisions/page-and-kiosk.md).
 MEMBRANE_PER_MM2 = 0.06
 #: Keeps a triangle without area from dividing by zero.
 _LEAST_AREA_MM2 = 1e-9

@@ -9,7 +9,7 @@ networks. Everything around the networks is here: the squares of the picture tha
 and the positions of their outputs in the picture.
 
 The other uses mediapipe's own face mesh, whose network its wheel contains: only the versions before
-0.10.30 have it (docs/decisions/0026-video-and-face-tracking.md).
+0.10.30 have it (docs/decisions/faces-from-recordings.md).
 """
 
 import zipfile

@@ -103,8 +103,15 @@ def test_everything_declared_is_imported():
 _FOR_US = ("lipservo[dev]", "lipservo[docs]", "lipservo[mutants]")
 
 
+def test_every_library_has_its_reason_in_the_page_of_dependencies():
+    page = (ROOT / "docs" / "decisions" / "dependencies.md").read_text("utf-8")
+    for_users = [each for name, each in EXTRAS.items() if name != "lipservo[dev]"]
+    declared = set().union(*MANDATORY.values(), *for_users)
+    assert declared - set(re.findall(r"[\w-]+", page)) == set()
+
+
 def test_the_program_needs_every_package_of_the_card_or_its_extra_does_that_fits():
-    """scikit-learn fits a calibration; a running face loads none: docs/decisions/0094."""
+    """scikit-learn fits a calibration, no running face loads it: docs/decisions/dependencies.md."""
     assert MANDATORY["lipservo"] | EXTRAS["lipservo[fit]"] >= OF_THE_CARD
 
 

@@ -1,15 +1,23 @@
-"""What keeps a project in order: versions, numbered decisions, links, checks before a commit."""
+"""What keeps a project in order: versions, pages of decisions, links, checks before a commit."""
 
 import re
 import tomllib
 
 import pytest
 import yaml
-from lipservo_lab.bench.house.code_lines import pages
+from lipservo_lab.bench.house.code_lines import budgets, pages, sources
 from places import ROOT
-from word_figures import dead_links, dead_paths
+from word_figures import anchors, dead_links, dead_paths
 
-DECISIONS = sorted(path.name for path in (ROOT / "docs" / "decisions").glob("[0-9]*.md"))
+DECISIONS = ROOT / "docs" / "decisions"
+SUBJECTS = {path.name for path in DECISIONS.glob("*.md")} - {"README.md"}
+#: Pages were numbered once, one a decision; the numbers are still cited.
+OLD_NUMBERS = [f"{number:04}" for number in range(1, 96)]
+#: Words, so that a newcomer reads all of it in an afternoon.
+MOST_WORDS, MOST_WORDS_OF_A_PAGE = 25_000, 2_500
+#: Folders of source, and the files that declare what is installed.
+FOLDERS = budgets()["all"].folders
+PROJECTS = ("pyproject.toml", "client/pyproject.toml", "lab/pyproject.toml")
 
 
 def test_the_newest_version_of_the_changelog_is_the_version_of_the_program():
@@ -26,13 +34,26 @@ def test_the_newest_version_of_the_changelog_is_the_version_of_the_program():
     assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 
 
-def test_decisions_are_numbered_one_after_the_other():
-    assert [int(name[:4]) for name in DECISIONS] == list(range(1, len(DECISIONS) + 1))
+def test_the_index_of_decisions_has_one_line_for_each_subject():
+    index = (DECISIONS / "README.md").read_text("utf-8")
+    listed = re.findall(r"^- \[(\S+\.md)\]\(\1\): ", index, re.MULTILINE)
+    assert sorted(listed) == sorted(SUBJECTS)
 
 
-def test_the_index_of_decisions_has_one_line_for_each_in_order():
-    index = (ROOT / "docs" / "decisions" / "README.md").read_text("utf-8")
-    assert re.findall(r"^\| \[\d{4}\]\((.+?)\) \|", index, re.MULTILINE) == DECISIONS
+def test_every_old_number_of_a_decision_leads_to_an_anchor():
+    index = (DECISIONS / "README.md").read_text("utf-8")
+    rows = re.findall(r"^- (\d{4}): \[.+?\]\((\S+?)#(\S+?)\)$", index, re.MULTILINE)
+
+    assert [number for number, _, _ in rows] == OLD_NUMBERS
+    known = {name: anchors(DECISIONS / name) for name in SUBJECTS}
+    assert [row for row in rows if row[2] not in known.get(row[1], ())] == []
+
+
+def test_decisions_can_be_read_in_an_afternoon():
+    words = {path.name: len(path.read_text("utf-8").split()) for path in DECISIONS.glob("*.md")}
+
+    assert {name: n for name, n in words.items() if n > MOST_WORDS_OF_A_PAGE} == {}
+    assert sum(words.values()) <= MOST_WORDS
 
 
 def test_the_index_of_docs_leads_to_every_page():
@@ -55,17 +76,25 @@ def test_every_link_and_path_in_a_page_leads_somewhere():
     assert dead_paths(ROOT) == []
 
 
-def test_a_file_of_ours_that_is_named_by_its_decision_exists():
-    """Code and configuration name pages of docs/decisions by number."""
-    known = {name[:4] for name in DECISIONS}
+def test_every_page_of_decisions_that_a_file_names_exists():
+    """Code, configuration and workflows name pages of docs/decisions; numbers are gone."""
     wrong = []
-    for path in (*ROOT.rglob("*.py"), *pages(ROOT), ROOT / "pyproject.toml"):
-        if {".venv", ".venv-agents", "build", "site"} & set(path.relative_to(ROOT).parts):
-            continue
-        for number in re.findall(r"docs/decisions/(\d{4})", path.read_text("utf-8")):
-            if number not in known:
-                wrong.append((path.name, number))
+    for path in named_in():
+        for name in re.findall(r"\bdecisions/([\w-]+(?:\.md)?)", path.read_text("utf-8")):
+            if name not in {*SUBJECTS, "README.md"}:
+                wrong.append((path.relative_to(ROOT).as_posix(), name))
     assert wrong == []
+
+
+def named_in():
+    """Every file of ours that may name a page of decisions."""
+    yield from pages(ROOT)
+    for folder in (*FOLDERS, "tests"):
+        yield from sources(ROOT, folder)
+    for name in ("Makefile", "mkdocs.yml", *PROJECTS):
+        yield ROOT / name
+    for folder in (".github", "lab/lipservo_lab", "tests/support"):
+        yield from (ROOT / folder).rglob("*.y*ml")
 
 
 def test_a_commit_is_checked_as_make_check_does():

@@ -187,7 +187,7 @@ def test_pages_and_docstrings_keep_to_their_bars():
 
 
 def test_an_installation_without_extras_is_small():
-    """What a running face does not load is an extra: docs/decisions/0094."""
+    """What a running face does not load is an extra: docs/decisions/dependencies.md."""
     sizes = [installed_mb(ROOT, each) for each in ("lipservo-client", "lipservo", "lipservo[fit]")]
     assert 1.0 < sizes[0] < 5.0
     assert sizes[1] < house_table()["installed_mb"]["lipservo"] < sizes[2]

@@ -1,7 +1,8 @@
 """Work done on a Dask cluster that may lose workers, and its scheduler, on the way.
 
 What a task gave is handed out as soon as it is done, and only a few tasks a core are handed over at
-a time: whatever dies costs those alone, which are handed over again (docs/decisions/0095).
+a time: whatever dies costs those alone, which are handed over again
+(docs/decisions/scripted-lines.md).
 """
 
 import logging

@@ -1,7 +1,7 @@
 """Routes that return a photograph's warp for landmarks from a browser, which keeps the picture.
 
 As with a robot's own model, nothing of a person is stored or sent: the browser has the pixels, and
-sends twenty points and a size (docs/decisions/0081-photographs-in-the-page.md).
+sends twenty points and a size (docs/decisions/page-and-kiosk.md).
 """
 
 import gzip

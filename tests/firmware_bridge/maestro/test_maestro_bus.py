@@ -96,19 +96,6 @@ def test_every_model_is_driven_to_its_goals(model, crc, device):
     assert last_us(face) == [0.0] * N
 
 
-def test_a_tick_is_one_write():
-    face = put_together(model="mini12")
-    with face.bus:
-        face.bridge.start()
-        drive(face, 3.0)
-        written = []
-        receive = face.maestro.receive
-        face.maestro.receive = lambda data, *rest: (written.append(data), receive(data, *rest))
-        face.bus.write_positions(np.zeros(N))
-
-    assert len(written[0]) == 3 + 2 * N
-
-
 def test_servos_come_on_one_after_another_where_they_were_and_go_slowly(tmp_path):
     kept = tmp_path / "pulses.json"
     kept.write_text(json.dumps({"pulses_us": {str(n): 1600.0 for n in range(N)}}))
@@ -132,27 +119,24 @@ def test_servos_come_on_one_after_another_where_they_were_and_go_slowly(tmp_path
     assert json.loads(kept.read_text())["pulses_us"] == {str(n): 1500.0 for n in range(N)}
 
 
-def test_no_pulse_is_said_to_be_sent_before_it_is_written():
-    face = put_together()
-    receive, heard = face.maestro.receive, []
+def test_a_tick_is_one_write_and_no_pulse_is_said_to_be_sent_before_it():
+    face = put_together(model="mini12")
 
     def said():
         return [each["sent_us"] for each in face_status(face.bridge)["pulses"].values()]
 
-    def receive_pulses(data, *rest):
-        heard.append(said())
-        receive(data, *rest)
-
+    receive, heard = face.maestro.receive, []
     with face.bus:
         face.bridge.start()
         drive(face, 3.0, goal_deg=-5.0)
-        face.maestro.receive = receive_pulses
+        note = heard.append
+        face.maestro.receive = lambda data, *rest: (note((len(data), said())), receive(data, *rest))
         for goal_deg in np.linspace(-4.0, 10.0, 30):
-            heard.clear()
             before = said()
             drive(face, 1.0 / RATE_HZ, goal_deg=goal_deg)
-            assert heard[0] == before  # a tick writes its pulses first
             assert said() != before
+            assert heard[0] == (3 + 2 * N, before)
+            heard.clear()
         face.maestro.receive = receive
 
 

@@ -5,8 +5,7 @@ import stat
 import threading
 
 import pytest
-from laid_token import laid
-from places import short_folder
+from places import laid, short_folder
 
 from lipservo.access.token_file import read_token, runtime_token_file
 from lipsync.errors import UserError

@@ -153,7 +153,7 @@ def test_weights_that_a_model_was_not_fitted_to_work_and_a_warning_says_so(caplo
 
 
 def test_weights_adapted_from_those_of_the_map_are_no_others(tmp_path, caplog):
-    """The map heard adapted weights too (docs/decisions/0087)."""
+    """The map heard adapted weights too (docs/decisions/training-of-the-ears.md)."""
     weights, paths = load_shipped_weights(), [tmp_path / name for name in ("ours.npz", "new.npz")]
     for path, origin in zip(paths, (weights_digest("default"), "another"), strict=True):
         save_weights(weights, path, {ADAPTED_FROM: origin})

@@ -2,7 +2,7 @@
 
 The operators, the change of the source and the run of the tests are cosmic-ray's; which files,
 which tests, how many mutants, and the survivors that were read are in mutants.yaml beside it:
-docs/decisions/0090-mutants.md. Each worker mutates a copy of the checkout of its own.
+docs/decisions/tests-and-mutants.md. Each worker mutates a copy of the checkout of its own.
 """
 
 import argparse

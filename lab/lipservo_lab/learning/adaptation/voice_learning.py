@@ -29,7 +29,7 @@ from lipsync.recognition.network import NetworkWeights
 
 @dataclass(frozen=True, slots=True)
 class AdaptationPlan:
-    """How to learn a voice; chosen by measurement (docs/decisions/0033).
+    """How to learn a voice; chosen by measurement (docs/decisions/training-of-the-ears.md).
 
     n_copies: of the voice, heavily disturbed. pull: share of the way from the start that a step at
     a learning rate of 1 would take back.

@@ -50,7 +50,7 @@ _SEEN: Final = ((0, 17), (1, 17), (2, 17), (3, 17), (4, 17), (0, 7), (1, 7), (2,
 _FULL_AHEAD = 17
 #: Silence after a sentence, until the last head has spoken of its end, s.
 _TAIL_S = 0.25
-#: All chosen on two inner splits of left-out words (docs/decisions/0063).
+#: All chosen on two inner splits of left-out words (docs/decisions/motion.md).
 _N_COSINES, _WIDTH, _RIDGE, _COSINE_SCALE = 600, 9.0, 300.0, 10.0
 _HIDDEN, _SCHEDULE = (192, 48), Schedule(n_epochs=3, decay=0.004)
 _SMALLEST_SPREAD = 0.05

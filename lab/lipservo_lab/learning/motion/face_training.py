@@ -41,7 +41,7 @@ Progress = Callable[[str], None]
 
 #: So many components unless asked otherwise. The paper keeps 5, which hold 96.6 % of its variance;
 #: here 5 hold 94.8 %, 7 hold 97.0 %. Of what phonemes say about a face the sixth to eighth hold
-#: more than the fifth (docs/decisions/0007).
+#: more than the fifth (docs/decisions/motion.md).
 DEFAULT_COMPONENTS = 8
 #: Of each phoneme, for each of its segments. Chosen on inner splits: 0.2 gives an AnimPho the
 #: paper's 3.45 successors, and faces .007 of the ratio farther off.

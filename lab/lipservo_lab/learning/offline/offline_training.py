@@ -65,7 +65,7 @@ def fit_voice_likeness(mean_cepstra: Sequence[Array]) -> VoiceLikeness:
 
 Progress = Callable[[str], None]
 
-#: Chosen on inner splits (docs/decisions/0029).
+#: Chosen on inner splits (docs/decisions/scripted-lines.md).
 _HIDDEN = (256, 64)
 _EPOCHS = 10
 #: A network each. Less decay serves known words, more serves new ones. Two learn at once, so four

@@ -344,7 +344,7 @@ class BuildingError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What the paper leaves open, chosen on inner splits (docs/decisions/0029)."""
+    """What the paper leaves open, chosen on inner splits (docs/decisions/scripted-lines.md)."""
 
     n_components: int = 10
     n_states: int = 100
