@@ -5,7 +5,6 @@ import socket
 import tempfile
 
 import pytest
-from laid_token import laid
 from lipservo_client import local_token
 from lipservo_client.local_token import (
     connected_users,
@@ -13,7 +12,7 @@ from lipservo_client.local_token import (
     listening_users,
     runtime_folders,
 )
-from places import short_folder
+from places import laid, short_folder
 
 from firmware_bridge.process.runtime_folder import searched_folders
 from lipservo.access.token_file import read_token, runtime_token_file
