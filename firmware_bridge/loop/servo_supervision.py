@@ -258,7 +258,10 @@ class ServoSupervision:
     def _seen(
         self, i: int, health: Health, time_s: float, port: TorquePort
     ) -> tuple[ServoEvent | None, str]:
-        """Return what happens to servo `i` by its readings, and the reason in words."""
+        """Return the event that servo `i`'s readings cause in its state, and the reason to show.
+
+        The event is None where the state does not change; a reason may be shown nevertheless.
+        """
         state, torque = self.states[i], health.torque[i]
         is_silent, errors = self._n_silent[i] >= _SILENT_TICKS, int(health.hardware_errors[i])
         if state == _DRIVEN:

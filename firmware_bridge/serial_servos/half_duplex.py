@@ -247,7 +247,7 @@ class HalfDuplex:
         """Return the bytes of `heard` after an echo of `request`; all of them if there is no echo.
 
         An echo sets `echoes`. Bytes before the echo cannot answer this request, since the line
-        carries one at a time.
+        carries one message at a time.
         """
         at = heard.find(request)
         if at < 0:

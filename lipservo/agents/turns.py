@@ -431,6 +431,7 @@ class OpenStreams:
         return len(dropped)
 
     def _take(self, event: PlayoutEvent) -> None:
+        """Pass a playout event to the agent's stream, or to the face's own line, it belongs to."""
         is_last = event.kind in ("finished", "interrupted")
         stream = self._playing.get(event.stream)
         if stream is not None:

@@ -398,7 +398,10 @@ class FaceLink:
         return answer, board
 
     def _read_origins(self, config: object) -> None:
-        """Store the web origins in the YAML `config`, once for each face; none if unreadable."""
+        """Read the allowed web origins from the face's YAML at path `config`.
+
+        The path read last is not read again; of an unreadable YAML no origin is allowed.
+        """
         if config == self._origins_of or not isinstance(config, str):
             return
         try:

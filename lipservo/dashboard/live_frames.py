@@ -90,8 +90,8 @@ class BoardReader:
     def read(self, number: int, since_start_s: float, now_s: float) -> Moment:
         """Return a snapshot: the newest records, and the peaks of sound since the last call.
 
-        number: of the snapshot. since_start_s: since the dashboard started. now_s: a side with no
-        new record for GONE_S before it is gone.
+        number: of the snapshot. since_start_s: since the dashboard started. now_s: monotonic; the
+        servos' or the speech's records count as gone if none came in the last GONE_S.
         """
         speech = self._board.speech_since(self._speech.number)
         peaks = b""

@@ -44,7 +44,11 @@ class SupervisedTrace:
         self._shown: tuple[float, float, str, Frame] | None = None
 
     def observe(self, report: TickReport) -> None:
-        """Add one tick of the bridge with the frame shown; do nothing until the trace is open."""
+        """Record one tick of the bridge with the newest frame that the speech process published.
+
+        The frame's sound time is carried forward to the tick. Nothing is recorded before the trace
+        is open and a first frame was published.
+        """
         if self._trace is None:
             return
         for number, shown in self._live.speech_since(self._number)[-1:]:

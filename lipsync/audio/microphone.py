@@ -104,7 +104,11 @@ class MicrophoneSource:
         return self._captured
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """Return the blocks, not returned before, that end at or before sound time `until_s`."""
+        """Return the blocks, not returned before, that end at or before sound time `until_s`.
+
+        Takes in what has arrived, closes captures that a newer one has replaced, and fills with
+        silence while the microphone is lost.
+        """
         now_s = self._clock()
         while self._captures:
             capture = self._captures[0]

@@ -183,7 +183,11 @@ class Gaze:
         self._move((partner_deg[0] + size * across_deg, partner_deg[1] + size * up_deg))
 
     def turn(self, is_talking: bool) -> None:
-        """Set the gaze habit to talking or listening; rescale what is left of the fixation."""
+        """Set the gaze habit to talking or listening, and what is left of the fixation with it.
+
+        The rest is scaled by the habits' mean times; a fixation without an end, or one of a habit
+        that looks at the partner nearly always, is drawn anew.
+        """
         habit = self._habits[is_talking]
         if habit is self._habit:
             return

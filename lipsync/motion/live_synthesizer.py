@@ -95,11 +95,12 @@ class ExpectedMotion:
         smoothness: float,
         soft: SoftExpectation | None = None,
     ) -> None:
-        """Create the motion of a closed mouth, `rest` (n_components,), at sound time 0.
+        """Start at sound time 0 with a closed mouth.
 
-        expectation: the face by phonemes. lookahead_s: seconds of sound needed after a frame.
-        smoothness: from 0 to 1, as in `Style`. soft: the expectation by posteriors; None: phonemes
-        move the mouth as they are decided.
+        expectation: predicts the face's components from phonemes. rest: (n_components,), the closed
+        mouth. lookahead_s: seconds of sound that must be known after a frame. smoothness: 0 to 1,
+        as in `Style`. soft: predicts the components from the recogniser's probabilities of
+        phonemes; None: decided phonemes alone move the mouth.
         """
         self._backed_off = expectation
         self._networks = replace(expectation, back_off=None)

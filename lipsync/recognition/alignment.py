@@ -101,7 +101,7 @@ def align(
     pcm = np.rint(np.clip(samples, -1.0, 1.0) * np.float32(32767)).astype(np.int16).tobytes()
     reason = ""
     for beams, options in _BEAMS.items():
-        # One that has heard another utterance aligns every third one differently (measured over
+        # A decoder that was used before aligns every third utterance differently (measured over
         # LibriSpeech), and one that failed does not recover; loading is a sixth of an alignment.
         decoder = Decoder(lm=None, cmn="batch", loglevel="FATAL", **options)
         guessed = _teach(decoder, words, pronouncer)

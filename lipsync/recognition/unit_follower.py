@@ -236,7 +236,11 @@ class UnitFollower:
         return _joined(found, self._start_s, min(until_s, self.end_s))
 
     def _along(self, path: Sequence[tuple[int, int]]) -> list[Stretch]:
-        """Return the stretches along a path of (frame, offset)."""
+        """Return the stretches of sound in which units are late by one and the same offset.
+
+        path: (frame, offset) of each frame of sound; offset: frames that the sound is later than
+        the times that were sent.
+        """
         found: list[Stretch] = []
         for offset, run in groupby(path, key=lambda each: each[1]):
             frames = [frame for frame, _ in run]

@@ -154,8 +154,8 @@ def score_model(model: TrainedModel, corpus: Corpus, question: Question, track: 
 def paper_rows(model: TrainedModel, unseen: Corpus, corpus: Corpus) -> dict[str, list[Row]]:
     """Figures 1 and 6 and Tables 2 and 3 of the paper, with our recogniser.
 
-    unseen: what is scored. corpus: with the sentences of the model, for the method as printed,
-    which is left out where there are none.
+    unseen: the sentences that are scored. corpus: where it holds sentences that the model was
+    trained on, the paper's method as printed is built from them and scored, too.
     """
     utterances = check_scorable(model, unseen)
     taught = bool(seen_in_training(model, corpus.utterances))

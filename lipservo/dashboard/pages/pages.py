@@ -57,35 +57,37 @@ COMMAND: Final = "lipservo daemon --config FACE --play --sounds FOLDER --dashboa
 _SETTINGS_SCRIPTS: Final = ("settings.js", "live/robot_view.js")
 
 
-def build_pages(link: FaceLink, making: Path | None = None) -> None:
+def build_pages(link: FaceLink, new_config: Path | None = None) -> None:
     """Register all pages with NiceGUI. The browser draws what moves: a page needs no timer here.
 
-    link: to the face; a page shows the face that answers when the page is opened. making: the YAML
-    of a new face in setup, which need not exist yet; None: no page of the setup.
+    link: to the face; a page shows the face that answers when the page is opened. new_config: the
+    YAML that the first hour writes, which need not exist yet; None: no page of the first hour.
     """
-    _add(link, making, "/", _LIVE_SCRIPTS, _live)
-    _add(link, making, "/show", SHOW_SCRIPTS, _show)
-    _add(link, making, "/kiosk", KIOSK_SCRIPTS, _kiosk)
-    _add(link, making, "/servos", _SERVOS_SCRIPTS, _servos)
-    _add(link, making, "/calibrate", (), _calibrate)
-    _add(link, making, "/lines", _LINES_SCRIPTS, _lines)
-    _add(link, making, "/settings", _SETTINGS_SCRIPTS, _settings)
-    if making is not None:
-        _add(link, making, FIRST_HOUR, _FIRST_HOUR_SCRIPTS, _first_hour)
+    _add(link, new_config, "/", _LIVE_SCRIPTS, _live)
+    _add(link, new_config, "/show", SHOW_SCRIPTS, _show)
+    _add(link, new_config, "/kiosk", KIOSK_SCRIPTS, _kiosk)
+    _add(link, new_config, "/servos", _SERVOS_SCRIPTS, _servos)
+    _add(link, new_config, "/calibrate", (), _calibrate)
+    _add(link, new_config, "/lines", _LINES_SCRIPTS, _lines)
+    _add(link, new_config, "/settings", _SETTINGS_SCRIPTS, _settings)
+    if new_config is not None:
+        _add(link, new_config, FIRST_HOUR, _FIRST_HOUR_SCRIPTS, _first_hour)
 
 
 def _add(
-    link: FaceLink, making: Path | None, path: str, scripts: Sequence[str], fill: Fill
+    link: FaceLink, new_config: Path | None, path: str, scripts: Sequence[str], fill: Fill
 ) -> None:
+    """Serve one page at `path`; before a face runs, with what the first hour has written."""
+
     @ui.page(path, dark=None, reconnect_timeout=_PATIENCE_S)
     async def page() -> None:
         status = link.status
         config = None if status is None else status.get("config")
-        if config is None and making is not None and making.exists():
-            config = str(making)
+        if config is None and new_config is not None and new_config.exists():
+            config = str(new_config)
         facts = {
             **await asyncio.to_thread(page_facts, config),
-            "firstHour": making is not None,
+            "firstHour": new_config is not None,
         }
         with page_frame(path, status, facts, scripts):
             await fill(status, config)

@@ -164,8 +164,14 @@ def stop_faces(
 def _await_stop(
     face: RunningFace, level: StopLevel, sent: socket.socket | None, *, end: bool
 ) -> Outcome:
+    """Stop one face, wait until it has confirmed, and return what came of it.
+
+    A face that does not answer is ended by force; the ports of one that ends without a report are
+    opened here, and their servos let go. sent: a connection by which the stop was sent already;
+    end: the face shall end, too.
+    """
     outcome = Outcome(face.name, pid=face.pid)
-    # Only a port that its processes hold open is ever opened here, never one out of an answer.
+    # Only ports that the face's processes hold open are opened here, never one that it names.
     held = _ports_of(face)
     try:
         answer, report = stop_and_wait(face.path, level, _END_S, end=end, sent=sent)

@@ -220,7 +220,10 @@ def _loop(send: Callable[[list[float]], None]) -> Call:
 
 
 def _maestro_by_hand(stack: ExitStack) -> Callable[[list[float]], None]:
-    """Set multiple targets, as Pololu documents it, by pyserial."""
+    """Return a function that sends pulses, us, to a fake Maestro by plain pyserial: the baseline.
+
+    It writes Pololu's Set Multiple Targets command.
+    """
     port = stack.enter_context(serial.Serial(stack.enter_context(_canned_maestro()), BAUD_RATE))
 
     def send(pulses_us: list[float]) -> None:

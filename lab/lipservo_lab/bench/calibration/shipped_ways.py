@@ -51,18 +51,20 @@ _BLUR_PX, _NOISE = 0.8, 6.0
 def write_dots_pictures(
     folder: Path, marker_names: Sequence[str], markers_mm: Array, seed: int
 ) -> None:
-    """Write `pose_1.png` and so on, and `dots.csv` by the first of them.
+    """Draw the markers of each pose as blue dots on skin: `pose_1.png` and so on.
+
+    `dots.csv` gets the names and pixels of the dots in the first picture.
 
     Parameters
     ----------
     folder : Path
-        Where.
+        Written into.
     marker_names : Sequence[str]
-        n_markers.
+        (n_markers,).
     markers_mm : Array
-        (n, n_markers, 3).
+        (n_poses, n_markers, 3) mm; x and y are drawn.
     seed : int
-        Of the pictures' noise.
+        Seed of the pictures' noise.
     """
     import cv2
 

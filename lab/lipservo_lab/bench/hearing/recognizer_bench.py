@@ -31,9 +31,10 @@ from lipsync.recognition.network_recognizer import NetworkRecognizer
 def selected(
     corpus: Path, speakers: str = "", only: str | None = None, limit: int | None = None
 ) -> tuple[TranscribedUtterance, ...]:
-    """Utterances of a folder: of some speakers, of a list of names, the first of each speaker.
+    """Return the utterances of a folder that pass every filter given.
 
-    speakers: with commas between, none for all. Raises TranscriptError for what is not there.
+    speakers: names with commas between; empty: all. only: a file of utterance names. limit: at
+    most so many of each speaker. Raises TranscriptError for what is not there.
     """
     everything = read_transcribed(corpus)
     if only is not None:

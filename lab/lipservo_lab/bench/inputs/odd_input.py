@@ -46,7 +46,11 @@ class _HangError(Exception):
 
 
 def verdict(odd: OddInput) -> tuple[Verdict, str]:
-    """Return what became of an input, and in words why that is wrong."""
+    """Return what a reader made of an input, and why that is wrong (empty: it is right).
+
+    An error for a user must be one line of at most 1000 characters, else it counts as a traceback.
+    Where refusing is allowed, a wrong value is right if the reader has reported a problem.
+    """
     try:
         with _in_time():
             value, lines = odd.read()

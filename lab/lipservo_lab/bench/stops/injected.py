@@ -61,7 +61,10 @@ class Troubles:
         return slow
 
     def failing(self, function: Callable[..., Any], *, may_hang: bool) -> Callable[..., Any]:
-        """The function; while a trouble of the status is on, it raises or does not return."""
+        """Wrap `function` so that it raises while the fault `status_raises` is on.
+
+        With may_hang it does not return while `status_hangs` is on.
+        """
 
         def failed(*arguments: Any, **named: Any) -> Any:
             if self.is_on("status_raises"):

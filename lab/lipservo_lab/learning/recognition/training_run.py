@@ -213,6 +213,10 @@ def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) ->
 def _aligned(
     run: TrainingRun, advance: Advance
 ) -> tuple[list[TranscribedUtterance], dict[str, AlignedUtterance]]:
+    """Return the utterances to train on, synthetic ones among them, and their alignments by name.
+
+    Alignments are kept in `alignments.jsonl` of the run's folder.
+    """
     everything = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
     names = Counter(u.name for u in everything)
     if twice := [name for name, count in names.items() if count > 1]:
