@@ -10,8 +10,9 @@ from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.process.lifeline import Failed
 
 _LOG: Final = logging.getLogger(__name__)
-#: A trouble is told when it has lasted so long; a servo that misses one answer is none.
-_TROUBLE_LASTS_S: Final = 1.0
+#: Troubles are logged so long after the first of them: shorter than a servo rests before it is tried
+#: again, so that the first fault is named; a servo that misses one answer is over it by then.
+_TROUBLE_LASTS_S: Final = 0.5
 _HEALTH_EVERY_S: Final = 10.0
 _REMARKS_EVERY_S: Final = 1.0
 
@@ -68,7 +69,7 @@ class ChangeLog:
             self._given_up = set(bridge.given_up)
         if bridge.n_trouble_changes != self._n_changes:
             self._n_changes = bridge.n_trouble_changes
-            self._trouble_since_s = time_s
+            self._trouble_since_s = min(self._trouble_since_s, time_s)
         if time_s - self._trouble_since_s >= _TROUBLE_LASTS_S and bridge.plugged:
             self._log_troubles()
         if self._on_health is not None and time_s >= self._health_due_s:

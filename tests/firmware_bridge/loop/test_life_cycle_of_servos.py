@@ -200,3 +200,19 @@ def test_the_log_says_why_a_face_is_let_go_whose_speech_side_hangs():
     assert len(silence) == len(again) == 1
     assert silence < again
     assert not any(any(torque) for time_s, torque, _ in robot.seen if 9.0 < time_s < 12.0)
+
+
+def test_the_first_fault_of_a_servo_is_logged_while_another_keeps_missing_answers():
+    """It was named when it was given up: each change of the other servo began the wait anew."""
+    missing = Fault("silence", servos=(0,), at_s=tuple(np.arange(3.0, 12.0, 0.8)), lasts_s=0.3)
+    robot = Robot(missing, stops=[(12.0, "soft")])
+    logged = []
+
+    def jam():
+        robot.face.chain.motors.jammed[1] = True
+        robot.face.chain.motors.position[1] += 400.0
+
+    robot.live(60.0, {2.0: jam, 8.0: lambda: logged.extend(robot.log)})
+
+    assert any("'joint_2'" in line and "does not follow" in line for line in logged)
+    assert not any("given up" in line for line in logged)
