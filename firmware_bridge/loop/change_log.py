@@ -10,8 +10,8 @@ from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.process.lifeline import Failed
 
 _LOG: Final = logging.getLogger(__name__)
-#: Troubles are logged so long after the first of them: shorter than a servo rests before it is tried
-#: again, so that the first fault is named; a servo that misses one answer is over it by then.
+#: Troubles are logged so long after the first of them: less than a servo rests before it is tried
+#: again, so that its first fault is named; a servo that missed one answer is well again by then.
 _TROUBLE_LASTS_S: Final = 0.5
 _HEALTH_EVERY_S: Final = 10.0
 _REMARKS_EVERY_S: Final = 1.0

@@ -19,6 +19,9 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Final
 
+from firmware_bridge.process.control_client import switch_servo
+from firmware_bridge.process.runtime_folder import ControlError
+from firmware_bridge.stopping import ServoSwitch
 from lipservo_lab.bench.stops.busy_computer import ProcessorShare, processor_share
 from lipservo_lab.bench.stops.robot_at_port import CLIP
 from lipservo_lab.bench.stops.running_face import RunningFace, running_face
@@ -131,9 +134,13 @@ class StarvedFace:
             self._named_now = named
 
     def _is_driven(self, name: str) -> bool:
-        status = self.face.status()
+        """Whether a servo is driven; one that was given up is switched on, as a person would."""
+        state = self.face.status().get("servos", {}).get(name)
         self.face.robot.seen.clear()
-        return bool(status.get("servos", {}).get(name) == "driven")
+        if state == "failed":
+            with contextlib.suppress(OSError, ControlError):
+                switch_servo(self.face.at.control, name, ServoSwitch.ON)
+        return bool(state == "driven")
 
     def jam(self, number: int) -> None:
         """Jam one servo of the mouth until it is named, and wait until it is driven again."""
