@@ -406,5 +406,5 @@ def test_smbus2_is_handed_the_messages_that_the_chip_takes(tmp_path, monkeypatch
         opened.close()
     assert set(asked) == {(0x0702, 5)}
     Bus.funcs = 0
-    with pytest.raises(PortError, match="speaks SMBus only"):
+    with pytest.raises(PortError, match="only speaks SMBus"):
         open_chip(str(path), 0x40)

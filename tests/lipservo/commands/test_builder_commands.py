@@ -158,7 +158,7 @@ def test_new_face_finds_feetech_servos_and_moves_each(tmp_path, model):
         ("brow", 2, model, -1),
     ]
     assert as_dynamixel.returncode == 1
-    assert "say so: --bus feetech" in as_dynamixel.stderr
+    assert "such as --bus feetech" in as_dynamixel.stderr
 
 
 def test_new_face_on_two_buses_finds_one_and_asks_for_the_other(tmp_path):
