@@ -149,7 +149,7 @@ class Prevention:
         for rule in rules:
             if len(rule.factors) != n_joints or rule.above < 0.0:
                 raise ValueError(
-                    f"rule {rule.because!r} forbids neutral, or lacks a joint of {n_joints}"
+                    f"rule {rule.because!r} needs {n_joints} factors and must allow neutral"
                 )
         self._factors = [np.array(rule.factors) for rule in rules]
         self._parts = [factors != 0.0 for factors in self._factors]

@@ -77,11 +77,11 @@ def import_sounddevice() -> ModuleType:
         import sounddevice
     except ImportError as error:
         raise SoundError(
-            "no sounddevice package: install it with `pip install sounddevice`"
+            "sound needs the package sounddevice: `pip install sounddevice`"
         ) from error
     except OSError as error:  # what it raises when the library is not found
         raise SoundError(
-            "no PortAudio library: install it with `apt install libportaudio2`"
+            "sound needs the PortAudio library: `apt install libportaudio2`"
         ) from error
     quiet_alsa()
     module: ModuleType = sounddevice

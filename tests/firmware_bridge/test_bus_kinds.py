@@ -81,7 +81,7 @@ def test_an_unknown_kind_is_answered_with_those_there_are_and_how_to_get_another
 def test_a_kind_that_cannot_be_loaded_says_why():
     with pytest.raises(UnknownBusError, match="broken: no_such_module:KIND cannot be loaded: No"):
         bus_kind("broken")
-    with pytest.raises(UnknownBusError, match="strange: what is installed under this name"):
+    with pytest.raises(UnknownBusError, match="strange: the package of this name is no bus"):
         bus_kind("strange")
 
 

@@ -61,7 +61,7 @@ def test_what_a_command_reads_is_never_written_over(tmp_path):
     source, other = tmp_path / "source", tmp_path / "link"
     source.write_text("note: source")
     other.symlink_to(source)
-    with pytest.raises(OutputError, match="is what this command reads"):
+    with pytest.raises(OutputError, match="is an input of this command"):
         check_output(other, replaces=is_note, inputs=[None, source])
 
 

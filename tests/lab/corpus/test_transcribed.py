@@ -58,7 +58,7 @@ def test_a_label_that_is_no_phone_is_that_sentences_failure(labelled):
     )
     failed = align_corpus(read_transcribed(labelled)[:1], None)["one"]
 
-    assert "phoneme 1 at 0.000 s: 'Q' is no phoneme of ipa" in failed.error
+    assert "phoneme 1 at 0.000 s: 'Q' is not a phoneme of ipa" in failed.error
 
 
 @pytest.mark.parametrize("spoil", ["sound", "words"])

@@ -78,7 +78,7 @@ END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
         (
             [started(), units("visemes", ("99", 0), alphabet="azure"), INTERRUPT],
             "bad_text",
-            "'99' is no viseme of azure",
+            "'99' is not a viseme of azure",
         ),
         (
             [started(), units("visemes", ("21",), alphabet="azure"), INTERRUPT],

@@ -159,7 +159,7 @@ def test_what_is_heard_alone_is_enough_and_an_export_is_written_over(tmp_path, t
         (["-o", "a.tsv", "--phonemes", "none.TextGrid"], "none.TextGrid: no such file"),
         (
             ["-o", "a.tsv", "--phonemes", "other.csv"],
-            "other.csv: line 1: no JSON; docs/text.md",
+            "other.csv: line 1 is neither labels nor JSON; docs/text.md",
         ),
     ],
 )

@@ -65,7 +65,7 @@ def test_weights_that_were_asked_for_and_are_damaged_are_refused(tmp_path, comma
     damaged = tmp_path / "damaged.npz"
     damaged.write_bytes(b"no weights")
     said = refused(*command.split(), CLIP_PATH, "--weights", damaged)
-    assert f"{damaged}: damaged or no weights file" in said
+    assert f"{damaged}: damaged or no weights" in said
 
 
 def test_damaged_default_weights_are_made_up_for_and_it_is_logged(monkeypatch, tmp_path, caplog):
@@ -75,7 +75,7 @@ def test_damaged_default_weights_are_made_up_for_and_it_is_logged(monkeypatch, t
     events = list(settled_events(FileSource(CLIP_PATH), make_recognizer("network")))
     assert len(events) > 20
     (line,) = caplog.messages
-    assert "damaged or no weights file" in line
+    assert "damaged or no weights" in line
 
 
 def test_a_file_cut_short_is_named_once_and_played_all_the_same(tmp_path):

@@ -148,7 +148,10 @@ def test_a_file_of_a_synthesiser_is_said_with_the_sound_beside_it(tmp_path):
     ("content", "line"),
     [
         ("[]", "no times of words, phonemes or visemes"),
-        ('[{"audioOffset": 0, "visemeId": 99}]', "viseme 1 at 0.000 s: '99' is no viseme of azure"),
+        (
+            '[{"audioOffset": 0, "visemeId": 99}]',
+            "viseme 1 at 0.000 s: '99' is not a viseme of azure",
+        ),
         ('[{"word": "b", "start": 2}, {"word": "a", "start": 1}]', "word 2 begins at 1.000 s"),
         ("<speak>Hi</speak>", "line 1: no JSON"),
     ],

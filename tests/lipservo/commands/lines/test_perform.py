@@ -184,7 +184,7 @@ def test_what_cannot_be_performed_is_told_in_one_line(written, tmp_path):
     path = written()
     path.write_bytes(path.read_bytes()[:-300])
     assert "damaged" in refusal(path)
-    assert "damaged or no performance" in refusal(sound)
+    assert "damaged or not a performance" in refusal(sound)
     assert "cannot be read" in refusal(tmp_path / "none.perf")
 
 
