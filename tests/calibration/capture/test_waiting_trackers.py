@@ -100,8 +100,16 @@ def test_a_pose_recorded_just_before_a_capture_was_killed_is_read_and_not_asked_
 @pytest.mark.parametrize(
     ("rows", "kept_mm", "said"),
     [
-        ("1,a,4,5,6\n2,a,7,8,9\n3,a,7,8,9\n", None, "pose 1 is there already: of another capture"),
-        ("1,a,4,5,6\n", 4.2, "pose 1 is not as it was captured: of another capture"),
+        (
+            "1,a,4,5,6\n2,a,7,8,9\n3,a,7,8,9\n",
+            None,
+            "it already has pose 1, so it is of another capture",
+        ),
+        (
+            "1,a,4,5,6\n",
+            4.2,
+            "its pose 1 differs from the captured one, so it is of another capture",
+        ),
     ],
 )
 def test_a_file_of_another_capture_is_refused_before_it_is_used(tmp_path, rows, kept_mm, said):

@@ -278,7 +278,7 @@ def test_the_previous_file_is_kept_and_a_power_cut_leaves_the_old_one(fit, tmp_p
         ),
         ("x_least: [", "x_lowest: [", "x_least is missing"),
         ("lag_s: ", "late_s: ", r"servos\.jaw\.lag_s is missing"),
-        ("trim:", "trim: {Q: {jaw: 1.0}}\nx:", r"trim\.Q: no viseme class; known: SIL P"),
+        ("trim:", "trim: {Q: {jaw: 1.0}}\nx:", r"trim\.Q: unknown viseme; use one of SIL P"),
         ("trim:", "trim: {P: {tail: 1.0}}\nx:", r"trim\.P\.tail: no such servo"),
     ],
 )

@@ -125,9 +125,9 @@ def test_limits_within_what_was_recorded_pass_and_wider_ones_are_named(tmp_path)
     [
         ("{", "not readable as JSON"),
         ("[]", "one entry for each joint"),
-        ({"jaw": 3}, "jaw: should hold id, drive_mode"),
+        ({"jaw": 3}, "jaw: must have the keys id, drive_mode"),
         ({"jaw": RANGES["jaw"] | {"range_max": "x"}}, r"jaw\.range_max is 'x', expected a whole"),
-        ({"jaw": RANGES["jaw"] | {"id": 300}}, r"jaw\.id is 300; servos have 0 to 253"),
+        ({"jaw": RANGES["jaw"] | {"id": 300}}, r"jaw\.id is 300; ids are 0 to 253"),
         ({"jaw": RANGES["jaw"] | {"range_min": 2332}}, "needs 0 <= range_min < range_max"),
     ],
 )
