@@ -145,7 +145,7 @@ def test_a_second_speaker_is_told_in_one_line(served):
     with lipservo.connect(served.url) as first, lipservo.connect(served.url) as second:
         with first.stream() as speech:
             speech.write(tone(0.1))
-            with pytest.raises(FaceError, match="another client speaks") as busy:
+            with pytest.raises(FaceError, match="another client is speaking") as busy:
                 second.stream().__enter__()
         assert busy.value.code == "busy"
 

@@ -140,8 +140,8 @@ def test_a_mistake_in_a_script_is_explained_in_one_line(script, said):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"\xff\xfe", "is not text in UTF-8"),
-        (b"#" * 100_001, "is longer than any fault script"),
+        (b"\xff\xfe", "is not UTF-8 text"),
+        (b"#" * 100_001, "is longer than 100,000 characters"),
         (None, "cannot be read: No such file or directory"),
     ],
 )

@@ -144,7 +144,7 @@ def test_all_good_faces_are_stopped_beside_dead_and_hung_ones(tmp_path):
     faces = by_name(done)
     assert [faces[name]["confirmed"] for name in ("hall", "door")] == [["jaw"], ["jaw"]]
     assert not any(faces[name]["problem"] for name in ("hall", "door"))
-    assert "is dead, or not at 127.0.0.1" in faces["gone"]["error"]
+    assert "no server answers at 127.0.0.1" in faces["gone"]["error"]
     assert "hangs: no answer" in faces["stuck"]["error"]
     # As each answers: who hangs is told last, and named while it is waited for.
     assert list(faces)[-1] == "stuck"
@@ -158,7 +158,9 @@ def test_a_face_that_refuses_the_token_is_named(tmp_path):
         done = invoke("status", "--on", on)
 
     assert done.exit_code == 1
-    assert f"shy: refuses the token in {tmp_path}/shy.token; copy the face's own" in done.stdout
+    assert (
+        f"shy: its server refuses the token in {tmp_path}/shy.token; copy the face's" in done.stdout
+    )
     assert "hall  simulated servos  driven" in done.stdout
 
 

@@ -58,10 +58,10 @@ def test_faces_that_start_at_the_same_time_have_one_token(folder):
 @pytest.mark.parametrize(
     ("how", "why"),
     [
-        ("link", "is no plain file"),
-        ("broken link", "is no plain file"),
-        ("folder", "is no plain file"),
-        ("fifo", "is no plain file"),
+        ("link", "is not a regular file"),
+        ("broken link", "is not a regular file"),
+        ("folder", "is not a regular file"),
+        ("fifo", "is not a regular file"),
         ("others read", "mode 0644 is open to other users"),
         ("group writes", "mode 0660 is open to other users"),
         ("empty", "its first line is empty"),

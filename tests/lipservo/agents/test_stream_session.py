@@ -35,9 +35,9 @@ END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
 @pytest.mark.parametrize(
     ("messages", "code", "told"),
     [
-        (["hello?"], "bad_json", "audio is sent as binary"),
-        (["[1, 2]"], "bad_json", "no JSON object"),
-        (["{}"], "bad_json", "no JSON object"),
+        (["hello?"], "bad_json", "send audio as binary"),
+        (["[1, 2]"], "bad_json", "not a JSON object"),
+        (["{}"], "bad_json", "not a JSON object"),
         (["[" * 100_000], "bad_json", "not JSON"),
         ([started(sample_rate=2_000)], "bad_message", "sample_rate: Input should be greater"),
         ([started(sample_rate="24000")], "bad_message", "sample_rate"),
@@ -46,15 +46,15 @@ END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
         ([started(stream="")], "bad_message", "stream"),
         ([started(stream="\ud800")], "bad_message", "stream"),
         ([started(playback="nobody")], "bad_message", "playback"),
-        ([b"\0\0"], "no_stream", "audio before start"),
-        ([END], "no_stream", "end before start"),
-        (['{"type": "mark", "name": "x"}'], "no_stream", "mark before start"),
-        ([started(), started(), INTERRUPT], "stream_open", "send end first"),
+        ([b"\0\0"], "no_stream", "audio was dropped"),
+        ([END], "no_stream", "`end` without a stream"),
+        (['{"type": "mark", "name": "x"}'], "no_stream", "`mark` without a stream"),
+        ([started(), started(), INTERRUPT], "stream_open", "send `end` first"),
         ([started(), b"\0\0\0", END], "bad_audio", "the last 1 bytes"),
         ([started(), '{"type": "audio", "data": "%%"}', INTERRUPT], "bad_audio", "not base64"),
         ([started(), "speech", INTERRUPT], "bad_json", "not JSON"),
-        ([units("words", ("a",))], "no_stream", "before start"),
-        ([units("words", ("a",), stream="x")], "no_stream", "stream 'x' was never started"),
+        ([units("words", ("a",))], "no_stream", "no stream is open"),
+        ([units("words", ("a",), stream="x")], "no_stream", "stream 'x' does not exist"),
         (
             [started(), units("words", ("a", 900), ("b", 10)), INTERRUPT],
             "bad_text",
@@ -83,7 +83,7 @@ END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
         (
             [started(), units("visemes", ("21",), alphabet="azure"), INTERRUPT],
             "bad_text",
-            "without a start_sample",
+            "need a start_sample",
         ),
         (
             [started(), units("words", *[("a",)] * 2_001), INTERRUPT],

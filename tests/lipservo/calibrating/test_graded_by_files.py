@@ -160,7 +160,7 @@ def test_what_is_no_check_of_this_calibration_is_one_clear_line(visit, tmp_path)
         (grade(tmp_path / "none.csv"), "none.csv: cannot be read"),
         (
             calibrate("grade", out, "--plan", check, "--markers", seen, "--config", "face_four"),
-            "is of another face than",
+            "is not of face",
         ),
     ):
         assert done.exit_code == 1, done.output

@@ -48,14 +48,14 @@ def test_a_face_is_written_with_narrow_limits_and_can_be_moved(tmp_path, bus):
         ((*MAESTRO, "--channel", "jaw=-1:opens"), "needs NAME=CHANNEL:WORD"),
         ((*MAESTRO, "--channel", "jaw=0"), "say what a longer pulse does: jaw=0:opens"),
         ((*MAESTRO, "--channel", "Jaw=0:opens"), "'Jaw' is no name of a joint"),
-        (MAESTRO, "which servos: give --channel jaw=0:opens"),
+        (MAESTRO, "no servos given; add --channel jaw=0:opens"),
         (("--bus", "pca9685", "--yes", "--board", "0x70", *JAW), "0x70 is no address"),
         (("--bus", "pca9685", "--yes", "--channel", "jaw=16:opens"), "16 is outside 0..15"),
         (("--bus", "parrot", *JAW), "'parrot' is not known here; use one of simulated, dynamixel"),
-        (("--bus", "dynamixel", *JAW), "--channel is not of a dynamixel bus"),
-        (("--bus", "dynamixel"), "no port: give --port; the servos there are found"),
-        ((*MAESTRO, *JAW, "--ranges", "x.json"), "--ranges is not of a maestro bus"),
-        ((), "no port: give --port, or --bus for a board that is not plugged in yet"),
+        (("--bus", "dynamixel", *JAW), "--channel is not for a dynamixel bus"),
+        (("--bus", "dynamixel"), "no port given; add --port"),
+        ((*MAESTRO, *JAW, "--ranges", "x.json"), "--ranges is not for a maestro bus"),
+        ((), "no port; give --port, or --bus for a board that is not plugged in yet"),
     ],
 )
 def test_bad_input_is_one_line_and_no_file(tmp_path, arguments, words):
@@ -97,12 +97,12 @@ def test_a_face_on_two_buses_is_written_and_can_be_moved(tmp_path):
         ((*TWO, "--board", "neck=nano"), "buses that have one: lips, eyes"),
         ((*TWO, *JAW), "'jaw=0:opens': say on which bus: lips/jaw=0:opens"),
         ((*TWO, "--channel", "neck/jaw=0:opens"), "buses of hobby servos: lips, eyes"),
-        ((*TWO, "--channel", "lips/jaw=0:opens"), "which servos: give --channel"),
+        ((*TWO, "--channel", "lips/jaw=0:opens"), "no servos given; add --channel"),
         (
             (*TWO, "--channel", "lips/jaw=0:opens", "--channel", "eyes/jaw=0:opens"),
             "jaw is another servo of this face already",
         ),
-        (("--bus", "lips=maestro", "--bus", "neck=dynamixel", "--yes", *JAW), "no port: give"),
+        (("--bus", "lips=maestro", "--bus", "neck=dynamixel", "--yes", *JAW), "no port given"),
     ],
 )
 def test_bad_input_for_two_buses_is_an_error_and_no_file(tmp_path, arguments, words):
@@ -150,12 +150,12 @@ def test_there_is_nothing_to_set_up_and_the_way_to_the_limits_is_named(face):
     ("arguments", "words"),
     [
         (("--limp",), "cannot say where they stand: find their limits with `lipservo jog JOINT`"),
-        ((), "say which joint; or --dashboard, or --limp"),
-        (("tongue",), "no joint 'tongue' in this face; it has jaw"),
-        (("tongue", "3"), "no joint 'tongue' in this face; it has jaw"),
+        ((), "no joint given; name one, or give --dashboard"),
+        (("tongue",), "this face has no joint 'tongue'; it has jaw"),
+        (("tongue", "3"), "this face has no joint 'tongue'; it has jaw"),
         (("jaw", "20"), "jaw: 20 deg is outside -9..9"),
-        (("jaw", "2", "--limp"), "DEG goes with JOINT alone"),
-        (("--open",), "--open goes with --dashboard"),
+        (("jaw", "2", "--limp"), "DEG needs JOINT, and no"),
+        (("--open",), "--open needs --dashboard"),
     ],
 )
 def test_what_jog_cannot_do_is_one_line(face, arguments, words):
