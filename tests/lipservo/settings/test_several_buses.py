@@ -49,7 +49,7 @@ def test_each_servo_has_the_keys_of_its_own_bus_and_the_same_address_may_be_on_b
         ("buses:", "bus: {}\nbuses:", "bus: this face has `buses:`; leave this out"),
         ("mini12}", "mini12, port: /dev/ttyUSB0}",
          "buses lips and neck have the same port, /dev/ttyUSB0"),
-        ("mini12}", "mini12}\n  eyes: {}", "buses.eyes: no servo says `bus: eyes`"),
+        ("mini12}", "mini12}\n  eyes: {}", "buses.eyes has no servo (`bus: eyes`)"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_said_where_it_stands(old, new, said):
@@ -104,7 +104,9 @@ def test_the_servos_of_one_bus_are_a_face_of_their_own():
     assert list(alone["neck"].servos) == ["yaw"]
     assert alone["neck"].bus_kind.name == "dynamixel"
     assert alone["lips"].capabilities.confirmed_limp is False
-    with pytest.raises(SettingsError, match="has several buses: lips, neck; say which: --bus NAME"):
+    with pytest.raises(
+        SettingsError, match="has several buses: lips, neck; choose with --bus NAME"
+    ):
         _ = face().bus_kind
 
 

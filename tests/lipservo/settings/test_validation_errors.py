@@ -72,14 +72,14 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
         (
             "rate_hz: 50",
             "rate_hz: 50\naccess: {origins: [https://kiosk.example/]}",
-            "access.origins.0: 'https://kiosk.example/' is no origin as browsers send it: "
-            "https://kiosk.example or http://localhost:3000, in lower case and without a path",
+            "access.origins.0: 'https://kiosk.example/' is not an origin of a browser; write "
+            "it like https://kiosk.example or http://localhost:3000, in lower case and without a path",
         ),
         (
             "rate_hz: 50",
             "rate_hz: 50\naccess: {origins: ['*']}",
-            "access.origins.0: '*' is no origin as browsers send it: "
-            "https://kiosk.example or http://localhost:3000, in lower case and without a path",
+            "access.origins.0: '*' is not an origin of a browser; write "
+            "it like https://kiosk.example or http://localhost:3000, in lower case and without a path",
         ),
         ("sign: -1", "sign: 2", "servos.lip.sign: 2 must be 1 or -1"),
         ("sign: -1", "sign: true", "servos.lip.sign: True is not a whole number"),
@@ -135,7 +135,7 @@ def test_every_error_gets_its_own_line(tmp_path):
 def test_a_face_needs_at_least_one_servo(tmp_path):
     text = FACE[: FACE.index("servos:")] + "servos: {}\n"
 
-    assert errors_in(tmp_path, text) == ["face.yaml.servos: needs at least one servo"]
+    assert errors_in(tmp_path, text) == ["face.yaml.servos: at least one servo is needed"]
 
 
 def test_an_alias_of_an_alias_of_an_alias_is_shown_short(tmp_path):

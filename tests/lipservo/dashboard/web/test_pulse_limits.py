@@ -91,7 +91,7 @@ def test_of_two_pages_that_set_at_once_both_are_written(path):
         ({"servo": "jaw", "limit": "min", "pulse_us": 1550}, 422, "set neutral first"),
         ({"servo": "jaw", "limit": "min", "pulse_us": 400}, 422, "pulse_us"),
         ({"servo": "jaw", "limit": "most", "pulse_us": 1500}, 422, "limit"),
-        ({"servo": "lip", "limit": "min", "pulse_us": 1500}, 404, "no servo of that name"),
+        ({"servo": "lip", "limit": "min", "pulse_us": 1500}, 404, "no servo has that name"),
         ({"limit": "min", "pulse_us": 1500}, 422, "servo"),
         ({"servo": "jaw", "limit": "min", "pulse_us": 1500, "force": True}, 422, "force"),
     ],
