@@ -73,13 +73,15 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
             "rate_hz: 50",
             "rate_hz: 50\naccess: {origins: [https://kiosk.example/]}",
             "access.origins.0: 'https://kiosk.example/' is not an origin of a browser; write "
-            "it like https://kiosk.example or http://localhost:3000, in lower case and without a path",
+            "it like https://kiosk.example or http://localhost:3000, in lower case and without a "
+            "path",
         ),
         (
             "rate_hz: 50",
             "rate_hz: 50\naccess: {origins: ['*']}",
             "access.origins.0: '*' is not an origin of a browser; write "
-            "it like https://kiosk.example or http://localhost:3000, in lower case and without a path",
+            "it like https://kiosk.example or http://localhost:3000, in lower case and without a "
+            "path",
         ),
         ("sign: -1", "sign: 2", "servos.lip.sign: 2 must be 1 or -1"),
         ("sign: -1", "sign: true", "servos.lip.sign: True is not a whole number"),
