@@ -138,7 +138,7 @@ def test_arpabet_is_the_same_in_any_case(phones, stress):
 
 @pytest.mark.parametrize(
     ("label", "rest"),
-    [("dcl", "name the alphabet (--alphabet"), ("hello", "(--tier words)"), ("zz", "--alphabet")],
+    [("dcl", "name its alphabet (--alphabet"), ("hello", "(--tier words)"), ("zz", "--alphabet")],
 )
 def test_ascii_words_are_never_spelled_as_ipa(label, rest):
     rows = labelled(("h", "ə", "l", label, "m", "ɑ", "p", "i"))
