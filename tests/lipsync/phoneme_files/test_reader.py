@@ -184,8 +184,8 @@ def test_a_file_with_the_mark_of_its_encoding_is_read(tmp_path):
         ([*AZURE, {"audioOffset": -1, "visemeId": 1}], "[4]: time -1 is not within"),
         ([*AZURE, {"audioOffset": 1e99, "visemeId": 1}], "[4]: time 1e+99 is not within"),
         ([*AZURE, {"audioOffset": True, "visemeId": 1}], "[4]: time True is not a number"),
-        (HEAD_TTS | {"vtimes": [1]}, "lists of [6, 1, 6] values"),
-        (HEAD_TTS | {"vtimes": 1}, "lists of [6, 1, 6] values"),
+        (HEAD_TTS | {"vtimes": [1]}, "its lists differ in length: [6, 1, 6]"),
+        (HEAD_TTS | {"vtimes": 1}, "its lists differ in length: [6, 1, 6]"),
         (
             HEAD_TTS | {"visemes": ["PP"] * 5 + ["X"]},
             "viseme 6 at 0.350 s: 'X' is not a viseme of ovr",
