@@ -412,12 +412,12 @@ def _pose(
     line: Mapping[str, Any], index: int, plan: PosePlan, marker_names: tuple[str, ...]
 ) -> CapturedPose:
     if line["servos"] != list(plan.servo_names) or line["markers"] != list(marker_names):
-        raise ValueError("another face")
+        raise ValueError("the pose is of another face")
     if not _has_goals(line, plan.goals_deg[index]):
-        raise ValueError("another plan")
+        raise ValueError("the pose is of another plan")
     points = np.array(line["markers_mm"], dtype=np.float64)  # null becomes NaN
     if points.shape != (len(marker_names), 3):
-        raise ValueError("wrong number of markers")
+        raise ValueError("the pose has another number of markers")
     return CapturedPose(index, np.array(line["reached_deg"], dtype=np.float64), points)
 
 

@@ -218,8 +218,8 @@ def clear_foreign_settings(
     for servo_id, changes in foreign.items():
         if any(each.name == "drive_mode" and each.found & 1 for each in changes):
             raise ServoError(
-                f"id {servo_id} runs in reverse drive mode; set drive mode 0 with Dynamixel Wizard "
-                "and record its range again"
+                f"servo id {servo_id} runs in reverse drive mode; set drive mode 0 with Dynamixel "
+                "Wizard and record its range again"
             )
     with unhurried_line(port, rate) as line:
         for servo_id, changes in foreign.items():

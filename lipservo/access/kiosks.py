@@ -213,7 +213,7 @@ def _answer(kiosk: Kiosk, request: KioskRequest) -> Answer:
     if not isinstance(answer, dict) or response.status != HTTPStatus.OK:
         reason = answer.get("error") if isinstance(answer, dict) else None
         raise KioskError(
-            f"answers: {reason or f'HTTP {response.status}, nothing that a face says'}"
+            f"its server answers: {reason or f'HTTP {response.status}, nothing that a face says'}"
         )
     return answer
 

@@ -170,7 +170,7 @@ class StreamSession:
         self._open = None
         stream.speech.end()
         if n_bytes := stream.decoder.n_left_bytes:
-            cut = f"the last {n_bytes} bytes are no whole sample; they were dropped"
+            cut = f"the last {n_bytes} bytes were dropped: they are only part of a sample"
             raise MessageError("bad_audio", cut)
 
     def _mark(self, name: str) -> None:

@@ -196,7 +196,7 @@ def typed_lags(
         except ValueError:
             lag_ms = math.nan
         if not 0.0 <= lag_ms <= _MOST_LAG_MS:
-            allowed = f"JOINT=MS with 0 to {_MOST_LAG_MS:g} ms, {name}=60 for one"
+            allowed = f"JOINT=MS with 0 to {_MOST_LAG_MS:g} ms, such as {name}=60"
             raise CalibrationError(f"--lag-ms {each}: needs {allowed}")
         lag_s[names.index(name)] = lag_ms / 1e3
     return replace(calibration, following=replace(following, lag_s=lag_s))

@@ -194,7 +194,7 @@ def framed(
 def _number(name: str) -> int:
     number = HAND_POINTS[name] if name in HAND_POINTS else int(name)
     if not 0 <= number < N_LANDMARKS:
-        raise ValueError(f"landmark {number}")
+        raise ValueError(f"there is no landmark {number}")
     return number
 
 

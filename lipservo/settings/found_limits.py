@@ -81,7 +81,7 @@ def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
     range does not include its neutral, 0.
     """
     if not most_deg - least_deg >= _LEAST_TURN_DEG:
-        raise UserError("was not turned")
+        raise UserError("was not turned; turn it to both ends")
     low_deg, high_deg = _inside(least_deg + INSIDE_DEG, most_deg - INSIDE_DEG)
     if not low_deg <= 0.0 <= high_deg:
         raise UserError(

@@ -178,7 +178,7 @@ class FaceSettings(Strict):
             if bus.port is None:
                 continue
             if (other := first.setdefault((bus.port, bus.board), name)) != name:
-                raise ValueError(f"buses {other} and {name} have the same port, {bus.port}")
+                raise ValueError(f"buses {other} and {name} both have port {bus.port}")
         return self
 
     @property

@@ -85,7 +85,7 @@ class TraceFile:
     def abandon(self) -> None:
         """Remove the unfinished file; for one that cannot be completed."""
         with suppress(OutputError), self._whole:
-            raise OutputError("abandoned")
+            raise OutputError("the trace was abandoned")
 
     def __enter__(self) -> "TraceFile":
         return self

@@ -556,7 +556,7 @@ def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
 
 def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
     if duration_s == 0.0:
-        raise SoundError(f"{path}: holds no sound (0 samples); record or export it again")
+        raise SoundError(f"{path}: has no sound (0 samples); record or export it again")
     if duration_s < SHORTEST_S:
         raise SoundError(
             f"{path}: {duration_s * 1000:.1f} ms of sound is too short; "
@@ -564,7 +564,7 @@ def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
         )
     if not has_sound:
         raise SoundError(
-            f"{path}: holds only digital silence (every sample is zero); check how it was recorded"
+            f"{path}: has only digital silence (every sample is zero); check how it was recorded"
         )
 
 

@@ -94,7 +94,7 @@ def align(
     """
     words = words_of(text)
     if not words:
-        raise AlignmentError("the text holds no words; give the words of the sound")
+        raise AlignmentError("the text has no words; give the words of the sound")
     check_aligner()
     from pocketsphinx import Decoder
 

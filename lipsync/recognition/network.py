@@ -316,7 +316,7 @@ def _mistake(weights: NetworkWeights) -> str:
         if array.shape != shape:
             return f"an array has the shape {array.shape} where {shape} is needed"
         if not np.isfinite(array).all():
-            return "holds values that are no numbers"
+            return "has values that are not finite"
     if weights.phonemes != PHONEMES:
         return "was made for other phonemes"
     if not weights.delays or list(weights.delays) != sorted(set(weights.delays)):

@@ -68,7 +68,7 @@ class NetworkRecognizer:
         self._text: TextDecoder | None = None
         least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
         if latency_s < least_s - 1e-9:
-            raise ValueError(f"latency_s is {latency_s}; the network needs at least {least_s}")
+            raise ValueError(f"latency_s is {latency_s} s; the network needs at least {least_s} s")
         self._own_noise: OwnNoise | None = None
         self.reset()
 

@@ -190,8 +190,8 @@ class Espeak:
         phonemes, guessed = _timed_phones(spoken)
         if all(each.phones == (SILENCE,) for each in phonemes):
             raise UnspeakableTextError(
-                f"{written[:40]!r} holds nothing that can be spoken in {voice.language!r}; "
-                "write words"
+                f"{written[:40]!r} has nothing that can be spoken in {voice.language!r}; write "
+                "words"
             )
         timed = refined(phonemes, spoken.samples, spoken.sample_rate_hz)
         return SynthesizedSpeech(

@@ -260,7 +260,7 @@ def test_of_a_stream_what_reaches_into_the_next_ends_where_that_begins():
         ([{"word": "Hi", "start": -1}], "[0]: time -1 must be 0 to 24 hours"),
         ([{"word": "Hi", "start": float("nan")}], "[0]: time nan is not within"),
         ([{"phoneme": "m", "num_samples": 9}], "[0]: its times are samples, so it needs a sample_rate"),
-        ({"words": ["Hi"], "start": [0, 1], "end": [1]}, "its lists differ in length: [1, 2, 1]"),
+        ({"words": ["Hi"], "start": [0, 1], "end": [1]}, "lists differ in length: [1, 2, 1]"),
         ([{"word": "a", "start": 0.0}] * 12_001, "more than 12000 words; send them in pieces"),
         ({"words": [["Hi", 0]]}, "words: each row must be [label, start, end]"),
     ],

@@ -200,7 +200,7 @@ def check_joint_name(name: str, taken: Sequence[str]) -> str:
             f"{shown(name)} is not a joint's name; use small letters, digits and _, as in upper_lip"
         )
     if name in taken:
-        raise UserError(f"{name} is another servo of this face already; choose another name")
+        raise UserError(f"joint {name} exists already; choose another name")
     return name
 
 
@@ -387,7 +387,7 @@ def _by_bus(option: str, given: Sequence[str], known: Sequence[str] | None) -> d
                 f"{option} {shown(each)}: unknown bus; use one of {', '.join(known) or 'none'}"
             )
         if name in found:
-            raise UserError(f"{option}: {name} is given twice")
+            raise UserError(f"{option}: {name} is given twice; give it once")
         found[name] = value
     return found
 

@@ -48,7 +48,7 @@ def test_each_servo_has_the_keys_of_its_own_bus_and_the_same_address_may_be_on_b
         ("lips: {kind: maestro, model: mini12}", "lips: 5", "buses.lips: 5 is not settings of its"),
         ("buses:", "bus: {}\nbuses:", "bus: this face has `buses:`; leave this out"),
         ("mini12}", "mini12, port: /dev/ttyUSB0}",
-         "buses lips and neck have the same port, /dev/ttyUSB0"),
+         "buses lips and neck both have port /dev/ttyUSB0"),
         ("mini12}", "mini12}\n  eyes: {}", "buses.eyes has no servo (`bus: eyes`)"),
     ],
 )  # fmt: skip
@@ -80,7 +80,7 @@ servos:
 
 def test_two_chips_may_share_an_i2c_bus_by_their_addresses():
     assert face(CHIPS).servo_port == "a=/dev/i2c-1,b=/dev/i2c-1"
-    with pytest.raises(SettingsError, match="buses a and b have the same port, /dev/i2c-1"):
+    with pytest.raises(SettingsError, match="buses a and b both have port /dev/i2c-1"):
         face(CHIPS.replace("0x41", "0x40"))
 
 
