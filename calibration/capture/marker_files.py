@@ -363,7 +363,7 @@ def csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[s
     try:
         for column in needed:
             if column not in (reader.fieldnames or ()):
-                raise CalibrationError(f"{path}: its first line lacks the column {column!r}")
+                raise CalibrationError(f"{path}: column {column!r} is missing in the first line")
         for number, row in enumerate(reader):
             place = f"{path}, line {number + 2}"
             if any(row.get(None, ())):  # spreadsheets leave empty ones

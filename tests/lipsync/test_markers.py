@@ -49,7 +49,7 @@ GOOD = {"name": "n", "groups": {"inner_lip": [13, 14], "skin": [1, 2]}, "lip_gap
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"lip_gap": [13, 99]}, "no group holds landmark 99"),
+        ({"lip_gap": [13, 99]}, "landmark 99 is in no group"),
         ({"lip_gap": [13, 13]}, "lip_gap needs two different landmarks"),
         ({"lip_gap": [13]}, "lip_gap be two of them"),
         ({"groups": {"skin": [13, 14, 14]}}, "landmark 14 is listed twice"),

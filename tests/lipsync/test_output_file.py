@@ -121,7 +121,7 @@ def test_a_disk_that_fills_up_leaves_the_old_file_and_nothing_else(tmp_path):
 @pytest.mark.parametrize(
     ("n_letters", "said"),
     [
-        (20_000, r"the trace broke off: File too large"),  # more than Python holds back: at once
+        (20_000, r"the trace stopped: File too large"),  # more than Python holds back: at once
         (2_000, r"cannot be written: File too large"),  # at the end
     ],
 )

@@ -96,7 +96,9 @@ def test_dots_that_merge_are_told_apart_and_told(folder):
 
 def test_pictures_of_different_size_are_refused(folder):
     rendered(folder / "pose_3.png", [(100, 100, 11, 1.0)], size=(320, 240))
-    with pytest.raises(CalibrationError, match=r"pose_3\.png is 240 x 320 pixels, pose_1\.png 320"):
+    with pytest.raises(
+        CalibrationError, match=r"pose_3\.png has 240 x 320 pixels, but pose_1\.png 320"
+    ):
         DotsFolder(folder).readings()
 
 

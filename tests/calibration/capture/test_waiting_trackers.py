@@ -80,7 +80,7 @@ def test_a_tracker_that_stalls_is_waited_for_no_longer_than_a_person_needs(tmp_p
     wire = Wire(path)
     tracker = FileTracker(path, SERVOS, wire.wait, wire.said.append)
     tracker.arrived(0, np.zeros(2))
-    with pytest.raises(CalibrationError, match=r"nothing was recorded of pose 1 in 300 s; is the"):
+    with pytest.raises(CalibrationError, match=r"no pose 1 was recorded in 300 s; is the"):
         tracker.measure()
     assert wire.now_s == pytest.approx(PATIENCE_S, abs=1.0)
 

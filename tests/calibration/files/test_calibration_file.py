@@ -152,7 +152,7 @@ def test_a_changed_digit_is_told_with_what_to_do(calibration, old, new):
     with pytest.raises(CalibrationError, match="its checksum differs") as refused:
         parse_calibration(text.replace(old, new, 1), "face.calibration.yaml")
     assert str(refused.value).startswith("face.calibration.yaml: ")
-    assert "`checksum:` is deleted" in str(refused.value)
+    assert "delete the line `checksum:`" in str(refused.value)
     meant = without_checksum(text).replace(old, new, 1)
     assert "\nchecksum:" not in meant
     parse_calibration(meant, "x")

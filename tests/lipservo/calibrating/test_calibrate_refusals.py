@@ -63,7 +63,7 @@ def test_bad_wishes_are_one_clear_line_and_write_nothing(tmp_path, arguments, sa
 @pytest.mark.parametrize(
     ("goals_deg", "message"),
     [
-        (np.zeros(8), "jaw moves in no pose, so nothing can be learnt of it"),
+        (np.zeros(8), "jaw never moves in it, so nothing can be learnt of it"),
         (np.linspace(0.0, 60.0, 8), r"is outside -2\.\.25; is it a plan of this face"),
     ],
 )

@@ -132,8 +132,8 @@ def test_new_face_writes_a_yaml_that_loads(tmp_path):
         answers = f"jaw\nopens\ny\n{asked_again}brow\nraises\nn\n"
         done = lipservo("new-face", "-o", path, "--port", port, input=answers)
         assert done.returncode == 0, done.stderr
-        assert "'Brow!' is no name of a joint" in done.stderr
-        assert "jaw is another servo of this face already" in done.stderr
+        assert "'Brow!' is not a joint's name" in done.stderr
+        assert "joint jaw exists already" in done.stderr
     face = load_face(path)
 
     assert [(name, s.id, s.positive, s.sign) for name, s in face.servos.items()] == [
@@ -168,7 +168,7 @@ def test_new_face_on_two_buses_finds_one_and_asks_for_the_other(tmp_path):
         answers = "mini12\njaw=0:opens\n\njaw\nneck_yaw\nturns left\ny\n"
         done = lipservo("new-face", "-o", path, *buses, input=answers)
     assert done.returncode == 0, done.stderr
-    assert "jaw is another servo of this face already" in done.stderr
+    assert "joint jaw exists already" in done.stderr
     face = load_face(path)
 
     assert face.bus_of == ("lips", "neck")

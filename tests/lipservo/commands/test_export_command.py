@@ -153,7 +153,7 @@ def test_what_is_heard_alone_is_enough_and_an_export_is_written_over(tmp_path, t
     [
         (["-o", "a.mp4"], "a.mp4: this file type is unknown; use "),
         (["-o", "a.tsv", "--format", "arkit"], "a.tsv: a arkit file must end in .jsonl or .csv"),
-        (["-o", "a.csv", "--rate-hz", "29.97"], "--rate-hz 29.97: a CSV counts whole frames"),
+        (["-o", "a.csv", "--rate-hz", "29.97"], "--rate-hz 29.97: a CSV needs whole frames"),
         (["-o", "none/a.tsv"], "there is no folder none"),
         (["-o", "other.csv"], "other.csv: exists already and is no export"),
         (["-o", "a.tsv", "--phonemes", "none.TextGrid"], "none.TextGrid: no such file"),

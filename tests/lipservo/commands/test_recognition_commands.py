@@ -131,7 +131,7 @@ def test_align_writes_words_and_phones(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("hello 12", "word '12' has no pronunciation"), ("...", "the text has no words")],
+    [("hello 12", "word '12' has no letters"), ("...", "the text has no words")],
 )
 def test_align_explains_a_text_that_cannot_be_aligned(text, said):
     done = lipservo("lines", "align", CLIP_PATH, text)

@@ -126,7 +126,7 @@ def test_a_request_without_a_field_is_refused(name):
         ),
         (
             {"motion": {**WHOLE["motion"], "recognizer_latency_s": 60.0}},
-            "request.motion: recognizer_latency_s is 60.0; allowed: 0 to 1.0",
+            "request.motion: recognizer_latency_s is 60.0; allowed: above 0 to 1.0",
         ),
     ],
 )

@@ -85,7 +85,7 @@ def test_neutral_moves_the_degrees_of_both_ends(path):
         ("jaw", "min", 499.0, "outside 500..2500"),
         ("jaw", "max", 2501.0, "outside 500..2500"),
         ("jaw", "max", float("nan"), "outside 500..2500"),
-        ("tongue", "min", 1400.0, "has no hobby servo 'tongue'"),
+        ("tongue", "min", 1400.0, "no hobby servo is called 'tongue'"),
     ],
 )
 def test_what_cannot_be_a_limit_is_refused_and_nothing_is_written(

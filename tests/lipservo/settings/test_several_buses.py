@@ -46,7 +46,7 @@ def test_each_servo_has_the_keys_of_its_own_bus_and_the_same_address_may_be_on_b
         ("kind: maestro", "kind: steamer", "buses.lips.kind: 'steamer' is not known here"),
         ("lips: {kind", "Lips: {kind", "buses.Lips: 'Lips' does not have the form"),
         ("lips: {kind: maestro, model: mini12}", "lips: 5", "buses.lips: 5 is not settings of its"),
-        ("buses:", "bus: {}\nbuses:", "bus: this face has `buses:`; leave this out"),
+        ("buses:", "bus: {}\nbuses:", "bus: this face has `bus` and `buses`"),
         ("mini12}", "mini12, port: /dev/ttyUSB0}",
          "buses lips and neck both have port /dev/ttyUSB0"),
         ("mini12}", "mini12}\n  eyes: {}", "buses.eyes has no servo (`bus: eyes`)"),

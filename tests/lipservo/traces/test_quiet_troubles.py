@@ -27,7 +27,7 @@ def test_a_health_log_without_a_place_is_one_line(tmp_path):
         text=True,
     )
     assert done.returncode == 0
-    assert done.stderr == "no health log: set HOME, XDG_STATE_HOME or LIPSERVO_STATE\n"
+    assert done.stderr == "health is not logged: set HOME, XDG_STATE_HOME or LIPSERVO_STATE\n"
 
 
 class FullDisk:

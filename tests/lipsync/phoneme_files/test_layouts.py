@@ -160,7 +160,7 @@ def test_two_speakers_are_told_apart_by_tier():
 
     assert "ann - phones, bob - phones; choose one with --tier NAME" in refusal(grid)
     assert told(grid, tier="bob - phones") == rounded(other)
-    assert "which tier? The file has: ann - words" in refusal(grid, tier="eve")
+    assert "the file has several tiers: ann - words" in refusal(grid, tier="eve")
 
 
 def test_a_tier_of_any_name_is_read_if_it_is_the_only_one():
@@ -294,7 +294,7 @@ def test_half_a_file_is_refused_or_told(name):
     [
         (
             LABEL_TRACK.replace("\t0.350000", "\tsoon", 1),
-            "line 2: '0.200000\\tsoon\\tah' is not as the lines",
+            "line 2: '0.200000\\tsoon\\tah' is unlike the lines",
         ),
         ("-0.5\t0.2\tHH\n", "line 1: from -0.5 to 0.2 s"),
         (

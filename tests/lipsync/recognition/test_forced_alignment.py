@@ -95,7 +95,7 @@ def test_guessed_pronunciations_are_arpabet_without_stress(word, phones):
 
 
 def test_a_number_is_no_word():
-    with pytest.raises(PronunciationError, match="word '12' has no pronunciation"):
+    with pytest.raises(PronunciationError, match="word '12' has no letters"):
         pronounce("12")
 
 

@@ -112,7 +112,7 @@ def test_a_shipped_face_and_a_servo_with_an_encoder_have_none_to_set(path):
         "min_deg: 0, max_deg: 9, max_speed_deg_s: 300}}\n"
     )
     with watched(path) as (_, client):
-        assert "has no hobby servo 'jaw'" in limit(client, "min", 1450.0).json()["error"]
+        assert "no hobby servo is called 'jaw'" in limit(client, "min", 1450.0).json()["error"]
 
 
 def test_a_limit_and_a_move_need_the_token(path):
