@@ -47,7 +47,7 @@ def test_a_channel_without_speech_is_told_and_the_other_is_heard(tmp_path):
     assert {line.split()[-1] for line in right.stdout.splitlines()} == {"SIL"}
     assert left.stderr == ""
     assert len(left.stdout.splitlines()) > 20
-    assert "has 2 channels, not --channel 3" in refused(
+    assert "has 2 channels, not 3" in refused(
         "lines", "recognize", tmp_path / "two.wav", "--channel", "3"
     )
 

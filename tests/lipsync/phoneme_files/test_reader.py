@@ -199,8 +199,8 @@ def test_a_file_with_the_mark_of_its_encoding_is_read(tmp_path):
         ([{"phoneme": 3, "start": 0}], "[0]: 3 is not a phoneme"),
         ([1, 2], "no times of words, phonemes"),
         ({"hello": 1}, "no times of words, phonemes"),
-        ("[" * 100_000, "line 1: no JSON"),
-        ('{"time":' + "9" * 5000 + "}", "no JSON"),
+        ("[" * 100_000, "line 1 is neither labels nor JSON"),
+        ('{"time":' + "9" * 5000 + "}", "nor JSON"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line_with_its_place(content, told):
