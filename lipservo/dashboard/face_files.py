@@ -26,7 +26,7 @@ from lipsync.output_file import write_whole
 def own_yaml(config: str | None) -> Path:
     """Return the YAML path of a user's own face. Raises FaceError for a shipped face, or None."""
     if config is None:
-        raise FaceError("refused", "this face has no YAML of its own to change")
+        raise FaceError("refused", "the place of this face's YAML is unknown")
     try:
         return found_limits.own_yaml(config)
     except UserError as error:
@@ -85,7 +85,7 @@ def sound_choices(config: str | None) -> dict[str, Any]:
     from lipsync.text_to_speech.synthesizers import synthesizer_for
 
     if config is None:
-        raise FaceError("not_available", "this face has no YAML of its own")
+        raise FaceError("not_available", "the place of this face's YAML is unknown")
     chosen = load_settings(config)[0].sound
     found: dict[str, Any] = {"inputs": [], "outputs": [], "languages": [], "voices": []}
     with suppress(SoundError):
@@ -162,7 +162,7 @@ def calibration_values(config: str | None) -> dict[str, Any]:
     from lipservo.settings.settings import calibration_file
 
     if config is None:
-        raise FaceError("not_available", "this face has no YAML of its own")
+        raise FaceError("not_available", "the place of this face's YAML is unknown")
     try:
         settings, folder = load_settings(config)
         file = calibration_file(settings, folder)

@@ -35,7 +35,7 @@ def status_of_kiosks(on: Path, *, as_json: bool) -> None:
             raise KioskError(f"its dashboard answers, but not its face: {answer.get('trouble')}")
         if not isinstance(answer.get("state"), str):
             there = answer.get("version", "an unknown version")
-            raise KioskError(f"runs lipservo {there}, here is {here}; install one on both")
+            raise KioskError(f"runs lipservo {there}, here is {here}; install one version on both")
         line = f"{name}  {answer.get('port') or 'simulated servos'}  {state_words(answer)}"
         there = answer.get("version", "an older one")
         if there != here:

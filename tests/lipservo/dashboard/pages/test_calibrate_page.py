@@ -26,7 +26,10 @@ def test_the_calibration_of_a_shipped_face_is_read():
 
 @pytest.mark.parametrize(
     ("config", "why"),
-    [(None, "has no YAML of its own"), ("nobody", "no shipped face is called 'nobody'")],
+    [
+        (None, "the place of this face's YAML is unknown"),
+        ("nobody", "no shipped face is called 'nobody'"),
+    ],
 )
 def test_why_there_is_none_is_said(config, why):
     told, trouble = read_calibration(config)
