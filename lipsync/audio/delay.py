@@ -210,7 +210,7 @@ def measure_delay(
             raise SoundError("the loudspeaker has not started to play; choose another")
         sleep(_TICK_S)
     if not captured:
-        raise SoundError("the microphone recorded no sound; choose another with --mic")
+        raise SoundError("the microphone recorded no sound; choose another microphone")
     expected_s = _expected_s(np.array(left), np.array(captured))
     return find_delay(np.concatenate(heard), expected_s)
 
