@@ -125,7 +125,9 @@ def test_what_is_left_out_must_be_there(labelled):
 
     assert [u.name for u in without_names(utterances, frozenset({"one"}))] == ["two"]
     assert [u.name for u in of_names(utterances, frozenset({"one"}))] == ["one"]
-    with pytest.raises(TranscriptError, match="1 of 2 listed utterances are not there, 'three'"):
+    with pytest.raises(
+        TranscriptError, match="1 of 2 listed utterances do not exist, such as 'three'"
+    ):
         without_names(utterances, frozenset({"one", "three"}))
 
 

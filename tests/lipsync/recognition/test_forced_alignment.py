@@ -172,7 +172,7 @@ def test_a_file_of_the_users_is_not_taken_for_alignments(clip, tmp_path):
     path = tmp_path / "thesis.jsonl"
     path.write_bytes(b"\xff\xd8 a photograph")
 
-    with pytest.raises(CacheError, match="is no file of alignments"):
+    with pytest.raises(CacheError, match="is not a file of alignments"):
         align_corpus(utterances, path)
     assert path.read_bytes() == b"\xff\xd8 a photograph"
 
