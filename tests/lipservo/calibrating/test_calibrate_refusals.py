@@ -64,7 +64,7 @@ def test_bad_wishes_are_one_clear_line_and_write_nothing(tmp_path, arguments, sa
     ("goals_deg", "message"),
     [
         (np.zeros(8), "jaw never moves in it, so nothing can be learnt of it"),
-        (np.linspace(0.0, 60.0, 8), r"is outside -2\.\.25; is it a plan of this face"),
+        (np.linspace(0.0, 60.0, 8), r"is outside -2\.\.25 deg; is it a plan of this face"),
     ],
 )
 def test_a_plan_that_teaches_nothing_or_is_of_another_face_is_refused(tmp_path, goals_deg, message):

@@ -200,7 +200,7 @@ def test_new_face_takes_names_and_limits_from_a_range_file_of_lerobot(tmp_path):
         ranges.write_text(json.dumps({"jaw": entry | {"range_min": 2100}}))
         done = lipservo(*how, input="\nopens\ny\n")
         assert done.returncode == 1
-        assert "jaw (id 1) stands at 20" in done.stderr
+        assert "jaw (id 1) is at position 20" in done.stderr
         assert "outside its recorded range 2100..2332" in done.stderr
         assert not path.exists()
 

@@ -92,8 +92,8 @@ def test_a_face_on_two_buses_is_written_and_can_be_moved(tmp_path):
     [
         (("--bus", "maestro", "--bus", "pca9685"), "--bus is given 2 times; for several"),
         ((*TWO, "--bus", "lips=maestro"), "--bus: lips is given twice"),
-        ((*TWO, "--bus", "maestro"), "--bus 'maestro': needs NAME=..."),
-        ((*TWO, "--port", "/dev/ttyACM0"), "--port '/dev/ttyACM0': needs NAME=..."),
+        ((*TWO, "--bus", "maestro"), "--bus 'maestro': write NAME=..."),
+        ((*TWO, "--port", "/dev/ttyACM0"), "--port '/dev/ttyACM0': write NAME=..."),
         ((*TWO, "--board", "neck=nano"), "unknown bus; use one of lips, eyes"),
         ((*TWO, *JAW), "'jaw=0:opens': add its bus, as lips/jaw=0:opens"),
         ((*TWO, "--channel", "neck/jaw=0:opens"), "buses of hobby servos: lips, eyes"),

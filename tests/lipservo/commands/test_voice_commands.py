@@ -159,7 +159,7 @@ def test_a_file_of_a_synthesiser_is_said_with_the_sound_beside_it(tmp_path):
             "viseme 1 at 0.000 s: '99' is not a viseme of azure",
         ),
         ('[{"word": "b", "start": 2}, {"word": "a", "start": 1}]', "word 2 begins at 1.000 s"),
-        ("<speak>Hi</speak>", "line 1: no JSON"),
+        ("<speak>Hi</speak>", "line 1 is neither labels nor JSON"),
     ],
 )
 def test_a_file_that_cannot_be_said_is_one_line(capsys, monkeypatch, tmp_path, content, line):

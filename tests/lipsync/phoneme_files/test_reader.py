@@ -166,8 +166,8 @@ def test_a_file_with_the_mark_of_its_encoding_is_read(tmp_path):
     ("content", "told"),
     [
         ("", "file: empty; docs/text.md"),
-        ("hello", "file: line 1: no JSON"),
-        (POLLY + "nonsense", "file: line 9: no JSON"),
+        ("hello", "file: line 1 is neither labels nor JSON"),
+        (POLLY + "nonsense", "file: line 9 is neither labels nor JSON"),
         (
             POLLY + '{"time":380,"type":"viseme","value":"Q"}',
             "viseme 6 at 0.380 s: 'Q' is not a viseme of polly",
