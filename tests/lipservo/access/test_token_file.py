@@ -62,8 +62,8 @@ def test_faces_that_start_at_the_same_time_have_one_token(folder):
         ("broken link", "is not a regular file"),
         ("folder", "is not a regular file"),
         ("fifo", "is not a regular file"),
-        ("others read", "is open to other users (mode 0644)"),
-        ("group writes", "is open to other users (mode 0660)"),
+        ("others read", r"is open to other users \(mode 0644\)"),
+        ("group writes", r"is open to other users \(mode 0660\)"),
         ("empty", "its first line is empty"),
     ],
 )
