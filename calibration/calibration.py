@@ -293,15 +293,15 @@ def check_calibration(
             raise CalibrationError(f"calibrated servo {name!r} is not in this face; {_REMEDY}")
     if calibration.model_checksum != model.checksum:
         raise CalibrationError(
-            f"calibration was made for model {calibration.model_checksum}, "
-            f"this is model {model.checksum}; {_OTHER_MODEL}"
+            f"this calibration was made for model {calibration.model_checksum}, this is model "
+            f"{model.checksum}; {_OTHER_MODEL}"
         )
     if not np.allclose(calibration.rest, model.rest, rtol=0.0, atol=_REST_TOLERANCE):
         raise CalibrationError(f"calibration was made for another closed mouth; {_OTHER_MODEL}")
     if calibration.face_checksum != face_checksum or calibration.servo_names != tuple(servo_names):
         raise CalibrationError(
-            f"calibration was made for face {calibration.face_checksum}, "
-            f"this is face {face_checksum}: its servos or limits have changed since; {_REMEDY}"
+            f"this calibration was made for face {calibration.face_checksum}, this is face "
+            f"{face_checksum}: its servos or limits have changed since; {_REMEDY}"
         )
 
 

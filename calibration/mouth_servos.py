@@ -31,8 +31,8 @@ class JointRange:
     def __post_init__(self) -> None:
         if not -math.inf < self.min_deg <= 0.0 <= self.max_deg < math.inf:
             raise CalibrationError(
-                f"servo {self.name!r}: needs min_deg <= 0 <= max_deg, "
-                f"got {self.min_deg} and {self.max_deg}"
+                f"servo {self.name!r}: needs min_deg <= 0 <= max_deg, got {self.min_deg} and "
+                f"{self.max_deg}"
             )
 
 

@@ -196,7 +196,7 @@ class BusKind:
         return importlib.import_module(name)
 
     def _lacks(self, what: str) -> BusError:
-        return BusError(f"bus {self.name}: has no {what}")
+        return BusError(f"a bus of kind {self.name} has no {what}")
 
 
 def bus_names() -> list[str]:
@@ -214,7 +214,7 @@ def bus_kind(name: str) -> BusKind:
     else:
         kind = _other(name)
     if not isinstance(kind, BusKind):
-        raise UnknownBusError(f"{name}: what is installed under this name is no bus")
+        raise UnknownBusError(f"{name}: the package of this name is no bus; remove it")
     return kind
 
 
@@ -243,6 +243,6 @@ def _other(name: str) -> object:
         except Exception as error:  # whatever another package may raise
             raise UnknownBusError(f"{name}: {point.value} cannot be loaded: {error}") from error
     raise UnknownBusError(
-        f"{name!r:.60} is not known here; use one of {', '.join(bus_names())}, or install the "
-        f"package that brings it (entry point {GROUP})"
+        f"bus kind {name!r:.60} is not known here; use one of {', '.join(bus_names())}, or install "
+        f"the package that provides it (entry point {GROUP})"
     )

@@ -24,7 +24,7 @@ def within(low: float, high: float) -> AfterValidator:
 
 def _check_sign(value: int) -> int:
     if value not in (1, -1):
-        raise ValueError(f"{value} is neither 1 nor -1")
+        raise ValueError(f"{value} must be 1 or -1")
     return value
 
 
@@ -125,8 +125,8 @@ class BusServo(Strict):
                 )
         if self.max_speed_deg_s > fastest_deg_s:
             raise ValueError(
-                f"max_speed_deg_s {self.max_speed_deg_s:g} is more than an {self.make} makes "
-                f"without load, {fastest_deg_s:g}"
+                f"max_speed_deg_s {self.max_speed_deg_s:g} is faster than an {self.make} turns "
+                f"without load ({fastest_deg_s:g} deg/s); lower it"
             )
         return self
 

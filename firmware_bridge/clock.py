@@ -45,7 +45,7 @@ class ManualClock:
     def advance(self, seconds: float) -> None:
         """Set the clock on by `seconds`. Raises ValueError when `seconds` is negative."""
         if seconds < 0.0:
-            raise ValueError(f"time does not run backwards: {seconds} s")
+            raise ValueError(f"a clock cannot go back by {seconds} s")
         self._now_s += seconds
 
 

@@ -23,8 +23,8 @@ PulseWidth = Annotated[float, within(SHORTEST_US, LONGEST_US)]
 def _check_us_per_deg(value: float) -> float:
     if not 1.0 <= abs(value) <= 100.0:
         raise ValueError(
-            f"{value:g} is outside 1..100 and -100..-1; of most servos it is about 11, and -11 "
-            "turns the joint round"
+            f"{value:g} us per deg is outside 1..100 and -100..-1; most servos have about 11, or "
+            "-11 to reverse the joint"
         )
     return value
 
@@ -58,15 +58,15 @@ class PulseServo(BusServo, _Channel):
     def _its_pulses_reach(self) -> Self:
         if self.sign != 1 or self.zero_offset_deg != 0.0:
             raise ValueError(
-                "sign and zero_offset_deg are not of hobby servos; a minus in us_per_deg turns the "
-                "joint round, neutral_us moves its zero"
+                "hobby servos have no sign and zero_offset_deg; a negative us_per_deg reverses "
+                "the joint, and neutral_us moves its zero"
             )
         for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
             pulse_us = self.neutral_us + self.us_per_deg * angle
             if not self.min_us <= pulse_us <= self.max_us:
                 raise ValueError(
-                    f"{name} {angle:g} takes a pulse of {pulse_us:g} us, outside min_us..max_us, "
-                    f"{self.min_us:g}..{self.max_us:g}"
+                    f"{name} {angle:g} deg needs a pulse of {pulse_us:g} us, outside "
+                    f"min_us..max_us ({self.min_us:g}..{self.max_us:g} us)"
                 )
         return self
 

@@ -57,12 +57,12 @@ class SimulationRequest:
         """
         last_id, model = self.first_id + self.n_servos - 1, self.model or usual
         if model not in models:
-            raise ServoError(f"model {model!r} is not known; use one of {', '.join(models)}")
+            raise ServoError(f"servo model {model!r} is not known; use one of {', '.join(models)}")
         if self.baud_rate is not None and self.baud_rate not in rates:
-            raise ServoError(f"{self.baud_rate} baud is no rate of these servos")
+            raise ServoError(f"these servos have no baud rate {self.baud_rate}")
         if last_id > highest_id:
             ids = f"ids {self.first_id}..{last_id}"
-            raise ServoError(f"{ids}: a servo's id is at most {highest_id}")
+            raise ServoError(f"servo ids {ids}: the highest possible id is {highest_id}")
         return [models[model]] * self.n_servos, range(self.first_id, last_id + 1)
 
     def timed_faults(self, fault: type[Fault]) -> Sequence[Fault]:
@@ -117,7 +117,7 @@ def parse_faults(text: str | None, fault: type[Fault]) -> Sequence[Fault]:
     try:
         faults: list[Fault] = script.model_validate(yaml.safe_load(text)).faults
     except yaml.YAMLError as error:
-        raise ValueError("not YAML") from error
+        raise ValueError("the fault script is not YAML") from error
     except ValidationError as error:
         first = error.errors()[0]
         raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error

@@ -40,7 +40,7 @@ class StateTable(Generic[State, Event, Guard, Action]):
             for state in row.states:
                 cell = self._cells.setdefault((state, row.event), [])
                 if cell and cell[-1].when is None:
-                    raise ValueError(f"{state}, {row.event}: a row behind one that always counts")
+                    raise ValueError(f"{state}, {row.event}: a row before this one always applies")
                 cell.append(row)
 
     def find(

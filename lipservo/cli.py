@@ -123,4 +123,4 @@ def lipservo(
         sys.stdout.write(f"lipservo {version('lipservo')}\n")
         raise typer.Exit
     if context.invoked_subcommand is None:
-        raise typer.BadParameter("say which command")
+        raise typer.BadParameter("no command given; --help lists them")

@@ -48,7 +48,7 @@ def main() -> None:
     except ModuleNotFoundError as error:
         library = (error.name or "").partition(".")[0]
         if library in EXTRA_OF:
-            complain(f"this needs {library}: `pip install '{EXTRA_OF[library]}'`")
+            complain(f"{library} is not installed: `pip install '{EXTRA_OF[library]}'`")
         elif not RUNS_FACES and library in ("fcntl", "termios", "tty"):
             complain(NEEDS_LINUX)
         else:
@@ -58,7 +58,7 @@ def main() -> None:
         complain("the input ended before all questions were answered; no file was written")
         status = 1
     except UnicodeDecodeError as error:
-        complain(f"a file that should be text is none: byte {error.start} is no UTF-8")
+        complain(f"an input file is not UTF-8 text (byte {error.start})")
         status = 1
     except OSError as error:
         where = "" if error.filename is None else f"{error.filename}: "

@@ -77,7 +77,7 @@ def phones_of(label: str, alphabet: str = ARPABET, *, guesses: bool = True) -> t
         phone = arpabet_phone(label)
         if phone is None:
             raise AlphabetError(
-                f"{shown(label)} is no phoneme of ARPAbet; write SIL for silence, or name the "
+                f"{shown(label)} is not an ARPAbet phoneme; write SIL for silence, or name the "
                 f"alphabet: {', '.join(alphabets())}"
             )
         return (phone,)
@@ -86,11 +86,11 @@ def phones_of(label: str, alphabet: str = ARPABET, *, guesses: bool = True) -> t
     visemes = viseme_sets().get(alphabet)
     if visemes is None:
         raise AlphabetError(
-            f"alphabet {shown(alphabet)} is not known; there are: {', '.join(alphabets())}"
+            f"alphabet {shown(alphabet)} is not known; use one of: {', '.join(alphabets())}"
         )
     if label not in visemes:
         raise AlphabetError(
-            f"{shown(label)} is no viseme of {alphabet}; it has: {' '.join(visemes)}"
+            f"{shown(label)} is not a viseme of {alphabet}, which has: {' '.join(visemes)}"
         )
     return (visemes[label][0],)
 
@@ -146,7 +146,7 @@ def _spelled(label: str, alphabet: str, *, guesses: bool) -> tuple[str, ...]:
             return (arpabet,)
     found = phones_of_ipa(label if alphabet == IPA else _as_ipa(label, alphabet))
     if found.is_guess and not guesses:
-        raise AlphabetError(f"{shown(label)} is no phoneme of {alphabet}; mend it")
+        raise AlphabetError(f"{shown(label)} is not a phoneme of {alphabet}; correct this label")
     return found.phones
 
 

@@ -66,16 +66,16 @@ class ArrayArchive:
             member.filename.removesuffix(".npy"): member for member in self._zip.infolist()
         }
         if len(self._members) > _MOST_MEMBERS:
-            raise ValueError(f"more than {_MOST_MEMBERS} arrays")
+            raise ValueError(f"the file has more than {_MOST_MEMBERS} arrays")
         # Not only of those that will be read: what nobody reads has no place in an archive either.
         n_bytes = sum(member.file_size for member in self._zip.infolist())
         if n_bytes > most_bytes:
-            raise ValueError(f"{_mb(n_bytes)} unpacked, at most {_mb(most_bytes)} are read")
+            raise ValueError(f"{_mb(n_bytes)} unpacked; at most {_mb(most_bytes)} are read")
         for name, most in (most_of or {}).items():
             member = self._members.get(name)
             if member is not None and member.file_size > most:
                 size = _mb(member.file_size)
-                raise ValueError(f"{name!r} has {size} unpacked, at most {_mb(most)} are read")
+                raise ValueError(f"array {name!r} is {size} unpacked; at most {_mb(most)} are read")
 
     @property
     def names(self) -> list[str]:
@@ -98,7 +98,7 @@ class ArrayArchive:
                 held[n_read : n_read + len(chunk)] = chunk
                 n_read += len(chunk)
             if n_read != len(data):
-                raise ValueError(f"{name!r} is cut short")
+                raise ValueError(f"array {name!r} is cut short")
         return (
             np.ndarray(shape, dtype, buffer=data, order=order) if data else np.empty(shape, dtype)
         )
@@ -110,7 +110,7 @@ class ArrayArchive:
         """
         with self._opened(name) as (file, shape, dtype, _):
             if dtype != np.uint8 or len(shape) != 1:
-                raise ValueError(f"{name!r} holds no bytes")
+                raise ValueError(f"entry {name!r} is not stored as bytes")
             while chunk := file.read(_CHUNK_BYTES):
                 yield chunk
 
@@ -125,20 +125,20 @@ class ArrayArchive:
         """Yield the array `name` as (file at its first value, shape, type, order "C" or "F")."""
         member = self._members[name]
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise ValueError(f"{name!r} is packed in a way that NumPy does not write")
+            raise ValueError(f"array {name!r} is compressed in a way that NumPy does not write")
         with self._zip.open(member) as file:
             head = file.read(_HEAD_BYTES)
             if head[:8] != b"\x93NUMPY\x01\x00" or len(head) != _HEAD_BYTES:
-                raise ValueError(f"{name!r} is no plain array")
+                raise ValueError(f"array {name!r} has no plain numbers")
             n_header = int.from_bytes(head[8:], "little")
             found = _HEADER.fullmatch(file.read(n_header).decode("latin-1"))
             if found is None:
-                raise ValueError(f"{name!r} is no plain array")
+                raise ValueError(f"array {name!r} has no plain numbers")
             dtype = np.dtype(found[1])
             shape = tuple(int(each) for each in found[3].replace(",", " ").split())
             n_bytes = member.file_size - _HEAD_BYTES - n_header
             if dtype.itemsize == 0 or math.prod(shape) * dtype.itemsize != n_bytes:
-                raise ValueError(f"{name!r} promises {shape} values, and has {n_bytes} bytes")
+                raise ValueError(f"array {name!r}: {n_bytes} bytes for {shape} values")
             yield file, shape, dtype, "F" if found[2] == "True" else "C"
 
 
@@ -167,10 +167,10 @@ def _check_list(file: IO[bytes]) -> None:
     file.seek(max(0, end - _END.size - _END_64_BYTES))
     tail = file.read()
     if len(tail) < _END.size or tail[-_END.size :][:4] != b"PK\x05\x06":
-        raise ValueError("no archive of arrays")
+        raise ValueError("the file is not an archive of arrays")
     _, n_listed, n_comment = _END.unpack(tail[-_END.size :])
     if n_comment or tail.startswith(b"PK\x06\x07") or n_listed > _MOST_LISTED_BYTES:
-        raise ValueError("its list of arrays is longer than any of ours")
+        raise ValueError("the file's list of arrays is too long")
     file.seek(0)
 
 

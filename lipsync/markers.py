@@ -62,12 +62,12 @@ class PointLayout:
         known = set(self.landmarks)
         if len(known) != len(self.landmarks):
             twice = next(n for n in self.landmarks if self.landmarks.count(n) > 1)
-            raise LayoutError(f"layout {self.name}: landmark {twice} stands in it twice")
+            raise LayoutError(f"layout {self.name}: landmark {twice} is listed twice")
         if self.gap_landmarks[0] == self.gap_landmarks[1]:
             raise LayoutError(f"layout {self.name}: lip_gap needs two different landmarks")
         for landmark in self.gap_landmarks:
             if landmark not in known:
-                raise LayoutError(f"layout {self.name}: no group holds landmark {landmark}")
+                raise LayoutError(f"layout {self.name}: landmark {landmark} is in no group")
 
     @cached_property
     def landmarks(self) -> tuple[int, ...]:
@@ -142,7 +142,7 @@ def layout_of(description: Mapping[str, Any]) -> PointLayout:
     """
     missing = [key for key in _NEEDED if key not in description]
     if missing:
-        raise LayoutError(f"a layout needs {', '.join(missing)}; it has {', '.join(description)}")
+        raise LayoutError(f"the layout lacks {', '.join(missing)}; it has {', '.join(description)}")
     name = str(description["name"])
     try:
         groups = tuple(
@@ -151,8 +151,8 @@ def layout_of(description: Mapping[str, Any]) -> PointLayout:
         upper, lower = _landmarks(description["lip_gap"])
     except (AttributeError, TypeError, ValueError) as error:
         raise LayoutError(
-            f"layout {name}: groups are lists of landmark numbers by name, lip_gap is two of them "
-            f"({error})"
+            f"layout {name}: `groups` must map names to lists of landmark numbers, lip_gap be two "
+            f"of them ({error})"
         ) from error
     return PointLayout(name, groups, (upper, lower))
 
@@ -161,7 +161,7 @@ def _landmarks(numbers: Iterable[object]) -> tuple[int, ...]:
     found = tuple(numbers)
     for number in found:
         if type(number) is not int or number < 0:
-            raise ValueError(f"{number!r} is no landmark number")
+            raise ValueError(f"{number!r} is not a landmark number")
     return tuple(n for n in found if isinstance(n, int))
 
 
@@ -218,7 +218,7 @@ def find_layout(choice: str) -> PointLayout:
     except ValueError as error:
         raise LayoutError(f"{path}: not JSON ({error})") from error
     if not isinstance(description, dict):
-        raise LayoutError(f"{path}: a layout is a JSON object with {', '.join(_NEEDED)}")
+        raise LayoutError(f"{path}: a layout must be a JSON object with {', '.join(_NEEDED)}")
     try:
         return layout_of(description)
     except LayoutError as error:

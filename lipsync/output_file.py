@@ -123,7 +123,7 @@ def _check_replaced(
         raise OutputError(f"{path}: is a device or a pipe, not a file; choose another name")
     for each in inputs:
         if each is not None and each.exists() and place.samefile(each):
-            raise OutputError(f"{path}: is what this command reads; choose another name")
+            raise OutputError(f"{path}: is an input of this command; choose another output name")
     with place.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     if head and not replaces(head):

@@ -72,9 +72,9 @@ def stand_in(phoneme: str, known: Sequence[str] | frozenset[str]) -> tuple[str, 
     the mouth. Raises ValueError for a phoneme outside the inventory or an empty `known`.
     """
     if phoneme not in VISEME_OF:
-        raise ValueError(f"unknown phoneme {phoneme!r}; known here: {' '.join(PHONEMES)}")
+        raise ValueError(f"unknown phoneme {phoneme!r}; use one of {' '.join(PHONEMES)}")
     if not known:
-        raise ValueError("no phoneme is known")
+        raise ValueError("the list of phonemes is empty")
     if phoneme in known:
         return (phoneme,)
     for candidate in _STAND_INS.get(phoneme, ()):

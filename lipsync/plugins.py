@@ -39,7 +39,7 @@ class Plugins:
         if name not in self.built_in and not entry_points(group=self.group, name=name):
             raise PluginError(
                 f"{self.what} {shown(name)} is not known here; use one of "
-                f"{', '.join(self.names())}, or install the package that brings it (entry point "
+                f"{', '.join(self.names())}, or install the package that provides it (entry point "
                 f"{self.group})"
             )
         return name

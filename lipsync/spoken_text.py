@@ -74,7 +74,7 @@ class SpokenText:
 
     def __post_init__(self) -> None:
         if self.sample_rate_hz <= 0:
-            raise SpokenTextError(f"sample_rate_hz is {self.sample_rate_hz}, not the sound's")
+            raise SpokenTextError(f"sample_rate_hz {self.sample_rate_hz} must be above 0")
         if len(self.units) > MOST_UNITS:
             raise SpokenTextError(f"{len(self.units)} {self.kind}s; at most {MOST_UNITS} at once")
         longest = LONGEST_TEXT if self.kind == "text" else LONGEST_LABEL
@@ -83,23 +83,23 @@ class SpokenText:
             place = f"{self.kind} {number}"
             if not 0 < len(unit.label) <= longest:
                 raise SpokenTextError(
-                    f"{place}: {len(unit.label)} characters; 1 to {longest} are possible"
+                    f"{place} has {len(unit.label)} characters; 1 to {longest} are allowed"
                 )
             if self.moves_mouth and unit.label not in VISEME_OF:
                 raise SpokenTextError(
-                    f"{place}: {unit.label!r} is no phoneme of ARPAbet in upper case without "
-                    "stress; name the alphabet that it is of"
+                    f"{place}: {unit.label!r} is not an ARPAbet phoneme in capitals without "
+                    "stress; name the alphabet of these labels"
                 )
             for sample in (unit.start_sample, unit.end_sample):
                 if sample is not None and sample < newest:
                     raise SpokenTextError(
-                        f"{place}: sample {sample} is before {newest}; times may not run backwards"
+                        f"{place}: sample {sample} is before {newest}; put them in order of time"
                     )
                 newest = newest if sample is None else sample
         if self.n_characters > MOST_CHARACTERS and self.kind == "text":
             raise SpokenTextError(
-                f"{self.n_characters} characters; at most {MOST_CHARACTERS} at once, send the rest "
-                "later"
+                f"a text of {self.n_characters} characters is too long; send at most "
+                f"{MOST_CHARACTERS} at once"
             )
 
     @property
@@ -125,8 +125,8 @@ class SpokenText:
         """
         if (later.kind, later.sample_rate_hz) != (self.kind, self.sample_rate_hz):
             raise SpokenTextError(
-                f"{later.kind}s at {later.sample_rate_hz} Hz do not revise {self.kind}s at "
-                f"{self.sample_rate_hz} Hz"
+                f"{later.kind}s at {later.sample_rate_hz} Hz cannot continue {self.kind}s at "
+                f"{self.sample_rate_hz} Hz; send one kind at one rate"
             )
         start = later.units[0].start_sample if later.units else None
         kept = self.units if start is None else _before(self.units, start)
@@ -134,8 +134,8 @@ class SpokenText:
         newest = next((t for unit in reversed(kept) for t in reversed(_times(unit))), 0)
         if first is not None and first < newest:
             raise SpokenTextError(
-                f"sample {first} is before {newest}, which was sent before; a correction begins "
-                "with a unit that has a time"
+                f"sample {first} comes after sample {newest} was sent; to correct earlier units, "
+                "give the first corrected one a start time"
             )
         units = (*kept, *later.units)[-MOST_UNITS:]
         if self.kind == "text":
@@ -152,7 +152,7 @@ class SpokenText:
         words. Units that last no time are left out.
         """
         if not (self.moves_mouth and (not self.units or self.units[-1].start_sample is not None)):
-            raise SpokenTextError(f"{self.kind}s without times move no mouth by themselves")
+            raise SpokenTextError(f"{self.kind}s need times to move a mouth (start_sample)")
         first = max(0, bisect_right(self.units, from_sample, key=_start) - 1)
         end = len(self.units)
         if until_sample is not None:

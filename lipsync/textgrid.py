@@ -42,7 +42,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
     """
     text = text.replace("\r\n", "\n")
     if negative := _NEGATIVE.search(text):
-        raise LabelError(f"time {negative[1][:20]} s is before the sound begins; mend it")
+        raise LabelError(f"time {negative[1][:20]} s is before the sound begins; correct it")
     text = _EXPONENT.sub(lambda found: f"{found[1]}{float(found[2]):.9f}", text)
     tiers: dict[str, tuple[Interval, ...]] = {}
     try:
@@ -51,7 +51,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
         for tier in grid:
             if str(tier["class"]).lower().startswith("interval"):
                 if tier["name"] in tiers:
-                    raise LabelError(f"two tiers {shown(tier['name'])}; rename one of them")
+                    raise LabelError(f"two tiers are called {shown(tier['name'])}; rename one")
                 tiers[str(tier["name"])] = tuple(_interval(*row) for row in tier["entries"])
     except LabelError:
         raise
@@ -74,7 +74,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
 def _interval(start: object, end: object, label: object) -> Interval:
     start_s, end_s = float(str(start)), float(str(end))
     if not 0 <= start_s <= end_s < 1e9:
-        raise LabelError(f"{shown(label)} is from {shown(start)} to {shown(end)} s; mend it")
+        raise LabelError(f"{shown(label)} is from {shown(start)} to {shown(end)} s; correct it")
     return str(label).strip(), start_s, end_s
 
 
@@ -134,9 +134,9 @@ def text_of(path: Path) -> str:
     """
     try:
         if "\0" in str(path) or (path.exists() and not path.is_file()):
-            raise LabelError("cannot be read: it is no file; give one that is saved")
+            raise LabelError("not a regular file; give the path of a saved file")
         if path.stat().st_size > _LARGEST_BYTES:
-            raise LabelError("larger than 64 MiB; give the labels of one recording")
+            raise LabelError("larger than 64 MiB; give labels of one recording only")
         return decoded(path.read_bytes())
     except FileNotFoundError:
         raise LabelError("no such file") from None
@@ -149,4 +149,4 @@ def decoded(content: bytes) -> str:
     try:
         return content.decode("utf-16" if content[:2] in _WIDE else "utf-8-sig")
     except UnicodeDecodeError:
-        raise LabelError("neither a TextGrid nor text in UTF-8; save it again as UTF-8") from None
+        raise LabelError("neither a TextGrid nor UTF-8 text; save it again as UTF-8") from None

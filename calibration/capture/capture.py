@@ -85,7 +85,7 @@ def plan_poses(
     least = least_poses(len(joints))
     if n_poses < least:
         raise CalibrationError(
-            f"{n_poses} poses are too few for {len(joints)} servos; ask for {least} or more"
+            f"{n_poses} poses are too few for {len(joints)} servos; ask for {least} at least"
         )
     low, high = _inside(joints)
     few = n_poses < usual_poses(len(joints))
@@ -382,7 +382,7 @@ class KeptPoses:
             lines = self.path.read_text(encoding="utf-8").split("\n")
         except (OSError, UnicodeDecodeError) as error:
             raise CalibrationError(
-                f"{self.path}: not readable as kept poses; name another file"
+                f"{self.path}: not a file of captured poses; name another file"
             ) from error
         if lines[-1]:  # cut short while writing, or a file of somebody else's
             if not lines[-1].startswith(_LINE_HEAD[: len(lines[-1])]):
@@ -398,8 +398,8 @@ class KeptPoses:
 
     def _foreign(self, number: int) -> CalibrationError:
         return CalibrationError(
-            f"{self.path}, line {number}: not a pose of this face and plan; "
-            "name another file or remove this one"
+            f"{self.path}, line {number}: not a pose of this face and plan; name another file or "
+            "delete this one"
         )
 
 
@@ -412,12 +412,12 @@ def _pose(
     line: Mapping[str, Any], index: int, plan: PosePlan, marker_names: tuple[str, ...]
 ) -> CapturedPose:
     if line["servos"] != list(plan.servo_names) or line["markers"] != list(marker_names):
-        raise ValueError("another face")
+        raise ValueError("the pose is of another face")
     if not _has_goals(line, plan.goals_deg[index]):
-        raise ValueError("another plan")
+        raise ValueError("the pose is of another plan")
     points = np.array(line["markers_mm"], dtype=np.float64)  # null becomes NaN
     if points.shape != (len(marker_names), 3):
-        raise ValueError("wrong number of markers")
+        raise ValueError("the pose has another number of markers")
     return CapturedPose(index, np.array(line["reached_deg"], dtype=np.float64), points)
 
 

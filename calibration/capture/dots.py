@@ -41,14 +41,14 @@ def pose_pictures(folder: Path, pose: int | None = None) -> list[tuple[int, Path
         if path.name.startswith(".") or ending not in (*PICTURES, *_FOREIGN):
             continue
         if ending in _FOREIGN:
-            raise CalibrationError(f"{path}: {ending} is not read; save it as .jpg or .png")
+            raise CalibrationError(f"{path}: {ending} files are not read; save it as .jpg or .png")
         numbers = re.findall(r"\d+", path.stem)
         if not numbers:
-            raise CalibrationError(f"{path}: no pose number in the name; call it pose_1.png")
+            raise CalibrationError(f"{path}: its name has no pose number; call it pose_1.png")
         if pose in (None, int(numbers[-1])):
             pictures.append((int(numbers[-1]), path))
     if pose is None and not pictures:
-        raise CalibrationError(f"{folder}: no picture in it; expected pose_1.png, ...")
+        raise CalibrationError(f"{folder}: no picture in this folder; expected pose_1.png, ...")
     return pictures
 
 
@@ -319,8 +319,8 @@ class DotsFolder:
         first, wanted = self._first
         if size_px != wanted:
             raise CalibrationError(
-                f"{self._folder}: {name} is {size_px[1]} x {size_px[0]} pixels, {first} "
-                f"{wanted[1]} x {wanted[0]}; take all of them with one camera that stands still"
+                f"{self._folder}: {name} has {size_px[1]} x {size_px[0]} pixels, but {first} "
+                f"{wanted[1]} x {wanted[0]}; take all pictures with one camera that stands still"
             )
 
     def _tell_of(self, picture: str, found: FoundDots, places_px: Mapping[str, Array]) -> None:
@@ -355,6 +355,6 @@ def read_names(path: Path) -> DotNames:
     scales = {number_in(row["mm_per_px"], place) for place, row in rows}
     if len(scales) != 1 or not 0.0 < max(scales) < np.inf or len(first_px) != len(rows):
         raise CalibrationError(
-            f"{path}: expected one line for each dot, with the same mm_per_px above 0 in all"
+            f"{path}: every dot needs one line, and all lines the same mm_per_px above 0"
         )
     return DotNames(first_px, scales.pop())

@@ -52,7 +52,7 @@ def read_ranges(path: Path) -> Mapping[str, RecordedRange]:
     except (ValueError, RecursionError) as error:
         raise CalibrationError(f"{path}: not readable as JSON") from error
     if not isinstance(content, dict) or not content:
-        raise CalibrationError(f"{path}: should hold one entry for each joint")
+        raise CalibrationError(f"{path}: must have one entry for each joint")
     return {name: _parse(f"{path}: {name}", name, entry) for name, entry in content.items()}
 
 
@@ -71,7 +71,7 @@ def by_id(ranges: Mapping[str, RecordedRange]) -> dict[int, RecordedRange]:
 
 def _parse(place: str, name: str, entry: object) -> RecordedRange:
     if not isinstance(entry, dict):
-        raise CalibrationError(f"{place}: should hold {', '.join(_KEYS)}")
+        raise CalibrationError(f"{place}: must have the keys {', '.join(_KEYS)}")
     values: dict[str, int] = {}
     for key in _KEYS:
         value = entry.get(key)
@@ -84,7 +84,7 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
             f"{values['range_max']}; record the range again"
         )
     if not 0 <= values["id"] <= _HIGHEST_ID:
-        raise CalibrationError(f"{place}.id is {values['id']}; servos have 0 to {_HIGHEST_ID}")
+        raise CalibrationError(f"{place}.id is {values['id']}; ids are 0 to {_HIGHEST_ID}")
     return RecordedRange(
         name,
         values["id"],
@@ -109,10 +109,10 @@ def check_within_recorded(
             raise CalibrationError(f"servo {name!r} is not in the range file; record its range")
         per_deg = ticks_per_deg[name]
         if per_deg is None:
-            raise CalibrationError(f"servo {name!r} has no ticks; no range file is of it")
+            raise CalibrationError(f"servo {name!r} reports no position, so it can have no range")
         span_deg = ranges[name].span_deg(per_deg)
         if high - low > span_deg:
             raise CalibrationError(
-                f"servo {name!r}: its limits span {high - low:.0f} deg, its recorded range "
-                f"{span_deg:.0f}; narrow min_deg and max_deg in the face YAML"
+                f"servo {name!r}: its limits span {high - low:.0f} deg, but its recorded range "
+                f"only {span_deg:.0f} deg; narrow min_deg and max_deg in the face YAML"
             )

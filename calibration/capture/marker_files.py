@@ -58,12 +58,12 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[Reading]:
     turn = _axes_matrix(axes)
     files = sorted(folder.glob("*.c3d"))
     if not files:
-        raise CalibrationError(f"{folder}: no .c3d file in this folder; one a pose is needed")
+        raise CalibrationError(f"{folder}: no .c3d file in this folder; each pose needs one")
     readings = []
     for file in files:
         numbers = re.findall(r"\d+", file.stem)
         if not numbers:
-            raise CalibrationError(f"{file}: no pose number in the name; call it pose_1.c3d")
+            raise CalibrationError(f"{file}: its name has no pose number; call it pose_1.c3d")
         for name, place_mm in read_c3d(file).items():
             readings.append((int(numbers[-1]), name, turn @ place_mm))
     return readings
@@ -107,15 +107,15 @@ def read_c3d(path: Path) -> dict[str, Array]:
         raise CalibrationError(f"{path}: not readable as C3D") from error
     if unit not in _MM_PER_UNIT:
         raise CalibrationError(
-            f"{path}: unit {unit!r} (POINT:UNITS), expected {', '.join(_MM_PER_UNIT)}; export it "
-            "with its unit"
+            f"{path}: unit {unit!r} (POINT:UNITS) is not known; export it again in one of "
+            f"{', '.join(_MM_PER_UNIT)}"
         )
     named = [(i, label) for i, label in enumerate(labels) if label and label not in others]
     twice = [label for label, n in Counter(label for _, label in named).items() if n > 1]
     if twice:
         raise CalibrationError(
-            f"{path}: {len(twice)} labels are those of several points, as {shown(twice[0])}; give "
-            "each point its own"
+            f"{path}: several points share a label: {shown(twice[0])} ({len(twice)} such labels); "
+            "give each point its own"
         )
     lost = ~np.isfinite(points).all(axis=0) | (residuals < 0.0) | (points == 0.0).all(axis=0)
     places = {}
@@ -157,7 +157,7 @@ def _axes_matrix(axes: str) -> Array:
     matrix = np.zeros((3, 3))
     matches = [_AXIS.match(part) for part in axes.split()]
     if len(matches) != 3 or len({m.group(2) for m in matches if m}) != 3:
-        raise CalibrationError(f"axes {axes!r}: expected three different ones such as 'x z -y'")
+        raise CalibrationError(f"axes {axes!r} must be three different ones, such as 'x z -y'")
     for row, match in enumerate(matches):
         assert match is not None
         matrix[row, "xyz".index(match.group(2))] = -1.0 if match.group(1) == "-" else 1.0
@@ -246,7 +246,7 @@ def read_capture(
     poses, goals_deg, from_below, ladders = _read_plan(plan_path, servo_names)
     readings = read_readings(markers_path, axes) if read is None else read()
     if not readings:
-        raise CalibrationError(f"{markers_path}: holds no readings")
+        raise CalibrationError(f"{markers_path}: has no readings of markers")
     unknown = sorted({pose for pose, _, _ in readings} - set(poses))
     if unknown:
         raise CalibrationError(f"{markers_path}: pose {unknown[0]} is not in {plan_path}")
@@ -309,10 +309,10 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
         [number_in(row.get(f"{n}_from", "1"), place) for n in servo_names] for place, row in rows
     ]
     if len(set(poses)) < len(poses):
-        raise CalibrationError(f"{path}: a pose has two lines")
+        raise CalibrationError(f"{path}: two lines have the same pose")
     for (place, _), own in zip(rows, sides, strict=True):
         if not set(own) <= {1.0, -1.0}:
-            raise CalibrationError(f"{place}: a side is 1, from below, or -1, from above")
+            raise CalibrationError(f"{place}: sides must be 1 (from below) or -1 (from above)")
     shape = (len(poses), len(servo_names))
     ladders = [_whole(row.get(_LADDER, 0), place) for place, row in rows]
     return (
@@ -368,8 +368,8 @@ def csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[s
             place = f"{path}, line {number + 2}"
             if any(row.get(None, ())):  # spreadsheets leave empty ones
                 raise CalibrationError(
-                    f"{place}: has more values than the first line has columns; decimals are "
-                    "written with a point"
+                    f"{place}: has more values than the first line has columns; write decimals "
+                    "with a point, not a comma"
                 )
             yield place, row
     except csv.Error as error:
@@ -382,7 +382,7 @@ def _json_rows(path: Path) -> Iterable[tuple[str, Mapping[str, object]]]:
     except (ValueError, RecursionError) as error:
         raise CalibrationError(f"{path}: not readable as JSON") from error
     if not isinstance(content, list):
-        raise CalibrationError(f"{path}: should be a list of readings")
+        raise CalibrationError(f"{path}: must be a list of readings")
     for number, row in enumerate(content):
         place = f"{path}, reading {number + 1}"
         for key in _COLUMNS[:2]:
@@ -407,7 +407,7 @@ def _millimetres(value: object, place: str, axis: str) -> float:
     """
     number = number_in(value, place, lost=True)
     if abs(number) > _FARTHEST_MM:
-        raise CalibrationError(f"{place}: {axis} is {shown(value)}; are these millimetres?")
+        raise CalibrationError(f"{place}: {axis} is {shown(value)}; give it in millimetres")
     return number
 
 

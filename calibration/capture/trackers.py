@@ -138,7 +138,7 @@ class FileTracker:
             self._announce(pose + 1, reached_deg)
             return
         if self._readings(pose + 2):
-            raise self._of_another_capture(f"pose {pose + 1} is there already")
+            raise self._of_another_capture(f"it already has pose {pose + 1}")
         self._pose = pose + 1
         self._say(f"pose {pose + 1} is in {self._path} already, and is read from there")
 
@@ -170,12 +170,12 @@ class FileTracker:
         ]
         # Two names may have been put right since, and what was read anew has another median.
         if apart_mm and np.median(apart_mm) > _SAME_MM:
-            raise self._of_another_capture(f"pose {last + 1} is not as it was captured")
+            raise self._of_another_capture(f"its pose {last + 1} differs from the captured one")
 
     def _of_another_capture(self, why: str) -> CalibrationError:
         return CalibrationError(
-            f"{self._path}: {why}: of another capture; name a new file, or the --keep and -o of "
-            "that capture to go on with it"
+            f"{self._path}: {why}, so it is of another capture; name a new file, or continue that "
+            "capture with its --keep and -o"
         )
 
     @property
@@ -202,8 +202,8 @@ class FileTracker:
             self._wait(_LOOK_EVERY_S)
             waited_s += _LOOK_EVERY_S
         raise CalibrationError(
-            f"{self._path}: nothing was recorded of pose {pose} in {PATIENCE_S:.0f} s; "
-            "is the tracker running? What was captured is in --keep"
+            f"{self._path}: no pose {pose} was recorded in {PATIENCE_S:.0f} s; is the tracker "
+            "running? Earlier poses are kept in the --keep file"
         )
 
     def _readings(self, pose: int) -> Mapping[str, Array]:

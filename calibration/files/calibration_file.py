@@ -66,17 +66,17 @@ class Place:
     def names(self) -> tuple[str, ...]:
         """The keys of this mapping. Raises CalibrationError for no mapping or a key not text."""
         if not isinstance(self._value, dict) or not self._value:
-            raise CalibrationError(f"{self._where} should hold `key: value` lines")
+            raise CalibrationError(f"{self._where} must have `key: value` lines")
         for key in self._value:
             if not isinstance(key, str):
-                raise CalibrationError(f"{self._where}: the key {shown(key)} is no text")
+                raise CalibrationError(f"{self._where}: the key {shown(key)} must be text")
         return tuple(self._value)
 
     def at(self, key: str) -> "Place":
         """Return the value under a key of this mapping. Raises CalibrationError if missing."""
         path = f"{self.path}.{key}" if self.path else key
         if key not in self.names or not isinstance(self._value, dict):
-            raise CalibrationError(f"{path} is missing")
+            raise CalibrationError(f"key {path} is missing")
         return Place(self._value[key], path)
 
     def _checked(self, expected: str, *, is_right: bool) -> Any:
@@ -120,7 +120,7 @@ class Place:
         """
         values = self._value
         if not isinstance(values, list) or not values:
-            raise CalibrationError(f"{self.path} should be a list")
+            raise CalibrationError(f"{self.path} must be a list")
         return np.array([Place(v, f"{self.path}[{i}]").numbers(n) for i, v in enumerate(values)])
 
     def by_name(self, names: Sequence[str], missing: float | None = None) -> Array:
@@ -142,7 +142,7 @@ class Place:
         """Return this list of `n` numbers, None: of any number; CalibrationError otherwise."""
         values = self._value
         if not isinstance(values, list) or not values:
-            raise CalibrationError(f"{self.path} should be a list of numbers")
+            raise CalibrationError(f"{self.path} must be a list of numbers")
         if n is not None and len(values) != n:
             raise CalibrationError(f"{self.path} holds {len(values)} numbers, expected {n}")
         return np.array([Place(v, f"{self.path}[{i}]").number() for i, v in enumerate(values)])
@@ -166,7 +166,7 @@ def save_calibration(calibration: Calibration, path: Path, *, keeps_previous: bo
         parse_calibration(text, str(path))
     except CalibrationError as error:
         raise CalibrationError(
-            f"nothing is written, for it could not be used: {error}; look at the markers"
+            f"nothing is written, since this calibration is unusable: {error}; check the markers"
         ) from error
     if keeps_previous and path.exists():
         write_whole(path.with_name(path.name + PREVIOUS_SUFFIX), path.read_bytes())
@@ -196,7 +196,7 @@ def parse_calibration(text: str, source: str) -> Calibration:
     """
     try:
         if is_nested_deeper(text, _DEEPEST):
-            raise CalibrationError(f"{source}: is nested too deep to be a calibration")
+            raise CalibrationError(f"{source}: nested too deep for a calibration")
         content = yaml.load(text, Loader=SAFE_LOADER)
     except CalibrationError:
         raise
@@ -217,7 +217,7 @@ def _parse(file: Place) -> Calibration:
     version = file.at("version").count()
     if version != CALIBRATION_VERSION:
         raise CalibrationError(
-            f"version {version}, this lipservo reads version {CALIBRATION_VERSION}"
+            f"this file has version {version}, this lipservo reads version {CALIBRATION_VERSION}"
         )
     rest = file.at("rest").numbers()
     names = file.at("servos").names
@@ -316,7 +316,7 @@ def _parse_closure(closure: Place, n_servos: int, n_components: int) -> Closure:
     rows = {key: closure.at(key).rows(width) for key, (_, width) in shapes.items()}
     for key, (n, _) in shapes.items():
         if len(rows[key]) != n:
-            raise CalibrationError(f"closure.{key}: needs {n} lists")
+            raise CalibrationError(f"closure.{key} must have {n} lists")
     return Closure(
         speaker_rest_mm=closure.at("speaker_rest_mm").numbers(3),
         at_deg=closure.at("at_deg").numbers(n_servos),
@@ -369,10 +369,10 @@ def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
     trims = _mapping(file, "trim", lambda trim: trim)
     for viseme, trim in trims.items():
         if viseme not in classes:
-            raise CalibrationError(f"trim.{viseme}: no viseme class; known: {' '.join(classes)}")
+            raise CalibrationError(f"trim.{viseme}: unknown viseme; use one of {' '.join(classes)}")
         for name in trim.names:
             if name not in names:
-                raise CalibrationError(f"trim.{viseme}.{name}: no such servo in this file")
+                raise CalibrationError(f"trim.{viseme}.{name}: this file has no servo {name}")
     return {viseme: trim.by_name(names, missing=0.0) for viseme, trim in trims.items()}
 
 
@@ -383,7 +383,7 @@ def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
         each = _mapping(hold_out, "each_marker_rms_mm", Place.number)
         if len(each) != n_markers:
             raise CalibrationError(
-                f"hold_out.each_marker_rms_mm holds {len(each)} markers, expected {n_markers}"
+                f"hold_out.each_marker_rms_mm has {len(each)} values for {n_markers} markers"
             )
     joint_rms_deg = tuple(_each(servos, "hold_out_rms_deg").tolist())
     return _record(hold_out, HoldOutErrors, joint_rms_deg=joint_rms_deg, each_marker_rms_mm=each)

@@ -49,9 +49,9 @@ def check_checksum(content: object, source: str) -> None:
         return
     if content[_KEY] != _checksum(content):
         raise CalibrationError(
-            f"{source}: has changed since it was written, and not in its trims: its checksum does "
-            f"not fit. Go back to a copy of it, or calibrate again; a change that is meant counts "
-            f"once the line `{_KEY}:` is deleted"
+            f"{source}: was edited outside its trims since it was written (its checksum differs). "
+            "Go back to a copy, or calibrate again; to use an edit that you meant, delete the "
+            f"line `{_KEY}:`"
         )
 
 

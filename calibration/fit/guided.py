@@ -135,11 +135,11 @@ def fit_guided(
     """
     poses = [pose for pose in landmark_poses(model) if pose.name in made_deg]
     if CLOSED not in made_deg:
-        raise CalibrationError(f"the pose {CLOSED!r} is missing; everything is measured from it")
+        raise CalibrationError(f"the pose {CLOSED!r} is missing; all others are measured from it")
     if len(poses) < model.n_components + 2:
         raise CalibrationError(
-            f"{len(poses)} poses are too few, {model.n_components + 2} are needed; "
-            "run `lipservo calibrate guided` again and make more of them"
+            f"{len(poses)} poses are too few; {model.n_components + 2} are needed: run `lipservo "
+            "calibrate guided` again and make more of them"
         )
     closed_deg = made_deg[CLOSED]
     x = np.array([pose.coefficients - model.rest for pose in poses if pose.name != CLOSED])
@@ -315,5 +315,5 @@ def kept_poses(servo_names: Sequence[str], path: Path | None) -> dict[str, Array
         }
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
         raise CalibrationError(
-            f"{path}: not the poses of this face; name another file or remove this one"
+            f"{path}: not the poses of this face; name another file or delete this one"
         ) from error

@@ -95,8 +95,8 @@ def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:
     apart_mm = float(np.linalg.norm(open_mm - closed_mm, axis=1).max())
     if apart_mm < _LEAST_MOTION_MM:
         raise CalibrationError(
-            f"the jaw line moves by {apart_mm:.1f} mm between closed and open; "
-            "markers on the chin are needed"
+            f"the jaw line moves by {apart_mm:.1f} mm between closed and open mouth; put markers "
+            "on the chin"
         )
     return JawBlend(closed_mm, open_mm)
 
@@ -126,7 +126,7 @@ def steady_alphas(blend: JawBlend, degrees: Array, points_mm: Array) -> Array:
     alphas = blend.alpha(points_mm)
     if len(degrees) < 2 or (np.diff(degrees) <= 0).any() or (np.diff(alphas) <= 0).any():
         raise CalibrationError(
-            "the jaw does not open steadily with its angle; sweep it again, or turn its `sign`"
+            "the mouth does not open steadily with the jaw; sweep it again, or reverse its `sign`"
         )
     return alphas
 
@@ -162,8 +162,8 @@ def fit_jaw(
     line = list(jaw_markers(capture.marker_names))
     if len(line) < _LEAST_MARKERS:
         raise CalibrationError(
-            f"{len(line)} markers on the jaw, {_LEAST_MARKERS} are needed: names that begin with "
-            "`jaw` or `chin`"
+            f"only {len(line)} markers are on the jaw, {_LEAST_MARKERS} are needed; their names "
+            "begin with `jaw` or `chin`"
         )
     checked = check_capture(capture, model, servos.positive, accept=accept)
     capture, warnings = checked.capture, checked.warnings

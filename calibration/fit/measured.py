@@ -395,7 +395,7 @@ def split_frames(
     """
     order = np.random.default_rng(seed).permutation(len(model.animphos))
     if len(order) < 2:
-        raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
+        raise CalibrationError("the model has fewer than 2 AnimPhos; give another with --model")
     n_held_out, n_fitted = MAX_HELD_OUT, MAX_FITTED
     if n_animphos is not None:
         n_held_out = round(HOLD_OUT_SHARE * n_animphos)

@@ -135,7 +135,7 @@ def graded(
     rows = np.array(seen.rows, dtype=np.int64)
     if len(seen) < len(poses) // 2:
         raise CalibrationError(
-            f"{len(seen)} of {len(poses)} poses to grade by were captured; capture them all"
+            f"only {len(seen)} of {len(poses)} poses to grade by were captured; capture them all"
         )
     targets_mm, human_mm = poses.targets_mm[rows], poses.human_gap_mm[rows]
     shares = poses.shares[rows] / poses.shares[rows].sum()
@@ -298,14 +298,14 @@ def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
     names = tuple(name.removesuffix(_FIRST) for name in columns if name.endswith(_FIRST))
     if _MAP not in columns or not names:
         raise CalibrationError(
-            f"{path}: has no expected values; `lipservo calibrate fit --check-plan FILE` "
-            "writes poses to grade by"
+            f"{path}: has no values to grade by; `lipservo calibrate fit --check-plan FILE` writes "
+            "a plan with them"
         )
     needed = (_VISEME, *_NUMBERS, *(f"{name}_{axis}" for name in names for axis in _AXES))
     rows = list(csv_rows(path, needed))
     if {row[_MAP] for _, row in rows} != {map_checksum(calibration)}:
         raise CalibrationError(
-            f"{path}: was written for another calibration than this; each fit needs its own"
+            f"{path}: was written for another calibration; use the --check-plan of this fit"
         )
 
     def numbers(column: str) -> Array:

@@ -260,11 +260,11 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
     unknown = [name for name in names if name not in MARKERS_47.names]
     if unknown:
         raise CalibrationError(
-            f"marker {unknown[0]!r} is none of a speaker's; known: {', '.join(MARKERS_47.names)}"
+            f"unknown marker {unknown[0]!r}; use one of: {', '.join(MARKERS_47.names)}"
         )
     for name in (*_MIDDLE_GAP, *_CORNERS):
         if name not in names:
-            raise CalibrationError(f"marker {name!r} is needed and was not captured")
+            raise CalibrationError(f"the needed marker {name!r} was not captured")
     human = tuple(MARKERS_47.names.index(name) for name in names)
     lips = tuple(i for i, h in enumerate(human) if h in MARKERS_47.lips)
     gaps = tuple(
@@ -539,8 +539,8 @@ def _check_a_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
     width_mm = float(neutral_mm[left, 0] - neutral_mm[right, 0])
     if width_mm < _LEAST_WIDTH_MM:
         raise CalibrationError(
-            f"the corners {names[right]} and {names[left]} are {width_mm:.1f} mm apart from right "
-            "to left; are they the right points, in millimetres, x to the robot's left?"
+            f"the mouth corners {names[right]} and {names[left]} are {width_mm:.1f} mm apart; "
+            "check that they are the right points, in millimetres, with x to the robot's left"
         )
     widest_mm = mouth.markers_of(widest_pose_deg(mouth)[None])
     opening_mm = float(_middle_heights_mm(mouth, widest_mm)[0] - closed_mm[0])
@@ -554,8 +554,8 @@ def no_opening(mouth: RobotMouth, opening_mm: float) -> CalibrationError:
     names = mouth.names.marker_names
     upper, lower = mouth.names.shape_features.gaps[0]
     return CalibrationError(
-        f"{names[upper]} and {names[lower]} part by {opening_mm:.1f} mm at most; are they the "
-        "right points, and does any joint open the mouth?"
+        f"the lips ({names[upper]}, {names[lower]}) open by {opening_mm:.1f} mm at most; check "
+        "that these are the right points, and that a joint opens the mouth"
     )
 
 

@@ -43,7 +43,7 @@ def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthS
     frames = model.animphos.frames
     frames = frames[model.lip_gaps_mm(model.markers_mm(frames)) <= CLOSED_GAP_MM]
     if not len(frames):
-        raise CalibrationError("the model's speaker never closes the lips")
+        raise CalibrationError("the model never closes the lips; give another")
     n_shapes = min(_N_SHAPES, len(np.unique(frames, axis=0)))
     shapes = KMeans(n_shapes, n_init=2, random_state=0).fit(frames).cluster_centers_
     goals, sides, ladders = [], [], []
@@ -69,14 +69,14 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
     closure, lips = _closure_of(calibration), calibration.learnt_lips
     apertures = apertures_of(seen)
     if apertures is None or lips is None:
-        raise CalibrationError("touch needs dots on both lips, one above the other")
+        raise CalibrationError("touch needs markers on both lips, one above the other")
     noise_mm = apertures.share * lips.noise_mm
     closes = [_closes_mm(calibration, seen, rows) for rows in apertures.rows]
     # Contact is believed to be at 0; a ladder for the kink begins there.
     kink = find_kink([x - x[0] for x in closes], apertures.mm, noise_mm)
     if kink.explained < _SURE_AGAIN:
         raise CalibrationError(
-            "the lips were not seen to stop each other within 2 mm of where they did; measure "
+            "no contact of the lips was seen within 2 mm of where the calibration has it; measure "
             "the face anew with `lipservo calibrate measure`"
         )
     offs = np.arange(-_MOST_OFF_MM, _MOST_OFF_MM + 1e-9, _STEP_MM)
@@ -131,7 +131,7 @@ def touched_by_current(
     freedom = max(len(total) - 3 * len(ladders) - 1, 1)
     if (straight - bent[best]) / max(bent[best] / freedom, 1e-12) < _SURE_RISE * len(ladders):
         raise CalibrationError(
-            "the servos' current does not rise where the lips close: give --tracker, or measure "
+            "the servos' current does not rise where the lips close; give --tracker, or measure "
             "the face anew with `lipservo calibrate measure`"
         )
     return _moved(calibration, closure, _inside(offs, best))
@@ -170,8 +170,8 @@ def touched_by_eye(
         later_mm.append(-float(open_mm[row] + open_mm[before]) / 2)
     if np.ptp(later_mm) > _AGREE_MM:
         raise CalibrationError(
-            f"the lips were seen to meet {np.ptp(later_mm):.1f} mm apart in {len(touching_rows)} "
-            "shapes; look again, from the side, at the middle of the lips"
+            f"between {len(touching_rows)} shapes, the lips were seen to meet at points "
+            f"{np.ptp(later_mm):.1f} mm apart; look again, from the side, at the middle of the lips"
         )
     found_mm = float(np.median(later_mm))
     if abs(found_mm) > _MOST_OFF_MM:
@@ -189,9 +189,9 @@ def _inside(offs_mm: Array, best: int) -> float:
 def _too_far(off_mm: float) -> CalibrationError:
     how = "later" if off_mm > 0.0 else "earlier"
     return CalibrationError(
-        f"the lips meet {abs(off_mm):.1f} mm {how} than the calibration says, or more: too far to "
-        "correct. Is a horn a tooth off, or a rod bent? Put it right, or measure the face anew "
-        "with `lipservo calibrate measure`"
+        f"the lips meet at least {abs(off_mm):.1f} mm {how} than the calibration says, too far to "
+        "correct; check the horns and rods, or measure the face anew with `lipservo calibrate "
+        "measure`"
     )
 
 
@@ -219,7 +219,7 @@ def _left(inputs: Array, y: Array) -> tuple[float, Array]:
 def _closure_of(calibration: Calibration) -> Closure:
     if calibration.closure is None:
         raise CalibrationError(
-            "this calibration knows nothing of contact; make it anew with `lipservo calibrate "
+            "this calibration has no contact of the lips; make it anew with `lipservo calibrate "
             "measure`"
         )
     return calibration.closure

@@ -117,14 +117,14 @@ def trimmed(calibration: Calibration, phoneme: str, joint: str, degrees: float) 
     """
     if phoneme not in VISEME_OF:
         known = " ".join(viseme[0] for viseme in VISEME_CLASSES)
-        raise CalibrationError(f"no phoneme {phoneme!r}; one of each class: {known}")
+        raise CalibrationError(f"no phoneme {phoneme!r}; one of each viseme: {known}")
     if joint not in calibration.servo_names:
         known = ", ".join(calibration.servo_names)
-        raise CalibrationError(f"no joint {joint!r} in this calibration; it has {known}")
+        raise CalibrationError(f"this calibration has no joint {joint!r}; it has {known}")
     index = calibration.servo_names.index(joint)
     span_deg = float(calibration.max_deg[index] - calibration.min_deg[index])
     if not abs(degrees) <= span_deg:
-        raise CalibrationError(f"{degrees:g} deg is more than {joint} can turn, {span_deg:g}")
+        raise CalibrationError(f"{joint} turns {span_deg:g} deg in all, not {degrees:g}")
     viseme = VISEME_CLASSES[VISEME_OF[phoneme]][0]
     row = calibration.trim.get(viseme, np.zeros(len(calibration.servo_names))).copy()
     row[index] = degrees

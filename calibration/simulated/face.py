@@ -134,11 +134,11 @@ def simulated_face(neutral_mm: Array, servo_names: Sequence[str]) -> SimulatedFa
         A servo's name is unknown, or the shape is wrong.
     """
     if neutral_mm.shape != (len(MARKERS_47.landmarks), 3):
-        raise ValueError(f"neutral_mm has shape {neutral_mm.shape}, expected (47, 3)")
+        raise ValueError(f"neutral_mm must have the shape (47, 3), not {neutral_mm.shape}")
     for name in servo_names:
         if name not in POSITIVE_DIRECTIONS:
             known = ", ".join(POSITIVE_DIRECTIONS)
-            raise ValueError(f"servo {name!r} has no place in the simulated face; known: {known}")
+            raise ValueError(f"servo {name!r} is not in the simulated face; it knows {known}")
     seam_mm = (neutral_mm[MARKERS_47.upper_lip] + neutral_mm[MARKERS_47.lower_lip]) / 2
     return SimulatedFace(
         servo_names=tuple(servo_names),

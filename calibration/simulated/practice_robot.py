@@ -53,7 +53,7 @@ def practice_robot(
     try:
         return SimulatedRobot(draw_robot(rest_mm, servos.names, seed), noise_seed=seed)
     except ValueError as error:
-        raise CalibrationError(f"{error}; --family elastic takes joints of any names") from error
+        raise CalibrationError(f"{error}; --family elastic accepts joints of any names") from error
 
 
 def markers_of_face(rest_mm: Array, servos: MouthServos) -> Callable[[Array], Array]:

@@ -70,7 +70,7 @@ def alphabet_of(units: Iterable[tuple[str, float, float | None]]) -> Literal["ar
         is_word = len(letters) > 1 and letters.isascii() and letters not in ASCII_IPA
         if is_word or (plain.isascii() and not any(map(str.isalpha, plain))):
             raise VendorError(
-                f"{place}: {label[:40]!r} is neither ARPAbet nor IPA; name the alphabet "
+                f"{place}: {label[:40]!r} is neither ARPAbet nor IPA; name its alphabet "
                 "(--alphabet; `alphabet` in a message), or say that it is a word (--tier words)"
             )
     return "ipa"

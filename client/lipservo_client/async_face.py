@@ -344,7 +344,7 @@ class AsyncFace:
         name = stream or f"speech {next(self._numbers)}"
         self._speeches = {key: each for key, each in self._speeches.items() if not each.is_over}
         if name in self._speeches:
-            raise FaceError("stream_open", f"stream {name!r} is spoken or waits already")
+            raise FaceError("stream_open", f"stream {name!r} already waits or is spoken")
         speech = AsyncSpeech(self, name, {"sample_rate": sample_rate, "playback": playback})
         self._speeches[name] = speech
         return speech
@@ -445,7 +445,7 @@ class AsyncFace:
                 return answer
             done, _ = await asyncio.wait([heard], timeout=STILL_S + answer["duration_s"])
             if not done:
-                raise FaceError("not_answering", f"{kind}: its end was not reported")
+                raise FaceError("not_answering", f"the face did not report the end of {kind}")
             event = heard.result()
         finally:
             del self._spoken[number]

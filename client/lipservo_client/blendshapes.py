@@ -75,11 +75,11 @@ def _weights(frame: object) -> dict[str, float]:
     elif isinstance(frame, Mapping):
         given = {str(name).lower(): weight for name, weight in frame.items()}
     else:
-        raise ValueError("a frame is 52 or 55 weights, or weights by name")
+        raise ValueError("a frame must have 52 or 55 weights, or weights by name")
     named = {name: given.get(name, 0.0) for name in _PLACES}
     for name, weight in named.items():
         if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 <= weight <= 2:
-            raise ValueError(f"weight {reprlib.repr(weight)} of {name} is not within 0 and 1")
+            raise ValueError(f"weight {reprlib.repr(weight)} of {name} must be 0 to 1")
     return named
 
 

@@ -189,7 +189,7 @@ class Face:
                         raise
                     # What was asked while the connection ended is answered by nobody.
                     if not self._thread.is_alive():
-                        raise EOFError("the connection has ended") from None
+                        raise EOFError("the connection to the face has ended") from None
         except BaseException:
             answer.cancel()  # Ctrl-C: nobody waits for it any more
             raise

@@ -97,11 +97,11 @@ def pcm_bytes(samples: Pcm) -> bytes:
     if array.ndim == 2 and array.shape[1] == 1:
         array = array[:, 0]
     if array.ndim != 1:
-        raise ValueError(f"samples of shape {array.shape}: mono is (n,) or (n, 1)")
+        raise ValueError(f"samples have shape {array.shape}; send mono, (n,) or (n, 1)")
     if np.issubdtype(array.dtype, np.floating):
         array = np.rint(np.clip(np.nan_to_num(array), -1.0, 1.0) * _FULL_SCALE)
     elif array.dtype != np.int16:
-        raise ValueError(f"samples of type {array.dtype}: int16 or float in [-1, 1] are possible")
+        raise ValueError(f"samples have type {array.dtype}; send int16, or float in [-1, 1]")
     return bytes(array.astype("<i2").tobytes())
 
 

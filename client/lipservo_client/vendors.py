@@ -175,7 +175,7 @@ class _Here:
         """Return the path of the value at `step` in `node`. VendorError if nested too deep."""
         place = f"{self.place}{step}".lstrip(".")[:200]
         if self.depth >= _DEEPEST:
-            raise VendorError(f"{place}: nested deeper than any vendor's message")
+            raise VendorError(f"{place}: nested too deep for a vendor's message")
         rate_hz = node.get("samplerate", node.get("sampleratehz", self.rate_hz))
         alphabet = str(node.get("alphabet", self.alphabet))[:40]
         start, speed = node.get("start", self.start), node.get("speedscale", self.speed)
@@ -225,7 +225,7 @@ def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
     if not isinstance(rate_hz, int | float) or not 10 <= rate_hz <= 1000:
         raise VendorError(f"{here.place or 'message'}: fps must be 10 to 1000")
     if not isinstance(first, int) or not 0 <= first < _LONGEST_S * rate_hz:
-        raise VendorError(f"{here.place or 'message'}: FrameIndex is the number of a frame")
+        raise VendorError(f"{here.place or 'message'}: FrameIndex must be a frame's number")
     try:
         rows = mouth_rows(frames, float(rate_hz), first)
     except ValueError as error:
@@ -277,7 +277,7 @@ class _Found:
         n = len(columns[0])
         lengths = [len(each) for each in columns if each != [None]]
         if any(length != n for length in lengths):
-            raise VendorError(f"{here.place or 'message'}: lists of {lengths} values, not as many")
+            raise VendorError(f"{here.place or 'message'}: its lists differ in length: {lengths}")
         kind: Kind = "word" if shape.kind == "character" else shape.kind
         alphabet = {"word": "", "phoneme": here.alphabet, "viseme": here.alphabet}[kind]
         rows = self._characters
@@ -351,9 +351,9 @@ def _in_order(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]:
     for number, (unit, following) in enumerate(pairwise(rows)):
         if following.start_s < unit.start_s - _DISORDER_S:
             raise VendorError(
-                f"{kind} {number + 2} begins at {following.start_s:.3f} s, before the one before "
-                f"it at {unit.start_s:.3f} s; put them in order of time, pieces of a stream each "
-                "from where its sound begins"
+                f"{kind} {number + 2} begins at {following.start_s:.3f} s, before the previous one "
+                f"at {unit.start_s:.3f} s; put them in order of time; pieces of a stream each "
+                "start where their sound begins"
             )
     rows = sorted(rows, key=lambda unit: unit.start_s)
     cut = []
@@ -405,16 +405,16 @@ def _label(value: object, kind: Kind, place: str) -> str | None:
         node = {_key(key): each for key, each in value.items()}
         return _label(node.get("text"), kind, place) if _is_spoken(node) else None
     if isinstance(value, bool) or not isinstance(value, str | int if kind == "viseme" else str):
-        raise VendorError(f"{place}: {reprlib.repr(value)} is no {kind}")
+        raise VendorError(f"{place}: {reprlib.repr(value)} is not a {kind}")
     return str(value)
 
 
 def _seconds(value: object, unit_s: float, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise VendorError(f"{place}: {reprlib.repr(value)} is no time; write a number")
+        raise VendorError(f"{place}: time {reprlib.repr(value)} is not a number")
     # Compared before it is multiplied: an integer may be too long for a float.
     if not 0 <= value <= _LONGEST_S / unit_s:
-        raise VendorError(f"{place}: time {reprlib.repr(value)} is not within 0 and 24 hours")
+        raise VendorError(f"{place}: time {reprlib.repr(value)} must be 0 to 24 hours")
     return float(value) * unit_s
 
 
@@ -423,5 +423,5 @@ def _rate(here: _Here) -> float:
     if isinstance(rate_hz, int) and not isinstance(rate_hz, bool) and 4000 <= rate_hz <= 400_000:
         return float(rate_hz)
     raise VendorError(
-        f"{here.place}: samples are counted, and no sample_rate (4000 to 400000) stands beside them"
+        f"{here.place}: its times are samples, so it needs a sample_rate (4000 to 400000)"
     )

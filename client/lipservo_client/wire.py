@@ -51,7 +51,7 @@ class Wire:
         except ConnectionClosed as error:
             raise _gone(error) from error
         except TimeoutError as error:
-            raise FaceError("not_answering", f"nothing taken in {PATIENCE_S:g} s") from error
+            raise FaceError("not_answering", f"it accepted nothing for {PATIENCE_S:g} s") from error
 
     async def _read(self) -> None:
         try:
@@ -118,7 +118,7 @@ async def _opened(url: str, token: str | None, patience_s: float) -> ClientConne
             raise _UnauthorizedError("unauthorized", line) from error
         raise FaceError("refused", line) from error
     except (InvalidURI, InvalidHandshake) as error:
-        raise FaceError("refused", f"{url}: is no address of a face: {error}") from error
+        raise FaceError("refused", f"{url} is not the address of a face: {error}") from error
     except (OSError, TimeoutError) as error:
         hint = "is a face running that takes speech?"
         raise FaceError("not_answering", f"{url}: no face answers there; {hint}") from error

@@ -75,7 +75,7 @@ def read_settings(
                 found[name] = entry.decode(answer.data)
                 break
         else:
-            raise ServoError(f"servo id {servo_id} fell silent while {name} was read")
+            raise ServoError(f"servo id {servo_id} stopped answering; check power and cable")
     return found
 
 
@@ -102,11 +102,11 @@ def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) 
         if status is not None:
             if status.error & 0x7F:
                 raise ServoError(
-                    f"servo id {servo_id} refuses {name} = {value} (error {status.error & 0x7F})"
+                    f"servo id {servo_id} rejects {name} = {value} (error {status.error & 0x7F})"
                 )
             return
     if name not in ("id", "baud_rate"):
-        raise ServoError(f"servo id {servo_id} does not answer to a write of {name}")
+        raise ServoError(f"servo id {servo_id} did not confirm {name}; check power and cable")
 
 
 #: realtime_tick .. present_temperature: what differs between two motors.
@@ -181,13 +181,13 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
         rate, found = next((each for each in scanned if each[1]), (0, {}))
     if not found:
         raise ServoError(
-            f"{port}: no Dynamixel answers at any rate; check power and cable; servos of another "
-            "kind: say so: --bus feetech"
+            f"{port}: no Dynamixel answers at any baud rate; check power and cable; for servos of "
+            "another kind give --bus, such as --bus feetech"
         )
     models = {each: model_by_number(number) for each, number in sorted(found.items())}
     unknown = [each for each, model in models.items() if model is None]
     if unknown:
-        raise ServoError(f"id {unknown[0]} is of unknown model {found[unknown[0]]}")
+        raise ServoError(f"servo id {unknown[0]}: model {found[unknown[0]]} is not supported")
     return rate, {each: model.name for each, model in models.items() if model is not None}
 
 
@@ -218,8 +218,8 @@ def clear_foreign_settings(
     for servo_id, changes in foreign.items():
         if any(each.name == "drive_mode" and each.found & 1 for each in changes):
             raise ServoError(
-                f"id {servo_id} runs in reverse drive mode; set drive mode 0 with Dynamixel Wizard "
-                "and record its range again"
+                f"servo id {servo_id} runs in reverse drive mode; set drive mode 0 with Dynamixel "
+                "Wizard and record its range again"
             )
     with unhurried_line(port, rate) as line:
         for servo_id, changes in foreign.items():

@@ -19,7 +19,7 @@ _VOLT_UNIT: Final = 0.1
 def _check_baud_rate(value: int) -> int:
     known = sorted(baud_rates().values())
     if value not in known:
-        raise ValueError(f"{value} is no rate of these servos; use one of {known}")
+        raise ValueError(f"{value} is not a baud rate of these servos; use one of {known}")
     return value
 
 
@@ -40,7 +40,7 @@ class DynamixelSettings(BusSettings):
     @model_validator(mode="after")
     def _real_servos_have_a_port(self) -> Self:
         if self.kind == "dynamixel" and self.port is None:
-            raise ValueError("needs `port:`, /dev/serial/by-id/... or /dev/ttyUSB0 for one")
+            raise ValueError("needs `port:`, for example /dev/ttyUSB0 or /dev/serial/by-id/...")
         return self
 
 
@@ -100,11 +100,11 @@ class DynamixelServo(BusServo, _Keys):
             return self
         unit_ma = self.facts.current_unit_ma
         if unit_ma is None:
-            raise ValueError(f"max_current_ma: an {self.model} does not measure current")
+            raise ValueError(f"an {self.model} does not measure current; leave max_current_ma out")
         most_ma = self.facts.defaults["current_limit"] * unit_ma
         if self.max_current_ma > most_ma:
             raise ValueError(
-                f"max_current_ma {self.max_current_ma:g} is more than an {self.model} takes, "
-                f"{most_ma:g}"
+                f"max_current_ma {self.max_current_ma:g} is more than an {self.model} allows "
+                f"({most_ma:g} mA)"
             )
         return self

@@ -92,7 +92,7 @@ def torque(ids: Sequence[int], *, on: bool) -> bytes:
 
 def _beside_torque(address: int, data: bytes) -> bytes:
     if address <= TORQUE_ENABLE < address + len(data):
-        raise ValueError("torque is switched by `torque` alone")
+        raise ValueError("torque is not written as a register; call `torque`")
     return bytes((address,))
 
 

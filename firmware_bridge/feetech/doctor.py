@@ -75,7 +75,7 @@ def _condition(line: Line, servo: MountedServo) -> ServoCondition:
     state = line.read(servo_id, STATE, dialect.state_size)
     torque = line.read(servo_id, TORQUE_ENABLE, dialect.control_size)
     if state is None or torque is None:
-        raise ServoError(f"servo id {servo_id} fell silent")
+        raise ServoError(f"servo id {servo_id} stopped answering; check its power and cable")
     now = {each: dialect.decode(each, state.data, STATE) for each in _PRESENT}
     return ServoCondition(
         firmware=f"{eeprom['firmware_major']}.{eeprom['firmware_minor']}",

@@ -46,7 +46,7 @@ def mounted_servos(wiring: Wiring) -> list[MountedServo]:
         one, other = by_dialect.values()
         raise ServoError(
             f"{named(one.joint)} is an {one.model.name}, {named(other.joint)} an "
-            f"{other.model.name}: they speak two dialects and cannot share one bus"
+            f"{other.model.name}: their protocols differ, so each needs a bus of its own"
         )
     return servos
 

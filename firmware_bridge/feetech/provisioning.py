@@ -65,7 +65,7 @@ def read_eeprom(line: Line, servo_id: int, model: ServoModel) -> dict[str, int]:
         answer = line.read(servo_id, 0, EEPROM_SIZE)
         if answer is not None:
             return model.dialect.decode_all(answer.data)
-    raise ServoError(f"servo id {servo_id} does not answer as it did")
+    raise ServoError(f"servo id {servo_id} stopped answering; check its power and cable")
 
 
 def shares_id(line: Line, servo_id: int) -> bool:
@@ -91,8 +91,8 @@ def _unlock(line: Line, servo_id: int, model: ServoModel) -> None:
         raise ServoError(f"servo id {servo_id} does not switch its torque off")
     if not write_verified(line, servo_id, model.dialect.registers["lock"].address, b"\0"):
         raise ServoError(
-            f"servo id {servo_id} keeps its EEPROM locked: nothing that is written would last; "
-            "switch its power off and on, and run it again"
+            f"servo id {servo_id} keeps its EEPROM locked, so no setting would last; switch its "
+            "power off and on, then run this command again"
         )
 
 
@@ -146,7 +146,7 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
                 doubled = [servo_id for servo_id in found if shares_id(line, servo_id)]
                 break
         else:
-            raise ServoError(f"{port}: no servo answers at any rate; check power and cable")
+            raise ServoError(f"{port}: no servo answers at any baud rate; check power and cable")
     if doubled:
         raise ServoError(
             f"two servos answer to id {doubled[0]}: connect one at a time and give each an id of "
@@ -155,7 +155,7 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     models = {servo_id: model_name(answers[0]) for servo_id, answers in sorted(found.items())}
     for servo_id, name in models.items():
         if name not in servo_models():
-            raise ServoError(f"id {servo_id} is of {name}")
+            raise ServoError(f"servo id {servo_id} is of {name}, which is not supported")
     return rate, models
 
 
@@ -201,7 +201,7 @@ def lone_servo(
     with unhurried_line(port, rate) as line:
         found = identify(line, MountedServo(joint, model))
     if found is None or found.doubled:
-        raise ServoError(f"servo id {servo_id} does not answer as it did")
+        raise ServoError(f"servo id {servo_id} stopped answering; check its power and cable")
     dialect = model.dialect
     zero_offset_deg = (found.place - dialect.center) / dialect.positions_per_deg
     servo = MountedServo(joint, model, 1, zero_offset_deg)

@@ -54,7 +54,7 @@ class FeetechServo(BusServo, _Keys):
         if self.facts.dialect.name == "scs" and abs(self.zero_offset_deg) > _FARTHEST_NEUTRAL_DEG:
             raise ValueError(
                 f"zero_offset_deg {self.zero_offset_deg:g} puts neutral near the end of an "
-                f"{self.model}'s way, as `new-face --ranges` of 0.3.0 wrote by mistake; write the "
-                "face anew, or turn the horn"
+                f"{self.model}'s range (`new-face --ranges` of 0.3.0 did so by mistake); make the "
+                "face again, or turn the horn"
             )
         return self.within_reach(self.facts.dialect.reach_deg / 2, self.facts.fastest_deg_s)

@@ -148,7 +148,9 @@ class Prevention:
         """Store the rules. Raises ValueError if any lacks a joint's factor or forbids neutral."""
         for rule in rules:
             if len(rule.factors) != n_joints or rule.above < 0.0:
-                raise ValueError(f"rule {rule.because!r} does not fit {n_joints} joints at rest")
+                raise ValueError(
+                    f"rule {rule.because!r} needs {n_joints} factors and must allow neutral"
+                )
         self._factors = [np.array(rule.factors) for rule in rules]
         self._parts = [factors != 0.0 for factors in self._factors]
         self._above = [rule.above for rule in rules]
@@ -309,7 +311,7 @@ class Limiter:
             The positions are not finite, or of another shape.
         """
         if positions_deg.shape != self._sent_deg.shape or not np.isfinite(positions_deg).all():
-            raise ValueError(f"cannot start from {positions_deg}: one finite angle a joint, please")
+            raise ValueError(f"start {positions_deg} is not one finite angle for each joint")
         self._sent_deg = positions_deg.copy()
         self._sent_at_s = time_s
         self._acceleration.rest_at(positions_deg)
@@ -337,7 +339,7 @@ class Limiter:
         Raises ValueError if it is not finite.
         """
         if not np.isfinite(position_deg):
-            raise ValueError(f"cannot start from {position_deg}")
+            raise ValueError(f"start position {position_deg} is not finite")
         self._sent_deg = self._sent_deg.copy()
         self._sent_deg[index] = position_deg
         self._acceleration.rest_one(index, position_deg)

@@ -168,8 +168,8 @@ class StaleRule:
     def __post_init__(self) -> None:
         if not 0.0 <= self.hold_s < self.neutral_s <= self.limp_s:
             raise ValueError(
-                f"needs 0 <= hold_s < neutral_s <= limp_s, got {self.hold_s}, {self.neutral_s} "
-                f"and {self.limp_s}"
+                f"a ramp needs 0 <= hold_s < neutral_s <= limp_s, got {self.hold_s}, "
+                f"{self.neutral_s} and {self.limp_s}"
             )
 
     def level(self, age_s: float) -> StaleLevel:

@@ -78,7 +78,7 @@ class Maestro:
             raise PortError(no_answer(port, crc=self.has_crc))
         # Where only we use a CRC, it was one byte too many in what was just asked.
         if self.has_crc and (self.read_errors() or 0) & PROTOCOL_ERROR:
-            raise PortError(f"{port}: the Maestro does not use a CRC, and bus.crc is true")
+            raise PortError(f"{port}: the Maestro does not use a CRC; set bus.crc to false")
 
     def _ask(self, n_bytes: int, *commands: tuple[int, Sequence[int]]) -> bytes | None:
         transport = self.transport
@@ -228,7 +228,7 @@ class MaestroController:
 
     def _reached(self) -> Maestro:
         if self._maestro is None:
-            raise PortError(f"{self._settings.port}: is not open")
+            raise PortError(f"{self._settings.port}: the Maestro is not open")
         return self._maestro
 
 

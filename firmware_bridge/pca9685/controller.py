@@ -131,7 +131,7 @@ class Pca9685:
     @property
     def _opened(self) -> I2cChip:
         if self._chip is None:
-            raise PortError("the I2C bus is not open")
+            raise PortError("the I2C bus of the PCA9685 is not open")
         return self._chip
 
     def _give_back(self) -> None:

@@ -140,7 +140,7 @@ def _open_device(path: str) -> DeviceTransfers:
     bus = SMBus(path)
     if not bus.funcs & _PLAIN_I2C:
         bus.close()
-        raise PortError(f"{path}: this adapter speaks SMBus only, which is not enough")
+        raise PortError(f"{path}: this adapter only speaks SMBus; a PCA9685 needs full I2C")
     opened = DeviceTransfers(bus, i2c_msg)
     fcntl.ioctl(opened.fileno(), _I2C_TIMEOUT, _TIMEOUT)
     return opened

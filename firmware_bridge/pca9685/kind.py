@@ -92,7 +92,7 @@ class Pca9685Kind(BusKind):
         Raises PortError if `wiring`, which has the board's address, is None.
         """
         if wiring is None:
-            raise PortError(f"{port}: which address? Give --config, the face's YAML")
+            raise PortError(f"{port}: the board's address is not known; give --config FACE.yaml")
         return lambda: BoardRelease(opener_of(wiring)())
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:

@@ -232,9 +232,7 @@ def _in_words() -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise PortError(
-            "needs gpiod, which is not installed: `pip install 'lipservo[pca9685]'`"
-        ) from error
+        raise PortError("the OE pin needs gpiod: `pip install 'lipservo[pca9685]'`") from error
     except (OSError, ValueError) as error:
         why = {
             errno.EACCES: "not permitted; `sudo usermod -aG gpio $USER`, then log in again",
@@ -281,7 +279,7 @@ def _lock(chip: str, line: int) -> int:
     try:
         fd = os.open(runtime_folder() / name, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except (OSError, ControlError) as error:
-        raise PortError(f"its lock cannot be made: {error}") from error
+        raise PortError(f"the lock file of this pin cannot be made: {error}") from error
     give_up_s = time.monotonic() + _TAKE_OVER_S
     while True:
         with contextlib.suppress(OSError):
@@ -290,7 +288,7 @@ def _lock(chip: str, line: int) -> int:
         found = fcntl.fcntl(fd, fcntl.F_GETLK, _POSIX_LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
         holder = _POSIX_LOCK.unpack(found)[4]
         if time.monotonic() > give_up_s:
-            raise PortError(f"held by process {holder}, the guard of a face that runs")
+            raise PortError(f"process {holder}, a running face's guard, holds it; stop that face")
         with contextlib.suppress(OSError):
             if holder > 0:
                 os.kill(holder, signal.SIGTERM)

@@ -100,7 +100,7 @@ class Timing:
         prescale = int(clock_hz / (CYCLE * frequency_hz) + 0.5) - 1
         if not 3 <= prescale <= 255:
             raise ValueError(
-                f"{frequency_hz:g} Hz cannot be had from a clock of {clock_hz:g} Hz: it makes "
+                f"pulses at {frequency_hz:g} Hz are impossible: a clock of {clock_hz:g} Hz makes "
                 f"{clock_hz / CYCLE / 256:.0f} to {clock_hz / CYCLE / 4:.0f} Hz"
             )
         return cls(clock_hz, prescale)

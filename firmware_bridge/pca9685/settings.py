@@ -16,7 +16,7 @@ _PAUSE_US: Final = 200.0
 def _check_address(value: int) -> int:
     # 7.1.1: six solder bridges. 0x70 is the all-call address of every chip that was not set up.
     if not 0x40 <= value <= 0x7F or value == 0x70:
-        raise ValueError(f"{value:#04x} is no address of a PCA9685; 0x40..0x7f without 0x70 are")
+        raise ValueError(f"PCA9685 address {value:#04x} is not 0x40..0x6f or 0x71..0x7f")
     return value
 
 

@@ -483,7 +483,7 @@ def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) 
     no terminal, link or FIFO can be made.
     """
     if wiring is None:
-        raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")
+        raise ServoError("a simulated PCA9685 needs --config FACE.yaml, a face with a PCA9685")
     script, settings = read_faults(request.faults), wiring.settings
     write = request.row_log()
 

@@ -105,7 +105,7 @@ class CommandQueue:
         Raises CommandError when the queue is full or the order is refused.
         """
         if len(self._orders) >= _MOST_ORDERS:
-            raise CommandError("too many orders at once; ask again")
+            raise CommandError("too many orders wait for this face; try again in a second")
         if why_not := self._refusal(order):
             raise CommandError(why_not)
         self._orders.append(order)
@@ -197,7 +197,7 @@ def _set(words: list[str], commands: CommandQueue) -> dict[str, object]:
         raise CommandError(_SAY_SET)
     names = words[::2]
     if len(set(names)) < len(names):
-        raise CommandError("a setting is named twice")
+        raise CommandError("the same setting is given twice; give it once")
     values = {name: _number(text) for name, text in zip(names, words[1::2], strict=True)}
     commands.change(values)
     if len(names) == 1:

@@ -309,7 +309,7 @@ def _answer_in(raw: bytes) -> Answer:
     try:
         return dict(printable(json.loads(raw)))
     except (ValueError, TypeError, RecursionError):
-        raise OSError(errno.EPROTO, "what answers there is no face") from None
+        raise OSError(errno.EPROTO, "the program that answers there is not a face") from None
 
 
 def printable(value: Any) -> Any:
@@ -339,7 +339,7 @@ def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
         try:
             client.connect(str(path))
         except BlockingIOError as error:
-            raise TimeoutError(errno.ETIMEDOUT, "too many wait there for an answer") from error
+            raise TimeoutError(errno.ETIMEDOUT, "it has too many clients") from error
         yield client
 
 

@@ -56,7 +56,7 @@ def runtime_folder() -> Path:
         ) from error
     if not _belongs_to(folder, os.geteuid()):
         raise ControlError(
-            f"{folder}: is not a folder that only you may write into; choose a place with --control"
+            f"{folder}: is no folder that only you may write into; choose another with --control"
         )
     return folder
 
@@ -167,7 +167,7 @@ def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterato
                 break
             except BlockingIOError:
                 if time.monotonic() >= give_up_s:
-                    raise ControlError(f"{folder}: is held by another program") from None
+                    raise ControlError(f"{folder}: another program uses it") from None
                 time.sleep(0.01)
         yield
     finally:
@@ -203,9 +203,9 @@ def make_room(path: Path) -> None:
     if not os.path.lexists(path):
         return
     if not stat.S_ISSOCK(path.lstat().st_mode):
-        raise ControlError(f"{path}: is no socket and stays as it is; choose another --control")
+        raise ControlError(f"{path}: is not a socket; choose another --control")
     if not is_dead_socket(path):
-        raise ControlError(f"{path}: a face listens there already; stop it, or choose another")
+        raise ControlError(f"{path}: another face uses it; choose another --control")
     path.unlink()
 
 

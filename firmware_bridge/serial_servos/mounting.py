@@ -67,8 +67,8 @@ class MountedServo(Generic[Model]):
     def __post_init__(self) -> None:
         if self.max_current_ma is not None and self.model.current_unit_ma is None:
             raise ValueError(
-                f"joint {self.joint.name!r}: an {self.model.name} does not measure current, "
-                "so max_current_ma cannot be kept"
+                f"joint {self.joint.name!r}: an {self.model.name} does not measure current; remove "
+                "max_current_ma"
             )
 
     @property

@@ -187,7 +187,7 @@ class ChainSetup:
         name, own_id = servo.joint.name, servo.joint.servo_id
         answers = [(servo_id, *each) for servo_id, all_of_it in found.items() for each in all_of_it]
         if not answers:
-            raise ServoError("no servo answers at any rate; check its power and cable")
+            raise ServoError("no servo answers at any baud rate; check its power and cable")
         if len(answers) > 1:
             missing = "" if own_id in found else f"{name} (id {own_id}) does not answer; "
             raise ServoError(
@@ -230,8 +230,8 @@ class ChainSetup:
                 kept = self.read(line, servo_id, model, change.name)
                 if kept != change.wanted:
                     raise ServoError(
-                        f"servo id {servo_id}: {change.name} stays at {kept} although "
-                        f"{change.wanted} was written"
+                        f"servo id {servo_id}: {change.wanted} was written to {change.name}, but "
+                        f"it stays {kept}"
                     )
                 yield change
         finally:

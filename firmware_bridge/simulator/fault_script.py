@@ -80,7 +80,7 @@ def _load(text: str) -> object:
     except RecursionError as error:
         raise FaultScriptError("not a fault script: nested too deep") from error
     except ValueError as error:  # a date of month 13, a number of 5,000 digits
-        raise FaultScriptError("not a fault script: a value in it is none") from error
+        raise FaultScriptError("not a fault script: it has a bad number or date") from error
 
 
 def _bracket_depth(text: str) -> int:
@@ -156,10 +156,10 @@ class _Reader:
 
     def _check_times(self) -> None:
         if "at_s" not in self._raw and "every_s" not in self._raw:
-            raise FaultScriptError(f"{self._where}: never happens; give at_s or every_s")
+            raise FaultScriptError(f"{self._where}: this fault never happens; give at_s or every_s")
         for key in ("from_s", "until_s"):
             if key in self._raw and "every_s" not in self._raw:
-                raise FaultScriptError(f"{self._where}: {key} needs every_s")
+                raise FaultScriptError(f"{self._where}: {key} needs every_s; add it")
 
     def _several(self, key: str) -> list[Any]:
         value = self._raw[key]

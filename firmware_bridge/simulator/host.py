@@ -36,7 +36,7 @@ def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) 
     where no terminal or link can be made.
     """
     if request.log is not None:
-        raise ServoError("--log: is of hobby servos only")
+        raise ServoError("--log only records hobby servos; leave it out")
     new = request.new_servos(servo_models(), _MODEL, baud_rates().values(), MAX_ID)
     n_servos = request.n_servos if wiring is None else len(wiring.servos)
     seed, faults = read_faults(request.faults, n_servos)

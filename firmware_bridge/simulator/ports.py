@@ -129,8 +129,8 @@ class PortLink:
             raise PortError(f"--link {self._path}: is a folder, not the name of a link")
         if not self._may_take(port):
             raise PortError(
-                f"--link {self._path}: something is there already, which is left alone; "
-                "remove it or give another path"
+                f"--link {self._path}: does not replace what is there; remove that or give another "
+                "path"
             )
         # Beside it under a name that nobody has, then in one step to its place.
         fresh = self._path.with_name(f"{self._path.name}.{secrets.token_hex(8)}")
@@ -143,7 +143,7 @@ class PortLink:
                 raise
         except OSError as error:
             raise PortError(
-                f"--link {self._path}: no link can be made there: {error.strerror}"
+                f"--link {self._path}: this link cannot be made: {error.strerror}"
             ) from error
         self._port = port
 

@@ -65,7 +65,7 @@ class Kiosk(Strict):
             split = urlsplit(url)
             port = split.port
         except ValueError:
-            raise ValueError(f"{shown(url)} is no URL") from None
+            raise ValueError(f"{shown(url)} is not a URL; write https://HOST:PORT") from None
         odd = split.username is not None or split.query or split.fragment or port == 0
         if split.scheme not in _PORTS or not split.hostname or odd:
             raise ValueError(f"{shown(url)}: write https://HOST:PORT")
@@ -87,7 +87,7 @@ class _Kiosks(Strict):
         for name, kiosk in kiosks.items():
             other = names.setdefault(kiosk.url, name)
             if other != name:
-                raise ValueError(f"{other} and {name} have the same url")
+                raise ValueError(f"kiosks {other} and {name} have the same url; remove one")
         return kiosks
 
 
@@ -105,8 +105,8 @@ def read_kiosks(path: Path) -> dict[str, Kiosk]:
     content = read_mapping(text, path.name)
     if text.rstrip().rpartition("\n")[2] != _END:
         raise SettingsError(
-            f"{path}: does not end with the line `{_END}`, so it may be the first half of a list; "
-            "get it whole, or add the line if it is"
+            f"{path}: its last line must be `{_END}`, so the list may be cut off; copy the whole "
+            "list, or add that line"
         )
     try:
         found = _Kiosks.model_validate(content).kiosks
@@ -203,17 +203,17 @@ def _answer(kiosk: Kiosk, request: KioskRequest) -> Answer:
         raise _hangs(request) from None
     except (OSError, ValueError, http.client.HTTPException) as error:
         why = " ".join(str(error).split()) or type(error).__name__
-        raise KioskError(f"breaks off before it has answered ({why})") from error
+        raise KioskError(f"its server broke off its answer ({why})") from error
     try:
         answer = printable(json.loads(content))
     except (ValueError, RecursionError):
         answer = None
     if response.status == HTTPStatus.UNAUTHORIZED:
-        raise KioskError(f"refuses the token in {kiosk.token_file}; copy the face's own there")
+        raise KioskError(f"its server refuses the token in {kiosk.token_file}; copy the face's")
     if not isinstance(answer, dict) or response.status != HTTPStatus.OK:
         reason = answer.get("error") if isinstance(answer, dict) else None
         raise KioskError(
-            f"answers: {reason or f'HTTP {response.status}, nothing that a face says'}"
+            f"its server answers: {reason or f'HTTP {response.status}, nothing that a face says'}"
         )
     return answer
 
@@ -228,7 +228,7 @@ def _connected(
     except (OSError, UnicodeError) as error:
         why = "no answer" if isinstance(error, TimeoutError) else error
         why = getattr(error, "strerror", None) or why
-        raise KioskError(f"is dead, or not at {host}:{port} ({why})") from error
+        raise KioskError(f"no server answers at {host}:{port} ({why})") from error
     plain.settimeout(patience_s)
     connection = http.client.HTTPConnection(host, port)
     try:
@@ -238,12 +238,12 @@ def _connected(
     except ssl.SSLCertVerificationError as error:
         plain.close()
         raise KioskError(
-            f"has a certificate that is not trusted ({error.verify_message}): nothing was sent; "
-            "name its own by `certificate:`"
+            f"its server's certificate is not trusted ({error.verify_message}), so nothing was "
+            "sent; give that certificate as `certificate:`"
         ) from error
     except ssl.SSLError as error:
         plain.close()
-        raise KioskError(f"speaks no TLS at {host}:{port} ({error.reason})") from error
+        raise KioskError(f"no TLS server is at {host}:{port} ({error.reason})") from error
     except OSError:
         plain.close()
         raise
@@ -257,4 +257,4 @@ def _tls(certificate: str | None) -> ssl.SSLContext:
         return ssl.create_default_context(cafile=certificate)
     except (OSError, ssl.SSLError) as error:
         why = getattr(error, "strerror", None) or error
-        raise KioskError(f"{certificate}: cannot be read as certificates in PEM: {why}") from error
+        raise KioskError(f"{certificate}: cannot be read as PEM certificates: {why}") from error

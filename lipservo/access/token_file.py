@@ -60,7 +60,7 @@ def read_token(token_file: str | None) -> str | None:
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{token_file}: cannot be read as a token: {error}") from error
     if not token:
-        raise UserError(f"{token_file}: its first line is empty; write a token there")
+        raise UserError(f"{token_file}: its first line is empty; write the token there")
     return token
 
 
@@ -84,10 +84,10 @@ def _check(path: Path) -> None:
     """Raise UserError unless `path` is this user's own file, of mode 0640 at most, with a token."""
     found = path.lstat()
     if not stat.S_ISREG(found.st_mode):
-        raise UserError(f"{path}: is no plain file, and no token; {_REMEDY}")
+        raise UserError(f"{path}: is not a regular file, so no token; {_REMEDY}")
     if found.st_uid != os.geteuid():
-        raise UserError(f"{path}: belongs to user {found.st_uid}, not to {os.geteuid()}; {_REMEDY}")
+        raise UserError(f"{path}: belongs to user {found.st_uid}, not {os.geteuid()}; {_REMEDY}")
     if stat.S_IMODE(found.st_mode) & ~_MODE:
         mode = f"{stat.S_IMODE(found.st_mode):04o}"
-        raise UserError(f"{path}: mode {mode} is open to other users, not 0640; {_REMEDY}")
+        raise UserError(f"{path}: is open to other users (mode {mode}); {_REMEDY}")
     read_token(str(path))

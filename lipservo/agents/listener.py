@@ -116,7 +116,7 @@ def host_and_port(spec: str) -> tuple[str, int]:
     bare = host.removeprefix("[").removesuffix("]")
     is_port = port.isascii() and port.isdigit() and int(port) <= _HIGHEST_PORT
     if not (colon and bare and is_port) or (":" in bare and bare == host):
-        raise UserError(f"{shown(spec)}: no address; write HOST:PORT, as 127.0.0.1:8765")
+        raise UserError(f"{shown(spec)} is not an address; write HOST:PORT, such as 127.0.0.1:8765")
     return bare, int(port)
 
 

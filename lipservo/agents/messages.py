@@ -371,9 +371,9 @@ def _object(text: str) -> dict[str, object]:
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
-        raise MessageError("bad_json", "the text is not JSON; audio is sent as binary") from None
+        raise MessageError("bad_json", "this message is not JSON; send audio as binary") from None
     if not isinstance(value, dict) or not isinstance(value.get("type"), str):
-        raise MessageError("bad_json", 'the text is no JSON object with a "type"')
+        raise MessageError("bad_json", 'this message is not a JSON object with a "type"')
     return value
 
 
@@ -404,7 +404,7 @@ def spoken_text_of(message: SpeechUnits, sample_rate_hz: int) -> SpokenText:
     kind: UnitKind = "phoneme" if isinstance(message, Phonemes) else "viseme"
     spoken = in_inventory(kind, units, message.alphabet, sample_rate_hz)
     if kind == "viseme" and not spoken.is_timed:
-        raise SpokenTextError("visemes without a start_sample move no mouth")
+        raise SpokenTextError("visemes need a start_sample to move the mouth")
     return spoken
 
 
@@ -457,7 +457,7 @@ def decode_base64(text: str) -> bytes:
     try:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise MessageError("bad_audio", "data: not base64") from error
+        raise MessageError("bad_audio", "data is not base64") from error
 
 
 class Outbox:

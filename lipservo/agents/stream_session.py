@@ -129,7 +129,7 @@ class StreamSession:
     def _begin(self, start: Start) -> None:
         if self._open is not None and not self._open.speech.ended:
             open_id = self._open.stream_id
-            raise MessageError("stream_open", f"stream {open_id!r} has not ended; send end first")
+            raise MessageError("stream_open", f"stream {open_id!r} has not ended; send `end` first")
         self._open = self._streams.open(self._outbox, start, time.monotonic())
         self._ignores_rest = False
         self._over.append(self._open.stream_id)
@@ -151,7 +151,7 @@ class StreamSession:
         if stream is None:
             if self._ignores_rest:
                 return
-            raise MessageError("no_stream", "audio before start; it was dropped")
+            raise MessageError("no_stream", "audio was dropped; send `start` first")
         if stream.speech.ended:
             return
         self._streams.check_room(stream.decoder.n_samples(data) / stream.rate_hz)
@@ -166,18 +166,18 @@ class StreamSession:
         if stream is None:
             if self._ignores_rest:
                 return
-            raise MessageError("no_stream", "end before start")
+            raise MessageError("no_stream", "`end` without a stream; send `start` first")
         self._open = None
         stream.speech.end()
         if n_bytes := stream.decoder.n_left_bytes:
-            cut = f"the last {n_bytes} bytes are no whole sample; they were dropped"
+            cut = f"the last {n_bytes} bytes were dropped: they are only part of a sample"
             raise MessageError("bad_audio", cut)
 
     def _mark(self, name: str) -> None:
         if self._open is not None:
             self._open.mark(name)
         elif not self._ignores_rest:
-            raise MessageError("no_stream", "mark before start")
+            raise MessageError("no_stream", "`mark` without a stream; send `start` first")
 
     def _on_units(self, units: SpeechUnits) -> None:
         """Start a task that applies a text, words, phonemes or visemes to their stream.
@@ -189,7 +189,7 @@ class StreamSession:
         if stream is None:
             return
         if len(self._untaken) >= _MOST_UNTAKEN:
-            raise MessageError("bad_text", f"{_MOST_UNTAKEN} texts are not looked up yet; wait")
+            raise MessageError("bad_text", f"{_MOST_UNTAKEN} texts already wait; send more later")
         taking = self._apply_units(units, stream, self._taking)
         self._taking = asyncio.get_running_loop().create_task(taking)
         self._untaken.add(self._taking)
@@ -221,11 +221,11 @@ class StreamSession:
         """
         if name is None:
             if self._open is None and not self._ignores_rest:
-                raise MessageError("no_stream", "a text before start; name the stream, or start it")
+                raise MessageError("no_stream", "no stream is open; start or name one")
             return self._open
         stream = self._streams.stream_of(self._outbox, name)
         if stream is None and name not in self._over:
-            raise MessageError("no_stream", f"stream {name!r} was never started")
+            raise MessageError("no_stream", f"stream {name!r} does not exist; start it first")
         return stream
 
     def _hear_position(self, parsed: Position) -> None:

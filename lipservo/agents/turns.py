@@ -70,7 +70,7 @@ class AgentStream:
     def mark(self, name: str) -> None:
         """Request an event `name` for when all audio so far is played; MessageError if 64 wait."""
         if self.n_marks >= _MOST_MARKS:
-            raise MessageError("too_many_marks", f"{_MOST_MARKS} marks wait to be heard already")
+            raise MessageError("too_many_marks", f"{_MOST_MARKS} marks already wait; try later")
         self.n_marks += 1
         self.speech.mark(name)
 
@@ -242,7 +242,7 @@ class OpenStreams:
         waiting_s = sum(each.speech.waiting_s + _BLOCK_S for each in self._all())
         if waiting_s + duration_s > MOST_WAITING_S - _BLOCK_S:
             kept = f"{MOST_WAITING_S:g} s of speech are kept, and {waiting_s:.1f} wait"
-            raise MessageError("buffer_full", f"nothing of this chunk was taken: {kept}")
+            raise MessageError("buffer_full", f"this audio was dropped: {kept}; send it later")
 
     def interrupt(self, owner: Outbox) -> None:
         """Silence the speech of client `owner` at once and drop all of its streams.
@@ -283,7 +283,7 @@ class OpenStreams:
         Raises MessageError if the playout has no stream of this client, or 32 requests wait in it.
         """
         if not any(each.owner is owner for each in self._playing.values()):
-            raise MessageError("no_stream", "pause: nothing of this client is spoken or waits")
+            raise MessageError("no_stream", "nothing to pause: this client has no stream")
         if self._paused is None:
             self._check_requests()
             self._playout.requests.append(PlayoutRequest("pause"))
@@ -304,7 +304,7 @@ class OpenStreams:
         request_id: `id` of the command. MessageError if an agent speaks, unless clients queue.
         """
         if self._settings.when_busy == "refuse" and self._all():
-            raise MessageError("busy", f"an agent speaks; {_LATER}")
+            raise MessageError("busy", f"an agent is speaking; {_LATER}")
         own = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
         self._own[own.stream_id] = own
         return own
@@ -408,7 +408,7 @@ class OpenStreams:
             raise MessageError("no_loudspeaker", f'{silent}, or play it yourself ("client")')
         if self._settings.when_busy == "refuse":
             if any(each.owner is not owner for each in streams):
-                raise MessageError("busy", f"another client speaks; {_LATER}")
+                raise MessageError("busy", f"another client is speaking; {_LATER}")
             if self._own or self._own_speech:
                 own = "the face says something of its own"
                 raise MessageError("busy", f"{own}; interrupt it, {_LATER}")
@@ -417,11 +417,11 @@ class OpenStreams:
             raise MessageError("too_many_streams", most)
         self._check_requests()
         if any(each.owner is owner and each.stream_id == start.stream for each in streams):
-            raise MessageError("stream_open", "a stream of that id is spoken or waits already")
+            raise MessageError("stream_open", "that stream id is in use; choose another")
 
     def _check_requests(self) -> None:
         if len(self._playout.requests) >= _MOST_REQUESTS:
-            raise MessageError("not_available", "the face takes no speech at the moment")
+            raise MessageError("not_available", "the face is too busy; try again later")
 
     def _drop_waiting(self, owner: Outbox, kind: str) -> int:
         dropped = [each for each in self._waiting if each.owner is owner]

@@ -87,8 +87,8 @@ class AvCamera:
             else:
                 return self
         raise CameraError(
-            f"camera {self.name!r} cannot be opened ({reason}); close what else uses it, or name "
-            "another with --camera"
+            f"camera {self.name!r} cannot be opened ({reason}); close other programs that use it, "
+            "or choose another with --camera"
         )
 
     def __exit__(self, *exc: object) -> None:
@@ -198,6 +198,6 @@ class CameraFeed:
                 if self._stopping.is_set():
                     return
                 self._waiting.append(frame)
-            self._failure = CameraError(f"camera {self.camera.name!r}: its pictures have ended")
+            self._failure = CameraError(f"camera {self.camera.name!r} stopped sending pictures")
         except CameraError as error:
             self._failure = error

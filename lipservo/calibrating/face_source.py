@@ -152,9 +152,7 @@ def tracker_source(
         yield _pictures(folder, setup.servos.names, _warned_once(dots_folder(folder).readings))
     else:
         if not folder.is_dir() and folder.suffix.lower() not in (".csv", ".json"):
-            raise CalibrationError(
-                f"--tracker {source}: expected a .csv or .json file, or a folder"
-            )
+            raise CalibrationError(f"--tracker {source} must be a .csv or .json file, or a folder")
         names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
         yield lambda face: FileTracker(folder, names, face.hold, say, axes=axes, kept=kept)
 
@@ -235,7 +233,7 @@ def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:
     found = mesh.eye_distance_mm or setup.settings.eye_distance_mm
     if found is None:
         raise UserError(
-            "how large is the face? Give --eye-distance-mm, from outer corner to outer corner of "
-            "the robot's eyes, or write `eye_distance_mm:` into the face's YAML"
+            "the size of the face is unknown; give --eye-distance-mm, from outer corner to outer "
+            "corner of the robot's eyes, or write `eye_distance_mm:` in the face's YAML"
         )
     return found

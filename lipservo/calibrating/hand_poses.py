@@ -104,7 +104,7 @@ def with_hand_poses(
     poses = dict(calibration.hand_poses)
     for name, positions_deg in made_deg.items():
         if not np.isfinite(positions_deg).all():
-            raise CalibrationError(f"pose {name!r}: a servo has never answered; make it again")
+            raise CalibrationError(f"pose {name!r}: a servo gave no position; make it again")
         poses[name] = np.clip(positions_deg, low_deg, high_deg)
     touch = calibration.touch
     if TOUCHED in made_deg:

@@ -114,9 +114,9 @@ def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
     if setup.sees_forward and is_flat(capture):
         if not setup.accept:
             raise CalibrationError(
-                "all markers keep one depth, so how far lips go forward was not measured, and no "
-                "figure would know how far they are off; measure z too, or take lips as they are "
-                "seen from the front with --accept"
+                "the markers' depth (z) does not change, so how far the lips go forward is "
+                "unknown; measure z too, or accept a calibration from the front alone with "
+                "--accept"
             )
         setup = replace(setup, sees_forward=False)
     servos = setup.servos
@@ -187,16 +187,16 @@ def typed_lags(
         name, _, number = each.partition("=")
         if name not in names:
             known = ", ".join(names)
-            raise CalibrationError(f"--lag-ms {each}: no such joint; there are: {known}")
+            raise CalibrationError(f"--lag-ms {each}: no such joint; use one of {known}")
         if name in seen:
-            raise CalibrationError(f"--lag-ms {each}: {name} is given twice")
+            raise CalibrationError(f"--lag-ms {each}: {name} is given twice; give it once")
         seen.add(name)
         try:
             lag_ms = float(number)
         except ValueError:
             lag_ms = math.nan
         if not 0.0 <= lag_ms <= _MOST_LAG_MS:
-            allowed = f"JOINT=MS with 0 to {_MOST_LAG_MS:g} ms, {name}=60 for one"
+            allowed = f"JOINT=MS with 0 to {_MOST_LAG_MS:g} ms, such as {name}=60"
             raise CalibrationError(f"--lag-ms {each}: needs {allowed}")
         lag_s[names.index(name)] = lag_ms / 1e3
     return replace(calibration, following=replace(following, lag_s=lag_s))
@@ -445,7 +445,7 @@ def _drawn_robot(setup: CalibrationSetup, seed: int, family: RobotFamily | None)
     guessed = guessed_joints(setup.servos, family)
     if guessed:
         MESSAGES.print(
-            f"what moves at {', '.join(guessed)} is guessed: neither the name nor the word of "
-            "`positive` in the face's YAML says it",
+            f"what the servos {', '.join(guessed)} move is a guess: neither their names nor "
+            "`positive` in the face's YAML say it",
         )
     return robot

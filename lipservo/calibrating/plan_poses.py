@@ -32,15 +32,15 @@ def read_poses(
     numbers, plan = read_numbered_plan(path, setup.servos.names)
     for number in wanted:
         if number not in numbers:
-            raise CalibrationError(f"{path}: has no pose {number}")
+            raise CalibrationError(f"{path}: pose {number} does not exist")
     low_deg, high_deg = setup.servos.limits_deg
     beyond = np.argwhere((plan.goals_deg < low_deg) | (plan.goals_deg > high_deg))
     if len(beyond):
         row, joint = beyond[0]
         raise CalibrationError(
             f"{path}, pose {numbers[row]}: {plan.servo_names[joint]} at "
-            f"{plan.goals_deg[row, joint]:g} deg is outside {low_deg[joint]:g}.."
-            f"{high_deg[joint]:g}; is it a plan of this face?"
+            f"{plan.goals_deg[row, joint]:g} deg is outside "
+            f"{low_deg[joint]:g}..{high_deg[joint]:g} deg; is it a plan of this face?"
         )
     rows = [numbers.index(number) for number in wanted or numbers]
     chosen = plan_rows(plan, rows)
@@ -57,7 +57,7 @@ def check_plan(setup: CalibrationSetup, path: Path) -> None:
     names = [name for name, stays in zip(plan.servo_names, still, strict=True) if stays]
     if names:
         raise CalibrationError(
-            f"{path}: {', '.join(names)} moves in no pose, so nothing can be learnt of it; write "
+            f"{path}: {', '.join(names)} never moves in it, so nothing can be learnt of it; write "
             "a plan with `lipservo calibrate plan`"
         )
 
@@ -92,8 +92,7 @@ def check_face(setup: CalibrationSetup, calibration: Calibration, source: str) -
     """Raise CalibrationError if a calibration, from `source`, was made for another face."""
     if calibration.face_checksum != setup.servos.face_checksum:
         raise CalibrationError(
-            f"{source}: is of another face than {setup.settings.name!r}; name its face with "
-            "--config"
+            f"{source}: is not of face {setup.settings.name!r}; give its own face with --config"
         )
 
 

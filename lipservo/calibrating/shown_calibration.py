@@ -405,7 +405,7 @@ def draw_coverage(
     """
     if fit is None:
         raise CalibrationError(
-            "--plots needs lips that were measured; this calibration knows no millimetres"
+            "--plots needs a calibration with measured lips; this one has no millimetres"
         )
     without_screen()
     from matplotlib import pyplot as plt

@@ -76,7 +76,7 @@ def touch_by_current(
         efforts = _Efforts(face)
         poses = _taken(setup, face, plan, efforts)
     if len(poses) < len(plan):
-        raise CalibrationError("a servo drew its max_current_ma before all steps were taken")
+        raise CalibrationError("a servo reached its max_current_ma before the last step")
     return touched_by_current(calibration, plan, np.array(efforts.seen))
 
 
@@ -100,7 +100,7 @@ def touch_by_eye(
                 MESSAGES.print(f"shape {shape}, step {row - rows[0] + 1} of {len(rows)}: meet?")
                 key = face.hold_while(read_key)
                 if key == "q":
-                    raise CalibrationError("given up; the calibration stays as it is")
+                    raise CalibrationError("stopped with q; the calibration stays as it is")
                 if key in ("\r", "\n"):
                     touching_rows.append(row)
                     break

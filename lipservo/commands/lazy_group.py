@@ -80,7 +80,9 @@ class LazyGroup(TyperGroup):
             For a command of a distribution that is not installed, or of another version.
         """
         if cmd_name in self.moved:
-            raise typer.BadParameter(f"it is now `lipservo {self.moved[cmd_name]}`", ctx=ctx)
+            raise typer.BadParameter(
+                f"`{cmd_name}` is now `lipservo {self.moved[cmd_name]}`", ctx=ctx
+            )
         path = f"{self.prefix.replace('.', ' ')}{cmd_name}"
         command = self.table.get(cmd_name)
         if command is not None and command.target:

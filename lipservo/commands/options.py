@@ -357,5 +357,5 @@ def label_file(path: Path | None, tier: str, alphabet: str) -> LabelFile | None:
     if path is not None:
         return LabelFile(path, tier, alphabet)
     if tier or alphabet:
-        raise UserError("--tier and --alphabet go with a file of labels; name it")
+        raise UserError("--tier and --alphabet need a file of labels; name one")
     return None

@@ -242,10 +242,10 @@ class FaceLink:
         Raises FaceError.
         """
         if not values:
-            raise FaceError("refused", "name at least one setting")
+            raise FaceError("refused", "no setting is named; name at least one")
         for name, value in values.items():
             if not math.isfinite(value):
-                raise FaceError("refused", f"{shown(name)}: {value} is no number to set")
+                raise FaceError("refused", f"{shown(name)}: {value} is not a finite number")
         return await self._returned(lambda path: change_settings(path, dict(values)))
 
     async def servo(self, name: str, what: str) -> Answer:
@@ -254,7 +254,7 @@ class FaceLink:
         what: `off`, `on` or `reboot`; any other word raises FaceError.
         """
         if what not in set(ServoSwitch):
-            raise FaceError("refused", f"{shown(what)}: there are off, on, reboot")
+            raise FaceError("refused", f"{shown(what)} is unknown; use off, on or reboot")
         return await self._returned(lambda path: switch_servo(path, name, ServoSwitch(what)))
 
     async def jog_arm(self) -> Answer:
@@ -264,7 +264,7 @@ class FaceLink:
     async def jog(self, name: str, deg: float) -> Answer:
         """Move one servo to a joint angle (deg) within its limits, and renew jogging for 3 s."""
         if not math.isfinite(deg):
-            raise FaceError("refused", f"{shown(name)}: {deg} is no angle")
+            raise FaceError("refused", f"{shown(name)}: {deg} is not a finite angle")
         return await self._returned(lambda path: jog_servo(path, name, deg))
 
     async def jog_pulse(self, name: str, pulse_us: float) -> Answer:
@@ -326,7 +326,7 @@ class FaceLink:
             async with asyncio.timeout(_SAYING_S), AsyncFace(_reached(url), self._token) as face:
                 yield face
         except TimeoutError as error:
-            raise FaceError("not_answering", "the face's speech side does not answer") from error
+            raise FaceError("not_answering", "the face's speech process does not answer") from error
 
     async def _returned(
         self, call: Callable[[Path], Answer], pool: ThreadPoolExecutor | None = None

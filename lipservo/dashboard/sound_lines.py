@@ -48,14 +48,14 @@ def checked_name(name: str) -> str:
     try:
         n_bytes = len(name.encode())
     except UnicodeEncodeError:
-        raise FaceError("refused", f"{shown(name)}: is no name of a file") from None
+        raise FaceError("refused", f"{shown(name)} cannot be a file name") from None
     if not name or n_bytes > _LONGEST_NAME_BYTES:
-        raise FaceError("refused", f"a name has 1 to {_LONGEST_NAME_BYTES} bytes")
+        raise FaceError("refused", f"a file name must have 1 to {_LONGEST_NAME_BYTES} bytes")
     is_plain = name.isprintable() and not set(name) & set('/\\:*?"<>|')
     if not is_plain or name.startswith((".", " ", "-")) or name.endswith((".", " ")):
-        raise FaceError("refused", f"{shown(name)}: write letters, digits, spaces and dashes")
+        raise FaceError("refused", f"{shown(name)}: use letters, digits, spaces and dashes")
     if Path(name).suffix.lower() not in SUFFIXES:
-        raise FaceError("refused", f"{shown(name)}: ends in none of {' '.join(SUFFIXES)}")
+        raise FaceError("refused", f"{shown(name)}: must end in {' or '.join(SUFFIXES)}")
     return name
 
 
@@ -88,7 +88,7 @@ class SoundLines:
         except OSError:
             is_file = False
         if not is_file:
-            raise FaceError("not_found", f"{shown(name)}: no such line")
+            raise FaceError("not_found", f"{shown(name)}: this line does not exist")
         return path
 
     def remove(self, name: str) -> None:
@@ -158,7 +158,7 @@ class Uploads:
             busy, exists, too_large, not_sound, stalled, not_available.
         """
         if self._n_coming >= MOST_AT_ONCE:
-            raise FaceError("busy", f"{MOST_AT_ONCE} files are coming in already; try again")
+            raise FaceError("busy", f"{MOST_AT_ONCE} files are being uploaded; try again later")
         self._n_coming += 1
         try:
             return await self._store(place, chunks, replace=replace)
@@ -166,7 +166,7 @@ class Uploads:
             stalled = f"{shown(place.name)}: came too slowly, and was given up"
             raise FaceError("stalled", stalled) from None
         except OSError as error:
-            raise FaceError("not_available", f"cannot write it: {error.strerror}") from error
+            raise FaceError("not_available", f"file not written: {error.strerror}") from error
         finally:
             self._n_coming -= 1
 
@@ -181,13 +181,13 @@ class Uploads:
                 while (chunk := await _next_of(chunks)) is not None:
                     n_bytes += len(chunk)
                     if n_bytes > MOST_BYTES:
-                        raise FaceError("too_large", f"more than {MOST_BYTES // 10**6} MB")
+                        raise FaceError("too_large", f"over {MOST_BYTES // 10**6} MB")
                     await in_thread(coming.write, chunk)
             await in_thread(coming.finish)
         except asyncio.CancelledError:
             # The server ends, and waits for no disk.
             in_thread(coming.close)
-            raise FaceError("busy", "the dashboard ends; upload it again") from None
+            raise FaceError("busy", "the dashboard is ending; upload the file again") from None
         except BaseException:
             await in_thread(coming.close)
             raise
@@ -212,7 +212,7 @@ class _ComingFile:
 
     def __init__(self, place: Path, *, replace: bool) -> None:
         if place.exists() and not replace:
-            raise FaceError("exists", f"{shown(place.name)}: is there already")
+            raise FaceError("exists", f"{shown(place.name)} already exists")
         _sweep(place.parent)
         self._place = place
         self._replace = replace
@@ -240,7 +240,7 @@ class _ComingFile:
                 # Unlike a rename, this never takes another file's place.
                 os.link(self._path, self._place)
             except FileExistsError as error:
-                raise FaceError("exists", f"{shown(self._place.name)}: is there already") from error
+                raise FaceError("exists", f"{shown(self._place.name)} already exists") from error
 
     def close(self) -> None:
         """Close and delete the temporary file."""

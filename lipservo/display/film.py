@@ -55,7 +55,7 @@ def named_file(speech: str) -> Path | None:
 def check_film(path: Path) -> None:
     """Raise FilmError for a file name without a film's ending, MissingExtraError without PyAV."""
     if path.suffix.lower() not in FILM_ENDINGS:
-        raise FilmError(f"{path}: name a film {' or '.join(FILM_ENDINGS)}")
+        raise FilmError(f"{path}: a film's name must end in {' or '.join(FILM_ENDINGS)}")
     check_extra("av", "making a film")
 
 
@@ -127,7 +127,7 @@ def write_film(
                 voice.end()
             file.mux(video.encode(None))
         if not n:
-            raise FilmError(f"{out}: nothing to film; the sound is empty")
+            raise FilmError(f"{out}: the sound is empty, so there is nothing to film")
     return n
 
 

@@ -172,7 +172,7 @@ def _other(
         found = stack.enter_context(filmed(request.beside, other, request.rate_hz))
     else:
         if first.sound is None or (request.speech or "").endswith(SUFFIX):
-            raise UserError(f"--beside {request.beside}: beside a performance stands another one")
+            raise UserError(f"--beside {request.beside}: needs a performance, as the first is one")
         strategy = next((each for each in STRATEGIES if each == request.beside), None)
         if strategy is None:
             raise UserError(

@@ -80,7 +80,7 @@ def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[Filmed
             return
         if not _is_file(path):
             if named_file(speech) is not None:
-                raise UserError(f"{speech}: no such file; name a sound, or give a text in quotes")
+                raise UserError(f"{speech}: no such file; give a sound, or a text in quotes")
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="lipservo-")))
             path, script = _spoken(speech, request.config, folder)
             labels = None if script is None else LabelFile(script, "phones")
@@ -97,7 +97,7 @@ def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: i
     face = load_face(model)
     if run.model != face.checksum:
         raise UserError(
-            f"{trace}: made with face model {run.model}, this is {face.checksum}; give its --model"
+            f"{trace}: made with face model {run.model}, not {face.checksum}; give its --model"
         )
     end_s = float(run.sound_s[-1]) if sound is None else checked_sound(sound).duration_s
     times_s = _times_s(end_s, rate_hz)
@@ -113,7 +113,7 @@ def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: i
 def _times_s(duration_s: float, rate_hz: int) -> Array:
     if duration_s > LONGEST_FILM_S:
         raise UserError(
-            f"{duration_s:.0f} s long; a film is at most {LONGEST_FILM_S:.0f} s, cut it"
+            f"{duration_s:.0f} s of sound is too long; cut it to {LONGEST_FILM_S:.0f} s"
         )
     return np.arange(max(1, int(np.ceil(duration_s * rate_hz)))) / rate_hz
 

@@ -165,7 +165,7 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
     """
     missing = [name for name, number in HAND_POINTS.items() if number not in landmarks_px]
     if missing:
-        raise PhotoError(f"a face needs {missing[0]} (landmark {HAND_POINTS[missing[0]]})")
+        raise PhotoError(f"landmark {HAND_POINTS[missing[0]]} ({missing[0]}) is missing; add it")
     mean = load_mean_face()
     numbers = sorted(number for number in landmarks_px if number < N_SKIN)
     on_head = mean.vertices_mm[numbers]
@@ -200,8 +200,8 @@ def _check_size_and_pose(face_px: float, rotation: Array) -> None:
     """Raise PhotoError for a face under 60 px (`face_px`), or turned more than 30 degrees."""
     if face_px < LEAST_FACE_PX:
         raise PhotoError(
-            f"the face is {face_px:.0f} pixels wide, {LEAST_FACE_PX:.0f} are needed; take a larger "
-            "picture, or one from nearer"
+            f"the face is {face_px:.0f} pixels wide, but {LEAST_FACE_PX:.0f} are needed; take a "
+            "larger picture, or go nearer"
         )
     ahead = rotation[:, 2]
     yaw_deg = float(np.degrees(np.arctan2(ahead[0], ahead[2])))
@@ -209,8 +209,8 @@ def _check_size_and_pose(face_px: float, rotation: Array) -> None:
     for turned_deg, how in ((yaw_deg, "aside"), (pitch_deg, "up or down")):
         if abs(turned_deg) > MOST_TURNED_DEG:
             raise PhotoError(
-                f"the face is turned {how} by {abs(turned_deg):.0f} degrees, "
-                f"{MOST_TURNED_DEG:.0f} at most; take a picture from the front"
+                f"the face is turned {how} by {abs(turned_deg):.0f} degrees, but at most "
+                f"{MOST_TURNED_DEG:.0f} are possible; take a picture from the front"
             )
 
 

@@ -59,7 +59,7 @@ def read_photo(path: Path) -> tuple[Picture, float]:
                 )
             if min(width, height) < _LEAST_SIDE_PX:
                 raise PhotoError(
-                    f"{path}: {width} x {height} pixels; a face needs {_LEAST_SIDE_PX} at least"
+                    f"{path}: {width} x {height} pixels; both sides need {_LEAST_SIDE_PX}"
                 )
             longest = _LONGEST_SIDE_PX
             image.draft("RGB", (longest, longest))  # a JPEG is unpacked no larger than needed
@@ -117,7 +117,7 @@ def read_landmarks(path: Path, share: float) -> Landmarks:
     """
     try:
         if path.stat().st_size > _MOST_JSON_BYTES:
-            raise PhotoError(f"{path}: too large for the points of a face")
+            raise PhotoError(f"{path}: this file is too large for points of a face")
         points = json.loads(path.read_text(encoding="utf-8"))["points_px"]
     except OSError as error:
         raise PhotoError(f"{path}: cannot be read ({error.strerror})") from error
@@ -141,10 +141,10 @@ def landmarks_of(points: object) -> Landmarks:
         raise PhotoError(_no_points(error)) from error
     for number, place in found.items():
         if place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
-            raise PhotoError(f"landmark {number} is no [x, y] or [x, y, z]")
+            raise PhotoError(f"landmark {number} must be [x, y] or [x, y, z]")
     missing = [name for name, number in HAND_POINTS.items() if number not in found]
     if missing:
-        raise PhotoError(f"lacks {', '.join(missing)}")
+        raise PhotoError(f"landmarks are missing: {', '.join(missing)}")
     return found
 
 
@@ -194,7 +194,7 @@ def framed(
 def _number(name: str) -> int:
     number = HAND_POINTS[name] if name in HAND_POINTS else int(name)
     if not 0 <= number < N_LANDMARKS:
-        raise ValueError(f"landmark {number}")
+        raise ValueError(f"there is no landmark {number}")
     return number
 
 

@@ -188,14 +188,14 @@ def _parse(line: bytes) -> tuple[list[str], float, dict[str, list[float]]]:
     raw = json.loads(line)
     names = raw["servos"]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError("no servo names")
+        raise ValueError("the servos' names are missing")
     columns = {key: [_float(value) for value in raw[key]] for key in (*_QUANTITIES, *_COUNTS)}
     if any(len(column) != len(names) for column in columns.values()):
-        raise ValueError("columns of different lengths")
+        raise ValueError("its columns differ in length")
     if not all(math.isfinite(value) for key in (*_COUNTS, "errors") for value in columns[key]):
-        raise ValueError("a count that is no number")
+        raise ValueError("a count is not a finite number")
     if not all(0 <= bits <= 255 for bits in columns["errors"]):
-        raise ValueError("errors are a byte")
+        raise ValueError("an error byte is outside 0..255")
     return names, _float(raw["number"]), columns
 
 
@@ -203,7 +203,7 @@ def _float(value: object) -> float:
     if value is None:
         return math.nan
     if not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is no number")
+        raise TypeError(f"{value!r} is not a number")
     return float(value)
 
 

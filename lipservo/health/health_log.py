@@ -175,7 +175,7 @@ def health_log(face: str, port: str | None, environment: Mapping[str, str]) -> H
         return None
     folder = log_folder(face, port, environment)
     if folder is None:
-        _LOG.error("no health log: set HOME, XDG_STATE_HOME or LIPSERVO_STATE")
+        _LOG.error("health is not logged: set HOME, XDG_STATE_HOME or LIPSERVO_STATE")
         return None
     return HealthLog(folder)
 

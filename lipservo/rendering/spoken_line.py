@@ -57,8 +57,8 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
     duration_s = checked_sound(sound, script.channel).duration_s
     if duration_s > LONGEST_LINE_S:
         raise LineError(
-            f"{sound}: {duration_s:.0f} s long; a line is at most {LONGEST_LINE_S:.0f} s, cut it "
-            "into lines"
+            f"{sound}: is {duration_s:.0f} s long, and a line at most {LONGEST_LINE_S:.0f} s; cut "
+            "it into lines"
         )
     notes: list[str] = []
     posteriors = None
@@ -73,8 +73,8 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
         score = goodness_of_pronunciation(samples, events)
         if score < LEAST_SCORE:
             raise AlignmentError(
-                f"{sound}: this text is not spoken there: it scores {score:.2f}, spoken "
-                f"texts score above {LEAST_SCORE}; check the text"
+                f"{sound}: its speech is not this text (score {score:.2f}; spoken texts score "
+                f"above {LEAST_SCORE}); check the text"
             )
         if score < DOUBTFUL_SCORE:
             notes.append(f"the text fits badly (score {score:.2f})")

@@ -141,7 +141,7 @@ def entered_avatars(
     try:
         return stack.enter_context(avatar_stream(targets, model))
     except AvatarError as error:
-        _LOG.warning("avatars are not sent to: %s", error)
+        _LOG.warning("avatars get no motion: %s", error)
         return None
 
 
@@ -173,5 +173,5 @@ def _sender(address: Address | None) -> Iterator[socket.socket | None]:
         try:
             sender.connect(found[0][4])
         except OSError as error:
-            raise AvatarError(f"{address.option}: cannot be sent to: {error.strerror}") from error
+            raise AvatarError(f"{address.option}: cannot be reached: {error.strerror}") from error
         yield sender

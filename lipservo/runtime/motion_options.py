@@ -83,12 +83,12 @@ class MotionOptions:
         RECOGNIZERS.check(self.engine)
         if self.strategy not in STRATEGIES:
             raise StyleError(
-                f"unknown strategy {self.strategy!r}; known here: {', '.join(STRATEGIES)}"
+                f"unknown strategy {self.strategy!r}; use one of {', '.join(STRATEGIES)}"
             )
         if not 0.0 < self.recognizer_latency_s <= LONGEST_LATENCY_S:
             raise StyleError(
-                f"recognizer_latency_s is {self.recognizer_latency_s}; "
-                f"allowed: 0 to {LONGEST_LATENCY_S}"
+                f"recognizer_latency_s is {self.recognizer_latency_s}; allowed: above 0 to "
+                f"{LONGEST_LATENCY_S}"
             )
 
     @property
@@ -215,7 +215,7 @@ def make_synthesizer(
     """
     with open_model(model_path) as file:
         if read_face(file).checksum != face.checksum:
-            raise ModelError(f"{file.name}: has changed while it was being read; start again")
+            raise ModelError(f"{file.name}: was changed while it was read; try again")
         style = options.style
         if options.strategy == LIVE_STRATEGY:
             expectation = read_expectation(file, face.n_components)
@@ -226,7 +226,7 @@ def make_synthesizer(
 
         if not file.has(ANIMPHO_PART):
             raise ModelError(
-                f"{file.name}: holds no AnimPhos for strategy {options.strategy}; write "
+                f"{file.name}: lacks the AnimPhos that strategy {options.strategy} needs; write "
                 f"`motion: {{strategy: {LIVE_STRATEGY}}}` in the face's YAML, or train it again "
                 "with `lipservo learn face`"
             )
@@ -253,7 +253,7 @@ def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftEx
             heard_by = (weights_digest(options.weights), adapted_from(options.weights))
             if fitted is None or fitted not in heard_by:
                 _LOG.warning(
-                    "%s was not fitted to the recogniser's weights %s: it works, less well; "
-                    "`lipservo learn soft` fits it", file.name, options.weights,
+                    "%s was not fitted to the recogniser's weights %s, so motion is less exact; "
+"`lipservo learn soft` fits it", file.name, options.weights,
                 )  # fmt: skip
     return soft

@@ -50,15 +50,15 @@ class Sound:
 
     def __post_init__(self) -> None:
         if self.phonemes and self.kind != "file":
-            raise RequestError("--phonemes goes with --wav")
+            raise RequestError("--phonemes needs --wav")
         if (self.tier or self.alphabet) and not self.phonemes:
-            raise RequestError("--tier and --alphabet go with a file of labels")
+            raise RequestError("--tier and --alphabet need a file of labels")
         if self.text and (self.kind != "file" or self.phonemes):
-            raise RequestError("--text goes with a sound file, and without --phonemes")
+            raise RequestError("--text needs a sound file, and no --phonemes")
         if self.channel and self.kind not in ("file", "microphone"):
-            raise RequestError("--channel goes with a sound file or a microphone")
+            raise RequestError("--channel needs a sound file or a microphone")
         if self.language and self.kind != "text":
-            raise RequestError("--language goes with a text")
+            raise RequestError("--language needs a text")
 
 
 #: The bundled clip.
@@ -164,13 +164,13 @@ def _address(option: str, target: str | None, default_port: int) -> Address | No
     typed = f"{option} {shown(target)}"
     host, colon, port = target.partition(":")
     if not host or not host.isprintable() or " " in host:
-        raise AvatarError(f"{typed}: give HOST:PORT, 127.0.0.1:{default_port} for one")
+        raise AvatarError(f"{typed}: write HOST:PORT, such as 127.0.0.1:{default_port}")
     if not colon:
         return Address(typed, host, default_port)
     if not port.isascii() or not port.isdigit():
-        raise AvatarError(f"{typed}: give HOST:PORT, {host}:{default_port} for one")
+        raise AvatarError(f"{typed}: write HOST:PORT, such as {host}:{default_port}")
     if len(port) > len(str(_HIGHEST_PORT)) or not 0 < int(port) <= _HIGHEST_PORT:
-        raise AvatarError(f"{typed}: a port is a number from 1 to {_HIGHEST_PORT}")
+        raise AvatarError(f"{typed}: the port must be 1 to {_HIGHEST_PORT}")
     return Address(typed, host, int(port))
 
 
@@ -205,8 +205,8 @@ class RunRequest:
     def __post_init__(self) -> None:
         if self.rate_hz is not None and not LOWEST_RATE_HZ <= self.rate_hz <= HIGHEST_RATE_HZ:
             raise RequestError(
-                f"--rate-hz {self.rate_hz:g}: a face makes {LOWEST_RATE_HZ:g} to "
-                f"{HIGHEST_RATE_HZ:g} ticks a second"
+                f"--rate-hz {self.rate_hz:g} is outside the possible {LOWEST_RATE_HZ:g} to "
+                f"{HIGHEST_RATE_HZ:g} ticks per second"
             )
         if self.voice is None and (self.sound.kind == "text" or self.sound.phonemes):
             raise RequestError(f"{self.sound.name}: a text, or a file of phonemes, needs a voice")

@@ -234,7 +234,7 @@ def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
     try:
         stream.tell(units, pronounced_units(units, language))
     except PronunciationError as error:
-        _LOG.warning("%s; the voice is heard as any other", error)
+        _LOG.warning("%s; this voice is heard like any other", error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,8 +296,8 @@ class SpeechQueue:
             self._kept = [each for each in self._kept if not each.is_over]
             if len(self._kept) >= MOST_WAITING:
                 raise QueueFullError(
-                    f"{name}: {MOST_WAITING} texts, sounds or performances are spoken or wait "
-                    "already; wait, or interrupt them"
+                    f"{name}: {MOST_WAITING} texts, sounds or performances already wait or are "
+                    "spoken; try again later, or interrupt them"
                 )
 
     def add(self, spoken: Spoken, name: str) -> None:
@@ -346,10 +346,10 @@ class SpeechQueue:
         try:
             stream = next(spoken.pieces, None)
         except UserError as error:
-            _LOG.error("%s; what came before it is spoken", error)
+            _LOG.error("%s; only the part before it is spoken", error)
             return False
         except Exception as error:  # of one of them; the others are said
-            _LOG.error("%s: %s; what came before it is spoken", type(error).__name__, error)
+            _LOG.error("%s: %s; only the part before it is spoken", type(error).__name__, error)
             return False
         if stream is not None and stream is not spoken.streams[-1]:
             spoken.streams.append(stream)

@@ -122,7 +122,7 @@ class _Spoken:
         """
         path = (self._folder / given.file).resolve()
         if not path.is_relative_to(self._folder):
-            raise UserError(f"{given.file}: lies outside the folder of sounds")
+            raise UserError(f"{given.file}: is outside the folder of sounds")
         # Before the file is read: it may be large, and this may be the ten thousandth time.
         self._check_room(path.name)
         if path.suffix.lower() == SUFFIX:

@@ -74,7 +74,7 @@ def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
         _put(wanted, place, value if isinstance(value, str) else float(written))
     if text is None or not _is_yaml(text) or _plain_mapping(parse_face(text, path.name)) != wanted:
         lines = "; ".join(lines_by_hand(*each).replace("\n", " / ") for each in values.items())
-        raise UserError(f"{path.name}: no safe place to write it; add by hand: {lines}")
+        raise UserError(f"{path.name}: cannot be edited safely; add these lines by hand: {lines}")
     return EditedYaml(path, before, text)
 
 

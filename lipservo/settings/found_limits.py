@@ -38,7 +38,7 @@ def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float)
     settings = parse_face(read_face_text(path), path.name).servos.get(servo)
     pulse = None if settings is None else settings.pulse
     if settings is None or pulse is None:
-        raise SettingsError(f"{path.name}: has no hobby servo {servo!r}")
+        raise SettingsError(f"{path.name}: no hobby servo is called {servo!r}")
     return edited(path, _places(servo, pulse_values(pulse, limit, pulse_us)))
 
 
@@ -50,19 +50,19 @@ def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[
     """
     if not SHORTEST_FOUND_US <= pulse_us <= LONGEST_FOUND_US:
         raise SettingsError(
-            f"{limit}: {pulse_us:g} us is outside {SHORTEST_FOUND_US:g}..{LONGEST_FOUND_US:g}"
+            f"{limit}: {pulse_us:g} us is outside {SHORTEST_FOUND_US:g}..{LONGEST_FOUND_US:g} us"
         )
     found = {"min": pulse.min_us, "max": pulse.max_us, "neutral": pulse.neutral_us}
     found[limit] = float(round(pulse_us))
     if not found["min"] <= found["neutral"] <= found["max"]:
         other = "min or max" if limit == "neutral" else "neutral"
         raise SettingsError(
-            f"{limit}: {pulse_us:.0f} us would leave neutral outside of its limits "
-            f"(min {found['min']:g}, neutral {found['neutral']:g}, max {found['max']:g} us); "
-            f"set {other} first"
+            f"{limit}: {pulse_us:.0f} us would put neutral outside the limits (min "
+            f"{found['min']:g}, neutral {found['neutral']:g}, max {found['max']:g} us); set "
+            f"{other} first"
         )
     if found["min"] == found["max"]:
-        raise SettingsError(f"{limit}: {pulse_us:.0f} us would leave no room between min and max")
+        raise SettingsError(f"{limit}: {pulse_us:.0f} us would make min and max equal")
     ends_deg = sorted((found[end] - found["neutral"]) / pulse.us_per_deg for end in ("min", "max"))
     low_deg, high_deg = _inside(*ends_deg)
     return {
@@ -81,12 +81,12 @@ def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
     range does not include its neutral, 0.
     """
     if not most_deg - least_deg >= _LEAST_TURN_DEG:
-        raise UserError("was not turned")
+        raise UserError("was not turned; turn it to both ends")
     low_deg, high_deg = _inside(least_deg + INSIDE_DEG, most_deg - INSIDE_DEG)
     if not low_deg <= 0.0 <= high_deg:
         raise UserError(
-            f"was turned from {least_deg:.1f} to {most_deg:.1f} deg, which leaves out its neutral, "
-            "0; zero_offset_deg moves that"
+            f"was turned from {least_deg:.1f} to {most_deg:.1f} deg, but its neutral, 0, must lie "
+            "between; change zero_offset_deg"
         )
     return {"min_deg": low_deg, "max_deg": high_deg}
 

@@ -79,7 +79,7 @@ _MOST_ORIGINS: Final = 16
 def _check_origin(value: str) -> str:
     if not _ORIGIN.fullmatch(value):
         raise ValueError(
-            f"{value!r} is no origin as browsers send it: https://kiosk.example or "
+            f"{value!r} is not an origin of a browser; write it like https://kiosk.example or "
             "http://localhost:3000, in lower case and without a path"
         )
     return value
@@ -232,5 +232,5 @@ class MotionSettings(Strict):
         given = [name for name in STYLE_NAMES if getattr(self, name) is not None]
         ignored = [name for name in given if name not in STYLES_OF[strategy]]
         if ignored:
-            raise ValueError(f"strategy {strategy} has no {', '.join(ignored)}; leave it out")
+            raise ValueError(f"strategy {strategy} has no {', '.join(ignored)}; remove this key")
         return self

@@ -67,7 +67,7 @@ class ServoSettings(BusServo):
     def _a_mouth_only_smiles(self) -> Self:
         shown = None if self.expression is None else self.expression.of
         if self.part == "mouth" and shown not in (None, "smile"):
-            raise ValueError(f"expression.of {shown} needs another `part:`; a mouth may smile")
+            raise ValueError(f"expression.of {shown} is not for `part: mouth`, which only smiles")
         return self
 
 
@@ -142,10 +142,10 @@ class FaceSettings(Strict):
             unknown = sorted(set(rule.joints) - known)
             if unknown:
                 raise ValueError(
-                    f"prevent.{n} names {unknown[0]!r}, which is no joint of this face"
+                    f"prevent.{n} names {unknown[0]!r}, but this face has no such joint"
                 )
             if rule.above < 0.0:
-                raise ValueError(f"prevent.{n}.above is below 0: neutral itself would be forbidden")
+                raise ValueError(f"prevent.{n}.above is below 0, which would forbid neutral")
         return self
 
     @field_validator("servos")
@@ -154,7 +154,7 @@ class FaceSettings(Strict):
         cls, servos: Mapping[str, ServoSettings]
     ) -> Mapping[str, ServoSettings]:
         if not servos:
-            raise ValueError("needs at least one servo")
+            raise ValueError("at least one servo is needed")
         first: dict[tuple[str, int], str] = {}
         errors = []
         for name, servo in servos.items():
@@ -174,11 +174,11 @@ class FaceSettings(Strict):
         first: dict[tuple[str, str], str] = {}
         for name, bus in self.buses.items():
             if name not in self.bus_of:
-                raise ValueError(f"buses.{name}: no servo says `bus: {name}`; leave it out")
+                raise ValueError(f"buses.{name} has no servo (`bus: {name}`); remove it")
             if bus.port is None:
                 continue
             if (other := first.setdefault((bus.port, bus.board), name)) != name:
-                raise ValueError(f"buses {other} and {name} have the same port, {bus.port}")
+                raise ValueError(f"buses {other} and {name} both have port {bus.port}")
         return self
 
     @property
@@ -206,7 +206,7 @@ class FaceSettings(Strict):
         """
         if name not in self.buses:
             known = ", ".join(self.buses) or "one, without a name"
-            raise SettingsError(f"{self.name}: has no bus {name:.60}; its buses: {known}")
+            raise SettingsError(f"{self.name} has no bus {name:.60}; its buses: {known}")
         servos = {key: each for key, each in self.servos.items() if bus_of(each) == name}
         called, bus = f"{self.name} {name}", self.buses[name]
         one = {"name": called, "bus": bus, "buses": {}, "servos": servos, "prevent": ()}
@@ -217,7 +217,7 @@ class FaceSettings(Strict):
         """The kind of the face's bus. Raises SettingsError if the face has several buses."""
         if self.buses:
             names = ", ".join(self.buses)
-            raise SettingsError(f"{self.name}: has several buses: {names}; say which: --bus NAME")
+            raise SettingsError(f"{self.name} has several buses: {names}; choose with --bus NAME")
         return bus_kind(self.bus.kind)
 
     @property
@@ -249,7 +249,7 @@ class FaceSettings(Strict):
         if ports is None:
             options = " ".join(f"--port {name}=PORT" for name in self.buses)
             raise SettingsError(
-                f"--port {text}: {self.name} has several buses: say which is there, {options}"
+                f"--port {text}: {self.name} has several buses; write each as {options}"
             )
         moved = {name: self.of_bus(name).at_port(port).bus for name, port in ports.items()}
         return self.model_copy(update={"buses": {**self.buses, **moved}})
@@ -372,7 +372,7 @@ def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
         return _settings_of(_kind_of(value)).model_validate(value)
 
     def refuse_bus(_value: object) -> object:
-        raise ValueError("this face has `buses:`; leave this out, or the other")
+        raise ValueError("this face has `bus` and `buses`; remove one of them")
 
     return create_model(
         "FaceSettings",
@@ -441,7 +441,7 @@ def load_shipped_face(name: str) -> FaceSettings:
     """Read a face that comes with lipservo, such as `face_sim`. Raises SettingsError."""
     if name not in shipped_faces():
         raise SettingsError(
-            f"no face {name!r} is shipped; known here: {', '.join(shipped_faces())}"
+            f"no shipped face is called {name!r}; use one of {', '.join(shipped_faces())}"
         )
     return _load(_shipped() / f"{name}.yaml")
 
@@ -459,7 +459,7 @@ def calibration_file(face: FaceSettings, beside: Path | None = None) -> Traversa
     """
     if face.calibration is None:
         raise SettingsError(
-            f"face {face.name!r} has no calibration; write `calibration: <file>` into its YAML"
+            f"face {face.name!r} has no calibration; write `calibration: FILE` in its YAML"
         )
     folders: list[Traversable] = [_shipped()] if beside is None else [beside, _shipped()]
     for folder in folders:
@@ -467,7 +467,7 @@ def calibration_file(face: FaceSettings, beside: Path | None = None) -> Traversa
         if file.is_file():
             return file
     looked_in = "among the shipped ones" if beside is None else f"in {beside} or among the shipped"
-    raise SettingsError(f"face {face.name!r}: no calibration {face.calibration!r} {looked_in}")
+    raise SettingsError(f"face {face.name!r}: calibration {face.calibration!r} is not {looked_in}")
 
 
 def _shipped() -> Traversable:

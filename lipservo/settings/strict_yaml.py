@@ -92,7 +92,7 @@ def read_mapping(text: str, file_name: str) -> dict[object, object]:
     """
     try:
         if is_nested_deeper(text, _DEEPEST):
-            raise SettingsError(f"{file_name}: is nested too deep to be settings")
+            raise SettingsError(f"{file_name}: nested too deep for settings")
         root = yaml.compose(text, Loader=_Loader)
         if root is None:
             raise SettingsError(f"{file_name}: is empty")
@@ -105,7 +105,7 @@ def read_mapping(text: str, file_name: str) -> dict[object, object]:
             raise
         raise SettingsError(_explain(error, file_name)) from error
     if not isinstance(content, dict):
-        raise SettingsError(f"{file_name}: needs settings as `key: value`, found {_found(content)}")
+        raise SettingsError(f"{file_name}: must have `key: value` lines, found {_found(content)}")
     return content
 
 

@@ -89,7 +89,7 @@ def print_json(result: Mapping[str, object]) -> None:
 def say_simulated() -> None:
     """Print a warning that the command moves simulated servos only."""
     MESSAGES.print(
-        "SIMULATED: no real servo moves; --port, or `bus:` in the face's YAML, names real ones",
+        "SIMULATED: no real servo moves; for real ones give --port, or `bus:` in the face's YAML",
         style="bold yellow",
     )
 

@@ -38,7 +38,7 @@ def check_folder(folder: Path, names: Iterable[str]) -> None:
         for name in names:
             check_picture(folder / name)
     elif folder.exists():
-        raise PictureError(f"{folder}: is a file; name a folder for the pictures")
+        raise PictureError(f"{folder}: is a file; give a folder for the pictures")
     else:
         missing = next(each for each in (folder, *folder.parents) if each.parent.exists())
         check_output(missing)

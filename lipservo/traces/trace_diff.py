@@ -113,19 +113,19 @@ def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
     if a.servos != b.servos:
         only = sorted(set(a.servos) ^ set(b.servos))
         what = f"only one of them has {only[0]}" if only else "in another order"
-        raise IncomparableError(f"{a.name} and {b.name} have other servos: {what}")
+        raise IncomparableError(f"{a.name} and {b.name} have different servos: {what}")
     if a.face != b.face:
-        raise IncomparableError(f"{a.name} is of face {a.face!r}, {b.name} of {b.face!r}")
+        raise IncomparableError(f"{a.name} is of face {a.face!r}, but {b.name} of {b.face!r}")
     lips = [list(model.layout.lips) for model in models]
     if len(lips[0]) != len(lips[1]):
         raise IncomparableError(
-            f"{a.name} and {b.name} were made with models of {len(lips[0])} and {len(lips[1])} "
-            "lip points"
+            f"{a.name} and {b.name} have models of {len(lips[0])} and {len(lips[1])} lip points, "
+            "which cannot be compared"
         )
     start_s, end_s = max(a.sound_s[0], b.sound_s[0]), min(a.sound_s[-1], b.sound_s[-1])
     within = (a.sound_s >= start_s - 1e-9) & (a.sound_s <= end_s + 1e-9)
     if within.sum() < 2:
-        raise IncomparableError(f"{a.name} and {b.name} show no sound time together")
+        raise IncomparableError(f"{a.name} and {b.name} have no sound time in common")
     times_s = a.sound_s[within]
     faces = [
         model.markers_mm(_at(trace.sound_s, trace.coefficients, times_s))
@@ -351,7 +351,7 @@ def check_plot(path: Path) -> None:
     Raises UserError for another kind of picture, OutputError.
     """
     if path.suffix not in _SUFFIXES:
-        raise UserError(f"{path}: --plot draws {' or '.join(_SUFFIXES)}")
+        raise UserError(f"{path}: the plot's name must end in {' or '.join(_SUFFIXES)}")
     check_output(path, replaces=_is_drawing, kind="PNG or SVG picture")
 
 

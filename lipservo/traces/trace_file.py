@@ -85,7 +85,7 @@ class TraceFile:
     def abandon(self) -> None:
         """Remove the unfinished file; for one that cannot be completed."""
         with suppress(OutputError), self._whole:
-            raise OutputError("abandoned")
+            raise OutputError("the trace was abandoned")
 
     def __enter__(self) -> "TraceFile":
         return self
@@ -103,7 +103,7 @@ class TraceFile:
             self._file.write(json.dumps(record, separators=(",", ":")) + "\n")
         except OSError as error:
             self.abandon()
-            raise TraceError(f"{self._path}: the trace broke off: {error.strerror}") from error
+            raise TraceError(f"{self._path}: the trace stopped: {error.strerror}") from error
 
 
 class BackgroundTrace:
@@ -212,7 +212,7 @@ def read_trace(path: Path) -> Trace:
         record = _parsed(line)
         if record is None or end is not None:
             if number < len(lines):
-                raise TraceError(f"{path}: line {number} is damaged")
+                raise TraceError(f"{path}: damaged in line {number}")
             torn = True
         elif "ticks" in record:
             end = record
@@ -233,7 +233,7 @@ def _trace(
     torn: bool,
 ) -> Trace:
     if len(ticks) < 2:
-        raise TraceError(f"{path}: holds {len(ticks)} ticks; nothing to compare")
+        raise TraceError(f"{path}: has only {len(ticks)} ticks; two are needed")
     notes = []
     if end is None:
         where = ", its last line torn" if torn else ""
@@ -257,11 +257,11 @@ def _trace(
         notes=tuple(notes),
     )
     if trace.sent_deg.shape != (len(ticks), len(servos)) or trace.coefficients.ndim != 2:
-        raise ValueError("rows of different lengths")
+        raise ValueError("its rows differ in length")
     if not (np.diff(trace.sound_s) > 0.0).all():
-        raise ValueError("time runs backwards")
+        raise ValueError("its times do not increase")
     if not (np.isfinite(trace.sent_deg).all() and np.isfinite(trace.coefficients).all()):
-        raise ValueError("values that are no numbers")
+        raise ValueError("it has values that are not finite")
     return trace
 
 

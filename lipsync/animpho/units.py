@@ -181,20 +181,20 @@ def _check(
     m = len(samples)
     if samples.shape != (m, SAMPLES_PER_ANIMPHO, n_components):
         raise ValueError(
-            f"samples has shape {samples.shape}, expected {(m, SAMPLES_PER_ANIMPHO, n_components)}"
+            f"samples have shape {samples.shape}, expected {(m, SAMPLES_PER_ANIMPHO, n_components)}"
         )
     if not np.isfinite(samples).all():
-        raise ValueError("samples holds values that are not finite")
+        raise ValueError("samples have values that are not finite")
     for lists, n_rows in ((successors, m), (phoneme_table, len(PHONEMES))):
         if len(lists) != n_rows:
-            raise ValueError(f"a table has {len(lists)} rows, expected {n_rows}")
+            raise ValueError(f"a table of AnimPhos has {len(lists)} rows, expected {n_rows}")
         ends_right = lists.starts[0] == 0 and lists.starts[-1] == len(lists.indices)
         if not ends_right or (np.diff(lists.starts) < 0).any():
-            raise ValueError("a table's rows are out of order")
+            raise ValueError("the rows of a table of AnimPhos are out of order")
         if len(lists.indices) and not 0 <= lists.indices.min() <= lists.indices.max() < m:
-            raise ValueError("a table points outside the AnimPhos")
+            raise ValueError("a table names an AnimPho that does not exist")
     if m == 0 or not len(phoneme_table.indices):
-        raise ValueError("it holds no AnimPhos")
+        raise ValueError("it has no AnimPhos")
 
 
 #: For each point of the inner lips the outer one that it moves with, and the one opposite to it.
@@ -239,8 +239,8 @@ def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
             moves_with, opposite = _OUTER_OF_INNER.get(landmark, (landmark, landmark))
             if not {moves_with, opposite} <= set(at):
                 raise LayoutError(
-                    f"a model of {model.layout.name} does not tell where landmark {landmark} is; "
-                    f"train one with --markers {layout.n_points}"
+                    f"landmark {landmark} is unknown in a model of {model.layout.name}; train one "
+                    f"with --markers {layout.n_points}"
                 )
             thickness_mm = (rest_mm[at[opposite]] - rest_mm[at[moves_with]]) / 2.0
             mean_mm = model.mean_mm[at[moves_with]] + thickness_mm

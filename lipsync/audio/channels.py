@@ -14,7 +14,7 @@ def checked_channel(text: str) -> str:
     text = text.strip().lower()
     number = int(text) if text.isdecimal() and len(text) < 4 else _NAMED.get(text, 0)
     if text != MIX and not 1 <= number <= MOST_CHANNELS:
-        raise ValueError(f"{text[:40]!r} is no channel: left, right, mix, or 1 to {MOST_CHANNELS}")
+        raise ValueError(f"{text[:40]!r}: channels are left, right, mix, or 1 to {MOST_CHANNELS}")
     return text
 
 
@@ -31,5 +31,5 @@ def channel_index(channel: str, n_channels: int, where: str) -> int | None:
         from lipsync.audio.source import SoundError
 
         there = "1 channel" if n_channels == 1 else f"{n_channels} channels"
-        raise SoundError(f"{where}: has {there}, not --channel {channel}; leave it out or give mix")
+        raise SoundError(f"{where}: has {there}, not {channel}; leave --channel out, or give mix")
     return number - 1

@@ -70,7 +70,7 @@ def find_delay(recorded: Samples, expected_s: Seconds) -> Delay:
     first sample. Raises SoundError, in one line, where no delay can be measured.
     """
     if np.max(np.abs(recorded), initial=0.0) < _LEAST_PEAK:
-        raise SoundError("the microphone heard nothing: is it the right one, is either muted?")
+        raise SoundError("the microphone recorded no sound: is it the right one, is either muted?")
     matched, likeness = _matched(recorded)
     near = _largest_near(matched, round(0.003 * SAMPLE_RATE_HZ))
     delays_s = np.arange(EARLIEST_S, LATEST_S, 0.001)
@@ -207,10 +207,10 @@ def measure_delay(
         if microphone.captured is not None:
             captured.append(microphone.captured)
         if ends_s == math.inf and clock() - begun_s > _PATIENCE_S:
-            raise SoundError("the loudspeaker does not play: nothing asks for its sound")
+            raise SoundError("the loudspeaker has not started to play; choose another")
         sleep(_TICK_S)
     if not captured:
-        raise SoundError("the microphone brought no sound at all")
+        raise SoundError("the microphone recorded no sound; choose another microphone")
     expected_s = _expected_s(np.array(left), np.array(captured))
     return find_delay(np.concatenate(heard), expected_s)
 

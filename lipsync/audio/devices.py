@@ -77,11 +77,11 @@ def import_sounddevice() -> ModuleType:
         import sounddevice
     except ImportError as error:
         raise SoundError(
-            "no sounddevice package: install it with `pip install sounddevice`"
+            "no sounddevice package, which sound needs: `pip install sounddevice`"
         ) from error
     except OSError as error:  # what it raises when the library is not found
         raise SoundError(
-            "no PortAudio library: install it with `apt install libportaudio2`"
+            "no PortAudio library, which sound needs: `apt install libportaudio2`"
         ) from error
     quiet_alsa()
     module: ModuleType = sounddevice

@@ -149,7 +149,7 @@ def _refuse_other_than_files(path: Path) -> None:
         raise SoundError(f"{path}: no such file; check the path") from error
     except OSError as error:
         short = str(path)[:200]  # the name may be what is too long
-        raise SoundError(f"{short}: cannot be read ({error.strerror}); check it") from error
+        raise SoundError(f"{short}: cannot be read ({error.strerror}); check the path") from error
     except ValueError as error:  # a name with a zero byte
         raise SoundError(f"{str(path)!r}: no file can have this name; check the path") from error
     if stat.S_ISDIR(kind):
@@ -163,7 +163,7 @@ def _refuse_other_than_files(path: Path) -> None:
         with path.open("rb") as file:
             is_empty = not file.read(1)
     except OSError as error:
-        raise SoundError(f"{path}: cannot be read ({error.strerror}); check its rights") from error
+        raise SoundError(f"{path}: cannot be read ({error.strerror}); check rights") from error
     if is_empty:
         raise SoundError(f"{path}: the file is empty (0 bytes); record or copy it again")
 
@@ -283,8 +283,8 @@ def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
         warning = "; ".join(filter(None, remarks))
     if duration_s > LONGEST_S:
         raise SoundError(
-            f"{path}: its header does not say how long it is, or more than "
-            f"{LONGEST_S / 3600:.0f} hours; convert it, with `ffmpeg -i IN OUT.wav` for one"
+            f"{path}: its header gives no length, or more than {LONGEST_S / 3600:.0f} hours; "
+            "convert it, for example with `ffmpeg -i IN OUT.wav`"
         )
     # The resampler rounds a half up; `round` would round it to even.
     duration_s = math.floor(duration_s * SAMPLE_RATE_HZ + 0.5) / SAMPLE_RATE_HZ
@@ -556,7 +556,7 @@ def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
 
 def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
     if duration_s == 0.0:
-        raise SoundError(f"{path}: holds no sound (0 samples); record or export it again")
+        raise SoundError(f"{path}: has no sound (0 samples); record or export it again")
     if duration_s < SHORTEST_S:
         raise SoundError(
             f"{path}: {duration_s * 1000:.1f} ms of sound is too short; "
@@ -564,7 +564,7 @@ def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
         )
     if not has_sound:
         raise SoundError(
-            f"{path}: holds only digital silence (every sample is zero); check how it was recorded"
+            f"{path}: has only digital silence (every sample is zero); check how it was recorded"
         )
 
 

@@ -94,7 +94,7 @@ class PlayoutStream:
             allowed = f"{LOWEST_RATE_HZ} to {HIGHEST_RATE_HZ} Hz are possible"
             raise ValueError(f"sample rate {sample_rate_hz} Hz: {allowed}")
         if output_rate_hz % 100:
-            raise ValueError(f"output rate {output_rate_hz} Hz is no multiple of 100")
+            raise ValueError(f"output rate {output_rate_hz} Hz must be a multiple of 100 Hz")
         self.name = name
         self.sample_rate_hz = sample_rate_hz
         self.phonemes = tuple(phonemes)
@@ -160,7 +160,7 @@ class PlayoutStream:
         if self._dropped:
             return
         if self._ended:
-            raise ValueError(f"stream {self.name!r} has ended")
+            raise ValueError(f"stream {self.name!r} has ended; start a new one")
         if self.waiting_s + len(samples) / self.sample_rate_hz > MOST_WAITING_S:
             waiting = f"{MOST_WAITING_S:g} s of speech wait already"
             raise PlayoutFullError(f"stream {self.name!r}: {waiting}")
@@ -185,11 +185,11 @@ class PlayoutStream:
         )
         if newest > self._n_received + MOST_WAITING_S * self.sample_rate_hz:
             raise PlayoutTextError(
-                f"sample {newest} is more than {MOST_WAITING_S:g} s after the sound that was sent"
+                f"sample {newest} is more than {MOST_WAITING_S:g} s after the sound sent so far"
             )
         waiting = list(self.started_words)  # at once: the live loop takes them meanwhile
         if sum(len(each.words) for each in waiting) + len(words) > _MOST_WORDS:
-            raise PlayoutTextError(f"{_MOST_WORDS} words wait to be spoken; send the others later")
+            raise PlayoutTextError(f"{_MOST_WORDS} words wait to be spoken; send more later")
         before = self.spoken.get(spoken.kind)
         whole = spoken if before is None else before.revised(spoken)
         if words:

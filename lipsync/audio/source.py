@@ -181,7 +181,7 @@ class SilenceAfter:
         start_s: sound time at which `source` begins; past its end, the silence begins there.
         """
         if source.duration_s is None:
-            raise ValueError(f"{source.name} has no end to put silence after")
+            raise ValueError(f"{source.name} never ends, so no silence can follow it")
         self._source = source
         self._end_s = source.duration_s
         self._silence = SilentSource(max(0.0, start_s - self._end_s))

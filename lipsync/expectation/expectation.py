@@ -421,10 +421,10 @@ class Expectation:
             shapes["diphones"] = (diphones.shape, (UNKNOWN + 1, UNKNOWN + 1))
         for field, (found, expected) in shapes.items():
             if found != expected:
-                raise ValueError(f"expectation {field} has shape {found}, expected {expected}")
+                raise ValueError(f"array {field} has shape {found}, expected {expected}")
         for field, values in self.arrays().items():
             if not np.isfinite(values).all():
-                raise ValueError(f"expectation {field} holds values that are not finite")
+                raise ValueError(f"array {field} has values that are not finite")
 
 
 _STACK = ("timing", "hidden", "output")

@@ -108,8 +108,8 @@ def _points(model: FaceModel, landmarks: Sequence[int]) -> list[int]:
     missing = [n for n in landmarks if n not in model.layout.landmarks]
     if missing:
         raise MeasureError(
-            f"layout {model.layout.name} has no landmark {missing[0]}, which an avatar's mouth is "
-            "measured by; take a model with a shipped layout (`lipservo learn face --markers 47`)"
+            f"layout {model.layout.name} lacks landmark {missing[0]}, which an avatar's mouth is "
+            "measured by; use a model with a shipped layout (`lipservo learn face --markers 47`)"
         )
     return [model.layout.landmarks.index(n) for n in landmarks]
 

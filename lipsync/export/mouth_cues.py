@@ -68,7 +68,7 @@ def cues_tsv(cues: Sequence[MouthCue]) -> str:
     Times are in seconds. Raises ValueError for no cues.
     """
     if not cues:
-        raise ValueError("no mouth cues")
+        raise ValueError("there are no mouth cues to write")
     lines = [f"{_seconds(cue.start_cs)}\t{cue.shape}\n" for cue in cues]
     return "".join(lines) + f"{_seconds(cues[-1].end_cs)}\tX\n"
 

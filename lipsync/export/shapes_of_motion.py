@@ -91,7 +91,7 @@ def motion_cues(
     """
     n = centiseconds(duration_s)
     if len(coefficients) < n:
-        raise ValueError(f"{len(coefficients)} frames are fewer than the sound's {n}")
+        raise ValueError(f"{len(coefficients)} frames of motion; this sound needs {n}")
     if n == 0:
         return []
     scale = _scale(prototypes.measures)

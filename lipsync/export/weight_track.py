@@ -106,7 +106,7 @@ def live_link_csv(track: WeightTrack) -> Iterator[str]:
 def _timecode(time_s: float, rate_hz: float) -> str:
     """Return a sound time as HH:MM:SS:FF.fff. Raises ValueError for a rate that is not whole."""
     if rate_hz != round(rate_hz):
-        raise ValueError(f"a timecode needs a whole number of frames a second, not {rate_hz}")
+        raise ValueError(f"a timecode needs whole frames per second, not {rate_hz} Hz")
     thousandths = round(time_s * rate_hz * 1000)
     seconds, rest = divmod(thousandths, round(rate_hz) * 1000)
     minutes, second = divmod(seconds, 60)

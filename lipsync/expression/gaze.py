@@ -97,7 +97,7 @@ class GazeHabit:
     def __post_init__(self) -> None:
         if not _LEAST_SHARE <= self.mutual_share <= 1.0:
             raise ValueError(
-                f"the share of time on the partner is {self.mutual_share}; "
+                f"mutual_share, the share of time looking at the partner, is {self.mutual_share}; "
                 f"allowed: {_LEAST_SHARE} to 1"
             )
 

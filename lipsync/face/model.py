@@ -64,7 +64,7 @@ class ModelFile:
             )
         try:
             if self.about["phonemes"] != list(PHONEMES):
-                raise ValueError("its phoneme inventory differs")
+                raise ValueError("its phonemes are not those of this lipservo version")
             self.layout: PointLayout = layout_of(self.about["layout"])
         except (KeyError, TypeError, ValueError, AttributeError, UserError) as error:
             raise self._damaged(error) from error
@@ -93,7 +93,7 @@ class ModelFile:
         prefix = f"{part}/"
         names = [name for name in self._archive.names if name.startswith(prefix)]
         if not names:
-            raise ModelError(f"{self.name}: holds no part {part!r}; {_TRAIN_AGAIN}")
+            raise ModelError(f"{self.name}: its part {part!r} is missing; {_TRAIN_AGAIN}")
         try:
             return assemble({name.removeprefix(prefix): self._archive[name] for name in names})
         except ModelError:
@@ -359,8 +359,8 @@ def _check(face: FaceModel) -> None:
     for field, expected in shapes.items():
         values = getattr(face, field)
         if values.shape != expected:
-            raise ValueError(f"{field} has shape {values.shape}, expected {expected}")
+            raise ValueError(f"array {field} has shape {values.shape}, expected {expected}")
         if not np.isfinite(values).all():
-            raise ValueError(f"{field} holds values that are not finite")
+            raise ValueError(f"array {field} has values that are not finite")
     if not np.isfinite(face.labiodental_gap_mm):
-        raise ValueError("labiodental_gap_mm holds values that are not finite")
+        raise ValueError("array labiodental_gap_mm has values that are not finite")

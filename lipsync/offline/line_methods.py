@@ -69,7 +69,7 @@ class PlannedMotion:
 
     def push(self, update: PhonemeUpdate) -> None:
         """Raise ValueError: a planned line accepts no revision of its phonemes."""
-        raise ValueError(f"the line is planned; nothing can be revised ({update})")
+        raise ValueError(f"a planned line accepts no later phonemes ({update})")
 
     def frame_at(self, time_s: float) -> Frame:
         """Return the planned frame at sound time `time_s`; times may come in any order."""

@@ -94,7 +94,7 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
             about = json.loads(archive[_ABOUT].tobytes())
             if not isinstance(about, dict) or about.get("kind") != _KIND:
                 raise OfflineModelError(
-                    f"{name}: no offline model; make one with `lipservo learn offline`"
+                    f"{name}: not an offline model; make one with `lipservo learn offline`"
                 )
             if about["version"] != OFFLINE_VERSION:
                 raise OfflineModelError(
@@ -108,13 +108,13 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
         raise
     except (KeyError, TypeError, IndexError, AttributeError, *UNREADABLE) as error:
         raise OfflineModelError(
-            f"{name}: damaged or no offline model; get a fresh copy or make one again ({error})"
+            f"{name}: damaged or not an offline model; get a fresh copy or make it again ({error})"
         ) from error
 
 
 def _assembled(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> OfflineModel:
     if about["phonemes"] != list(PHONEMES):
-        raise ValueError("its phoneme inventory differs")
+        raise ValueError("its phonemes are not those of this lipservo version")
     wide: dict[str, Any] = {n: _wide(arrays[f"states/{n}"]) for n in _STATES}
     wide["cepstra"] = arrays["states/cepstra"].astype(np.float32)
     units = Units(**{n: arrays[f"units/{n}"].astype(np.int64) for n in _UNITS})
@@ -163,13 +163,13 @@ def _check(model: OfflineModel) -> None:
     }
     for field, (found, expected) in shapes.items():
         if found != expected:
-            raise ValueError(f"{field} has shape {found}, expected {expected}")
+            raise ValueError(f"array {field} has shape {found}, expected {expected}")
     if states.borders[0] != 0 or states.borders[-1] != n_frames:
-        raise ValueError("states/borders do not span the frames")
+        raise ValueError("array states/borders does not cover all frames")
     if not ((states.states >= 0) & (states.states < n)).all():
-        raise ValueError("states/states names a state that is not there")
+        raise ValueError("array states/states names a state that does not exist")
     for field in ("cepstra", "means", "covariances", "mean_mm", "basis"):
         if not np.isfinite(getattr(states, field)).all():
-            raise ValueError(f"states/{field} holds values that are not finite")
+            raise ValueError(f"array states/{field} has values that are not finite")
     if not all(np.isfinite(layer).all() for layer in (sound.mean, sound.spread, *sound.layers)):
-        raise ValueError("sound holds values that are not finite")
+        raise ValueError("array sound has values that are not finite")

@@ -104,8 +104,8 @@ class Performance:
             )
         if self.coefficients.shape[1] != face.n_components:
             raise PerformanceError(
-                f"{name}: damaged: {self.coefficients.shape[1]} coefficients a face, its model has "
-                f"{face.n_components}; render it again with `lipservo lines render`"
+                f"{name}: damaged: it has {self.coefficients.shape[1]} coefficients per face, its "
+                f"model {face.n_components}; render it again with `lipservo lines render`"
             )
 
 
@@ -140,7 +140,7 @@ def performance_bytes(performance: Performance) -> bytes:
     Raises PerformanceError if the faces last more than 10 minutes or the sound exceeds 120 MB.
     """
     if performance.duration_s > LONGEST_S:
-        raise PerformanceError(f"more than {LONGEST_S / 60:g} minutes of faces; cut the line")
+        raise PerformanceError(f"the line is longer than {LONGEST_S / 60:g} minutes; cut it")
     sound = performance.sound
     about: dict[str, object] = {
         "kind": _KIND,
@@ -191,7 +191,7 @@ def read_performance(path: Path) -> Performance:
     with _opened(path) as archive:
         about = json.loads(archive[_ABOUT].tobytes())
         if not isinstance(about, dict) or about.get("kind") != _KIND:
-            raise PerformanceError(f"{path}: no performance; {_RENDER_AGAIN}")
+            raise PerformanceError(f"{path}: not a performance; {_RENDER_AGAIN}")
         if about["version"] != PERFORMANCE_VERSION or about["rate_hz"] != RATE_HZ:
             raise PerformanceError(
                 f"{path}: performance version {about['version']} at {about['rate_hz']} "
@@ -199,7 +199,7 @@ def read_performance(path: Path) -> Performance:
                 + _RENDER_AGAIN
             )
         if about["sound"]["included"] != (_SOUND in archive):
-            raise ValueError("its sound is not where it says")
+            raise ValueError("its sound is not at the place that it names")
         faces = _faces(archive["coefficients"])
         return Performance(
             face_checksum=str(about["face"]),
@@ -273,14 +273,14 @@ def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
         if not place.is_file():  # a pipe would be waited for without end
             raise FileNotFoundError(ENOENT, "no such file")
         if place.stat().st_size > _MOST_SOUND_BESIDE_BYTES:
-            raise OSError(EFBIG, f"more than {_MOST_SOUND_BESIDE_BYTES // 10**6} MB")
+            raise OSError(EFBIG, f"it is over {_MOST_SOUND_BESIDE_BYTES // 10**6} MB")
         with place.open("rb") as file:
             while chunk := file.read(_CHUNK_BYTES):
                 yield chunk
     except OSError as error:
         raise PerformanceError(
-            f"{performance}: its sound {place} cannot be read ({error.strerror}); put it "
-            "there, or render with the sound included"
+            f"{performance}: its sound {place} cannot be read ({error.strerror}); put it there, or "
+            "render without --reference-sound"
         ) from error
 
 
@@ -291,7 +291,7 @@ def _opened(path: Path) -> Iterator[ArrayArchive]:
         # A pipe in its place would be waited for without end.
         if path.exists() and not path.is_file():
             raise PerformanceError(
-                f"{path}: is no file; name one that `lipservo lines render` wrote"
+                f"{path}: not a file; name one that `lipservo lines render` wrote"
             )
         with path.open("rb") as file, ArrayArchive(file, _MOST_BYTES, _MOST_OF) as archive:
             yield archive
@@ -301,7 +301,7 @@ def _opened(path: Path) -> Iterator[ArrayArchive]:
         if isinstance(error, OSError) and error.strerror:
             raise PerformanceError(f"{path}: cannot be read ({error.strerror})") from error
         raise PerformanceError(
-            f"{path}: damaged or no performance ({error}); {_RENDER_AGAIN}"
+            f"{path}: damaged or not a performance ({error}); {_RENDER_AGAIN}"
         ) from error
 
 
@@ -316,34 +316,34 @@ def _expression(
         return {}
     names, found = list(about["expression"]), archive["expression"]
     if found.shape != (n_frames, len(names)) or not (np.abs(found) <= _MOST_DEG).all():
-        raise ValueError(f"expression of shape {found.shape}, or beyond all bounds")
+        raise ValueError(f"expression has shape {found.shape}, or impossible values")
     columns = dict(zip(names, found.astype(np.float32).T, strict=True))
     return {name: columns[name] for name in EXPRESSION_NAMES if name in columns}
 
 
 def _faces(found: NDArray[Any]) -> NDArray[np.float32]:
     if len(found.shape) == 2 and len(found) > _MOST_FACES:
-        raise ValueError(f"{len(found)} faces; at most {LONGEST_S / 60:g} minutes are played")
+        raise ValueError(f"{len(found)} faces, more than {LONGEST_S / 60:g} minutes")
     if found.ndim != 2 or not len(found) or not np.isfinite(found).all():
-        raise ValueError(f"coefficients of shape {found.shape}, or not all finite")
+        raise ValueError(f"coefficients have shape {found.shape}, or values that are not finite")
     return found.astype(np.float32, copy=False)
 
 
 def _phonemes(rows: Sequence[Any], n_faces: int) -> tuple[PhonemeEvent, ...]:
     # A second more, so that a line of one word may have as many as it likes.
     if len(rows) > _MOST_PHONEMES_PER_S * (n_faces / RATE_HZ + 1.0):
-        raise ValueError(f"{len(rows)} phonemes in {n_faces / RATE_HZ:.1f} s")
+        raise ValueError(f"{len(rows)} phonemes are too many for {n_faces / RATE_HZ:.1f} s")
     return tuple(_event(*row) for row in rows)
 
 
 def _event(phoneme: str, start_s: float, end_s: float) -> PhonemeEvent:
     if phoneme not in VISEME_OF or not (0.0 <= start_s < end_s < math.inf):
-        raise ValueError(f"phoneme {phoneme!r} from {start_s} to {end_s} s")
+        raise ValueError(f"phoneme {phoneme!r} from {start_s} to {end_s} s is impossible")
     return PhonemeEvent(phoneme, float(start_s), float(end_s))
 
 
 def _bare_name(name: str) -> str:
     """Return the sound's file name; raise ValueError if it includes a folder, for safety."""
     if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name:
-        raise ValueError(f"sound name {name!r}")
+        raise ValueError(f"sound name {name!r} is not a plain file name")
     return name

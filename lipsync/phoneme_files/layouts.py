@@ -90,7 +90,7 @@ def tiers_in(text: str, alphabet: str = "") -> tuple[Tier, ...]:
             return _of_rows(layout, [(n, row.groupdict("")) for n, row in rows if row])
     for layout in begun:
         number, line = next(e for e in lines if not re.fullmatch(layout.row, e[1]))
-        raise LabelError(f"line {number}: {shown(line)} is not as the lines before it; mend it")
+        raise LabelError(f"line {number}: {shown(line)} is unlike the lines before; correct it")
     return _of_json(_documents(text), alphabet)
 
 
@@ -109,7 +109,7 @@ def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Ti
         end = row.get("end") or after.get("start")
         end_s = start_s + float(lasts) if lasts else layout.unit_s * float(end) if end else None
         if start_s < 0 or (end_s or start_s) < start_s:
-            raise LabelError(f"line {number}: from {start_s:g} to {end_s or 0:g} s; mend it")
+            raise LabelError(f"line {number}: from {start_s:g} to {end_s or 0:g} s; correct it")
         name = f"{row['speaker']} - {row['tier']}" if several else row.get("tier", layout.name)
         unit = TimedUnit(row["label"].strip(' \t"'), start_s, end_s)
         tiers.setdefault(name, []).append(unit)
@@ -122,19 +122,19 @@ def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Ti
 def _of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
     if isinstance(document, dict) and "facsNames" in document and "weightMat" in document:
         raise LabelError(
-            "weights of face shapes, as Audio2Face exports them, not labels; no command reads "
-            "them: give the sound itself, or its labels"
+            "the file has weights of face shapes (as Audio2Face exports them), not labels; give "
+            "the sound itself, or labels of it"
         )
     found = vendor_units(document, alphabet=alphabet)
     if not found:
-        raise LabelError(f"no times of words, phonemes or visemes; {_KNOWN}")
+        raise LabelError(f"the file has no times of words, phonemes or visemes; {_KNOWN}")
     return tuple(Tier(_NAMES[u.kind], u.kind, u.units, u.alphabet or "", u.untimed) for u in found)
 
 
 def _documents(text: str) -> object:
     """Return the parsed JSON document, or for JSON Lines a dict of parsed lines by `line N`."""
     if not text.strip():
-        raise LabelError(f"empty; {_KNOWN}")
+        raise LabelError(f"the file is empty; {_KNOWN}")
     lines: dict[str, object] = {}
     # Numbers of thousands of digits are a ValueError, brackets in thousands a RecursionError.
     try:
@@ -144,7 +144,7 @@ def _documents(text: str) -> object:
             try:
                 lines |= {f"line {number}": json.loads(line)} if line.strip() else {}
             except (ValueError, RecursionError):
-                raise LabelError(f"line {number}: no JSON; {_KNOWN}") from None
+                raise LabelError(f"line {number} is neither labels nor JSON; {_KNOWN}") from None
     return lines
 
 

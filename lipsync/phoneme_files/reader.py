@@ -67,7 +67,7 @@ def read_phonemes(
     labels = read_labels(LabelFile(Path(path)), sound_s)
     if labels.words:
         raise LabelError(
-            f"{path}: words without phonemes; `lipservo say --from` follows them in the sound"
+            f"{path}: has words but no phonemes; `lipservo say --from` finds both in the sound"
         )
     return labels.phones
 
@@ -92,7 +92,7 @@ def labels_in(content: bytes | None, file: LabelFile, sound_s: float | None = No
             labels = _phones(tier, file.alphabet)
             spoken_s = [e.end_s or 0.0 for e in labels.phones if e.phoneme != SILENCE]
         if not spoken_s:
-            raise LabelError("nothing but silence, or times that are no seconds; mend it")
+            raise LabelError("all labels are silence, or times are not in seconds; correct it")
         if sound_s is not None:
             labelled_s = max(*spoken_s, *(unit.end_s or 0.0 for unit in tier.units))
             notes += _checked_times(max(spoken_s), labelled_s, sound_s)
@@ -127,7 +127,7 @@ def _chosen(tiers: Sequence[Tier], wanted: str) -> Tier:
             return found[0]
         if found:
             break
-    raise LabelError(f"which tier? The file has: {names}; choose one by --tier NAME")
+    raise LabelError(f"the file has several tiers: {names}; choose one with --tier NAME")
 
 
 def _phones(tier: Tier, given: str) -> Labels:
@@ -179,7 +179,7 @@ def _joined(tier: Tier) -> tuple[list[TimedUnit], int]:
         if joined and unit.start_s < reached_s - _EDGE_S:
             raise LabelError(
                 f"{_place(tier, joined[-1])}: {shown(joined[-1].label)} ends at {reached_s:.3f} s, "
-                f"and {shown(unit.label)} begins at {unit.start_s:.3f} s; mend the overlap"
+                f"but {shown(unit.label)} begins at {unit.start_s:.3f} s; remove the overlap"
             )
         if abs(unit.start_s - reached_s) < _EDGE_S:
             unit = unit._replace(start_s=reached_s)
@@ -199,7 +199,7 @@ def _checked_times(spoken_s: float, reached_s: float, sound_s: float) -> list[st
     """
     if spoken_s > sound_s + _AFTER_SOUND_S:
         raise LabelError(
-            f"its last label ends at {spoken_s:.3f} s, and the sound is {sound_s:.3f} s long; give "
+            f"the last label ends at {spoken_s:.3f} s, but the sound is {sound_s:.3f} s long; give "
             "the labels of this sound, with times in seconds"
         )
     note = (

@@ -268,7 +268,7 @@ class VoiceTracker:
         """
         n_samples = len(samples)
         if n_samples > BLOCK_SAMPLES:
-            raise ValueError(f"a block of {n_samples} samples; at most {BLOCK_SAMPLES}")
+            raise ValueError(f"a block of {n_samples} samples; give at most {BLOCK_SAMPLES}")
         self._time_s = self._time_s + n_samples / SAMPLE_RATE_HZ if end_s is None else end_s
         window = self._window
         window[:-BLOCK_SAMPLES] = window[BLOCK_SAMPLES:]

@@ -94,7 +94,7 @@ def align(
     """
     words = words_of(text)
     if not words:
-        raise AlignmentError("the text holds no words; give the words of the sound")
+        raise AlignmentError("the text has no words; give the words of the sound")
     check_aligner()
     from pocketsphinx import Decoder
 
@@ -147,12 +147,12 @@ def _segments(
     _process(decoder, pcm)
     # Only now: asked after the second pass, pocketsphinx 5.1.1 crashes.
     if decoder.hyp() is None:
-        raise RuntimeError("no path through the words")
+        raise RuntimeError("no way through the words fits the sound")
     decoder.set_alignment()
     _process(decoder, pcm)
     alignment = decoder.get_alignment()
     if alignment is None:
-        raise RuntimeError("no alignment of the phones")
+        raise RuntimeError("the phones do not fit the sound")
     return [(w.name, [(p.name, p.start, p.duration) for p in w]) for w in alignment.words()]
 
 

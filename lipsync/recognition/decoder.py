@@ -77,9 +77,9 @@ class ViterbiDecoder:
     ) -> None:
         delays = heard.delays
         if heard.names != PHONEMES:
-            raise ValueError("the posteriors are not of this inventory, in its order")
+            raise ValueError("columns of posteriors are not the phonemes, in their order")
         if delay < delays[0]:
-            raise ValueError(f"nothing is known after {delay} frames, but after {delays[0]}")
+            raise ValueError(f"delay of {delay} frames: the network needs {delays[0]}")
         self._delay = delay
         self._head_at_age = best_heads(delays, delay)
         self._delays = delays

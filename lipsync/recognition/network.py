@@ -206,14 +206,14 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file; check the path") from error
     except UNREADABLE as error:
-        raise WeightsError(f"{path}: damaged or no weights file; copy or train it again") from error
+        raise WeightsError(f"{path}: damaged or no weights; copy or train them again") from error
     try:
         version = int(arrays["format"])
         weights = _weights(arrays) if version == _FORMAT else None
     except KeyError as error:
-        raise WeightsError(f"{path}: no weights of a recogniser: {error} is missing") from error
+        raise WeightsError(f"{path}: not weights of a recogniser: {error} is missing") from error
     except (ValueError, TypeError, IndexError) as error:  # no layers, text for numbers
-        raise WeightsError(f"{path}: no weights of a recogniser; train them again") from error
+        raise WeightsError(f"{path}: not weights of a recogniser; train them again") from error
     if weights is None:
         raise WeightsError(
             f"{path}: weights of format {version}, this lipservo reads format {_FORMAT}; update "
@@ -276,7 +276,7 @@ def check_weights(name_or_path: str) -> None:
 def _check_name(name_or_path: str) -> None:
     if name_or_path not in SHIPPED and not Path(name_or_path).is_file():
         raise WeightsError(
-            f"{name_or_path}: no such file; give one, or shipped weights: {', '.join(SHIPPED)}"
+            f"{name_or_path}: no such file; give another, or shipped weights: {', '.join(SHIPPED)}"
         )
 
 
@@ -316,7 +316,7 @@ def _mistake(weights: NetworkWeights) -> str:
         if array.shape != shape:
             return f"an array has the shape {array.shape} where {shape} is needed"
         if not np.isfinite(array).all():
-            return "holds values that are no numbers"
+            return "has values that are not finite"
     if weights.phonemes != PHONEMES:
         return "was made for other phonemes"
     if not weights.delays or list(weights.delays) != sorted(set(weights.delays)):

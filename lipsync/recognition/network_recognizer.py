@@ -68,7 +68,7 @@ class NetworkRecognizer:
         self._text: TextDecoder | None = None
         least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
         if latency_s < least_s - 1e-9:
-            raise ValueError(f"latency_s is {latency_s}; the network needs at least {least_s}")
+            raise ValueError(f"latency_s is {latency_s} s; the network needs at least {least_s} s")
         self._own_noise: OwnNoise | None = None
         self.reset()
 
@@ -176,7 +176,7 @@ class NetworkRecognizer:
         scores: Sequence[Array32] | Array32 = [self._decoder.silence] * len(posteriors)
         if not self._posteriors.is_silent:
             if not np.isfinite(posteriors).all():
-                raise WeightsError("the weights give no probabilities; train them again")
+                raise WeightsError("the weights compute no finite numbers; train them again")
             scores = self._decoder.scores(posteriors)
         noticeable = self._posteriors.noticeable
         end = 0
@@ -200,7 +200,7 @@ class NetworkRecognizer:
         prepared = self._prepared.popleft()
         if prepared.start_s != block.start_s:
             raise ValueError(
-                f"the block starts at {block.start_s} s, the one prepared at {prepared.start_s} s"
+                f"a block starts at {block.start_s} s, the prepared one at {prepared.start_s} s"
             )
         self._decode(prepared.silence)
         # All that the decoder still holds is silence by now.

@@ -13,7 +13,7 @@ def recognizer_kind(name: str) -> RecognizerKind:
     """Return the recogniser kind registered as `name`. Raises PluginError if there is none."""
     kind = RECOGNIZERS.load(name)
     if not isinstance(kind, RecognizerKind):
-        raise PluginError(f"recogniser {name}: what is installed under this name is none")
+        raise PluginError(f"recogniser {name}: the package of this name is no recogniser")
     return kind
 
 

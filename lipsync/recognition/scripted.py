@@ -19,7 +19,7 @@ class ScriptedPhonemes:
         self._events = tuple(events)
         for event, following in zip(self._events, self._events[1:], strict=False):
             if event.end_s is None or not event.start_s < event.end_s <= following.start_s:
-                raise ValueError(f"{event} does not end before {following} begins")
+                raise ValueError(f"{event} must end before {following} begins")
         self._lookahead_s = lookahead_s
         self._n_over = 0  # events that were told with their end
         self._known_until_s = 0.0

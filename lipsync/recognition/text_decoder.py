@@ -127,7 +127,7 @@ class TextDecoder:
         """
         self._delays = heard.delays[: settings.n_heads]
         if settings.settled_frames < self._delays[-1]:
-            raise ValueError("the last head speaks after the path is settled")
+            raise ValueError("the decoder settles words before its last head has scored them")
         self._settings = settings
         self._frames_per_s = frames_per_s
         self._pause = np.float32(settings.pause)
@@ -173,7 +173,7 @@ class TextDecoder:
         n_waiting = self._words.n_words - self.place + len(words)
         if n_waiting > MOST_WORDS:
             raise TextError(
-                f"{n_waiting} words wait to be spoken; at most {MOST_WORDS}, tell the others later"
+                f"{n_waiting} words wait to be spoken, {MOST_WORDS} may; send fewer at once"
             )
         n_behind = min(len(words), int(behind_s * _WORDS_PER_S))
         is_timed = any(word.start_s is not None for word in words)

@@ -79,7 +79,7 @@ def speech_of(
     """
     samples = np.frombuffer(sound, np.int16).astype(np.float32) / np.float32(_FULL_SCALE)
     if not len(samples):
-        raise UnspeakableTextError(f"nothing was said of {text[:40]!r}; write words")
+        raise UnspeakableTextError(f"{text[:40]!r} made no sound; write words")
     text_units = SpokenText("text", (SpokenUnit(text, 0),), sample_rate_hz)
     speech = SynthesizedSpeech(samples, sample_rate_hz, (), (), units=text_units)
     if not words.strip():
@@ -104,14 +104,14 @@ def _timed_words(words: tuple[TimedUnit, ...], sample_rate_hz: int) -> SpokenTex
 def _check(voice: Voice) -> None:
     if not voice.name.strip():
         raise SynthesisError(
-            'no command speaks: write it as `sound: {synthesizer: command, voice: "my-tts '
-            "--out {wav}\"}` into the face's YAML"
+            'the voice has no command; write it as `sound: {synthesizer: command, voice: "my-tts '
+            "--out {wav}\"}` in the face's YAML"
         )
     if (voice.rate_wpm, voice.pitch) != (DEFAULT_VOICE.rate_wpm, DEFAULT_VOICE.pitch):
-        raise SynthesisError("a command has its own rate and pitch; write them into it")
+        raise SynthesisError("rate and pitch of a command are options in it")
     if voice.language != DEFAULT_VOICE.language and _LANGUAGE not in voice.name:
         raise SynthesisError(
-            f"the voice's command speaks one language; put {_LANGUAGE} into it for "
+            f"the voice's command speaks one language; write {_LANGUAGE} into it so that it gets "
             f"{voice.language!r}"
         )
     try:
@@ -170,7 +170,7 @@ def _sound_of(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
     if not LOWEST_RATE_HZ <= sample_rate_hz <= HIGHEST_RATE_HZ:
         raise SynthesisError(
             f"the voice's command wrote sound at {sample_rate_hz} Hz; {LOWEST_RATE_HZ} to "
-            f"{HIGHEST_RATE_HZ} Hz are possible"
+            f"{HIGHEST_RATE_HZ} Hz are allowed"
         )
     file_bytes = words.read_bytes()[: _LARGEST_WORDS_BYTES + 1] if words.is_file() else b""
     if len(file_bytes) > _LARGEST_WORDS_BYTES:

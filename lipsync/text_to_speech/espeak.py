@@ -190,8 +190,8 @@ class Espeak:
         phonemes, guessed = _timed_phones(spoken)
         if all(each.phones == (SILENCE,) for each in phonemes):
             raise UnspeakableTextError(
-                f"{written[:40]!r} holds nothing that can be spoken in {voice.language!r}; "
-                "write words"
+                f"{written[:40]!r} has nothing that can be spoken in {voice.language!r}; write "
+                "words"
             )
         timed = refined(phonemes, spoken.samples, spoken.sample_rate_hz)
         return SynthesizedSpeech(
@@ -204,12 +204,12 @@ class Espeak:
 
     def _check_voice(self, voice: Voice) -> None:
         if voice.name:
-            raise SynthesisError(f"espeak-ng has no voice {voice.name!r}; choose a language")
+            raise SynthesisError(f"espeak-ng has no voice {voice.name!r}; give a language")
         known = self._process.languages()
         if voice.language not in known:
             near = difflib.get_close_matches(voice.language, known, 3, 0.0)
             raise SynthesisError(
-                f"espeak-ng does not speak {voice.language!r}; near it: {', '.join(near)}"
+                f"espeak-ng does not speak {voice.language!r}; similar languages: {', '.join(near)}"
             )
         if voice.rate_wpm not in _RATES_WPM:
             raise SynthesisError(f"rate {voice.rate_wpm} is not within 80 to 400 words a minute")

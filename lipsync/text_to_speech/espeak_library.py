@@ -111,7 +111,7 @@ class EspeakLibrary:
         )
         if rate_hz <= 0:
             raise SynthesisError(
-                "espeak-ng finds no data of its voices: `apt install espeak-ng-data`"
+                "espeak-ng's voice data are not installed: `apt install espeak-ng-data`"
             )
         self._sample_rate_hz = int(rate_hz)
         # The library keeps the pointer: the callback must live as long as it.

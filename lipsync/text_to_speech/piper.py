@@ -60,11 +60,11 @@ class Piper:
         written = checked_text(text, self.longest_text).replace("[[", "[ [")
         if not Path(voice.name).is_file():
             raise SynthesisError(
-                f"Piper's model {voice.name!r} is not there; write its path as `sound: "
-                "{synthesizer: piper, voice: NAME.onnx}` into the face's YAML"
+                f"Piper's model {voice.name!r} does not exist; write its path as `sound: "
+                f"{{synthesizer: piper, voice: NAME.onnx}}` in the face's YAML"
             )
         if voice.rate_wpm not in _RATES_WPM or voice.pitch != DEFAULT_VOICE.pitch:
-            raise SynthesisError("Piper has one pitch, and 80 to 400 words a minute")
+            raise SynthesisError("Piper speaks 80 to 400 words a minute, at one pitch")
         answer, sound = self._process.request(
             {
                 "text": written,
@@ -105,7 +105,7 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
         raise SynthesisError(f"{request['model']} cannot be loaded by Piper: {line}") from None
     spoken, wanted = voice.config.espeak_voice, request["language"]
     if wanted not in (DEFAULT_VOICE.language, spoken):
-        raise SynthesisError(f"{request['model']} speaks {spoken!r} alone, not {wanted!r}")
+        raise SynthesisError(f"{request['model']} only speaks {spoken!r}, not {wanted!r}")
     stretch = SynthesisConfig(length_scale=voice.config.length_scale * request["stretch"])
     chunks = list(voice.synthesize(request["text"], stretch))
     sound = b"".join(chunk.audio_int16_bytes for chunk in chunks)

@@ -58,8 +58,8 @@ def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedW
     """
     if len(text) > LONGEST_TEXT:
         raise PronunciationError(
-            f"a text of {len(text)} characters is too long; at most {LONGEST_TEXT} at once, "
-            "tell it in pieces"
+            f"a text of {len(text)} characters is too long; send it in pieces of {LONGEST_TEXT} at "
+            "most"
         )
     written = "".join(
         " " if unicodedata.category(each) in _UNSPOKEN and each != "\n" else each
@@ -80,7 +80,7 @@ def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
     if words := pronounced(text):
         return words
     raise PronunciationError(
-        f"text {text[:40]!r} has no word that English pronounces; give its words, or no text"
+        f"text {text[:40]!r} has no English word; give what is said, or no text"
     )
 
 
@@ -182,8 +182,8 @@ def _by_espeak(text: str, language: str) -> Iterator[PronouncedWord]:
                     yield PronouncedWord(word.text, (phones,))
     except SynthesisError as error:
         raise PronunciationError(
-            f"how a text sounds is known from gruut (`pip install 'lipservo[align]'`, English) or "
-            f"espeak-ng: {error}"
+            "the pronunciation of a text needs gruut (`pip install 'lipservo[align]'`, English) "
+            f"or espeak-ng: {error}"
         ) from None
 
 
@@ -201,7 +201,7 @@ def pronounce(word: str) -> tuple[str, ...]:
     gruut is not installed.
     """
     if not any(letter.isalpha() for letter in word):
-        raise PronunciationError(f"word {word!r} has no pronunciation; write it out in letters")
+        raise PronunciationError(f"word {word!r} has no letters; write it out in letters")
     phones = _phones(_ipa(word))
     if not phones:
         raise PronunciationError(f"word {word!r} has no pronunciation; spell it as it sounds")

@@ -45,4 +45,4 @@ def speak_in_pieces(
         is_spoken = True
         yield spoken
     if not is_spoken:
-        raise UnspeakableTextError("the text holds nothing that can be spoken; write words")
+        raise UnspeakableTextError("the text has nothing that can be spoken; write words")

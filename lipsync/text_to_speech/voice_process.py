@@ -102,7 +102,7 @@ def _exchange(child: "subprocess.Popen[bytes]", request: Request) -> tuple[dict[
     answer: dict[str, Any] = json.loads(child.stdout.readline())
     content = child.stdout.read(answer["n_bytes"])
     if len(content) < answer["n_bytes"]:
-        raise ValueError("the answer is cut off")
+        raise ValueError("the voice's process broke off its answer")
     return answer, content
 
 

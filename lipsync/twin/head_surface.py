@@ -213,7 +213,7 @@ def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequ
         A handle is given twice, or a part of the surface has neither handle nor anchor.
     """
     if len(set(handles)) != len(handles):
-        raise ValueError("a vertex is a handle twice")
+        raise ValueError("the same vertex is a handle twice")
     still = np.setdiff1d(anchors, handles)
     held = np.concatenate([handles, still]).astype(np.int64)
     return spread(stiffness, held, np.eye(len(held), len(handles)))
@@ -242,7 +242,7 @@ def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
     n = stiffness.shape[0]
     n_pieces, piece = connected_components(stiffness, directed=False)
     if len(np.unique(piece[held])) < n_pieces:
-        raise ValueError("a piece of the surface hangs on nothing")
+        raise ValueError("a separate piece of the surface has no handle")
     free = np.setdiff1d(np.arange(n), held)
     moved = np.zeros((n, given.shape[1]))
     moved[held] = given

@@ -273,8 +273,8 @@ def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
     handles = [landmarks[i] for i in points]
     if len(points) < 3:
         raise TwinError(
-            f"layout {face.layout.name}: its points are not numbered as the 478-point face mesh "
-            "numbers them, so they have no place on the twin's head"
+            f"layout {face.layout.name}: its points have other numbers than those of the 478-point "
+            "face mesh, so the twin's head cannot show them"
         )
     weights = influence(surface.stiffness, handles, surface.anchors.tolist())
     at_mean, turned = worn_face(face, surface.places_mm[handles], points)

@@ -159,7 +159,7 @@ def _networks(landmarker: Path) -> dict[str, bytes]:
         with zipfile.ZipFile(landmarker) as file:
             for name in (_DETECTOR, _LANDMARKS):
                 if file.getinfo(name).file_size > _MOST_BYTES:
-                    raise ValueError(f"{name} has more than {_MOST_BYTES // 10**6} MB")
+                    raise ValueError(f"array {name} has more than {_MOST_BYTES // 10**6} MB")
             return {name: file.read(name) for name in (_DETECTOR, _LANDMARKS)}
     except FileNotFoundError:
         raise TrackerError(

@@ -46,7 +46,7 @@ def video_pictures(path: Path) -> Iterator[tuple[float, Picture]]:
     """Yield every picture with its time stamp in seconds, in order. Raises VideoError."""
     with _opened(path) as video:
         if not video.streams.video:
-            raise VideoError(f"{path}: holds no pictures; give a video")
+            raise VideoError(f"{path}: has no pictures; give a video")
         stream = video.streams.video[0]
         stream.thread_type = "AUTO"
         aspect = float(stream.sample_aspect_ratio or 1)
@@ -67,7 +67,7 @@ def video_sound(path: Path) -> VideoSound:
     else:
         sound = _own_sound(path)
     if not sound.samples.any():
-        raise VideoError(f"{path}: its sound is nothing but digital silence")
+        raise VideoError(f"{path}: every sample of its sound is zero; film again")
     return sound
 
 
@@ -83,7 +83,7 @@ def _own_sound(path: Path) -> VideoSound:
     begins_s, n_samples, rate_hz = 0.0, 0, 0
     with _opened(path) as video:
         if not video.streams.audio:
-            raise VideoError(f"{path}: without sound; put {path.stem}.wav beside it, or film anew")
+            raise VideoError(f"{path}: has no sound; put {path.stem}.wav beside it, or film again")
         resampler = _av().AudioResampler(format="fltp")
         for frame in video.decode(video.streams.audio[0]):
             if not pieces:
@@ -98,7 +98,7 @@ def _own_sound(path: Path) -> VideoSound:
                 pieces.append(plain.to_ndarray().mean(axis=0, dtype=np.float32))
                 n_samples += len(pieces[-1])
     if not pieces:
-        raise VideoError(f"{path}: its sound track is empty; film anew")
+        raise VideoError(f"{path}: its sound track is empty; film again")
     samples = np.clip(np.nan_to_num(np.concatenate(pieces)), -1.0, 1.0)
     if rate_hz != SAMPLE_RATE_HZ:
         samples = np.clip(soxr.resample(samples, rate_hz, SAMPLE_RATE_HZ), -1.0, 1.0)

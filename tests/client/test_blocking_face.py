@@ -49,7 +49,7 @@ def test_samples_may_be_bytes_or_arrays(served, kind):
 @pytest.mark.parametrize("wrong", [np.zeros((10, 2)), np.zeros(10, dtype=np.int32), np.zeros(())])
 def test_arrays_that_are_no_mono_sound_are_refused_and_the_stream_goes_on(served, wrong):
     with lipservo.connect(served.url) as face, face.stream() as speech:
-        with pytest.raises(ValueError, match=r"samples of (shape|type)"):
+        with pytest.raises(ValueError, match=r"samples have (shape|type)"):
             speech.write(wrong)
         speech.write(tone(0.1))
         assert speech.wait().finished
@@ -145,7 +145,7 @@ def test_a_second_speaker_is_told_in_one_line(served):
     with lipservo.connect(served.url) as first, lipservo.connect(served.url) as second:
         with first.stream() as speech:
             speech.write(tone(0.1))
-            with pytest.raises(FaceError, match="another client speaks") as busy:
+            with pytest.raises(FaceError, match="another client is speaking") as busy:
                 second.stream().__enter__()
         assert busy.value.code == "busy"
 
@@ -167,7 +167,7 @@ def test_where_nobody_answers_it_is_one_line():
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:8765", "nonsense"])
 def test_what_is_no_address_is_one_line(url):
-    with pytest.raises(FaceError, match="is no address of a face"):
+    with pytest.raises(FaceError, match="is not the address of a face"):
         lipservo.connect(url).__enter__()
 
 

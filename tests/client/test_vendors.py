@@ -255,12 +255,12 @@ def test_of_a_stream_what_reaches_into_the_next_ends_where_that_begins():
     [
         ([{"word": "Hi", "start": 1}, {"word": "Bob", "start": 0.5}], "word 2 begins at 0.500 s"),
         ([{"word": "Hi", "start": 1, "end": 0.5}], "[0]: ends at 0.500 s, before it begins"),
-        ([{"word": 3, "start": 1}], "[0]: 3 is no word"),
-        ([{"word": "Hi", "start": "soon"}], "[0]: 'soon' is no time"),
-        ([{"word": "Hi", "start": -1}], "[0]: time -1 is not within 0 and 24 hours"),
-        ([{"word": "Hi", "start": float("nan")}], "[0]: time nan is not within"),
-        ([{"phoneme": "m", "num_samples": 9}], "[0]: samples are counted, and no sample_rate"),
-        ({"words": ["Hi"], "start": [0, 1], "end": [1]}, "message: lists of [1, 2, 1] values"),
+        ([{"word": 3, "start": 1}], "[0]: 3 is not a word"),
+        ([{"word": "Hi", "start": "soon"}], "[0]: time 'soon' is not a number"),
+        ([{"word": "Hi", "start": -1}], "[0]: time -1 must be 0 to 24 hours"),
+        ([{"word": "Hi", "start": float("nan")}], "[0]: time nan must be 0 to 24 hours"),
+        ([{"phoneme": "m", "num_samples": 9}], "its times are samples, so it needs a sample_rate"),
+        ({"words": ["Hi"], "start": [0, 1], "end": [1]}, "lists differ in length: [1, 2, 1]"),
         ([{"word": "a", "start": 0.0}] * 12_001, "more than 12000 words; send them in pieces"),
         ({"words": [["Hi", 0]]}, "words: each row must be [label, start, end]"),
     ],
@@ -343,7 +343,7 @@ def test_any_message_is_units_in_order_of_time_or_one_line(message):
 
 
 def test_a_message_nested_without_end_is_refused():
-    with pytest.raises(VendorError, match="nested deeper"):
+    with pytest.raises(VendorError, match="nested too deep"):
         vendor_units(json.loads("[" * 500 + "]" * 500))
 
 
@@ -393,10 +393,10 @@ def test_lips_that_stay_shut_close_rest_and_close_again():
 @pytest.mark.parametrize(
     ("message", "error"),
     [
-        ({"BlendShapes": [[0.0] * 50]}, "a frame is 52 or 55 weights, or weights by name"),
-        ({"BlendShapes": [{"jawOpen": 7}]}, "weight 7 of jawopen is not within 0 and 1"),
+        ({"BlendShapes": [[0.0] * 50]}, "a frame must have 52 or 55 weights, or weights by name"),
+        ({"BlendShapes": [{"jawOpen": 7}]}, "weight 7 of jawopen must be 0 to 1"),
         ({"BlendShapes": [{}], "fps": 1}, "fps must be 10 to 1000"),
-        ({"BlendShapes": [{}], "FrameIndex": -1}, "FrameIndex is the number of a frame"),
+        ({"BlendShapes": [{}], "FrameIndex": -1}, "FrameIndex must be a frame's number"),
     ],
 )
 def test_frames_that_are_none_are_one_line(message, error):

@@ -72,8 +72,8 @@ def test_an_unknown_kind_is_answered_with_those_there_are_and_how_to_get_another
     with pytest.raises(UnknownBusError) as error:
         bus_kind("steamer")
     assert str(error.value) == (
-        "'steamer' is not known here; use one of simulated, dynamixel, maestro, pca9685, "
-        "feetech, or install the package that brings it (entry point lipservo.buses)"
+        "bus kind 'steamer' is not known here; use one of simulated, dynamixel, maestro, pca9685, "
+        "feetech, or install the package that provides it (entry point lipservo.buses)"
     )
 
 
@@ -81,7 +81,7 @@ def test_an_unknown_kind_is_answered_with_those_there_are_and_how_to_get_another
 def test_a_kind_that_cannot_be_loaded_says_why():
     with pytest.raises(UnknownBusError, match="broken: no_such_module:KIND cannot be loaded: No"):
         bus_kind("broken")
-    with pytest.raises(UnknownBusError, match="strange: what is installed under this name"):
+    with pytest.raises(UnknownBusError, match="strange: the package of this name is no bus"):
         bus_kind("strange")
 
 
@@ -129,11 +129,13 @@ def test_what_is_wrong_is_said_in_the_keys_of_the_bus(right, wrong, error):
 
 
 def test_what_a_kind_has_not_it_says_in_words():
-    with pytest.raises(BusError, match="bus pulses: has no simulator"):
+    with pytest.raises(BusError, match="a bus of kind pulses has no simulator"):
         PULSES_KIND.simulator()
-    with pytest.raises(BusError, match="bus pulses: has no servos that could be found or set up"):
+    with pytest.raises(
+        BusError, match="a bus of kind pulses has no servos that could be found or set up"
+    ):
         PULSES_KIND.workshop()
-    with pytest.raises(BusError, match="bus pulses: has no port"):
+    with pytest.raises(BusError, match="a bus of kind pulses has no port"):
         PULSES_KIND.port_release("/dev/x", None)
 
 

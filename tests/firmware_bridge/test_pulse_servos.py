@@ -24,10 +24,10 @@ def test_degrees_become_pulses_and_pulses_degrees():
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ({"us_per_deg": 0.0}, "turns the joint round"),
-        ({"min_us": 1130.0}, "max_deg 25 takes a pulse of 1125 us, outside min_us..max_us"),
+        ({"us_per_deg": 0.0}, "to reverse the joint"),
+        ({"min_us": 1130.0}, "max_deg 25 deg needs a pulse of 1125 us, outside min_us..max_us"),
         ({"max_us": 3000.0}, "outside 400..2600"),
-        ({"sign": -1}, "a minus in us_per_deg"),
+        ({"sign": -1}, "a negative us_per_deg"),
         ({"id": 3}, "Extra inputs"),
     ],
 )

@@ -50,5 +50,5 @@ def test_the_cells_are_those_in_which_an_event_means_something():
 
 
 def test_a_row_behind_one_that_always_counts_is_refused():
-    with pytest.raises(ValueError, match=r"Light\.RED, Event\.BUTTON: a row behind one"):
+    with pytest.raises(ValueError, match=r"Light\.RED, Event\.BUTTON: a row before this one"):
         StateTable((ALWAYS, BUTTON))

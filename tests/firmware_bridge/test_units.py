@@ -82,7 +82,9 @@ def test_a_range_of_another_model_is_refused(tmp_path):
     (tmp_path / "ranges.json").write_text(json.dumps({"jaw": entry}))
     recorded = read_ranges(tmp_path / "ranges.json")["jaw"]
 
-    with pytest.raises(UserError, match="range_max 2000, and an SCS0009 has positions 0 to 1023"):
+    with pytest.raises(
+        UserError, match="range_max 2000 is beyond an SCS0009's positions, 0 to 1023"
+    ):
         FoundJoint("jaw", 1, "SCS0009", "opens", 1).within(recorded, 512, MODELS["SCS0009"])
 
 

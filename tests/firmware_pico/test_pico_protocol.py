@@ -292,7 +292,7 @@ def test_a_crc_is_refused_in_words():
     board, clock = PicoDevice(), ManualClock()
     wiring = on_maestro(FACE, model="pico", crc=True)
     controller = MaestroController(wiring, lambda: MemoryTransport(board, clock, BAUD_RATE))
-    with pytest.raises(PortError, match=r"bus\.crc is true"):
+    with pytest.raises(PortError, match=r"set bus\.crc to false"):
         controller.open()
 
 

@@ -74,15 +74,15 @@ def test_x_sampa_is_ipa_in_ascii():
 @pytest.mark.parametrize(
     ("label", "alphabet", "error"),
     [
-        ("Q", "polly", "'Q' is no viseme of polly; it has: sil p"),
-        ("q", "", "'q' is no phoneme of ARPAbet; write SIL"),
-        ("AH9", "arpabet", "'AH9' is no phoneme of ARPAbet"),
+        ("Q", "polly", "'Q' is not a viseme of polly, which has: sil p"),
+        ("q", "", "'q' is not an ARPAbet phoneme; write SIL"),
+        ("AH9", "arpabet", "'AH9' is not an ARPAbet phoneme"),
         (
             "m",
             "klingon",
-            "alphabet 'klingon' is not known; there are: arpabet, ipa, x-sampa, ",
+            "alphabet 'klingon' is not known; use one of: arpabet, ipa, x-sampa, ",
         ),
-        ("x" * 1000, "azure", "... is no viseme of azure"),
+        ("x" * 1000, "azure", "... is not a viseme of azure"),
     ],
 )
 def test_an_unknown_label_or_alphabet_is_one_line_that_says_what_there_is(label, alphabet, error):
@@ -110,7 +110,7 @@ def test_a_phoneme_of_several_phones_shares_its_time_and_a_mark_of_length_goes_o
 
 
 def test_the_number_of_a_unit_that_its_alphabet_lacks_is_told():
-    with pytest.raises(AlphabetError, match="viseme 2: '22' is no viseme of azure"):
+    with pytest.raises(AlphabetError, match="viseme 2: '22' is not a viseme of azure"):
         in_inventory("viseme", [SpokenUnit("21", 0), SpokenUnit("22", 9)], "azure", 16_000)
 
 

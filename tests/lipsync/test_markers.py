@@ -49,13 +49,13 @@ GOOD = {"name": "n", "groups": {"inner_lip": [13, 14], "skin": [1, 2]}, "lip_gap
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"lip_gap": [13, 99]}, "no group holds landmark 99"),
+        ({"lip_gap": [13, 99]}, "landmark 99 is in no group"),
         ({"lip_gap": [13, 13]}, "lip_gap needs two different landmarks"),
-        ({"lip_gap": [13]}, "lip_gap is two of them"),
-        ({"groups": {"skin": [13, 14, 14]}}, "landmark 14 stands in it twice"),
-        ({"groups": {"skin": [13, 14, "nose"]}}, "'nose' is no landmark number"),
-        ({"groups": {"skin": [13, 14, -1]}}, "-1 is no landmark number"),
-        ({"groups": [13, 14]}, "groups are lists of landmark numbers"),
+        ({"lip_gap": [13]}, "lip_gap be two of them"),
+        ({"groups": {"skin": [13, 14, 14]}}, "landmark 14 is listed twice"),
+        ({"groups": {"skin": [13, 14, "nose"]}}, "'nose' is not a landmark number"),
+        ({"groups": {"skin": [13, 14, -1]}}, "-1 is not a landmark number"),
+        ({"groups": [13, 14]}, "`groups` must map names to lists of landmark numbers"),
     ],
 )
 def test_what_is_wrong_with_a_layout_is_said_in_one_line(change, said):
@@ -70,8 +70,8 @@ def test_what_is_wrong_with_a_layout_is_said_in_one_line(change, said):
     [
         (None, r"neither a known layout \(39, 47, 478\) nor a readable file"),
         ("{", "not JSON"),
-        ("[1]", "a layout is a JSON object with name, groups, lip_gap"),
-        ('{"name": "n"}', "a layout needs groups, lip_gap"),
+        ("[1]", "a layout must be a JSON object with name, groups, lip_gap"),
+        ('{"name": "n"}', "the layout lacks groups, lip_gap"),
     ],
 )
 def test_a_file_that_is_no_layout_is_refused(tmp_path, content, said):

@@ -61,7 +61,7 @@ def test_what_a_command_reads_is_never_written_over(tmp_path):
     source, other = tmp_path / "source", tmp_path / "link"
     source.write_text("note: source")
     other.symlink_to(source)
-    with pytest.raises(OutputError, match="is what this command reads"):
+    with pytest.raises(OutputError, match="is an input of this command"):
         check_output(other, replaces=is_note, inputs=[None, source])
 
 
@@ -121,7 +121,7 @@ def test_a_disk_that_fills_up_leaves_the_old_file_and_nothing_else(tmp_path):
 @pytest.mark.parametrize(
     ("n_letters", "said"),
     [
-        (20_000, r"the trace broke off: File too large"),  # more than Python holds back: at once
+        (20_000, r"the trace stopped: File too large"),  # more than Python holds back: at once
         (2_000, r"cannot be written: File too large"),  # at the end
     ],
 )

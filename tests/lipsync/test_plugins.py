@@ -84,7 +84,7 @@ def test_a_recogniser_that_cannot_be_made_is_left_for_the_network():
     ("name", "said"),
     [
         ("gone", "recogniser gone: no_such_module:KIND cannot be loaded: No module named"),
-        ("strange", "recogniser strange: what is installed under this name is none"),
+        ("strange", "recogniser strange: the package of this name is no recogniser"),
     ],
 )
 def test_a_package_that_is_broken_is_refused_by_its_name(name, said):
@@ -109,7 +109,7 @@ def test_an_unknown_name_says_what_there_is_and_what_to_install():
     names = ", ".join(SYNTHESIZERS.names())
     assert str(error.value) == (
         f"synthesiser 'hal' is not known here; use one of {names}, or install the package that "
-        "brings it (entry point lipservo.voices)"
+        "provides it (entry point lipservo.voices)"
     )
     with pytest.raises(SettingsError, match=r"motion\.engine: recogniser 'hal' is not known"):
         parse_face(f"{FACE}motion: {{engine: hal}}\n", "face.yaml")

@@ -94,10 +94,10 @@ def test_visemes_at_a_thousand_a_second_are_a_hundred():
 @pytest.mark.parametrize(
     ("kind", "units", "says"),
     [
-        ("phoneme", (SpokenUnit("Q", 0, 1),), "'Q' is no phoneme"),
+        ("phoneme", (SpokenUnit("Q", 0, 1),), "'Q' is not an ARPAbet phoneme"),
         ("word", (SpokenUnit("", 0, 1),), "word 0: 0 characters"),
         ("word", (SpokenUnit("x" * (LONGEST_LABEL + 1)),), "word 0: 101 characters"),
-        ("text", (SpokenUnit("x" * 1_000_000),), "text 0: 1000000 characters; 1 to 20000"),
+        ("text", (SpokenUnit("x" * 1_000_000),), "text 0 has 1000000 characters; 1 to 20000"),
         ("text", (SpokenUnit("x" * LONGEST_TEXT),) * 6, "at most 100000"),
         ("word", (SpokenUnit("a", 5, 9), SpokenUnit("b", 8, 12)), "word 1: sample 8 is before 9"),
         ("word", (SpokenUnit("a", 5, 4),), "word 0: sample 4 is before 5"),
@@ -111,9 +111,9 @@ def test_what_cannot_be_said_is_refused_with_its_place(kind, units, says):
 
 
 def test_words_move_no_mouth_by_themselves():
-    with pytest.raises(SpokenTextError, match="without times"):
+    with pytest.raises(SpokenTextError, match="need times"):
         words(("hello", 0, 10)).events()
-    with pytest.raises(SpokenTextError, match="do not revise"):
+    with pytest.raises(SpokenTextError, match="cannot continue"):
         words(("hello", 0, 10)).revised(SpokenText("text", (SpokenUnit("hello"),), RATE_HZ))
 
 

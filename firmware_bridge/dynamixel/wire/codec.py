@@ -102,7 +102,7 @@ def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
     body = stuff(parameters)
     length = len(body) + 3
     if length > 0xFFFF:
-        raise ValueError(f"{len(parameters)} bytes do not fit into a packet")
+        raise ValueError(f"{len(parameters)} bytes of parameters are too many for one packet")
     head = HEADER + struct.pack("<BHB", packet_id, length, instruction) + body
     return head + crc16(head).to_bytes(2, "little")
 

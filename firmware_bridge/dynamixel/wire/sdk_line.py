@@ -38,7 +38,7 @@ class SdkTransport:
         except termios.error as error:
             raise PortError(f"{port}: is not a serial port") from error
         if not opened:
-            raise PortError(f"{port}: dynamixel-sdk cannot open it at {baud_rate:,} baud")
+            raise PortError(f"{port}: does not open at {baud_rate:,} baud; is it in use?")
         self._baud_rate = baud_rate
 
     @property
@@ -150,7 +150,7 @@ class SdkLine(Line):
         """Send a sync write, made anew by the SDK. Raises ValueError for any other instruction."""
         (frame,) = FrameParser().feed(request)
         if frame.instruction != Instruction.SYNC_WRITE:
-            raise ValueError(f"dynamixel-sdk is not used to send instruction {frame.instruction}")
+            raise ValueError(f"dynamixel-sdk cannot send instruction {frame.instruction}")
         address, size = struct.unpack_from("<HH", frame.parameters)
         group = GroupSyncWrite(self._sdk.handler, self._packets, address, size)
         for at in range(4, len(frame.parameters), size + 1):

@@ -97,7 +97,7 @@ def read_alignments(path: Path) -> dict[str, AlignedUtterance]:
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise CacheError(f"{path}: is no file of alignments; choose another name") from error
+        raise CacheError(f"{path}: is not a file of alignments; choose another name") from error
     complete = text[: text.rfind("\n") + 1]
     found: dict[str, AlignedUtterance] = {}
     for number, line in enumerate(complete.splitlines(), start=1):

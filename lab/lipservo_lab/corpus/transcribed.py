@@ -173,7 +173,7 @@ def _refuse_unknown(names: frozenset[str], utterances: tuple[TranscribedUtteranc
     """Refuse an unknown name: what was to be left out would be learned from."""
     if missing := sorted(names - {utterance.name for utterance in utterances}):
         raise TranscriptError(
-            f"{len(missing)} of {len(names)} listed utterances are not there, {missing[0]!r} first"
+            f"{len(missing)} of {len(names)} listed utterances do not exist, such as {missing[0]!r}"
         )
 
 

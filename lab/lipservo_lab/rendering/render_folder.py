@@ -62,7 +62,7 @@ def render_folder(
     if method == "model-based":
         check_extra("dtaidistance", "lines render-folder --method model-based")
     if jobs is not None and dask is not None:
-        raise UserError("--jobs and --dask: give one of them")
+        raise UserError("give --jobs or --dask, not both")
     how = Rendering(method, strength, model, offline, not reference_sound, expression)
     if expression is not None:
         load_settings(expression)  # refused before anything is heard

@@ -159,7 +159,7 @@ class AnswerFile:
         try:
             return self.raters[name]
         except KeyError:
-            raise UnknownRaterError(f"rater {name}: has not begun here; begin anew") from None
+            raise UnknownRaterError(f"rater {name} has not begun here; begin anew") from None
 
     def join(self, name: str, n_sheets: int) -> RaterRecord:
         """A rater who consented gets the next sheet; one who is known keeps theirs.
@@ -169,7 +169,7 @@ class AnswerFile:
         with self._lock:
             if name not in self.raters:
                 if len(self.raters) >= _MOST_RATERS:
-                    raise StudyError(f"{self.path}: holds {_MOST_RATERS} raters, no more are taken")
+                    raise StudyError(f"{self.path}: has {_MOST_RATERS} raters, and takes no more")
                 sheet = len(self.raters) % n_sheets
                 self._keep({"kind": "join", "rater": name, "sheet": sheet, "at": now()})
             return self.raters[name]

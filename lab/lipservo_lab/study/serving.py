@@ -91,7 +91,7 @@ class StudyDesk:
         """A rater who agrees; the first item that they have not answered."""
         name = given.get("rater")
         if given.get("agrees") is not True:
-            raise RequestError("nobody takes part without having agreed")
+            raise RequestError("a rater must agree before taking part")
         if not isinstance(name, str) or len(name) != _RATER_CHARACTERS or not name.isalnum():
             raise RequestError(f"rater: {_RATER_CHARACTERS} letters and digits are needed")
         return self._next(self._answers.join(name, len(self.study.sheets)))
@@ -106,7 +106,7 @@ class StudyDesk:
         number = given.get("number")
         items = self.study.sheets[rater.sheet]
         if not _is_whole(number, 0, len(items) - 1):
-            raise RequestError(f"number: 0 to {len(items) - 1} are there")
+            raise RequestError(f"number must be 0 to {len(items) - 1}")
         self._answers.answer(name, number, _checked(items[number], given))
         return self._next(rater)
 
@@ -145,7 +145,7 @@ def _checked(item: Item, given: Any) -> Record:
         case _:
             fits = _is_whole(answer, 1, POINTS)
     if not fits:
-        raise RequestError(f"answer: is none to a {item.kind}")
+        raise RequestError(f"this answer does not fit a {item.kind}")
     return {"answer": answer, "seconds": seconds, "plays": plays}
 
 
@@ -216,7 +216,7 @@ async def _answered(call: Callable[..., Mapping[str, Any]], *given: Any) -> Resp
     status = HTTPStatus.OK
     try:
         if given[-1] is None:
-            raise RequestError("the body: one JSON object is needed, of 8 kB at most")
+            raise RequestError("the body must be one JSON object of at most 8 kB")
         # Answers go to the disk before they are confirmed; others must not wait for it.
         answer = await run_in_threadpool(call, *given)
     except UnknownRaterError as error:

@@ -81,17 +81,17 @@ def new_face(
         _first_hour(output, port or [], sim, open_page=open_page)
         return
     if open_page or sim:
-        raise typer.BadParameter("--open and --sim go with --page")
+        raise typer.BadParameter("--open and --sim need --page")
     from lipservo.runtime.servos.new_face import check_face_file, face_on_buses, parts_of
     from lipservo.settings.settings import parse_face
 
     check_face_file(output)
     parts = parts_of(bus or [], port or [], board or [], channel or [])
     if not parts:
-        raise UserError("no port: give --port, or --bus for a board that is not plugged in yet")
+        raise UserError("no port; give --port, or --bus for a board that is not plugged in yet")
     for given, name, is_wired in ((yes, "--yes", True), (ranges is not None, "--ranges", False)):
         if given and all(bool(part.kind.board_key) is not is_wired for part in parts.values()):
-            raise UserError(f"{name} is not of a {next(iter(parts.values())).kind.name} bus")
+            raise UserError(f"{name} is not for a {next(iter(parts.values())).kind.name} bus")
     texts: dict[str, str] = {}
     names: list[str] = []
     for bus_name, part in parts.items():
@@ -126,9 +126,9 @@ def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_pag
 
     check_dashboard()
     if len(ports) > 1:
-        raise UserError("--page sets up one bus; several are named in a terminal")
+        raise UserError("--page sets up one bus; leave --page out for several")
     if sim not in (None, "pty") or (sim and ports):
-        raise UserError("--sim knows `pty` only, and goes without --port")
+        raise UserError("--sim only accepts `pty`, and not together with --port")
     from lipservo.dashboard.child import bound_dashboard
     from lipservo.dashboard.face_link import FaceLink
     from lipservo.dashboard.first_hour.first_hour import FirstHour
@@ -154,7 +154,7 @@ def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> 
     for each in part.channels:
         joints.append(parse_channel(each, joints, taken))
     if yes and not joints:
-        raise UserError("which servos: give --channel jaw=0:opens, again for each")
+        raise UserError("no servos given; add --channel jaw=0:opens for each of them")
     if board is None:
         usual = kind.usual_board
         what = f"Which {kind.board_key} has the {kind.name}"
@@ -188,7 +188,7 @@ def _found(
 
     kind, port = part.kind, part.port
     if port is None:
-        raise UserError("no port: give --port; the servos there are found by their answers")
+        raise UserError("no port given; add --port, at which servos are searched for")
     tools = kind.workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
     if not tools.CLEARS_MIDDLE:  # servos go on to show their place as it was recorded
@@ -196,7 +196,7 @@ def _found(
     rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
     for servo_id in sorted(set(recorded) - set(found)):
-        MESSAGES.print(f"id {servo_id} ({recorded[servo_id].name}) of {ranges} does not answer")
+        MESSAGES.print(f"id {servo_id} ({recorded[servo_id].name} in {ranges}) does not answer")
     _clear_foreign(tools, port, rate, found)
     joints: list[FoundJoint] = []
     for servo_id, model in found.items():
@@ -242,7 +242,7 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
         MESSAGES.print(f"id {servo_id}: {'; '.join(map(str, changes))}")
     question = "Another program has set these up. Write what they should be"
     if not typer.confirm(question, default=True, err=True):
-        raise UserError("nothing was written; servos set up like this cannot be moved here")
+        raise UserError("nothing was written; with these settings the servos cannot be moved")
     tools.clear_foreign_settings(port, rate, found, foreign)
 
 

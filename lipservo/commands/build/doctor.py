@@ -137,7 +137,7 @@ def doctor(
         _report(settings, config, report, seconds=seconds, move=move, yes=yes)
         return
     if move is not None or yes:
-        raise typer.BadParameter("--move and --yes go with --report")
+        raise typer.BadParameter("--move and --yes need --report")
     found = (_examined(settings), _lags(settings, config), _computer(settings, config))
     _print(chain(*found), as_json=as_json)
 
@@ -184,7 +184,7 @@ def _report(
 
     text_file = file.with_suffix(".txt")
     if file.suffix != ".json":
-        raise UserError(f"{file}: call the report {file.stem or 'report'}.json")
+        raise UserError(f"{file}: name the report like {file.stem or 'report'}.json")
     joint = _joint(settings, move)
     for each in (file, text_file):
         check_output(each)
@@ -200,7 +200,7 @@ def _report(
             try:
                 found["limp_loop"] = _limp_loop(settings, seconds)
             except BusError as error:
-                complain(f"{error}; the report says so")
+                complain(f"{error}; the report has this, too")
                 found["limp_loop"] = {"error": scrubbed(str(error), secrets)}
         except StopRequested as stop:
             status = 128 + stop.number
@@ -228,7 +228,7 @@ def _report(
 def _joint(settings: "FaceSettings", name: str | None) -> str:
     """Return `name`, or the face's first joint for None. Raises UserError for an unknown name."""
     if name is not None and name not in settings.servos:
-        raise UserError(f"no joint {name!r} in this face; it has {', '.join(settings.servos)}")
+        raise UserError(f"this face has no joint {name!r}; it has {', '.join(settings.servos)}")
     return name or next(iter(settings.servos))
 
 
@@ -253,9 +253,9 @@ def _consent(question: str, *, yes: bool) -> None:
     if yes:
         return
     if not sys.stdin.isatty():
-        raise UserError(f"{question}? No terminal to confirm on: give --yes")
+        raise UserError(f"{question}? No terminal can be asked; give --yes")
     if not typer.confirm(question, default=False, err=True):
-        raise UserError("nothing was done, and nothing written")
+        raise UserError("not confirmed, so nothing was done or written")
 
 
 def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:

@@ -49,17 +49,17 @@ def jog(
     check_page_options(None, is_shown=dashboard, open_page=open_page)
     settings = _settings(port, config)
     if joint is not None and joint not in settings.servos:
-        raise UserError(f"no joint {joint!r} in this face; it has {', '.join(settings.servos)}")
+        raise UserError(f"this face has no joint {joint!r}; it has {', '.join(settings.servos)}")
     if deg is not None and (limp or dashboard or joint is None):
-        raise typer.BadParameter("DEG goes with JOINT alone")
+        raise typer.BadParameter("DEG needs JOINT, and no --limp or --dashboard")
     if limp and dashboard:
-        raise typer.BadParameter("--limp or --dashboard, not both")
+        raise typer.BadParameter("give --limp or --dashboard, not both")
     if limp:
         _turn(settings, config, port, [joint] if joint else list(settings.servos))
     elif dashboard:
         _jog_on_page(settings, config, open_page=open_page)
     elif joint is None:
-        raise typer.BadParameter("say which joint; or --dashboard, or --limp")
+        raise typer.BadParameter("no joint given; name one, or give --dashboard or --limp")
     elif deg is None:
         _jog_with_keys(settings, config, joint)
     else:

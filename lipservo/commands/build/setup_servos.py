@@ -75,7 +75,7 @@ def setup_servos(
     servos = tools.servos_by_joint(settings.wiring)
     unknown = [name for name in joints or () if name not in servos]
     if unknown:
-        raise UserError(f"no joint {unknown[0]!r} in this face; it has {', '.join(servos)}")
+        raise UserError(f"this face has no joint {unknown[0]!r}; it has {', '.join(servos)}")
     chosen_servos = [servos[name] for name in joints or servos]
     at, rate = port_of(port, settings.bus.port), getattr(settings.bus, "baud_rate", 0)
     work = _Work(tools, at, rate, dry_run, as_json)
@@ -99,7 +99,7 @@ def _say_nothing_to_set_up(kind: str, unknown: list[str], *, as_json: bool) -> N
     unknown: joints typed that the face lacks: UserError for the first.
     """
     if unknown:
-        raise UserError(f"no joint {unknown[0]!r} in this face")
+        raise UserError(f"this face has no joint {unknown[0]!r}")
     if as_json:
         print_json({"dry_run": False, "complete": True, "error": "", "servos": []})
         return

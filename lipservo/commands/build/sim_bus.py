@@ -131,7 +131,7 @@ def _script(file: Path) -> str:
     except OSError as error:
         raise UserError(f"--faults {file}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise UserError(f"--faults {file}: is not text in UTF-8") from error
+        raise UserError(f"--faults {file}: is not UTF-8 text") from error
     if len(text) > _LONGEST_SCRIPT:
-        raise UserError(f"--faults {file}: is longer than any fault script, {_LONGEST_SCRIPT:,}")
+        raise UserError(f"--faults {file}: is longer than {_LONGEST_SCRIPT:,} characters")
     return text

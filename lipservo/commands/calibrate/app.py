@@ -76,4 +76,4 @@ def calibrate(context: typer.Context) -> None:
     """Find how a speaker's mouth becomes angles of this robot's servos (docs/calibration.md)."""
     if context.invoked_subcommand is None:
         names = ", ".join(CalibrateGroup.table)
-        raise typer.BadParameter(f"say what to do: {names}", ctx=context)
+        raise typer.BadParameter(f"no step given; use one of {names}", ctx=context)

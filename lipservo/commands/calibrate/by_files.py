@@ -53,7 +53,7 @@ def plan(
 ) -> None:
     """Write poses to move a robot through: neutral, each joint alone, then all joints together."""
     if (refine is None) != (markers is None):
-        raise typer.BadParameter("--refine PLAN and --markers FILE go together")
+        raise typer.BadParameter("give both --refine PLAN and --markers FILE, or neither")
     check_inputs(refine, markers)
     check_output(file, replaces=is_plan, kind="plan of poses", inputs=[markers, refine])
     setup = load_setup(config, model, ranges, n_poses=poses)
@@ -120,16 +120,16 @@ def fit(
     Lags of servos are found here for simulated ones only, and not for recorded markers.
     """
     if (plan is None) != (markers is None):
-        raise typer.BadParameter("--plan and --markers go together; `calibrate plan` writes a plan")
+        raise typer.BadParameter("give --plan with --markers; `calibrate plan` writes one")
     for option, path in (("--plots", plots), ("--check-plan", check_plan)):
         if path is not None and markers is None:
             raise typer.BadParameter(
-                f"{option} needs --markers: nothing is measured on the simulated face"
+                f"{option} needs --markers, since nothing is measured on the simulated face"
             )
     check_files(output, plots=plots, inputs=[plan, markers])
     if check_plan is not None:
         if check_plan.resolve() == output.resolve():
-            raise typer.BadParameter("--check-plan and -o name the same file")
+            raise typer.BadParameter("--check-plan and -o are the same file; choose two names")
         inputs = [plan, markers]
         check_output(check_plan, replaces=is_plan, kind="plan of poses", inputs=inputs)
     setup = load_setup(config, model, ranges, quiet=quiet or as_json, lags=lags, accept=accept)
@@ -194,8 +194,8 @@ def grade(
     bad = too_bad(found)
     if bad is not None and not accept:
         raise UserError(
-            f"{file} stays as it is: {bad}; look at the markers, calibrate anew, or take the grade "
-            "as it is with --accept"
+            f"{file} stays as it is: {bad}; check the markers, calibrate anew, or save it anyway "
+            "with --accept"
         )
     save_calibration(found, file)
     if as_json:

@@ -170,7 +170,7 @@ def check_files(
     from lipservo.settings.sections import CALIBRATION_NAME
 
     if not re.match(CALIBRATION_NAME, output.name):
-        raise UserError(f"{output}: a face can only name a file such as my_face.calibration.yaml")
+        raise UserError(f"{output}: a calibration's name must be like my_face.calibration.yaml")
     check_output(output, replaces=is_calibration, kind="calibration", inputs=inputs)
     if keep is not None and not keep.exists():
         check_output(keep)
@@ -195,15 +195,15 @@ def going_on(output: Path, keep: Path | None) -> Iterator[Path]:
     """
     kept = keep_beside(output, keep)
     if kept.exists():
-        MESSAGES.print(f"{kept}: goes on with the poses in it; to begin anew, delete it")
+        MESSAGES.print(f"{kept}: continues with the poses in it; delete it to begin anew")
     try:
         yield kept
     except CalibrationError as error:
         if not kept.exists():
             raise
         raise CalibrationError(
-            f"{error}; the poses are kept in {kept}: the same command goes on with them, and "
-            "begins anew once you delete it"
+            f"{error}; the poses are kept in {kept}: run the same command again to continue, or "
+            "delete that file to begin anew"
         ) from error
     if keep is None and kept.exists():
         kept.replace(kept.with_name(f"{kept.name}.previous"))
@@ -246,8 +246,8 @@ def saved(
             else:
                 output.unlink()
         raise UserError(
-            f"{output} is not written: {bad}; look at the warnings, capture again, or take it as "
-            "it is with --accept"
+            f"{output} is not written: {bad}; read the warnings, capture again, or save it anyway "
+            "with --accept"
         )
     _save(calibration, output)
     return calibration, kept
@@ -326,7 +326,7 @@ def finish(
         from lipservo.calibrating.shown_calibration import draw_coverage
 
         drawn = draw_coverage(plots, setup.model, calibration, fit)
-        MESSAGES.print(f"drawn: {drawn}")
+        MESSAGES.print(f"plots drawn: {drawn}")
     then = None
     if check_plan is not None:
         from lipservo.calibrating.plan_poses import write_check_poses

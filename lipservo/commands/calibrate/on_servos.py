@@ -70,8 +70,8 @@ def measure(
     """
     if tracker is None and sim is None:
         raise typer.BadParameter(
-            "say who sees the markers: --tracker camera, FILE or FOLDER; by eye it is `lipservo "
-            "calibrate guided`"
+            "no source of markers given; add --tracker camera, FILE or FOLDER, or use `lipservo "
+            "calibrate guided` to do it by eye"
         )
     check_files(output, keep=keep_beside(output, keep), plots=plots)
     setup = load_setup(
@@ -239,8 +239,8 @@ def lags(
         found = typed_lags(setup, before, lag_ms)
     elif not setup.settings.capabilities.place:
         raise CalibrationError(
-            f"servos on a {setup.settings.bus.kind} bus cannot say how late they are: film one, "
-            f"and type it: --lag-ms {setup.servos.names[0]}=60"
+            f"servos on a {setup.settings.bus.kind} bus cannot measure their lag: film one, and "
+            f"give the lag, such as --lag-ms {setup.servos.names[0]}=60"
         )
     else:
         with setup_at_port(setup, port, sim, config) as at:
@@ -248,7 +248,7 @@ def lags(
     # Trims may have been set while servos chirped.
     now = load_calibration(file)
     if now.origin != before.origin or now.servo_names != before.servo_names:
-        raise CalibrationError(f"{file}: was replaced while servos chirped, and stays as it is")
+        raise CalibrationError(f"{file}: was replaced meanwhile, so it stays as it is; try again")
     found = replace(now, following=found.following)
     save_calibration(found, file)
     if as_json:
@@ -300,7 +300,7 @@ def touch(
     from lipservo.terminal.keys import read_key
 
     if by_eye and tracker is not None:
-        raise typer.BadParameter("--by-eye and --tracker: give one of them")
+        raise typer.BadParameter("give --by-eye or --tracker, not both")
 
     with setup_at_port(setup, port, sim, config) as at:
         if tracker is not None:

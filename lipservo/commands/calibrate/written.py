@@ -32,7 +32,7 @@ def trim(
 
     if viseme is not None:
         if joint is None or deg is None:
-            raise typer.BadParameter("give VISEME, JOINT and DEG, or none of them")
+            raise typer.BadParameter("give all of VISEME, JOINT and DEG, or none")
         calibration = trimmed(calibration, viseme, joint, deg)
         save_calibration(calibration, file)
     for line in trim_lines(calibration):
@@ -79,7 +79,7 @@ def show(
 
         check_folder(plots, [PICTURE])
         drawn = draw_reach(plots, calibration)
-        MESSAGES.print(f"drawn: {drawn}")
+        MESSAGES.print(f"plots drawn: {drawn}")
     if as_json:
         print_json({"calibration": str(file), **shown_values(calibration, rules)})
         return

@@ -36,7 +36,7 @@ def check_phone_file(path: Path, inputs: Iterable[Path | None]) -> None:
     elif path.suffix.lower() == _JSON:
         check_output(path, replaces=_is_tiers, kind="JSON of phones", inputs=inputs)
     else:
-        raise PhoneFileError(f"{path}: unknown file type; use .TextGrid (Praat) or .json")
+        raise PhoneFileError(f"{path}: this file type is unknown; use .TextGrid (Praat) or .json")
 
 
 def write_phone_file(path: Path, tiers: Tiers) -> None:
@@ -92,8 +92,8 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
     score = goodness_of_pronunciation(samples, alignment.phones)
     if score < LEAST_SCORE:
         raise AlignmentError(
-            f"{sound}: this text is not spoken there: it scores {score:.2f}, spoken texts "
-            f"score above {LEAST_SCORE}; check the text"
+            f"{sound}: its speech is not this text (score {score:.2f}; spoken texts score above "
+            f"{LEAST_SCORE}); check the text"
         )
     if score < DOUBTFUL_SCORE:
         MESSAGES.print(
@@ -101,7 +101,7 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
             "missing or too many, or the voice is hard to hear"
         )
     if alignment.guessed:
-        MESSAGES.print(f"pronunciation guessed: {', '.join(alignment.guessed)}")
+        MESSAGES.print(f"pronunciation of these words guessed: {', '.join(alignment.guessed)}")
     phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in alignment.phones)
     if output is not None:
         write_phone_file(output, {"words": alignment.words, "phones": phones})

@@ -76,7 +76,7 @@ def render(
     from lipsync.errors import check_extra, check_inputs
 
     if text is not None and textgrid is not None:
-        raise UserError("--text and --textgrid: give one of them")
+        raise UserError("give --text or --textgrid, not both")
     how = Rendering(method, strength, model, offline, not reference_sound, expression)
     if expression is not None:
         load_settings(expression)  # refused before anything is heard

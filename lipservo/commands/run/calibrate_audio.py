@@ -76,4 +76,4 @@ def calibrate_audio(
     if path is not None:
         RESULTS.print(f"written into {path}")
         return
-    MESSAGES.print(f"not written; in a face's YAML it is\n{lines_by_hand(place, offset_ms)}")
+    MESSAGES.print(f"not written; add to the face's YAML:\n{lines_by_hand(place, offset_ms)}")

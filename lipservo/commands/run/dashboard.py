@@ -121,7 +121,7 @@ def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
     def find() -> Path:
         faces = chosen_faces(meant[0], control)
         if not faces:
-            raise UserError("no face runs; `lipservo daemon` starts one")
+            raise UserError("no face runs; start one with `lipservo daemon`")
         if len({each.name for each in faces}) > 1:
             names = ", ".join(sorted(each.name for each in faces))
             raise UserError(f"several faces run: {names}; choose one with --face")

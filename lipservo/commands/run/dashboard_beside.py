@@ -72,7 +72,7 @@ def check_page_options(
         ("--open-to-this-computer", open_to_this_computer),
     ):
         if given and not is_shown:
-            raise typer.BadParameter(f"{name} goes with --dashboard")
+            raise typer.BadParameter(f"{name} needs --dashboard")
 
 
 def _data_folder() -> Path:

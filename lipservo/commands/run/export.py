@@ -85,10 +85,10 @@ def export(
     from lipsync.output_file import check_output, written_whole
 
     if text and phonemes is not None:
-        raise UserError("--text goes without --phonemes; give one of the two")
+        raise UserError("give --text or --phonemes, not both")
     chosen = _format(output, file_format)
     if chosen != "rhubarb" and output.suffix.lower() == ".csv" and rate_hz != round(rate_hz):
-        raise UserError(f"--rate-hz {rate_hz}: a CSV counts whole frames a second; give 30 or 60")
+        raise UserError(f"--rate-hz {rate_hz}: a CSV needs whole frames per second; give 30 or 60")
     check_output(
         output,
         replaces=lambda head: head.startswith(_HEADS),
@@ -113,7 +113,7 @@ def _format(output: Path, given: Format | None) -> Format:
     ending = output.suffix.lower()
     found = given or _FORMAT_OF.get(ending)
     if found is None:
-        raise UserError(f"{output}: unknown file type; use {', '.join(_FORMAT_OF)}")
+        raise UserError(f"{output}: this file type is unknown; use {', '.join(_FORMAT_OF)}")
     if ending not in _ENDINGS[found]:
-        raise UserError(f"{output}: {found} is written as {' or '.join(_ENDINGS[found])}")
+        raise UserError(f"{output}: a {found} file must end in {' or '.join(_ENDINGS[found])}")
     return found

@@ -97,7 +97,7 @@ def film(
     if trace is not None and beside is not None:
         raise typer.BadParameter("give --trace or --beside, not both")
     if landmarks is not None and face in (_TWIN, _ROBOT, _BESIDE):
-        raise UserError(f"--landmarks: {face} needs none; give a photograph as --face")
+        raise UserError(f"--landmarks: {face} does not use them; give a photograph as --face")
     inputs = [
         Path(face),
         trace,
@@ -137,8 +137,8 @@ def _is_file(path: Path | None) -> bool:
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
-        raise typer.BadParameter(f"--size {text}: write WIDTHxHEIGHT, 640x480 for one")
+        raise typer.BadParameter(f"--size {text}: write WIDTHxHEIGHT, for example 640x480")
     found = int(width), int(height)
     if min(found) < 128 or max(found) > 1920 or any(each % 2 for each in found):
-        raise typer.BadParameter(f"--size {text}: even numbers from 128 to 1920")
+        raise typer.BadParameter(f"--size {text}: sides must be even, 128 to 1920 pixels")
     return found

@@ -66,7 +66,7 @@ def _print(name: str, history: History) -> None:
     for line in history.bad_files:
         MESSAGES.print(line)
     if history.n_bad_lines:
-        MESSAGES.print(f"{name}: {history.n_bad_lines} unreadable lines were left out")
+        MESSAGES.print(f"{name}: {history.n_bad_lines} unreadable lines of the log were left out")
     if not history.n_readings:
         return
     every = [day.day for days in history.servos.values() for day in days]

@@ -32,10 +32,10 @@ def status_of_kiosks(on: Path, *, as_json: bool) -> None:
 
     def report_of(name: str, answer: dict[str, Any]) -> _Report:
         if "version" in answer and not answer.get("face_answers"):
-            raise KioskError(f"its dashboard answers, its face does not: {answer.get('trouble')}")
+            raise KioskError(f"its dashboard answers, but not its face: {answer.get('trouble')}")
         if not isinstance(answer.get("state"), str):
             there = answer.get("version", "an unknown version")
-            raise KioskError(f"answers as no face of this version: it runs {there}, here is {here}")
+            raise KioskError(f"runs lipservo {there}, here is {here}; install one version on both")
         line = f"{name}  {answer.get('port') or 'simulated servos'}  {state_words(answer)}"
         there = answer.get("version", "an older one")
         if there != here:

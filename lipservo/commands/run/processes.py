@@ -75,6 +75,6 @@ def _failed_servos(given: Sequence[str]) -> list[tuple[int, str]]:
     for each in given:
         index, mark, reason = each.partition("=")
         if not mark or not index.isdigit():
-            raise UserError(f"--failed {each}: give INDEX=REASON")
+            raise UserError(f"--failed {each}: write INDEX=REASON")
         found.append((int(index), reason))
     return found

@@ -265,9 +265,9 @@ def _sound(
     if wav is not None and mic is not None:
         raise typer.BadParameter("give --wav or --mic, not both")
     if labels is not None and wav is None:
-        raise typer.BadParameter("--phonemes goes with --wav")
+        raise typer.BadParameter("--phonemes needs --wav")
     if text and wav is None:
-        raise typer.BadParameter("--text goes with --wav")
+        raise typer.BadParameter("--text needs --wav")
     if mic is not None:
         return Sound("microphone", mic)
     if wav is None:
@@ -309,8 +309,8 @@ def finish(request: RunRequest, outcome: RunOutcome) -> None:
     heard, is_heard = outcome.summary, request.sound.kind in ("file", "microphone")
     if is_heard and heard.phonemes == 0 and heard.duration_s > 1.0:
         MESSAGES.print(
-            f"{heard.source}: no speech in {heard.duration_s:.0f} s; the mouth stayed at rest: "
-            "check file, --channel and level"
+            f"{heard.source}: no speech was found in {heard.duration_s:.0f} s, so the mouth stayed "
+            "at rest; check the file, --channel and level"
         )
     exit_code = exit_status(outcome.report, outcome.signal_number)
     if not outcome.report.complete and request.quiet:

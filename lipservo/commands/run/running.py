@@ -49,7 +49,7 @@ def ask_faces(
     """
     faces = chosen_faces(face, control)
     if not faces:
-        raise UserError("no face answers; is a face running?")
+        raise UserError("no face answers; start one with `lipservo daemon`")
     answers = [{"name": each.name, **_answered(each, ask_one)} for each in faces]
     if as_json:
         print_json({"faces": answers})

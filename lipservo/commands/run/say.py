@@ -110,7 +110,7 @@ def say(
     if labels is not None and text is None and through is None:
         sound = replace(_text_in(labels), channel=channel)
     elif from_file is not None or text is None:
-        raise typer.BadParameter("give either a text or --from FILE; --through takes a text")
+        raise typer.BadParameter("give a text or --from FILE, not both; --through needs a text")
     elif through is not None:
         given = {"language": language, "voice": voice, "rate_wpm": rate_wpm, "pitch": pitch}
         how = {name: value for name, value in given.items() if value is not None}

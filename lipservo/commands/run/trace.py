@@ -109,8 +109,8 @@ def _models(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
             )
         if found.n_components != trace.coefficients.shape[1]:
             raise IncomparableError(
-                f"{trace.name} holds {trace.coefficients.shape[1]} coefficients a tick, its model "
-                f"has {found.n_components}"
+                f"{trace.name} has {trace.coefficients.shape[1]} coefficients per tick, but its "
+                f"model {found.n_components}"
             )
     return [known[trace.model] for trace in traces]
 

@@ -27,7 +27,7 @@ def daemons_voice(
     """
     if listen == "none":
         if agents != VoiceOptions():
-            raise typer.BadParameter("--listen none: options of agents need a listener")
+            raise typer.BadParameter("--listen none takes no options of agents; leave them out")
         return voice
     return replace(agents, output=None if voice is None else voice.output)
 
@@ -68,7 +68,7 @@ def spoken_text(typed: str) -> str:
             text = file.read(LONGEST_TEXT + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8"
-        raise UserError(f"{path}: cannot be read as a text ({reason}); name a file") from None
+        raise UserError(f"{path}: cannot be read as text ({reason}); check the file") from None
     if len(text) > LONGEST_TEXT:
         raise UserError(f"{path}: longer than {LONGEST_TEXT} characters; give a shorter text")
     return text

@@ -76,7 +76,7 @@ class FirstHour:
         if not path.exists():
             check_face_file(path)
         elif load_settings(str(path))[0].buses:
-            raise UserError(f"{path}: has several buses; each is set up in a terminal")
+            raise UserError(f"{path}: has several buses; set up each in a terminal")
         self.path = path
         self._token_file = token_file
         self._lock = threading.RLock()
@@ -147,7 +147,7 @@ class FirstHour:
         if path is not None:
             return path
         if step is not None and step.runs:
-            raise UserError(f"'{step.step.replace('_', ' ')}' cannot be stopped yet")
+            raise UserError(f"'{step.step.replace('_', ' ')}' starts; stop it in a moment")
         raise self._nothing_driven()
 
     def let_go(self) -> NothingDrivenError:
@@ -181,7 +181,7 @@ class FirstHour:
             except BusError as error:
                 raise FaceError("refused", str(error)) from error
             if port is None and not chosen.board_key:
-                raise FaceError("refused", "which port? Servos there are found by their answers")
+                raise FaceError("refused", "no port is chosen; choose the servos' port")
             self._port, self._kind = port, chosen.name
             self._found, self._named, self._wired = None, {}, []
         if not chosen.board_key:
@@ -203,7 +203,7 @@ class FirstHour:
             else:
                 settings, trouble = self._settings()
                 if settings is None:
-                    raise FaceError("not_available", trouble or "name the servos first")
+                    raise FaceError("not_available", trouble or "no face yet; name its servos")
                 request |= {
                     "config": str(self.path),
                     "port": self._port or settings.servo_port,
@@ -220,7 +220,7 @@ class FirstHour:
         """Send an order, the fields of an `OrderBody`, to the step that runs. Raises FaceError."""
         step = self._step
         if step is None or not step.runs:
-            raise FaceError("not_available", "nothing runs that could take it; begin the step")
+            raise FaceError("not_available", "no step runs that could take this; start the step")
         step.order(order)
 
     def end(self) -> None:
@@ -237,7 +237,7 @@ class FirstHour:
             model = self._model_of(servo_id)
             taken = [each.name for key, each in self._named.items() if key != servo_id]
             if not positive.strip():
-                raise UserError("say what a positive angle should do, opens for one")
+                raise UserError("no direction given; say what a positive angle does, such as opens")
             checked, sign = check_joint_name(name, taken), 1 if same else -1
             joint = FoundJoint(checked, servo_id, model, positive.strip(), sign, part=part)
             parse_face(self._yaml([joint]), self.path.name)
@@ -261,14 +261,14 @@ class FirstHour:
             kind = bus_kind(self._kind or "")
             if kind.board_key:
                 if not self._wired:
-                    raise UserError("which servos: say what is on which channel first")
+                    raise UserError("no servos given; say which joint is on which channel")
                 which = board or kind.usual_board
                 text = pulse_face_yaml(self.path.stem, kind, self._port, which, self._wired)
                 check_wiring(text, self.path.name)
             else:
                 missing = [each for each in self._known()["servos"] if int(each) not in self._named]
                 if missing:
-                    raise UserError(f"id {missing[0]} has no name yet")
+                    raise UserError(f"servo id {missing[0]} has no name; give it one")
                 text = self._yaml([self._named[key] for key in sorted(self._named)])
                 parse_face(text, self.path.name)
             write_whole(self.path, text)
@@ -283,7 +283,7 @@ class FirstHour:
             turned = {} if step is None or step.step != "limits" else step.events.get("turned", {})
             deg = turned.get("deg", {}).get(servo)
             if step is None or not step.runs or deg is None:
-                raise FaceError("not_available", f"{servo} does not say where it stands now")
+                raise FaceError("not_available", f"servo {servo} has not told its angle; try again")
             if (why := turned["obstacles"].get(servo)) is not None:
                 raise FaceError("not_available", f"{servo} {why}")
             self._ends.setdefault(servo, {})[end] = deg
@@ -301,10 +301,10 @@ class FirstHour:
             self._check_idle()
             settings, trouble = self._settings()
             if settings is None:
-                raise FaceError("not_available", trouble or "name the servos first")
+                raise FaceError("not_available", trouble or "no face yet; name its servos")
             whole = {name: each for name, each in self._ends.items() if {"min", "max"} <= set(each)}
             if not whole:
-                raise FaceError("refused", "set min and max of a joint first")
+                raise FaceError("refused", "no joint has both ends; set min and max of one first")
             with _refusals():
                 found = {name: _limits_of(name, ends, settings) for name, ends in whole.items()}
                 with_ranges(self.path, found).write()
@@ -318,7 +318,7 @@ class FirstHour:
         """Rotate a simulated limp servo, as a hand would, by degrees of its joint."""
         settings, _ = self._settings()
         if self._simulated is None or settings is None or servo not in settings.servos:
-            raise FaceError("refused", "only simulated servos have a simulated hand")
+            raise FaceError("refused", "only simulated servos can be turned here")
         sign = settings.servos[servo].sign
         self._simulated.turn(list(settings.servos).index(servo), sign * by_deg)
 
@@ -396,13 +396,13 @@ class FirstHour:
 
     def _known(self) -> JsonObject:
         if self._found is None:
-            raise FaceError("not_available", "no servos were found yet")
+            raise FaceError("not_available", "no servos are found yet; find them first")
         return self._found
 
     def _model_of(self, servo_id: int) -> str:
         models = self._known()["servos"]
         if str(servo_id) not in models:
-            raise FaceError("not_found", f"no servo {servo_id}; there are: {', '.join(models)}")
+            raise FaceError("not_found", f"no servo has id {servo_id}; found: {', '.join(models)}")
         return str(models[str(servo_id)])
 
     def _wiring_of(self, kind: str) -> str | None:
@@ -418,12 +418,12 @@ class FirstHour:
 
     def _check_port(self) -> None:
         if self._port is None:
-            raise FaceError("refused", "which port? Servos there are found by their answers")
+            raise FaceError("refused", "no port is chosen; choose the servos' port")
 
     def _check_idle(self) -> None:
         if self._step is not None and self._step.runs:
             shown = self._step.step.replace("_", " ")
-            raise FaceError("not_available", f"'{shown}' runs on the servos; end it first")
+            raise FaceError("not_available", f"step '{shown}' uses the servos; end it first")
 
     def _wanted(self, step: str) -> Callable[[], bool]:
         def is_wanted() -> bool:

@@ -221,7 +221,7 @@ def add_error_answers(app: FastAPI) -> None:
     async def of_body(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
         if error.errors()[0]["type"] == "json_invalid":
-            return _answer(400, "the body is no JSON")
+            return _answer(400, "the body is not JSON")
         return _answer(422, first_error(error.errors()))
 
     async def of_http(_request: Request, error: Exception) -> JSONResponse:

@@ -117,7 +117,7 @@ def face_routes(link: FaceLink) -> APIRouter:
         if body.action != "move":
             return dict(await (link.jog_arm() if body.action == "arm" else link.jog_end()))
         if body.servo is None or (body.deg is None) == (body.pulse_us is None):
-            raise FaceError("refused", "move needs servo, and either deg or pulse_us")
+            raise FaceError("refused", "move needs servo, and either deg or pulse_us, not both")
         _check_known(link, body.servo)
         if body.pulse_us is not None:
             return dict(await link.jog_pulse(body.servo, body.pulse_us))
@@ -164,7 +164,7 @@ def _check_known(link: FaceLink, name: str) -> None:
     """Raise FaceError for a servo that the face lacks; pass while the face's servos are unknown."""
     known = list((link.status or {}).get("servos") or link.layout.servos)
     if known and name not in known:
-        raise FaceError("not_found", f"no servo of that name; there are: {', '.join(known)}")
+        raise FaceError("not_found", f"no servo has that name; use one of {', '.join(known)}")
 
 
 def file_routes(link: FaceLink) -> APIRouter:
@@ -224,7 +224,7 @@ def file_routes(link: FaceLink) -> APIRouter:
         """Store the body, a sound file as it is, under a name; at most 50 MB."""
         declared = request.headers.get("content-length", "")
         if declared.isdigit() and int(declared) > MOST_BYTES:
-            raise HTTPException(413, f"more than {MOST_BYTES // 10**6} MB")
+            raise HTTPException(413, f"the file has over {MOST_BYTES // 10**6} MB")
         place = lines().place_of(name)
         try:
             return await uploads.store(place, request.stream(), replace=replace)

@@ -86,7 +86,7 @@ def photo_routes(app: FastAPI, face: FaceModel) -> None:
     def of_points(given: PhotoPoints) -> Response:
         try:
             if not all(64 <= each <= _LONGEST_SIDE_PX for each in given.size):
-                raise UserError(f"64 to {_LONGEST_SIDE_PX} pixels each way")
+                raise UserError(f"width and height must be 64 to {_LONGEST_SIDE_PX} pixels")
             return warp(landmarks_of(given.points_px), given.size)
         except UserError as error:
             return JSONResponse({"error": str(error)}, 422)

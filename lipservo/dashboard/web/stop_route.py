@@ -177,7 +177,7 @@ async def _parsed(receive: Receive) -> StopBody | Refusal:
     try:
         json.loads(body)
     except (ValueError, RecursionError):
-        return Refusal(HTTPStatus.BAD_REQUEST, "the body is no JSON")
+        return Refusal(HTTPStatus.BAD_REQUEST, "the body is not JSON")
     try:
         return StopBody.model_validate_json(body)
     except ValidationError as error:

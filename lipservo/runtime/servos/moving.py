@@ -49,11 +49,11 @@ def move_to(
     names = [joint.name for joint in joints]
     for name, angle_deg in (wanted_deg or {}).items():
         if name not in names:
-            raise UserError(f"no joint {name!r} in this face; it has {', '.join(names)}")
+            raise UserError(f"this face has no joint {name!r}; it has {', '.join(names)}")
         joint = joints[names.index(name)]
         if not joint.min_deg <= angle_deg <= joint.max_deg:
             raise UserError(
-                f"{name}: {angle_deg:g} deg is outside {joint.min_deg:g}..{joint.max_deg:g}"
+                f"{name}: {angle_deg:g} deg is outside {joint.min_deg:g}..{joint.max_deg:g} deg"
             )
     can, clock = settings.capabilities, MonotonicClock()
     has_place = [can.of(index).place for index in range(len(joints))]

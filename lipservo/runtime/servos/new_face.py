@@ -122,8 +122,8 @@ class FoundJoint:
         """
         if recorded.most_tick >= model.n_positions:
             raise UserError(
-                f"{self.name} (id {self.servo_id}): range_max {recorded.most_tick}, and an "
-                f"{model.name} has positions 0 to {model.n_positions - 1}; is that its model?"
+                f"{self.name} (id {self.servo_id}): range_max {recorded.most_tick} is beyond an "
+                f"{model.name}'s positions, 0 to {model.n_positions - 1}; is that its model?"
             )
         # A homed servo shows its place plus the homing offset, and so it was recorded.
         least, most = (
@@ -132,8 +132,8 @@ class FoundJoint:
         )
         if not least <= neutral_tick <= most:
             raise UserError(
-                f"{self.name} (id {self.servo_id}) stands at {neutral_tick}, outside its recorded "
-                f"range {least}..{most}; put the face into its neutral"
+                f"{self.name} (id {self.servo_id}) is at position {neutral_tick}, outside its "
+                f"recorded range {least}..{most}; move the face to its neutral"
             )
         ends_deg = sorted(
             round(self.sign * (tick - neutral_tick) / model.pulses_per_deg, 2)
@@ -188,7 +188,7 @@ def _nudge_ramps(start_s: float) -> tuple[Ramp, Ramp]:
 def check_face_file(path: Path) -> None:
     """Raise UserError unless `path` is a .yaml or .yml file that can be newly written."""
     if path.suffix not in (".yaml", ".yml"):
-        raise UserError(f"{path}: call the face {path.stem or 'my_face'}.yaml")
+        raise UserError(f"{path}: name the face like {path.stem or 'my_face'}.yaml")
     check_output(path)
 
 
@@ -197,10 +197,10 @@ def check_joint_name(name: str, taken: Sequence[str]) -> str:
     name = name.strip()
     if not re.match(JOINT_NAME, name):
         raise UserError(
-            f"{shown(name)} is no name of a joint; use small letters, digits and _, as in upper_lip"
+            f"{shown(name)} is not a joint's name; use small letters, digits and _, as in upper_lip"
         )
     if name in taken:
-        raise UserError(f"{name} is another servo of this face already; choose another name")
+        raise UserError(f"joint {name} exists already; choose another name")
     return name
 
 
@@ -253,12 +253,12 @@ def parse_channel(
     number, _, positive = wiring.partition(":")
     name = check_joint_name(name, [*elsewhere, *(each.name for each in taken)])
     if not number.strip().isdecimal() or len(number) > _MOST_DIGITS:
-        raise UserError(f"{shown(text)}: needs NAME=CHANNEL:WORD, jaw=0:opens for one")
+        raise UserError(f"{shown(text)}: write NAME=CHANNEL:WORD, such as jaw=0:opens")
     if not positive.strip():
-        raise UserError(f"{shown(text)}: say what a longer pulse does: {name}={number}:opens")
+        raise UserError(f"{shown(text)}: add what a longer pulse does: {name}={number}:opens")
     channel = int(number)
     if other := next((each.name for each in taken if each.channel == channel), ""):
-        raise UserError(f"{name}: channel {channel} is that of {other}; every servo has its own")
+        raise UserError(f"{name}: channel {channel} belongs to {other}; every servo has its own")
     return WiredJoint(name, channel, positive.strip())
 
 
@@ -271,7 +271,7 @@ def pulse_face_yaml(
     that is no word or number; whether it exists is not checked.
     """
     if not re.fullmatch(_BOARD, board):
-        raise UserError(f"--board {shown(board)} is no {kind.board_key} of a {kind.name}")
+        raise UserError(f"--board {shown(board)} is not the {kind.board_key} of a {kind.name}")
     where = "# port: ..." if port is None else f"port: {_quoted(port)}"
     head = _PULSE_HEAD.format(
         name=_quoted(name.encode(errors="replace").decode()),
@@ -345,8 +345,8 @@ def parts_of(
         for option, given in (("--bus", buses), ("--port", ports), ("--board", boards)):
             if len(given) > 1:
                 raise UserError(
-                    f"{option} is given {len(given)} times; a face with several buses names each: "
-                    "--bus lips=maestro --bus neck=dynamixel"
+                    f"{option} is given {len(given)} times; for several buses, name each: --bus "
+                    "lips=maestro --bus neck=dynamixel"
                 )
         if not buses and not ports:
             return {}
@@ -354,7 +354,7 @@ def parts_of(
         kind = bus_kind(buses[0]) if buses else kind_at(port or "")
         for option, is_given in (("--board", board), ("--channel", channels)):
             if is_given and not kind.board_key:
-                raise UserError(f"{option} is not of a {kind.name} bus")
+                raise UserError(f"{option} is not for a {kind.name} bus; leave it out")
         return {"": NewBus(kind, port, board, tuple(channels))}
     kinds = {name: bus_kind(kind) for name, kind in _by_bus("--bus", buses, None).items()}
     hobby = [name for name, kind in kinds.items() if kind.board_key]
@@ -366,7 +366,7 @@ def parts_of(
             name = hobby[0]
         if name not in wired:
             raise UserError(
-                f"--channel {shown(each)}: say on which bus: {(hobby or ['lips'])[0]}/{wiring}; "
+                f"--channel {shown(each)}: add its bus, as {(hobby or ['lips'])[0]}/{wiring}; "
                 f"buses of hobby servos: {', '.join(hobby) or 'none'}"
             )
         wired[name].append(wiring)
@@ -381,13 +381,13 @@ def _by_bus(option: str, given: Sequence[str], known: Sequence[str] | None) -> d
     for each in given:
         name, is_named, value = each.partition("=")
         if not is_named or not value or not re.match(BUS_NAME, name):
-            raise UserError(f"{option} {shown(each)}: needs NAME=..., as in {option} lips=...")
+            raise UserError(f"{option} {shown(each)}: write NAME=..., as in {option} lips=...")
         if known is not None and name not in known:
             raise UserError(
-                f"{option} {shown(each)}: buses that have one: {', '.join(known) or 'none'}"
+                f"{option} {shown(each)}: unknown bus; use one of {', '.join(known) or 'none'}"
             )
         if name in found:
-            raise UserError(f"{option}: {name} is given twice")
+            raise UserError(f"{option}: {name} is given twice; give it once")
         found[name] = value
     return found
 

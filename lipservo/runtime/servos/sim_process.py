@@ -72,7 +72,7 @@ def servo_port(port: str | None, sim: str | None, config: str) -> Iterator[str |
         yield port
         return
     if sim != "pty" or port is not None:
-        raise UserError("--sim knows `pty` only, and goes without --port")
+        raise UserError("--sim only accepts `pty`, and not together with --port")
     buses = load_settings(config)[0].buses
     if not buses:
         with simulated_port(["--config", config]) as made:

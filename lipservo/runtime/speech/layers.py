@@ -58,7 +58,7 @@ class ServoLayers:
         """Return the numbers of the servos `names`. Raises ValueError for an unknown name."""
         for name in names:
             if name not in self.servo_names:
-                raise ValueError(f"no servo {name!r} in this face: {', '.join(self.servo_names)}")
+                raise ValueError(f"no servo {name!r}; this face has {', '.join(self.servo_names)}")
         return np.array([self.servo_names.index(name) for name in names], dtype=np.intp)
 
     @property

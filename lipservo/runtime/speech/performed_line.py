@@ -97,8 +97,8 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
     sound_s = checked.duration_s
     if abs(performance.duration_s - sound_s) > _MOST_APART_S:
         raise PerformanceError(
-            f"{path}: damaged: faces for {performance.duration_s:.2f} s, sound for {sound_s:.2f} "
-            "s; render it again with `lipservo lines render`"
+            f"{path}: damaged: its faces last {performance.duration_s:.2f} s, its sound "
+            f"{sound_s:.2f} s; render it again with `lipservo lines render`"
         )
     return _line(performance, path.name, sounds, sound_s, checked.sample_rate_hz)
 

@@ -147,7 +147,7 @@ class LiveBoard:
         length, checksum = _ABOUT_HEAD.unpack_from(self._memory, 0)
         text = self._memory[_ABOUT_HEAD.size : _ABOUT_HEAD.size + length]
         if not length or zlib.crc32(text) != checksum:
-            raise ValueError("no live board")
+            raise ValueError("this shared memory is not a live board")
         self.layout = _layout(json.loads(text))
         self._servos = _Ring(self._memory, _ABOUT_BYTES, self.layout.servo_type())
         after = _ABOUT_BYTES + self._servos.size

@@ -96,7 +96,9 @@ def test_dots_that_merge_are_told_apart_and_told(folder):
 
 def test_pictures_of_different_size_are_refused(folder):
     rendered(folder / "pose_3.png", [(100, 100, 11, 1.0)], size=(320, 240))
-    with pytest.raises(CalibrationError, match=r"pose_3\.png is 240 x 320 pixels, pose_1\.png 320"):
+    with pytest.raises(
+        CalibrationError, match=r"pose_3\.png has 240 x 320 pixels, but pose_1\.png 320"
+    ):
         DotsFolder(folder).readings()
 
 
@@ -122,12 +124,12 @@ def test_a_picture_without_dots_is_told_and_its_pose_lost(folder):
 @pytest.mark.parametrize("name", ["pose_4.heic", "pose_4.HEIF", "pose_4.dng"])
 def test_a_kind_of_picture_that_nobody_reads_is_named(folder, name):
     (folder / name).write_bytes(b"")
-    with pytest.raises(CalibrationError, match=r"is not read; save it as \.jpg or \.png"):
+    with pytest.raises(CalibrationError, match=r"files are not read; save it as \.jpg or \.png"):
         DotsFolder(folder).readings()
 
 
 def test_a_folder_without_pictures_says_what_is_expected(folder):
     for picture in folder.glob("*.png"):
         picture.unlink()
-    with pytest.raises(CalibrationError, match=r"no picture in it; expected pose_1\.png"):
+    with pytest.raises(CalibrationError, match=r"no picture in this folder; expected pose_1\.png"):
         DotsFolder(folder).readings()

@@ -77,8 +77,8 @@ def test_angles_and_forces_beside_the_points_are_no_markers(tmp_path, kind):
 @pytest.mark.parametrize(
     ("labels", "unit", "told"),
     [
-        (("lip", "lip"), "mm", "1 labels are those of several points, as 'lip'; give each"),
-        (("a", "b"), "", r"unit '' \(POINT:UNITS\), expected mm, cm, m; export it with its unit"),
+        (("lip", "lip"), "mm", "several points share a label: 'lip'"),
+        (("a", "b"), "", r"unit '' \(POINT:UNITS\) is not known; export it again"),
         (("a", "b"), "inch", "unit 'inch'"),
     ],
 )
@@ -105,7 +105,7 @@ def test_a_folder_of_c3d_files_becomes_a_capture(tmp_path):
 
 @pytest.mark.parametrize("axes", ["x y", "x y y", "left up forward"])
 def test_axes_that_make_no_space_are_refused(tmp_path, axes):
-    with pytest.raises(CalibrationError, match="expected three different ones"):
+    with pytest.raises(CalibrationError, match="must be three different ones"):
         read_c3d_folder(tmp_path, axes)
 
 
@@ -113,7 +113,7 @@ def test_an_empty_folder_and_a_file_without_a_number_are_named(tmp_path):
     with pytest.raises(CalibrationError, match=r"no \.c3d file"):
         read_c3d_folder(tmp_path)
     (tmp_path / "face.c3d").write_bytes(b"")
-    with pytest.raises(CalibrationError, match="no pose number in the name"):
+    with pytest.raises(CalibrationError, match="its name has no pose number"):
         read_c3d_folder(tmp_path)
 
 

@@ -80,7 +80,7 @@ def test_a_tracker_that_stalls_is_waited_for_no_longer_than_a_person_needs(tmp_p
     wire = Wire(path)
     tracker = FileTracker(path, SERVOS, wire.wait, wire.said.append)
     tracker.arrived(0, np.zeros(2))
-    with pytest.raises(CalibrationError, match=r"nothing was recorded of pose 1 in 300 s; is the"):
+    with pytest.raises(CalibrationError, match=r"no pose 1 was recorded in 300 s; is the"):
         tracker.measure()
     assert wire.now_s == pytest.approx(PATIENCE_S, abs=1.0)
 
@@ -100,8 +100,16 @@ def test_a_pose_recorded_just_before_a_capture_was_killed_is_read_and_not_asked_
 @pytest.mark.parametrize(
     ("rows", "kept_mm", "said"),
     [
-        ("1,a,4,5,6\n2,a,7,8,9\n3,a,7,8,9\n", None, "pose 1 is there already: of another capture"),
-        ("1,a,4,5,6\n", 4.2, "pose 1 is not as it was captured: of another capture"),
+        (
+            "1,a,4,5,6\n2,a,7,8,9\n3,a,7,8,9\n",
+            None,
+            "it already has pose 1, so it is of another capture",
+        ),
+        (
+            "1,a,4,5,6\n",
+            4.2,
+            "its pose 1 differs from the captured one, so it is of another capture",
+        ),
     ],
 )
 def test_a_file_of_another_capture_is_refused_before_it_is_used(tmp_path, rows, kept_mm, said):

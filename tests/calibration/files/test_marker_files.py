@@ -75,11 +75,11 @@ def test_of_several_readings_the_median_counts_and_empty_ones_are_lost(plan_path
         ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1.5,a,1,2,3\n", "pose '1.5' is not a whole"),
         ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n99,a,1,2,3\n", r"pose 99 is not in .*plan\.csv"),
         ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1,a,inf,2,3\n", "'inf' is not a number"),
-        ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n", r"m\.csv: holds no readings"),
+        ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n", r"m\.csv: has no readings"),
         ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1,a,1,5,2,3\n", "line 2: has more values than"),
         ("m.csv", f"pose,marker,x_mm,y_mm,z_mm\n1,{'a' * 200_000},1,2,3\n", "readable as CSV"),
         ("m.json", "{", "not readable as JSON"),
-        ("m.json", "{}", "should be a list of readings"),
+        ("m.json", "{}", "must be a list of readings"),
         ("m.json", '[{"pose": 1}]', "reading 1: 'marker' is missing"),
     ],
 )
@@ -173,7 +173,7 @@ def test_small_models_are_enough_for_a_plan_and_the_simulated_robot():
 def test_a_number_that_is_no_place_is_refused_with_its_line(tmp_path, value):
     path = tmp_path / "m.csv"
     path.write_text(f"pose,marker,x_mm,y_mm,z_mm\n1,a,1,2,3\n1,b,1,{value},3\n")
-    with pytest.raises(CalibrationError, match=r"line 3: y_mm is .*are these millimetres\?"):
+    with pytest.raises(CalibrationError, match=r"line 3: y_mm is .*give it in millimetres"):
         read_readings(path)
 
 

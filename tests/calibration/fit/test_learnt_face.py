@@ -290,5 +290,5 @@ def test_a_joint_range_needs_zero_inside_finite_limits(limits):
 
 
 def test_fitting_an_unknown_servo_is_one_clear_line(model):
-    with pytest.raises(CalibrationError, match="servo 'tail' has no place in the simulated face"):
+    with pytest.raises(CalibrationError, match="servo 'tail' is not in the simulated face"):
         fit_calibration(model, [JointRange("tail", -1.0, 1.0)], FACE)

@@ -112,11 +112,13 @@ def test_ranges_in_ticks_become_degrees_of_the_servo_that_recorded_them(tmp_path
 def test_limits_within_what_was_recorded_pass_and_wider_ones_are_named(tmp_path):
     ranges = read_ranges(write(tmp_path, RANGES))
     check_within_recorded(ranges, {"jaw": (-2.0, 20.0), "lip": (-80.0, 80.0)}, FINE)
-    with pytest.raises(CalibrationError, match="'jaw': its limits span 32 deg, its recorded ran"):
+    with pytest.raises(
+        CalibrationError, match="'jaw': its limits span 32 deg, but its recorded ran"
+    ):
         check_within_recorded(ranges, {"jaw": (-2.0, 30.0)}, FINE)
     with pytest.raises(CalibrationError, match="servo 'neck' is not in the range file"):
         check_within_recorded(ranges, {"neck": (-1.0, 1.0)}, FINE)
-    with pytest.raises(CalibrationError, match="servo 'jaw' has no ticks"):
+    with pytest.raises(CalibrationError, match="servo 'jaw' reports no position"):
         check_within_recorded(ranges, {"jaw": (-2.0, 20.0)}, {"jaw": None})
 
 
@@ -125,9 +127,9 @@ def test_limits_within_what_was_recorded_pass_and_wider_ones_are_named(tmp_path)
     [
         ("{", "not readable as JSON"),
         ("[]", "one entry for each joint"),
-        ({"jaw": 3}, "jaw: should hold id, drive_mode"),
+        ({"jaw": 3}, "jaw: must have the keys id, drive_mode"),
         ({"jaw": RANGES["jaw"] | {"range_max": "x"}}, r"jaw\.range_max is 'x', expected a whole"),
-        ({"jaw": RANGES["jaw"] | {"id": 300}}, r"jaw\.id is 300; servos have 0 to 253"),
+        ({"jaw": RANGES["jaw"] | {"id": 300}}, r"jaw\.id is 300; ids are 0 to 253"),
         ({"jaw": RANGES["jaw"] | {"range_min": 2332}}, "needs 0 <= range_min < range_max"),
     ],
 )

@@ -51,7 +51,7 @@ def test_a_joint_of_which_nobody_says_what_it_moves_is_named():
 
 
 def test_what_cannot_be_is_refused_in_a_line():
-    with pytest.raises(CalibrationError, match=r"servo 'kiefer' has no place .* --family elastic"):
+    with pytest.raises(CalibrationError, match=r"servo 'kiefer' is not in .* --family elastic"):
         practice_robot(REST_MM, FOREIGN, 3, RobotFamily.OWN)
     for make in (
         lambda: practice_robot(REST_MM, servos(), 0),

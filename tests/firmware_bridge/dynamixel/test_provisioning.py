@@ -83,7 +83,7 @@ def test_a_servo_that_refuses_is_named_with_register_and_value():
     _, line = fresh_servo()
     model = servo_models()["XL330-M288"]
 
-    with pytest.raises(ServoError, match=r"id 1 refuses max_position_limit = 9999 \(error 4\)"):
+    with pytest.raises(ServoError, match=r"id 1 rejects max_position_limit = 9999 \(error 4\)"):
         list(set_up(line, 1, model, [Difference("max_position_limit", 4095, 9999)]))
 
 

@@ -67,7 +67,7 @@ def test_a_servo_that_stays_locked_is_refused_before_anything_is_written():
     chain.advance(0.01)
     plan = plan_alone(line, SERVO, find_servos(line, [2], RATE), RATE)
 
-    with pytest.raises(ServoError, match="keeps its EEPROM locked: nothing that is written"):
+    with pytest.raises(ServoError, match="keeps its EEPROM locked, so no setting would last"):
         list(set_up(line, 1, SERVO.model, plan.changes))
     assert chain.servos[0]["id"] == 1
 
@@ -96,7 +96,7 @@ def test_more_than_one_or_none_or_another_model_is_refused():
     _, line = fresh(ids=(1, 5))
     with pytest.raises(ServoError, match=r"2 servos answer \(ids \[1, 5\]\); connect one at a"):
         plan_alone(line, SERVO, find_servos(line, [2], RATE), RATE)
-    with pytest.raises(ServoError, match="no servo answers at any rate"):
+    with pytest.raises(ServoError, match="no servo answers at any baud rate"):
         plan_alone(line, SERVO, {}, RATE)
     _, line = fresh(model="SCS0009")
     with pytest.raises(ServoError, match="is SCS0009, the YAML says STS3215"):

@@ -121,7 +121,7 @@ def test_hits_are_counted_by_kind_and_joint():
 
 @pytest.mark.parametrize("start_deg", [np.array([math.nan]), np.array([0.0, 0.0])])
 def test_the_gate_does_not_start_from_positions_that_are_invalid(start_deg):
-    with pytest.raises(ValueError, match="one finite angle a joint"):
+    with pytest.raises(ValueError, match="one finite angle for each joint"):
         Limiter([JAW], PERIOD_S).start_from(start_deg, 0.0)
 
 

@@ -83,5 +83,5 @@ def test_a_rule_broken_by_hand_may_be_left_but_not_entered_further():
 
 
 def test_a_rule_must_allow_neutral():
-    with pytest.raises(ValueError, match="does not fit"):
+    with pytest.raises(ValueError, match="must allow neutral"):
         Prevention([PreventRule((1.0, 0.0), -1.0, "?")], 2)

@@ -120,7 +120,7 @@ def test_a_bridge_that_hangs_has_its_pulses_ended(bridge, pin):
 @pytest.mark.usefixtures("bridge")
 def test_a_pin_has_one_guard(tmp_path, monkeypatch):
     monkeypatch.setattr(oe_guard, "_TAKE_OVER_S", 0.2)
-    with pytest.raises(PortError, match=r"oe_gpio 17 of .* the guard of a face that runs"):
+    with pytest.raises(PortError, match=r"oe_gpio 17 of .* a running face's guard"):
         OeGuard(str(tmp_path / "oe"), 17, MonotonicClock()).start()
 
 

@@ -323,12 +323,12 @@ def test_what_is_missing_is_said_with_its_remedy(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("right", "wrong", "error"),
     [
-        ("kind: pca9685", "kind: pca9685\n  address: 0x70", "0x70 is no address of a PCA9685"),
+        ("kind: pca9685", "kind: pca9685\n  address: 0x70", "PCA9685 address 0x70 is not"),
         ("kind: pca9685", "kind: pca9685\n  oe_gpio: -1", "-1 is outside 0..1023"),
         ("frequency_hz: 200.0", "frequency_hz: 400.0", "400 is outside 50..330"),
         ("channel: 3", "channel: 16", "channel 16 is outside 0..15"),
         ("channel: 3", "channel: 2", "both have channel 2; every servo needs its own"),
-        ("us_per_deg: 10.0", "us_per_deg: 60.0", "outside min_us..max_us, 1000..2000"),
+        ("us_per_deg: 10.0", "us_per_deg: 60.0", "outside min_us..max_us (1000..2000 us)"),
     ],
 )
 def test_what_no_board_can_do_is_refused_in_words(right, wrong, error):
@@ -406,5 +406,5 @@ def test_smbus2_is_handed_the_messages_that_the_chip_takes(tmp_path, monkeypatch
         opened.close()
     assert set(asked) == {(0x0702, 5)}
     Bus.funcs = 0
-    with pytest.raises(PortError, match="speaks SMBus only"):
+    with pytest.raises(PortError, match="only speaks SMBus"):
         open_chip(str(path), 0x40)

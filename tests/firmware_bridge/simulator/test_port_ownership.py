@@ -212,7 +212,7 @@ def others(tmp_path):
 def test_a_link_never_replaces_what_it_did_not_make(others, name):
     before = sorted(os.listdir(others))
 
-    with pytest.raises(UserError, match="something is there already, which is left alone"):
+    with pytest.raises(UserError, match="does not replace what is there"):
         sim_bus(link=others / name)
 
     assert (others / "file").read_text() == "mine"
@@ -222,10 +222,10 @@ def test_a_link_never_replaces_what_it_did_not_make(others, name):
 @pytest.mark.parametrize(
     ("link", "said"),
     [
-        ("{}/nowhere/servos", "no link can be made there: No such file or directory"),
-        ("{}/file/servos", "no link can be made there: Not a directory"),
-        ("/proc/servos", "no link can be made there: "),
-        ("{}/" + "x" * 300, "no link can be made there: File name too long"),
+        ("{}/nowhere/servos", "this link cannot be made: No such file or directory"),
+        ("{}/file/servos", "this link cannot be made: Not a directory"),
+        ("/proc/servos", "this link cannot be made: "),
+        ("{}/" + "x" * 300, "this link cannot be made: File name too long"),
         ("/", "is a folder, not the name of a link"),
         ("", "is a folder, not the name of a link"),
     ],
@@ -248,7 +248,7 @@ def test_a_link_that_a_killed_simulator_left_behind_is_taken_over(tmp_path):
 def test_a_link_that_leads_to_another_simulator_is_left_alone(tmp_path):
     link = tmp_path / "servos"
     with served(link) as (_, host):
-        with pytest.raises(UserError, match="left alone"):
+        with pytest.raises(UserError, match="does not replace what is there"):
             sim_bus(link=link)
         assert os.readlink(link) == host.port
 

@@ -58,7 +58,7 @@ def test_a_label_that_is_no_phone_is_that_sentences_failure(labelled):
     )
     failed = align_corpus(read_transcribed(labelled)[:1], None)["one"]
 
-    assert "phoneme 1 at 0.000 s: 'Q' is no phoneme of ipa" in failed.error
+    assert "phoneme 1 at 0.000 s: 'Q' is not a phoneme of ipa" in failed.error
 
 
 @pytest.mark.parametrize("spoil", ["sound", "words"])
@@ -125,7 +125,9 @@ def test_what_is_left_out_must_be_there(labelled):
 
     assert [u.name for u in without_names(utterances, frozenset({"one"}))] == ["two"]
     assert [u.name for u in of_names(utterances, frozenset({"one"}))] == ["one"]
-    with pytest.raises(TranscriptError, match="1 of 2 listed utterances are not there, 'three'"):
+    with pytest.raises(
+        TranscriptError, match="1 of 2 listed utterances do not exist, such as 'three'"
+    ):
         without_names(utterances, frozenset({"one", "three"}))
 
 

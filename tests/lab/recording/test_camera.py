@@ -47,7 +47,7 @@ def test_a_clip_that_ends_is_told():
         while True:
             frames.extend(feed.take_frames())
 
-    with CameraFeed(camera) as feed, pytest.raises(CameraError, match="its pictures have ended"):
+    with CameraFeed(camera) as feed, pytest.raises(CameraError, match="stopped sending pictures"):
         read_on(feed)
     assert len(frames) == 3
 

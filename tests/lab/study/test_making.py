@@ -186,7 +186,7 @@ def test_a_model_that_has_learned_what_is_shown_is_refused(corpus, tmp_path):
 def test_methods_are_taken_by_their_names():
     assert chosen_methods("still, recorded,still") == ("still", "recorded")
     assert chosen_methods(",".join(METHODS)) == tuple(METHODS)
-    with pytest.raises(StudyError, match="--methods catmull: known here: recorded, ears"):
+    with pytest.raises(StudyError, match="--methods catmull: use one of recorded, ears"):
         chosen_methods("still,catmull")
 
 

@@ -74,7 +74,7 @@ def test_good_clips_become_sentences_and_every_clip_is_reported(imported, report
     ("clip", "reason"),
     [
         ("away", "turned away in"),
-        ("mute", "without sound"),
+        ("mute", "has no sound"),
         ("small", "the face is too small: 22 pixels"),
         ("slow", "8.3 pictures a second"),
         ("nobody", "no face in any picture"),
@@ -151,7 +151,5 @@ def test_a_folder_with_something_in_it_is_not_written_over(tmp_path):
 def test_where_nothing_is_usable_the_reasons_are_told(folder, tmp_path):
     for name in ("mute", "nobody"):
         shutil.copy(folder / f"{name}.mkv", tmp_path)
-    with pytest.raises(
-        VideoError, match=r"no clip can be used: mute: without sound.*nobody: no fa"
-    ):
+    with pytest.raises(VideoError, match=r"no clip can be used: mute: has no sound.*nobody: no fa"):
         import_videos(find_clips(tmp_path), PixelTracker(), quietly)

@@ -144,7 +144,7 @@ def test_all_good_faces_are_stopped_beside_dead_and_hung_ones(tmp_path):
     faces = by_name(done)
     assert [faces[name]["confirmed"] for name in ("hall", "door")] == [["jaw"], ["jaw"]]
     assert not any(faces[name]["problem"] for name in ("hall", "door"))
-    assert "is dead, or not at 127.0.0.1" in faces["gone"]["error"]
+    assert "no server answers at 127.0.0.1" in faces["gone"]["error"]
     assert "hangs: no answer" in faces["stuck"]["error"]
     # As each answers: who hangs is told last, and named while it is waited for.
     assert list(faces)[-1] == "stuck"
@@ -158,7 +158,9 @@ def test_a_face_that_refuses_the_token_is_named(tmp_path):
         done = invoke("status", "--on", on)
 
     assert done.exit_code == 1
-    assert f"shy: refuses the token in {tmp_path}/shy.token; copy the face's own" in done.stdout
+    assert (
+        f"shy: its server refuses the token in {tmp_path}/shy.token; copy the face's" in done.stdout
+    )
     assert "hall  simulated servos  driven" in done.stdout
 
 
@@ -207,7 +209,7 @@ def test_the_status_of_a_face_is_as_on_its_own_computer(tmp_path):
         ({"state": "driven"}, "its version is an older one, here is"),
         (
             {"mood": 1, "face_answers": True, "version": "9.9"},
-            "no face of this version: it runs 9.9",
+            "runs lipservo 9.9",
         ),
         ({"version": HERE, "face_answers": False, "trouble": "the face hangs"}, "the face hangs"),
         ([1], "nothing that a face says"),
@@ -239,8 +241,8 @@ def test_a_certificate_is_trusted_where_it_is_named_alone(tmp_path, certificate)
             "stop", "--freeze", "--on", listed(tmp_path, hall=(other, "t", certificate[0]))
         )
     assert unnamed.exit_code == elsewhere.exit_code == 1
-    assert "hall: has a certificate that is not trusted" in unnamed.stdout
-    assert "hall: has a certificate that is not trusted" in elsewhere.stdout
+    assert "hall: its server's certificate is not trusted" in unnamed.stdout
+    assert "hall: its server's certificate is not trusted" in elsewhere.stdout
     assert (done.exit_code, asked) == (0, [("/api/stop", "Bearer t")])
 
 
@@ -260,7 +262,7 @@ def test_a_bad_file_of_one_face_keeps_no_other_from_being_stopped(tmp_path):
     assert done.exit_code == 1
     assert faces["hall"]["confirmed"] == ["jaw"]
     assert "its first line is empty" in faces["blank"]["error"]
-    assert "text.pem: cannot be read as certificates" in faces["odd"]["error"]
+    assert "text.pem: cannot be read as PEM certificates" in faces["odd"]["error"]
 
 
 FACE = '  a: {url: "https://a.example", token_file: a}\n'
@@ -269,7 +271,7 @@ FACE = '  a: {url: "https://a.example", token_file: a}\n'
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("kiosks:\n" + FACE, "does not end with the line `...`"),
+        ("kiosks:\n" + FACE, "its last line must be `...`"),
         ("kiosks:\n" + FACE + '  b: {url: "htt', "not YAML at line 3"),
         ("<<<<<<< HEAD\nkiosks:\n" + FACE + "...\n", "not YAML at line 2"),
         ("kiosks:\n" + FACE + FACE + "...\n", "given twice, on lines 2 and 3"),

@@ -38,7 +38,7 @@ def test_who_holds_a_port_is_named():
     "spec", ["", "8765", "127.0.0.1", ":8765", "127.0.0.1:port", "::1:8765", "127.0.0.1:65536"]
 )
 def test_what_is_no_address_is_told_with_an_example(spec):
-    with pytest.raises(UserError, match=r"HOST:PORT, as 127\.0\.0\.1:8765"):
+    with pytest.raises(UserError, match=r"HOST:PORT, such as 127\.0\.0\.1:8765"):
         bind_listener(spec, None)
 
 

@@ -46,7 +46,7 @@ def test_practise_makes_a_robot_of_what_the_yaml_says_and_tells_what_is_guessed(
         "practise", 3, "--config", face, "--poses", 30, "--no-lags", "--accept", "-o", out
     )
     assert done.exit_code == 0, (done.output, done.exception)
-    assert "what moves at m2, drei is guessed" in done.stderr
+    assert "what the servos m2, drei move is a guess" in done.stderr
     calibration = load_calibration(out)
     assert calibration.servo_names == ("kiefer", "m2", "drei")
     assert calibration.grade is not None
@@ -78,7 +78,7 @@ def test_a_rehearsal_over_the_wire_takes_a_jaw_of_any_name_and_no_lips(tmp_path)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("practise", 1, "--family", "own"), "servo 'kiefer' has no place in the simulated face"),
+        (("practise", 1, "--family", "own"), "servo 'kiefer' is not in the simulated face"),
         (("fit",), "`lipservo calibrate practise SEED` calibrates a simulated robot"),
     ],
 )

@@ -277,4 +277,4 @@ def test_a_skeleton_has_a_jaw_and_no_lips(tmp_path):
     few = write_markers(plan, tmp_path / "few.csv", ["jaw"], names[:2])
     done = calibrate("fit", "--config", "face_jaw", "--plan", plan, "--markers", few, "-o", out)
     assert done.exit_code == 1
-    assert "2 markers on the jaw, 3 are needed" in str(done.exception)
+    assert "only 2 markers are on the jaw, 3 are needed" in str(done.exception)

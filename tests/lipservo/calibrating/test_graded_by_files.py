@@ -153,14 +153,14 @@ def test_what_is_no_check_of_this_calibration_is_one_clear_line(visit, tmp_path)
     foreign.write_text(seen.read_text().replace("outer_lip_17", "tail"))
     how = ("--config", "face_jaw", "--markers", seen)
     for done, said in (
-        (calibrate("grade", out, *how, "--plan", fitted), "has no expected values"),
+        (calibrate("grade", out, *how, "--plan", fitted), "has no values to grade by"),
         (calibrate("grade", out, *how, "--plan", other), "was written for another calibration"),
         (grade(few), "4 of 10 poses to grade by were captured"),
         (grade(foreign), "marker 'tail' was not captured for the fit"),
         (grade(tmp_path / "none.csv"), "none.csv: cannot be read"),
         (
             calibrate("grade", out, "--plan", check, "--markers", seen, "--config", "face_four"),
-            "is of another face than",
+            "is not of face",
         ),
     ):
         assert done.exit_code == 1, done.output

@@ -84,7 +84,7 @@ def test_a_damaged_file_is_no_reason_not_to_calibrate(fresh, output):
     output.write_text(output.read_text().replace("max_deg: 25.0", "max_deg: 24.0"))
     again, lines = with_hand_made(fresh, SERVOS, output)
     assert again is fresh
-    assert "its checksum does not fit" in lines[0]
+    assert "its checksum differs" in lines[0]
 
 
 def test_nothing_is_said_where_there_was_nothing(fresh, output):

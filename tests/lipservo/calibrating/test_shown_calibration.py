@@ -33,10 +33,10 @@ def test_trims_are_set_shown_and_taken_back(path):
     assert calibrate("trim", path, "P", "jaw", "0").stdout == "AA: lip_protrusion +2 deg\n"
     before = path.read_text()
     for wrong, said in (
-        (("Q", "jaw", "1"), "no phoneme 'Q'; one of each class: SIL P"),
-        (("P", "tail", "1"), "no joint 'tail' in this calibration; it has jaw,"),
-        (("P", "jaw", "99"), "99 deg is more than jaw can turn, 27"),
-        (("P", "jaw", "nan"), "nan deg is more than jaw can turn, 27"),
+        (("Q", "jaw", "1"), "no phoneme 'Q'; one of each viseme: SIL P"),
+        (("P", "tail", "1"), "this calibration has no joint 'tail'; it has jaw,"),
+        (("P", "jaw", "99"), "jaw turns 27 deg in all, not 99"),
+        (("P", "jaw", "nan"), "jaw turns 27 deg in all, not nan"),
     ):
         done = calibrate("trim", path, *wrong)
         assert done.exit_code == 1

@@ -62,7 +62,9 @@ def test_a_plan_of_another_face_moves_nothing(plan):
     write_plan(written, plan)
     done = calibrate("pose", plan, "--config", "face_jaw")
     assert done.exit_code == 1
-    assert "pose 3: jaw at 60 deg is outside -2..25; is it a plan of this" in str(done.exception)
+    assert "pose 3: jaw at 60 deg is outside -2..25 deg; is it a plan of this" in str(
+        done.exception
+    )
 
 
 def test_lags_are_found_anew_and_nothing_else_of_the_file_changes(tmp_path):

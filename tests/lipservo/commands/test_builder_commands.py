@@ -54,7 +54,7 @@ def test_jog_and_neutral_move_through_the_gate(port):
     [
         (["jog", "jaw", "40"], "jaw: 40 deg is outside -2..25"),
         (["jog", "jaw", "nan"], "jaw: nan deg is outside -2..25"),
-        (["jog", "tongue", "4"], "no joint 'tongue' in this face"),
+        (["jog", "tongue", "4"], "this face has no joint 'tongue'"),
     ],
 )
 def test_impossible_wishes_move_nothing_and_are_explained(port, arguments, said):
@@ -71,9 +71,9 @@ def test_impossible_wishes_move_nothing_and_are_explained(port, arguments, said)
         (["doctor", "--port", "/dev/ttyUSB77"], "/dev/ttyUSB77: no such port"),
         (["doctor"], "no port: give --port"),
         (["run", "--port", "/dev/ttyUSB77"], "/dev/ttyUSB77: no such port"),
-        (["run", "--sim", "usb"], "--sim knows `pty` only"),
+        (["run", "--sim", "usb"], "--sim only accepts `pty`"),
         (["sim-bus", "--model", "AX-12"], "model 'AX-12' is not known"),
-        (["sim-bus", "--baud-rate", "12345"], "12345 baud is no rate"),
+        (["sim-bus", "--baud-rate", "12345"], "no baud rate 12345"),
         (["setup-servos", "tongue", "--port", "x"], "no joint 'tongue'"),
     ],
 )
@@ -132,8 +132,8 @@ def test_new_face_writes_a_yaml_that_loads(tmp_path):
         answers = f"jaw\nopens\ny\n{asked_again}brow\nraises\nn\n"
         done = lipservo("new-face", "-o", path, "--port", port, input=answers)
         assert done.returncode == 0, done.stderr
-        assert "'Brow!' is no name of a joint" in done.stderr
-        assert "jaw is another servo of this face already" in done.stderr
+        assert "'Brow!' is not a joint's name" in done.stderr
+        assert "joint jaw exists already" in done.stderr
     face = load_face(path)
 
     assert [(name, s.id, s.positive, s.sign) for name, s in face.servos.items()] == [
@@ -158,7 +158,7 @@ def test_new_face_finds_feetech_servos_and_moves_each(tmp_path, model):
         ("brow", 2, model, -1),
     ]
     assert as_dynamixel.returncode == 1
-    assert "say so: --bus feetech" in as_dynamixel.stderr
+    assert "such as --bus feetech" in as_dynamixel.stderr
 
 
 def test_new_face_on_two_buses_finds_one_and_asks_for_the_other(tmp_path):
@@ -168,7 +168,7 @@ def test_new_face_on_two_buses_finds_one_and_asks_for_the_other(tmp_path):
         answers = "mini12\njaw=0:opens\n\njaw\nneck_yaw\nturns left\ny\n"
         done = lipservo("new-face", "-o", path, *buses, input=answers)
     assert done.returncode == 0, done.stderr
-    assert "jaw is another servo of this face already" in done.stderr
+    assert "joint jaw exists already" in done.stderr
     face = load_face(path)
 
     assert face.bus_of == ("lips", "neck")
@@ -200,7 +200,7 @@ def test_new_face_takes_names_and_limits_from_a_range_file_of_lerobot(tmp_path):
         ranges.write_text(json.dumps({"jaw": entry | {"range_min": 2100}}))
         done = lipservo(*how, input="\nopens\ny\n")
         assert done.returncode == 1
-        assert "jaw (id 1) stands at 20" in done.stderr
+        assert "jaw (id 1) is at position 20" in done.stderr
         assert "outside its recorded range 2100..2332" in done.stderr
         assert not path.exists()
 

@@ -151,15 +151,15 @@ def test_what_is_heard_alone_is_enough_and_an_export_is_written_over(tmp_path, t
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["-o", "a.mp4"], "a.mp4: unknown file type; use "),
-        (["-o", "a.tsv", "--format", "arkit"], "a.tsv: arkit is written as .jsonl or .csv"),
-        (["-o", "a.csv", "--rate-hz", "29.97"], "--rate-hz 29.97: a CSV counts whole frames"),
+        (["-o", "a.mp4"], "a.mp4: this file type is unknown; use "),
+        (["-o", "a.tsv", "--format", "arkit"], "a.tsv: a arkit file must end in .jsonl or .csv"),
+        (["-o", "a.csv", "--rate-hz", "29.97"], "--rate-hz 29.97: a CSV needs whole frames"),
         (["-o", "none/a.tsv"], "there is no folder none"),
         (["-o", "other.csv"], "other.csv: exists already and is no export"),
         (["-o", "a.tsv", "--phonemes", "none.TextGrid"], "none.TextGrid: no such file"),
         (
             ["-o", "a.tsv", "--phonemes", "other.csv"],
-            "other.csv: line 1: no JSON; docs/text.md",
+            "other.csv: line 1 is neither labels nor JSON; docs/text.md",
         ),
     ],
 )

@@ -76,12 +76,18 @@ NO_ANSWERS = [b"[1]", b"no JSON", b"\xff", b"[" * 100_000, b'{"a":' * 20_000, b"
 
 @pytest.mark.parametrize("raw", NO_ANSWERS, ids=range(len(NO_ANSWERS)))
 def test_what_is_no_answer_of_a_face_is_said_to_be_none(raw):
-    with foreign(raw) as path, pytest.raises(OSError, match="what answers there is no face"):
+    with (
+        foreign(raw) as path,
+        pytest.raises(OSError, match="the program that answers there is not a face"),
+    ):
         ask(path, "status", PATIENCE_S)
     with foreign(raw, "tom-1.sock"):
         done = CliRunner().invoke(app, ["set", "strength", "1"])
 
-    assert (done.exit_code, "tom: what answers there is no face" in done.stderr) == (1, True)
+    assert (done.exit_code, "tom: the program that answers there is not a face" in done.stderr) == (
+        1,
+        True,
+    )
 
 
 @pytest.mark.parametrize("name", ["\x1b[31m-1.sock", "tim\n-1.sock", "tím-1.sock", ".tim-1.sock"])

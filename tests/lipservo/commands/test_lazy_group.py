@@ -24,7 +24,7 @@ def test_an_old_name_prints_the_new_one(old, new):
     done = run(old, "--help")
 
     assert done.exit_code == 2
-    assert f"it is now `lipservo {new}`" in done.stderr
+    assert f"is now `lipservo {new}`" in done.stderr
     assert f"lipservo {new}" in dict(every_command())
 
 

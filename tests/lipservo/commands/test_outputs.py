@@ -170,7 +170,11 @@ FACE = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
         ("max_deg: 25", "max_deg: -5", "needs min_deg <= 0 <= max_deg"),
         ("lip_protrusion:", "lip_pout:", "servo 'lip_pout' has no calibration"),
         ("max_deg: 25", "max_deg: 24", "its servos or limits have changed since"),
-        ("calibration: face_sim", "calibration: other", "no calibration 'other.calibration.yaml'"),
+        (
+            "calibration: face_sim",
+            "calibration: other",
+            "calibration 'other.calibration.yaml' is not",
+        ),
     ],
 )
 def test_a_mistake_in_the_face_is_explained(tmp_path, old, new, said):

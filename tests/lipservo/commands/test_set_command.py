@@ -151,7 +151,7 @@ def test_without_a_face_it_says_so():
     done = invoke("set", "strength", "0.5")
 
     assert isinstance(done.exception, UserError)
-    assert "is a face running?" in str(done.exception)
+    assert "start one with `lipservo daemon`" in str(done.exception)
 
 
 class _ShortSilence(SilentSource):

@@ -222,7 +222,7 @@ def test_nobody_there_is_said_in_one_line(monkeypatch):
     done = bench.run(NAMES[0])
 
     assert done.exit_code == 1
-    assert done.stderr == "lipservo: no servo answers at any rate; check its power and cable\n"
+    assert done.stderr == "lipservo: no servo answers at any baud rate; check its power and cable\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])

@@ -96,9 +96,12 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
     [
         (["run", "--output", "x"], "--output: `sound.output:` in the face's YAML"),
         (["daemon", "--output", "x"], "--output: `sound.output:` in the face's YAML"),
-        (["run", "--phonemes", "x.TextGrid"], "--phonemes goes with --wav"),
+        (["run", "--phonemes", "x.TextGrid"], "--phonemes needs --wav"),
         (["say", "hello", "--mute", "--output", "x"], "--mute or --output"),
-        (["daemon", "--listen", "none", "--sounds", "."], "--listen none: options of agents"),
+        (
+            ["daemon", "--listen", "none", "--sounds", "."],
+            "--listen none takes no options of agents",
+        ),
         (
             ["daemon", "--listen", "0.0.0.0:0", "--open-to-this-computer"],
             "0.0.0.0:0: can be reached from other computers",
@@ -108,7 +111,10 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
             "give --token-file or --open-to-this-computer",
         ),
         (["run", "--open-to-this-computer"], "`lipservo daemon --dashboard` and"),
-        (["daemon", "--listen", "none", "--token-file", "t"], "--listen none: options of agents"),
+        (
+            ["daemon", "--listen", "none", "--token-file", "t"],
+            "--listen none takes no options of agents",
+        ),
         (["daemon", "--listen", "nowhere"], "write HOST:PORT"),
         (["daemon", "--listen", "127.0.0.1:99999"], "write HOST:PORT"),
         (["daemon", "--token-file", "none.txt"], "none.txt"),
@@ -130,7 +136,7 @@ def test_a_token_file_without_a_token_is_refused(capsys, monkeypatch, tmp_path):
     line, status = refused(
         capsys, monkeypatch, "daemon", "--listen", "0.0.0.0:0", "--token-file", path
     )
-    assert line.endswith("its first line is empty; write a token there")
+    assert line.endswith("its first line is empty; write the token there")
     assert status == 1
 
 
@@ -148,9 +154,12 @@ def test_a_file_of_a_synthesiser_is_said_with_the_sound_beside_it(tmp_path):
     ("content", "line"),
     [
         ("[]", "no times of words, phonemes or visemes"),
-        ('[{"audioOffset": 0, "visemeId": 99}]', "viseme 1 at 0.000 s: '99' is no viseme of azure"),
+        (
+            '[{"audioOffset": 0, "visemeId": 99}]',
+            "viseme 1 at 0.000 s: '99' is not a viseme of azure",
+        ),
         ('[{"word": "b", "start": 2}, {"word": "a", "start": 1}]', "word 2 begins at 1.000 s"),
-        ("<speak>Hi</speak>", "line 1: no JSON"),
+        ("<speak>Hi</speak>", "line 1 is neither labels nor JSON"),
     ],
 )
 def test_a_file_that_cannot_be_said_is_one_line(capsys, monkeypatch, tmp_path, content, line):
@@ -166,9 +175,9 @@ def test_a_file_that_cannot_be_said_is_one_line(capsys, monkeypatch, tmp_path, c
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ((), "give either a text or --from FILE"),
-        (("hello", "--from", "x.json"), "give either a text or --from FILE"),
-        (("--from", "x.json", "--through", "ws://127.0.0.1:1"), "either a text or --from FILE"),
+        ((), "give a text or --from FILE"),
+        (("hello", "--from", "x.json"), "give a text or --from FILE"),
+        (("--from", "x.json", "--through", "ws://127.0.0.1:1"), "a text or --from FILE"),
         (("--from", "x.json"), "no sound beside it; put it there as x with .wav"),
     ],
 )

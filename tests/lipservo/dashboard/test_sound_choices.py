@@ -16,9 +16,9 @@ def test_a_shipped_face_is_copied_once_and_the_copy_is_a_face(tmp_path, monkeypa
     assert (tmp_path / "my_face_sim.yaml").read_bytes() == (
         ROOT / "config" / "face_sim.yaml"
     ).read_bytes()
-    with pytest.raises(FaceError, match="is there already"):
+    with pytest.raises(FaceError, match="already exists"):
         copy_shipped("face_sim")
-    with pytest.raises(FaceError, match="is your own"):
+    with pytest.raises(FaceError, match="already your own"):
         copy_shipped("my_face_sim.yaml")
 
 

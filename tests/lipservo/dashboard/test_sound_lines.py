@@ -173,7 +173,7 @@ def test_a_server_that_ends_waits_for_no_disk(folder, sound, monkeypatch):
         storing = asyncio.ensure_future(Uploads().store(folder / "hello.wav", chunks()))
         await asyncio.to_thread(in_fsync.wait, 60.0)
         storing.cancel()
-        with pytest.raises(FaceError, match="the dashboard ends"):
+        with pytest.raises(FaceError, match="the dashboard is ending"):
             await storing
         go_on.set()
         while any(path.name.startswith(".coming-") for path in folder.iterdir()):

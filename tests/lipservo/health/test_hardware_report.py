@@ -116,12 +116,12 @@ def test_of_nothing_there_is_no_spread():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--report", "x.json", "--port", "/dev/null"), "No terminal to confirm on: give --yes"),
-        (("--report", "x", "--port", "/dev/null"), "call the report x.json"),
+        (("--report", "x.json", "--port", "/dev/null"), "No terminal can be asked; give --yes"),
+        (("--report", "x", "--port", "/dev/null"), "name the report like x.json"),
         (("--report", "x.json"), "no port: give --port"),
         (("--report", "no/x.json", "--port", "x", "--yes"), "there is no folder no"),
         (("--report", "x.json", "--port", "x", "--move", "tongue"), "no joint 'tongue'"),
-        (("--move", "jaw", "--port", "x"), "--move and --yes go with --report"),
+        (("--move", "jaw", "--port", "x"), "--move and --yes need --report"),
     ],
 )
 def test_what_it_refuses_is_one_line_and_nothing_is_written(

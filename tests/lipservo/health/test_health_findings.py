@@ -140,7 +140,7 @@ def test_lines_that_are_damaged_are_counted_and_left_out(tmp_path):
     done = health(tmp_path)
 
     assert done.exit_code == 0, done.exception
-    assert f"mouth: {len(bad)} unreadable lines were left out" in done.stderr
+    assert f"mouth: {len(bad)} unreadable lines of the log were left out" in done.stderr
     assert "40 readings" in done.stdout
 
 

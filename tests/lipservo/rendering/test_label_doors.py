@@ -124,9 +124,9 @@ RIGHT = {
     },
 }
 WRONG = {
-    "times_in_ms": "ends at 1600.000 s, and the sound is 2.000 s long",
+    "times_in_ms": "ends at 1600.000 s, but the sound is 2.000 s long",
     "cut_half": "tier 'phones' has 1 of 11 labels, up to 0.100 s of 2.000 s; the file is cut off",
-    "audio2face.json": "weights of face shapes, as Audio2Face exports them",
+    "audio2face.json": "weights of face shapes (as Audio2Face exports them)",
 }
 
 

@@ -112,17 +112,17 @@ def test_without_targets_nothing_is_sent():
 @pytest.mark.parametrize(
     ("target", "said"),
     [
-        ("", "give HOST:PORT, 127.0.0.1:11111"),
-        (":39540", "give HOST:PORT, 127.0.0.1:11111"),
-        ("two words", "give HOST:PORT"),
-        ("line\nline:1", "give HOST:PORT"),
-        ("localhost:", "give HOST:PORT, localhost:11111"),
-        ("localhost:osc", "give HOST:PORT"),
-        ("localhost:²", "give HOST:PORT"),
-        ("::1", "give HOST:PORT"),
-        ("localhost:0", "from 1 to 65535"),
-        ("localhost:70000", "from 1 to 65535"),
-        (f"localhost:{'9' * 5000}", "from 1 to 65535"),
+        ("", "write HOST:PORT, such as 127.0.0.1:11111"),
+        (":39540", "write HOST:PORT, such as 127.0.0.1:11111"),
+        ("two words", "write HOST:PORT"),
+        ("line\nline:1", "write HOST:PORT"),
+        ("localhost:", "write HOST:PORT, localhost:11111"),
+        ("localhost:osc", "write HOST:PORT"),
+        ("localhost:²", "write HOST:PORT"),
+        ("::1", "write HOST:PORT"),
+        ("localhost:0", "1 to 65535"),
+        ("localhost:70000", "1 to 65535"),
+        (f"localhost:{'9' * 5000}", "1 to 65535"),
     ],
 )
 def test_what_is_no_address_is_told_in_one_line(target, said):

@@ -87,7 +87,7 @@ def test_performances_are_played_by_name_refused_in_one_line_and_cut_off(tmp_pat
         assert len(done.stderr.splitlines()) == 1
         for _ in range(7):
             face.play("long.perf")
-        full = "8 texts, sounds or performances are spoken or wait"
+        full = "8 texts, sounds or performances already wait"
         assert full in refusal(face, "short.perf", "too_many_streams")
         # In the middle of one: to rest and limp, as ever.
         assert face.status()["speaking"].startswith("long.perf")

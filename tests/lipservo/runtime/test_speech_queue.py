@@ -162,7 +162,7 @@ def test_one_that_breaks_off_is_said_so_far_and_the_others_whole(face, queue, er
     face.play(lambda: face.playout.is_over)
     assert face.finished() == ["broken", "whole"]
     assert stream.n_received == len(tone(0.5))
-    assert f"{error}; what came before it is spoken" in caplog.text
+    assert f"{error}; only the part before it is spoken" in caplog.text
 
 
 def test_short_sentences_are_synthesised_a_few_ahead(face, queue):

@@ -242,7 +242,7 @@ def test_one_port_for_a_face_with_two_is_refused_with_what_to_say(head):
     done = run("run", "--config", FACE, "--port", head.neck)
 
     assert done.returncode == 1
-    assert "has several buses: say which is there, --port lips=PORT --port neck=PORT" in done.stderr
+    assert "has several buses; write each as --port lips=PORT --port neck=PORT" in done.stderr
 
 
 def test_the_doctor_examines_each_bus(head):

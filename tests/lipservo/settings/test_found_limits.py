@@ -79,13 +79,13 @@ def test_neutral_moves_the_degrees_of_both_ends(path):
 @pytest.mark.parametrize(
     ("servo", "limit", "pulse_us", "words"),
     [
-        ("jaw", "min", 1510.0, "would leave neutral outside of its limits"),
+        ("jaw", "min", 1510.0, "would put neutral outside the limits"),
         ("jaw", "max", 1490.0, "set neutral first"),
         ("jaw", "neutral", 1700.0, "set min or max first"),
         ("jaw", "min", 499.0, "outside 500..2500"),
         ("jaw", "max", 2501.0, "outside 500..2500"),
         ("jaw", "max", float("nan"), "outside 500..2500"),
-        ("tongue", "min", 1400.0, "has no hobby servo 'tongue'"),
+        ("tongue", "min", 1400.0, "no hobby servo is called 'tongue'"),
     ],
 )
 def test_what_cannot_be_a_limit_is_refused_and_nothing_is_written(
@@ -165,7 +165,7 @@ def test_joints_turned_by_hand_get_limits_two_degrees_inside():
         range_values(0.0, 3.0)
     with pytest.raises(UserError, match="was not turned"):
         range_values(float("nan"), float("nan"))
-    with pytest.raises(UserError, match="leaves out its neutral"):
+    with pytest.raises(UserError, match="its neutral, 0, must lie between"):
         range_values(5.0, 30.0)
 
 

@@ -59,7 +59,7 @@ def test_the_simulated_face_is_a_mouth_of_ten_servos():
 
 
 def test_an_unknown_shipped_face_is_answered_with_the_known_ones():
-    with pytest.raises(SettingsError, match=r"no face 'face_sym' is shipped; .*face_sim"):
+    with pytest.raises(SettingsError, match=r"no shipped face is called 'face_sym'; .*face_sim"):
         load_shipped_face("face_sym")
 
 
@@ -101,7 +101,7 @@ def test_a_calibration_is_found_beside_the_face(tmp_path):
 
 
 def test_a_missing_calibration_is_named_when_it_is_needed(tmp_path):
-    with pytest.raises(SettingsError, match=r"no calibration 'face\.calibration\.yaml' in "):
+    with pytest.raises(SettingsError, match=r"calibration 'face\.calibration\.yaml' is not in "):
         calibration_file(load(tmp_path, FACE), tmp_path)
     with pytest.raises(SettingsError, match=r"'test face' has no calibration; write `calibration:"):
         calibration_file(load(tmp_path, FACE.replace("calibration: face.calibration.yaml", "")))

@@ -46,10 +46,10 @@ def test_each_servo_has_the_keys_of_its_own_bus_and_the_same_address_may_be_on_b
         ("kind: maestro", "kind: steamer", "buses.lips.kind: 'steamer' is not known here"),
         ("lips: {kind", "Lips: {kind", "buses.Lips: 'Lips' does not have the form"),
         ("lips: {kind: maestro, model: mini12}", "lips: 5", "buses.lips: 5 is not settings of its"),
-        ("buses:", "bus: {}\nbuses:", "bus: this face has `buses:`; leave this out"),
+        ("buses:", "bus: {}\nbuses:", "bus: this face has `bus` and `buses`"),
         ("mini12}", "mini12, port: /dev/ttyUSB0}",
-         "buses lips and neck have the same port, /dev/ttyUSB0"),
-        ("mini12}", "mini12}\n  eyes: {}", "buses.eyes: no servo says `bus: eyes`"),
+         "buses lips and neck both have port /dev/ttyUSB0"),
+        ("mini12}", "mini12}\n  eyes: {}", "buses.eyes has no servo (`bus: eyes`)"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_said_where_it_stands(old, new, said):
@@ -80,7 +80,7 @@ servos:
 
 def test_two_chips_may_share_an_i2c_bus_by_their_addresses():
     assert face(CHIPS).servo_port == "a=/dev/i2c-1,b=/dev/i2c-1"
-    with pytest.raises(SettingsError, match="buses a and b have the same port, /dev/i2c-1"):
+    with pytest.raises(SettingsError, match="buses a and b both have port /dev/i2c-1"):
         face(CHIPS.replace("0x41", "0x40"))
 
 
@@ -104,7 +104,9 @@ def test_the_servos_of_one_bus_are_a_face_of_their_own():
     assert list(alone["neck"].servos) == ["yaw"]
     assert alone["neck"].bus_kind.name == "dynamixel"
     assert alone["lips"].capabilities.confirmed_limp is False
-    with pytest.raises(SettingsError, match="has several buses: lips, neck; say which: --bus NAME"):
+    with pytest.raises(
+        SettingsError, match="has several buses: lips, neck; choose with --bus NAME"
+    ):
         _ = face().bus_kind
 
 

@@ -55,7 +55,7 @@ def test_every_shipped_calibration_carries_a_checksum_that_holds(file):
     assert calibration_text(whole) == text
     digit = text.index("max_deg: ") + len("max_deg: ")
     changed = text[:digit] + ("1" if text[digit] != "1" else "2") + text[digit + 1 :]
-    with pytest.raises(CalibrationError, match="its checksum does not fit"):
+    with pytest.raises(CalibrationError, match="its checksum differs"):
         parse_calibration(changed, file.name)
 
 

@@ -12,8 +12,8 @@ from lipservo.settings.strict_yaml import SettingsError
     [
         ("", "face.yaml: is empty"),
         ("# nothing but a comment\n", "face.yaml: is empty"),
-        ("- jaw\n- lip\n", "face.yaml: needs settings as `key: value`, found a list"),
-        ("jaw\n", "face.yaml: needs settings as `key: value`, found 'jaw'"),
+        ("- jaw\n- lip\n", "face.yaml: must have `key: value` lines, found a list"),
+        ("jaw\n", "face.yaml: must have `key: value` lines, found 'jaw'"),
         ("name: a\nservos: {jaw: [\n", "face.yaml: not YAML at line 3: "),
         ("name: a\n\tservos: 3\n", "face.yaml: not YAML at line 2: "),
         ("name: a\nrate_hz: 3\nname: b\n", "face.yaml.name: given twice, on lines 1 and 3; "),

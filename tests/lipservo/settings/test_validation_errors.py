@@ -22,7 +22,7 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
         (
             "    id: 3\n",
             "    id: 3\n    max_current_ma: 2000\n",
-            "servos.jaw: max_current_ma 2000 is more than an XL330-M288 takes, 1750",
+            "servos.jaw: max_current_ma 2000 is more than an XL330-M288 allows (1750 mA)",
         ),
         ("id: 3", "id: 300", "servos.jaw.id: 300 is outside 0..252"),
         ("id: 3", "id: -1", "servos.jaw.id: -1 is outside 0..252"),
@@ -72,16 +72,18 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
         (
             "rate_hz: 50",
             "rate_hz: 50\naccess: {origins: [https://kiosk.example/]}",
-            "access.origins.0: 'https://kiosk.example/' is no origin as browsers send it: "
-            "https://kiosk.example or http://localhost:3000, in lower case and without a path",
+            "access.origins.0: 'https://kiosk.example/' is not an origin of a browser; write "
+            "it like https://kiosk.example or http://localhost:3000, in lower case and without a "
+            "path",
         ),
         (
             "rate_hz: 50",
             "rate_hz: 50\naccess: {origins: ['*']}",
-            "access.origins.0: '*' is no origin as browsers send it: "
-            "https://kiosk.example or http://localhost:3000, in lower case and without a path",
+            "access.origins.0: '*' is not an origin of a browser; write "
+            "it like https://kiosk.example or http://localhost:3000, in lower case and without a "
+            "path",
         ),
-        ("sign: -1", "sign: 2", "servos.lip.sign: 2 is neither 1 nor -1"),
+        ("sign: -1", "sign: 2", "servos.lip.sign: 2 must be 1 or -1"),
         ("sign: -1", "sign: true", "servos.lip.sign: True is not a whole number"),
         (
             "  kind: simulated",
@@ -91,8 +93,9 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
         (
             "kind: simulated",
             "kind: serial",
-            "bus.kind: 'serial' is not known here; use one of simulated, dynamixel, maestro, "
-            "pca9685, feetech, or install the package that brings it (entry point lipservo.buses)",
+            "bus.kind: bus kind 'serial' is not known here; use one of simulated, dynamixel, "
+            "maestro, pca9685, feetech, or install the package that provides it (entry point "
+            "lipservo.buses)",
         ),
         ("rate_hz: 50", "rate_hz: 29.9", "rate_hz: 29.9 is outside 30..200"),
         ("rate_hz: 50", "rate_hz: 201", "rate_hz: 201 is outside 30..200"),
@@ -134,7 +137,7 @@ def test_every_error_gets_its_own_line(tmp_path):
 def test_a_face_needs_at_least_one_servo(tmp_path):
     text = FACE[: FACE.index("servos:")] + "servos: {}\n"
 
-    assert errors_in(tmp_path, text) == ["face.yaml.servos: needs at least one servo"]
+    assert errors_in(tmp_path, text) == ["face.yaml.servos: at least one servo is needed"]
 
 
 def test_an_alias_of_an_alias_of_an_alias_is_shown_short(tmp_path):

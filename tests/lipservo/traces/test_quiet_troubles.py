@@ -27,14 +27,14 @@ def test_a_health_log_without_a_place_is_one_line(tmp_path):
         text=True,
     )
     assert done.returncode == 0
-    assert done.stderr == "no health log: set HOME, XDG_STATE_HOME or LIPSERVO_STATE\n"
+    assert done.stderr == "health is not logged: set HOME, XDG_STATE_HOME or LIPSERVO_STATE\n"
 
 
 class FullDisk:
     """In the place of a trace's file."""
 
     def observe(self, _tick):
-        raise TraceError("trace: the trace broke off: No space left on device")
+        raise TraceError("trace: the trace stopped: No space left on device")
 
 
 def test_a_trace_that_breaks_off_is_one_line_at_once_and_an_error_at_the_end():
@@ -46,4 +46,4 @@ def test_a_trace_that_breaks_off_is_one_line_at_once_and_an_error_at_the_end():
         assert is_logged.wait(PATIENCE_S)
         with pytest.raises(TraceError), trace:
             pass
-    assert lines == ["trace: the trace broke off: No space left on device; the face goes on"]
+    assert lines == ["trace: the trace stopped: No space left on device; the face goes on"]

@@ -122,17 +122,17 @@ def elsewhere(_, ticks):
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (rename, "have other servos: only one of them has chin"),
-        (other_face, "is of face 'simulated mouth', b.jsonl of 'another'"),
+        (rename, "have different servos: only one of them has chin"),
+        (other_face, "is of face 'simulated mouth', but b.jsonl of 'another'"),
         (other_model, "was made with face model 0123456789abcdef"),
-        (elsewhere, "show no sound time together"),
+        (elsewhere, "have no sound time in common"),
         (lambda _, ticks: ticks[7].pop("sent_deg"), "damaged: 'sent_deg'"),
         (lambda _, ticks: ticks[7]["sent_deg"].pop(), "damaged"),
         (lambda _, ticks: ticks[7].update(sent_deg=[10**400] * 10), "damaged"),
         (lambda head, _: head.update(servos=[]), "damaged: it names no servo"),
         (lambda head, _: head.pop("lipservo_trace"), "not a lipservo trace"),
         (lambda head, _: head.update(lipservo_trace=9), "not a lipservo trace of version"),
-        (lambda _, ticks: ticks[3].update(sound_s=-9.0), "damaged: time runs backwards"),
+        (lambda _, ticks: ticks[3].update(sound_s=-9.0), "damaged: its times do not increase"),
     ],
 )
 def test_traces_that_cannot_be_compared_end_in_one_line_and_status_2(tmp_path, edit, said):

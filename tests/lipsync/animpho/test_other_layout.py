@@ -36,5 +36,5 @@ def test_the_gap_of_outer_lips_is_counted_from_where_they_touch():
 
 def test_a_point_that_cannot_be_told_is_named():
     nose = layout_of({"name": "nose", "groups": {"nose": [2, 98, 327]}, "lip_gap": [2, 98]})
-    with pytest.raises(LayoutError, match="does not tell where landmark 61 is"):
+    with pytest.raises(LayoutError, match="landmark 61 is unknown"):
         in_layout(in_layout(small_model(), nose), MARKERS_47)

@@ -77,8 +77,8 @@ def test_two_clicks_may_be_drowned():
 @pytest.mark.parametrize(
     ("heard", "message"),
     [
-        (np.zeros(8 * RATE_HZ, np.float32), "the microphone heard nothing"),
-        (np.zeros(0, np.float32), "the microphone heard nothing"),
+        (np.zeros(8 * RATE_HZ, np.float32), "the microphone recorded no sound"),
+        (np.zeros(0, np.float32), "the microphone recorded no sound"),
         (noise(0.1), "of 7 clicks were heard: too quiet, too much noise, or another microphone"),
         (recording(0.1)[: 4 * RATE_HZ], "only 4 of 7 clicks were heard"),
         (recording(0.1, 0.1) + noise(0.5), "of 7 clicks were heard"),

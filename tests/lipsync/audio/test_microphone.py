@@ -115,7 +115,7 @@ def test_the_chosen_channel_of_a_microphone_is_heard(install, channel, level):
 
 def test_a_channel_that_a_microphone_has_not_is_refused_before_it_is_opened(install):
     card = install()
-    with pytest.raises(SoundError, match=r"USB mic.*: has 1 channel, not --channel right"):
+    with pytest.raises(SoundError, match=r"USB mic.*: has 1 channel, not right"):
         MicrophoneSource(channel="right", clock=card.clock)
     assert not card.inputs
 

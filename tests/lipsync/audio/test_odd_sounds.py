@@ -134,7 +134,7 @@ def test_the_channel_that_is_named_is_heard(tmp_path):
 def test_a_channel_that_is_not_there_is_refused(tmp_path):
     path = written(tmp_path, voice())
 
-    with pytest.raises(SoundError, match="has 1 channel, not --channel right; leave it out or"):
+    with pytest.raises(SoundError, match="has 1 channel, not right; leave --channel out, or"):
         checked_sound(path, "right")
 
 

@@ -99,7 +99,7 @@ def test_a_model_file_keeps_it_and_one_without_it_still_loads():
 
 def test_a_damaged_table_is_refused_by_name():
     short = BackOff(CENTRES, np.ones((40, 40), dtype=np.bool_))
-    with pytest.raises(ValueError, match="expectation diphones has shape"):
+    with pytest.raises(ValueError, match="array diphones has shape"):
         replace(constant_expectation(CENTRES), back_off=short).check(3)
 
 

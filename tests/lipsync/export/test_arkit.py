@@ -133,5 +133,5 @@ def test_a_face_without_the_needed_points_is_refused_in_one_line():
         (name, tuple(n for n in numbers if n != 152)) for name, numbers in MARKERS_47.groups
     )
     object.__setattr__(model, "layout", PointLayout("few", groups, (13, 14)))
-    with pytest.raises(MeasureError, match="layout few has no landmark 152"):
+    with pytest.raises(MeasureError, match="layout few lacks landmark 152"):
         lip_measures(model)

@@ -66,5 +66,5 @@ def test_nothing_flickers_and_nothing_is_left_out(numbers):
 
 def test_a_motion_shorter_than_the_sound_is_refused():
     assert len(sampling_times_s(1.0)) == 100
-    with pytest.raises(ValueError, match="99 frames are fewer than the sound's 100"):
+    with pytest.raises(ValueError, match="99 frames of motion; this sound needs 100"):
         motion_cues(PROTOTYPES, np.zeros((99, 8)), np.zeros(99, dtype=bool), 1.0)

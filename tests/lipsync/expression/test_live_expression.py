@@ -192,5 +192,5 @@ def test_excitement_widens_the_eyes_and_its_lack_lets_the_lids_droop():
 
 @pytest.mark.parametrize("share", [0.0, 1.1, math.nan])
 def test_a_share_of_gaze_that_is_none_is_refused(share):
-    with pytest.raises(ValueError, match="share of time on the partner"):
+    with pytest.raises(ValueError, match="share of time looking at the partner"):
         LiveExpression(1, talking_mutual_share=share)

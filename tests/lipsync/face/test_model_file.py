@@ -98,7 +98,9 @@ def test_a_model_without_animphos_is_refused_with_what_plays_it(without_animphos
     face = load_face(without_animphos)
     make_synthesizer(face, MotionOptions(strategy="expected"), without_animphos)
     for strategy in ("animpho", "priority"):
-        with pytest.raises(ModelError, match=r"no AnimPhos .*strategy: expected.*`lipservo learn"):
+        with pytest.raises(
+            ModelError, match=r"lacks the AnimPhos .*strategy: expected.*`lipservo learn"
+        ):
             make_synthesizer(face, MotionOptions(strategy=strategy), without_animphos)
 
 
@@ -124,7 +126,7 @@ def test_a_file_that_was_replaced_between_two_readings_is_noticed(shipped, tmp_p
         content = {key: file[key] for key in file.files}
     content["face/mean_mm"] = content["face/mean_mm"] + 1.0
     np.savez(path, **content)
-    with pytest.raises(ModelError, match="has changed while it was being read"):
+    with pytest.raises(ModelError, match="was changed while it was read"):
         make_synthesizer(face, MotionOptions(), path)
 
 

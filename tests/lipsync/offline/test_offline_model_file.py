@@ -54,10 +54,10 @@ def rewritten(path, change):
     ("change", "message"),
     [
         (lambda about, _: about.update(version=9), "offline model version 9"),
-        (lambda about, _: about.update(kind="else"), "no offline model"),
-        (lambda about, _: about.update(phonemes=["A"]), "inventory differs"),
+        (lambda about, _: about.update(kind="else"), "not an offline model"),
+        (lambda about, _: about.update(phonemes=["A"]), "phonemes are not those"),
         (lambda _, a: a.update({"states/means": a["states/means"][:-1]}), "states/follows"),
-        (lambda _, a: a.update({"states/states": a["states/states"] + 1}), "is not there"),
+        (lambda _, a: a.update({"states/states": a["states/states"] + 1}), "does not exist"),
         (lambda _, a: a.pop("units/end"), "units/end"),
         (lambda _, a: a.update({"sound/layer0": a["sound/layer0"] * np.nan}), "not finite"),
     ],

@@ -114,12 +114,12 @@ def zeros(n_bytes):
 def test_zeros(rewritten):
     chunks = [header((22_500_000, 5)), *zeros(450_000_000)]
     message = refused(rewritten(coefficients=chunks))
-    assert "unpacked, at most" in message
+    assert "unpacked; at most" in message
 
 
 def test_fewer_zeros_that_are_too_many_faces(rewritten):
     chunks = [header((100_000, 5)), *zeros(2_000_000)]
-    assert "at most 10 minutes" in refused(rewritten(coefficients=chunks))
+    assert "more than 10 minutes" in refused(rewritten(coefficients=chunks))
 
 
 def test_phonemes(rewritten, tmp_path):
@@ -138,7 +138,7 @@ def test_whatever_else_may_stand_where_phonemes_are_read(rewritten, tmp_path, pi
     n = 1_900_000 // len(piece)
     chunks = [before, b"[", piece * n, piece[:-1], b"]", after]
     size = sum(len(chunk) for chunk in chunks)
-    assert "phonemes in 0.3 s" in refused(rewritten(about=as_bytes(size, chunks)))
+    assert "phonemes are too many for 0.3 s" in refused(rewritten(about=as_bytes(size, chunks)))
 
 
 def test_nesting(rewritten):
@@ -155,7 +155,7 @@ def test_sound_of_zeros(rewritten, tmp_path):
     path = rewritten(about=as_bytes(len(text), [text]), sound=as_bytes(n_bytes, zeros(n_bytes)))
     assert "its sound line.wav: not a sound file" in refused(path)
     path = rewritten(about=as_bytes(len(text), [text]), sound=as_bytes(10**9, zeros(10**9)))
-    assert "unpacked, at most" in refused(path)
+    assert "unpacked; at most" in refused(path)
 
 
 @pytest.mark.slow
@@ -178,19 +178,19 @@ def test_many_members(tmp_path):
     with ZipFile(path, "w") as file:
         for number in range(30_000):
             file.writestr(f"{number}.npy", b"")
-    assert "longer than any of ours" in refused(path)
+    assert "list of arrays is too long" in refused(path)
 
 
 def test_a_list_of_members_for_archives_above_4_gb(rewritten):
     path = rewritten()
     whole = path.read_bytes()
     path.write_bytes(whole[:-22] + b"PK\x06\x07" + bytes(16) + whole[-22:])
-    assert "longer than any of ours" in refused(path)
+    assert "list of arrays is too long" in refused(path)
 
 
 def test_an_archive_in_an_archive(rewritten, tmp_path):
     inner = (tmp_path / "whole.perf").read_bytes()
-    assert "'coefficients' is no plain array" in refused(rewritten(coefficients=[inner]))
+    assert "'coefficients' has no plain numbers" in refused(rewritten(coefficients=[inner]))
 
 
 @pytest.mark.parametrize(
@@ -200,13 +200,13 @@ def test_an_archive_in_an_archive(rewritten, tmp_path):
         (header((10**11, 10**11)), "promises"),
         (header((0, 10**11)), "shape"),
         (header((10**11,), descr="<U0"), "promises"),
-        (header((1,), descr="|O"), "no plain array"),
-        (header((1,), descr=[("a", "<f4")]), "no plain array"),
+        (header((1,), descr="|O"), "no plain numbers"),
+        (header((1,), descr=[("a", "<f4")]), "no plain numbers"),
         (header(()), "promises"),
-        (b"\x93NUMPY\x02\x00\xff\xff\xff\xff", "no plain array"),
-        (b"\x93NUMPY\x01\x00\xff\xff" + b"(" * 65_535, "no plain array"),
+        (b"\x93NUMPY\x02\x00\xff\xff\xff\xff", "no plain numbers"),
+        (b"\x93NUMPY\x01\x00\xff\xff" + b"(" * 65_535, "no plain numbers"),
         (b"\x93NUMPY\x01\x00\x40\x00" + b"{'descr': '<f4', 'shape': (" + b"9" * 37, "no plain"),
-        (b"", "no plain array"),
+        (b"", "no plain numbers"),
     ],
 )
 def test_headers_that_lie(rewritten, lie, why):
@@ -227,7 +227,7 @@ def test_a_list_that_lies_about_the_size_of_a_member(rewritten, n_bytes):
 
 def test_a_way_of_packing_that_takes_gigabytes_to_unpack(rewritten):
     path = rewritten(ZIP_LZMA, coefficients=[header((2, 5)), bytes(40)])
-    assert "packed in a way" in refused(path)
+    assert "compressed in a way" in refused(path)
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.3, 0.9, 0.999])
@@ -235,4 +235,4 @@ def test_truncated(rewritten, kept):
     path = rewritten()
     whole = path.read_bytes()
     path.write_bytes(whole[: int(kept * len(whole))])
-    assert "damaged or no performance" in refused(path)
+    assert "damaged or not a performance" in refused(path)

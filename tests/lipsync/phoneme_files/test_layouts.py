@@ -138,7 +138,7 @@ def test_arpabet_is_the_same_in_any_case(phones, stress):
 
 @pytest.mark.parametrize(
     ("label", "rest"),
-    [("dcl", "name the alphabet (--alphabet"), ("hello", "(--tier words)"), ("zz", "--alphabet")],
+    [("dcl", "name its alphabet (--alphabet"), ("hello", "(--tier words)"), ("zz", "--alphabet")],
 )
 def test_ascii_words_are_never_spelled_as_ipa(label, rest):
     rows = labelled(("h", "ə", "l", label, "m", "ɑ", "p", "i"))
@@ -151,22 +151,22 @@ def test_ascii_words_are_never_spelled_as_ipa(label, rest):
 def test_a_letter_that_is_in_no_table_is_refused_with_its_place():
     error = refusal(textgrid({"phones": labelled(("h", "ə", "l", "ж", "m", "ɑ", "p", "i"))}))
 
-    assert "phoneme 5 at 0.450 s: 'ж' is no phoneme of ipa" in error
+    assert "phoneme 5 at 0.450 s: 'ж' is not a phoneme of ipa" in error
 
 
 def test_two_speakers_are_told_apart_by_tier():
     other = [(label, start_s, end_s) for label, start_s, end_s in PHONES[:4]]
     grid = textgrid({"ann - words": WORDS, "ann - phones": PHONES, "bob - phones": other})
 
-    assert "ann - phones, bob - phones; choose one by --tier NAME" in refusal(grid)
+    assert "ann - phones, bob - phones; choose one with --tier NAME" in refusal(grid)
     assert told(grid, tier="bob - phones") == rounded(other)
-    assert "which tier? The file has: ann - words" in refusal(grid, tier="eve")
+    assert "the file has several tiers: ann - words" in refusal(grid, tier="eve")
 
 
 def test_a_tier_of_any_name_is_read_if_it_is_the_only_one():
     assert told(textgrid({"Mary": PHONES})) == rounded(PHONES)
     error = refusal(textgrid({"Mary": PHONES, "notes": WORDS}))
-    assert "The file has: Mary, notes; choose one by --tier NAME" in error
+    assert "the file has several tiers: Mary, notes; choose one with --tier NAME" in error
 
 
 def test_words_of_a_label_track_are_words_where_somebody_says_so():
@@ -224,8 +224,8 @@ def test_an_overlap_is_refused_with_tier_time_and_labels():
     )
 
     assert refusal(grid) == (
-        "file: tier 'phones', phoneme 3 at 0.200 s: 'AH' ends at 0.350 s, and 'L' begins at "
-        "0.300 s; mend the overlap"
+        "file: tier 'phones', phoneme 3 at 0.200 s: 'AH' ends at 0.350 s, but 'L' begins at "
+        "0.300 s; remove the overlap"
     )
 
 
@@ -260,7 +260,7 @@ def test_milliseconds_are_refused_with_both_durations(content):
     error = refusal(content)
 
     assert (
-        "and the sound is 2.000 s long; give the labels of this sound, with times in sec" in error
+        "but the sound is 2.000 s long; give the labels of this sound, with times in sec" in error
     )
     assert "ends at 1600.000 s" in error or "ends at 100.000 s" in error
 
@@ -268,7 +268,7 @@ def test_milliseconds_are_refused_with_both_durations(content):
 def test_milliseconds_in_place_of_100_ns_leave_nothing():
     rows = "".join(f"{round(s)} {round(e)} {label}\n" for label, s, e in IN_MS)
 
-    assert "nothing but silence, or times that are no seconds" in refusal(rows)
+    assert "all labels are silence, or times are not in seconds" in refusal(rows)
 
 
 @pytest.mark.parametrize("n", range(40, len(GRID), 97))
@@ -294,26 +294,26 @@ def test_half_a_file_is_refused_or_told(name):
     [
         (
             LABEL_TRACK.replace("\t0.350000", "\tsoon", 1),
-            "line 2: '0.200000\\tsoon\\tah' is not as the lines",
+            "line 2: '0.200000\\tsoon\\tah' is unlike the lines",
         ),
         ("-0.5\t0.2\tHH\n", "line 1: from -0.5 to 0.2 s"),
         (
             CSV.replace("0.1,0.2,HH", "0.1,soon,HH"),
-            "line 4: '0.1,soon,HH,phones,mary' is not as the lines before it",
+            "line 4: '0.1,soon,HH,phones,mary' is unlike the lines before",
         ),
         (
             CSV.replace("0.1,0.2,HH,phones,mary", "0.1"),
-            "line 4: '0.1' is not as the lines before it",
+            "line 4: '0.1' is unlike the lines before",
         ),
         (GRID.replace("xmin = 0.1\n", "xmin = -0.1\n"), "time -0.1 s is before the sound begins"),
-        (b"\xff\xfe\x00", "neither a TextGrid nor text in UTF-8"),
-        (b"RIFF\xff\xff", "neither a TextGrid nor text in UTF-8"),
+        (b"\xff\xfe\x00", "neither a TextGrid nor UTF-8 text"),
+        (b"RIFF\xff\xff", "neither a TextGrid nor UTF-8 text"),
         (
             '{"facsNames": ["jawOpen"], "weightMat": [[0.1]]}',
-            "as Audio2Face exports them, not labels",
+            "as Audio2Face exports them), not labels",
         ),
         ('{"tiers": {"phones": 3}}', "not a readable Praat TextGrid"),
-        ('{"accent_phrases": [{"moras": [3]}]}', "nothing but silence"),
+        ('{"accent_phrases": [{"moras": [3]}]}', "all labels are silence"),
         ('{"mouthCues": [3]}', "no times of words"),
     ],
 )

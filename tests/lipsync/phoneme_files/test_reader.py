@@ -166,38 +166,41 @@ def test_a_file_with_the_mark_of_its_encoding_is_read(tmp_path):
     ("content", "told"),
     [
         ("", "file: empty; docs/text.md"),
-        ("hello", "file: line 1: no JSON"),
-        (POLLY + "nonsense", "file: line 9: no JSON"),
+        ("hello", "file: line 1 is neither labels nor JSON"),
+        (POLLY + "nonsense", "file: line 9 is neither labels nor JSON"),
         (
             POLLY + '{"time":380,"type":"viseme","value":"Q"}',
-            "viseme 6 at 0.380 s: 'Q' is no viseme of polly",
+            "viseme 6 at 0.380 s: 'Q' is not a viseme of polly",
         ),
         (POLLY + '{"time":272,"type":"viseme","value":"p"}', "viseme 6 begins at 0.272 s, before"),
-        (POLLY + '{"time":"372","type":"viseme","value":"p"}', "line 9: '372' is no time"),
+        (
+            POLLY + '{"time":"372","type":"viseme","value":"p"}',
+            "line 9: time '372' is not a number",
+        ),
         (
             [*AZURE, {"audioOffset": 3000000, "visemeId": 22}],
-            "viseme 5 at 0.300 s: '22' is no viseme of azure",
+            "viseme 5 at 0.300 s: '22' is not a viseme of azure",
         ),
-        ([*AZURE, {"audioOffset": -1, "visemeId": 1}], "[4]: time -1 is not within"),
-        ([*AZURE, {"audioOffset": 1e99, "visemeId": 1}], "[4]: time 1e+99 is not within"),
-        ([*AZURE, {"audioOffset": True, "visemeId": 1}], "[4]: True is no time"),
-        (HEAD_TTS | {"vtimes": [1]}, "lists of [6, 1, 6] values"),
-        (HEAD_TTS | {"vtimes": 1}, "lists of [6, 1, 6] values"),
+        ([*AZURE, {"audioOffset": -1, "visemeId": 1}], "[4]: time -1 must be 0"),
+        ([*AZURE, {"audioOffset": 1e99, "visemeId": 1}], "[4]: time 1e+99 must be 0"),
+        ([*AZURE, {"audioOffset": True, "visemeId": 1}], "[4]: time True is not a number"),
+        (HEAD_TTS | {"vtimes": [1]}, "its lists differ in length: [6, 1, 6]"),
+        (HEAD_TTS | {"vtimes": 1}, "its lists differ in length: [6, 1, 6]"),
         (
             HEAD_TTS | {"visemes": ["PP"] * 5 + ["X"]},
-            "viseme 6 at 0.350 s: 'X' is no viseme of ovr",
+            "viseme 6 at 0.350 s: 'X' is not a viseme of ovr",
         ),
         ({"phones": [["AH", 2, 1]]}, "phones: ends at 1.000 s, before it begins"),
         ({"phones": [["AH", 0]]}, "phones: each row must be [label"),
         ({"phones": []}, "no times of words, phonemes"),
-        ({"phones": [["", 0, 1]]}, "nothing but silence"),
+        ({"phones": [["", 0, 1]]}, "all labels are silence"),
         ([{"phoneme": "m"}], "no times of words, phonemes"),
-        ([{"phoneme": "m", "num_samples": 3}], "no sample_rate"),
-        ([{"phoneme": 3, "start": 0}], "[0]: 3 is no phoneme"),
+        ([{"phoneme": "m", "num_samples": 3}], "so it needs a sample_rate"),
+        ([{"phoneme": 3, "start": 0}], "[0]: 3 is not a phoneme"),
         ([1, 2], "no times of words, phonemes"),
         ({"hello": 1}, "no times of words, phonemes"),
-        ("[" * 100_000, "line 1: no JSON"),
-        ('{"time":' + "9" * 5000 + "}", "no JSON"),
+        ("[" * 100_000, "line 1 is neither labels nor JSON"),
+        ('{"time":' + "9" * 5000 + "}", "nor JSON"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line_with_its_place(content, told):
@@ -208,7 +211,7 @@ def test_words_alone_are_refused_where_phonemes_are_needed(tmp_path):
     path = tmp_path / "marks.json"
     path.write_text(POLLY.replace("viseme", "note"))
 
-    with pytest.raises(LabelError, match="words without phonemes"):
+    with pytest.raises(LabelError, match="has words but no phonemes"):
         read_phonemes(path)
 
 

@@ -90,7 +90,7 @@ def test_weights_that_overflow_leave_the_jaw_to_loudness(clip):
     recognizer = FallbackRecognizer([network, ENERGY], 0.095)
     timeline = listen(recognizer, clip)
     assert recognizer.level == "energy"
-    assert "the weights give no probabilities; train them again" in recognizer.reasons[0]
+    assert "the weights compute no finite numbers; train them again" in recognizer.reasons[0]
     assert {event.phoneme for event in timeline.events} <= {"AA", "AH", SILENCE}
 
 

@@ -86,7 +86,7 @@ def test_a_timeline_fed_in_any_steps_ends_with_the_script(step_s):
     ],
 )
 def test_a_script_out_of_order_is_refused(events):
-    with pytest.raises(ValueError, match="does not end before"):
+    with pytest.raises(ValueError, match="must end before"):
         ScriptedPhonemes(events)
 
 
@@ -107,11 +107,11 @@ def test_stretches_without_a_label_are_silence(tmp_path):
             TEXTGRID.replace('"AA"', '"AA9"'),
             "phoneme 2 at 0.400 s: 'AA9' is neither ARPAbet nor IPA",
         ),
-        (TEXTGRID.replace('"phones"', '"words"'), "words without phonemes"),
+        (TEXTGRID.replace('"phones"', '"words"'), "has words but no phonemes"),
         (TEXTGRID.replace("xmin = 0.4", "xmin = 2"), "'AA' is from '2' to '1' s"),
         (TEXTGRID[:300], "not a readable Praat TextGrid"),
         ("", "empty; docs/text.md"),
-        ("phones: AA", "line 1: no JSON; docs/text.md"),
+        ("phones: AA", "line 1 is neither labels nor JSON; docs/text.md"),
     ],
 )
 def test_a_bad_label_file_is_refused_in_one_line_that_names_it(tmp_path, text, complaint):

@@ -78,7 +78,7 @@ def test_words_with_times_are_told_with_them(tts):
 @pytest.mark.parametrize(
     ("command", "error"),
     [
-        ("", "no command speaks: write it as `sound: {synthesizer: command"),
+        ("", "the voice has no command; write it as `sound: {synthesizer: command"),
         ("no-such-program {wav}", "cannot be run"),
         ("sh -c 'echo first; echo no voice >&2; exit 3'", "failed with status 3: no voice"),
         ("true", "wrote no sound to {wav} or its standard output"),
@@ -103,7 +103,7 @@ def test_times_that_cannot_be_used_are_one_line(tts):
 
 
 def test_another_language_needs_its_place_in_the_command(tts):
-    with pytest.raises(SynthesisError, match=r"put \{language\} into it for 'de'"):
+    with pytest.raises(SynthesisError, match=r"write \{language\} into it so that it gets 'de'"):
         speak(tts, language="de")
     assert len(speak(f"sh -c 'test {{language}} = de; {tts}'", language="de").samples)
 
@@ -116,7 +116,7 @@ def test_sound_at_an_impossible_rate_is_one_line(tmp_path):
 
 def test_silence_is_no_speech(tmp_path):
     soundfile.write(tmp_path / "empty.wav", np.zeros(0), 16_000)
-    with pytest.raises(UnspeakableTextError, match="nothing was said"):
+    with pytest.raises(UnspeakableTextError, match="made no sound"):
         speak(f"cp {tmp_path}/empty.wav {{wav}}")
 
 
@@ -226,7 +226,7 @@ def test_a_model_that_is_none_is_one_line(tmp_path):
     (tmp_path / "joe.onnx.json").write_text("{}")
 
     for model, error in (
-        ("absent.onnx", "is not there"),
+        ("absent.onnx", "does not exist"),
         ("joe.onnx", "cannot be loaded by Piper"),
     ):
         with pytest.raises(SynthesisError, match=error) as raised:

@@ -126,8 +126,8 @@ def test_text_is_text_whatever_it_looks_like(espeak, text, said):
     ("voice", "told"),
     [
         (Voice("en-uz"), "en-us"),
-        (Voice("\x00"), "near it"),
-        (Voice(name="kal"), "choose a language"),
+        (Voice("\x00"), "similar languages"),
+        (Voice(name="kal"), "give a language"),
         (Voice(rate_wpm=79), "80 to 400"),
         (Voice(rate_wpm=401), "80 to 400"),
         (Voice(pitch=-1), "0 to 99"),

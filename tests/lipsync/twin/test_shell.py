@@ -165,5 +165,5 @@ def test_a_part_that_hangs_on_nothing_is_refused():
     vertices, triangles = grid()
     two = np.vstack([vertices, vertices + np.array([5.0, 0.0, 0.0])])
     stiffness = shell_stiffness(two, np.vstack([triangles, triangles + len(vertices)]))
-    with pytest.raises(ValueError, match="hangs on nothing"):
+    with pytest.raises(ValueError, match="has no handle"):
         influence(stiffness, [0], [1, 2, 3])

@@ -44,7 +44,7 @@ def test_a_wav_beside_goes_before_the_sound_in_the_file(tmp_path):
 
 
 def test_silence_is_no_sound(tmp_path):
-    with pytest.raises(VideoError, match="nothing but digital silence"):
+    with pytest.raises(VideoError, match="every sample of its sound is zero"):
         video_sound(write(tmp_path / "a.mkv", np.zeros(6400, np.float32)))
 
 

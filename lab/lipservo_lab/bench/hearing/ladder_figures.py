@@ -97,7 +97,7 @@ def read_ticks(trace: Path, first_s: float) -> Ticks:
     except (OSError, ValueError, KeyError) as error:
         raise LadderError(f"{trace.name}: no trace of a whole run ({error})") from error
     if not columns:
-        raise LadderError(f"{trace.name}: holds no tick")
+        raise LadderError(f"{trace.name}: has no ticks")
     return Ticks(*(np.array(each) for each in zip(*columns, strict=True)))
 
 

@@ -144,7 +144,7 @@ def faults(
     from lipservo_lab.campaigns.fault_campaign import CAMPAIGN_BUSES
 
     if stops + signals + starved + whole > 1:
-        raise UserError("--stops, --signals, --starved and --whole: give one of them")
+        raise UserError("give one of --stops, --signals, --starved and --whole")
     if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals or starved)):
         raise UserError(
             f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops, --signals and "
@@ -259,7 +259,7 @@ def calibration(
     from lipservo_lab.bench.calibration.every_robot import bench_figures, read_seeds
 
     if ways and family is RobotFamily.OWN:
-        raise typer.BadParameter("--ways goes with --family elastic")
+        raise typer.BadParameter("--ways needs --family elastic")
     numbers = read_seeds(seeds)
     began_s = time.perf_counter()
     with progress_bar(quiet=quiet) as advance:

@@ -161,7 +161,7 @@ def sync(
 
     figures: dict[str, object]
     if quick + timings + (face is not None) > 1:
-        raise UserError("--quick, --face, --timings: give one of them")
+        raise UserError("give one of --quick, --face and --timings")
     if timings:
         with progress_bar(quiet=quiet) as advance:
             figures = {"timed": timed_figures(partial(advance, "defects"))}

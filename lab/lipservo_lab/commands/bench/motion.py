@@ -207,7 +207,7 @@ def motion(
         )  # fmt: skip
         return
     if also:
-        raise typer.BadParameter("--also is of models trained here: give --leave-words-out too")
+        raise typer.BadParameter("--also needs --leave-words-out, which trains the models")
     with work_bars(quiet=quiet) as bars:
         answer = _answer(
             corpus, given, question, plots, bars, skip_bad=skip_bad, with_offline=offline

@@ -104,7 +104,7 @@ def readability(
             "--leave-words-out trains models of its own; leave out --words and --models"
         )
     if also and not leave_words_out:
-        raise typer.BadParameter("--also is of models trained here: give --leave-words-out too")
+        raise typer.BadParameter("--also needs --leave-words-out, which trains the models")
     reading = reading_question(strategy, lookahead_ms, phonemes, robot=robot)
     with work_bars(quiet=quiet) as bars:
         rows, skipped = _measured(

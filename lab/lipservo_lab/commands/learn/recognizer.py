@@ -162,7 +162,7 @@ def train_recognizer(
 
     check_output(output, replaces=is_weights, kind="weights")
     if start_share and start_from is None:
-        raise UserError("--start-share is of the weights to go on from; give --start-from")
+        raise UserError("--start-share needs weights to go on from; give --start-from")
     n_jobs = jobs or os.cpu_count() or 1
     start = None if start_from is None else find_weights(start_from)
     plan = TrainingPlan(

@@ -139,7 +139,7 @@ def _mode(size: str, rate_hz: float) -> "CameraMode":
     width, _, height = size.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal() and 0 < int(width) < 10_000 > int(height) > 0):
         raise typer.BadParameter(
-            f"{size!r}: write WIDTHxHEIGHT, 1280x720 for one", param_hint="--size"
+            f"{size!r}: write WIDTHxHEIGHT, such as 1280x720", param_hint="--size"
         )
     return CameraMode(int(width), int(height), rate_hz)
 

@@ -178,7 +178,7 @@ def _named_in(path: Path | None) -> frozenset[str]:
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"--without {path}: cannot be read as text: {error}") from error
     if not names - {""}:
-        raise UserError(f"--without {path}: names no sentence; write one a line")
+        raise UserError(f"--without {path}: names no sentence; write one per line")
     return names - {""}
 
 
@@ -193,7 +193,7 @@ def _weights(given: list[str]) -> dict[str, float]:
             name = ""
         if not name:
             raise typer.BadParameter(
-                f"{each!r}: write NAME=W, me=0.3 for one", param_hint="--weight"
+                f"{each!r}: write NAME=W, such as me=0.3", param_hint="--weight"
             )
     return weights
 

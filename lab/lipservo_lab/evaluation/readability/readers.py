@@ -49,7 +49,7 @@ def slotted(utterances: Sequence[Utterance]) -> list[Utterance]:
     """
     labelled = [u for u in utterances if u.phones and spoken_words(u)]
     if not labelled:
-        raise CorpusError("no sentence has both phones and words; nothing can be read")
+        raise CorpusError("no sentence has both phones and words, so there is nothing to read")
     n_slots = Counter(len(spoken_words(u)) for u in labelled).most_common(1)[0][0]
     return [u for u in labelled if len(spoken_words(u)) == n_slots]
 

@@ -192,7 +192,7 @@ def test_a_damaged_fast_reply_keeps_the_blocks_before_the_damage():
 
 
 def test_too_much_for_one_packet_is_refused():
-    with pytest.raises(ValueError, match="do not fit"):
+    with pytest.raises(ValueError, match="too many for one packet"):
         codec.write(1, 0, bytes(70_000))
 
 

@@ -169,9 +169,9 @@ def test_what_cannot_be_performed_is_told_in_one_line(written, tmp_path):
 
     assert "rendered for face model" in refusal(written(face_checksum="another"))
     path = written(coefficients=np.zeros((81, 2), np.float32))
-    assert "2 coefficients a face" in refusal(path)
+    assert "2 coefficients per face" in refusal(path)
     path = written(coefficients=performance_of(None).coefficients[:40])
-    assert "faces for 0.39 s, sound for 0.80 s" in refusal(path)
+    assert "its faces last 0.39 s, its sound 0.80 s" in refusal(path)
     path = written(sound=PerformedSound("line.wav", "0" * 64, b"RIFF"))
     assert "is not the one it was rendered from" in refusal(path)
     noise = tmp_path / "noise.wav"
@@ -184,7 +184,7 @@ def test_what_cannot_be_performed_is_told_in_one_line(written, tmp_path):
     path = written()
     path.write_bytes(path.read_bytes()[:-300])
     assert "damaged" in refusal(path)
-    assert "damaged or no performance" in refusal(sound)
+    assert "damaged or not a performance" in refusal(sound)
     assert "cannot be read" in refusal(tmp_path / "none.perf")
 
 

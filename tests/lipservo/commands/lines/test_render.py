@@ -319,7 +319,9 @@ def test_mistakes_are_told_in_one_line_and_leave_no_file(made, tmp_path):
     assert "no words" in refusal("lines", "render", sound, "--text", " ", "-o", output, *of(made))
     assert "silen" in refusal("lines", "render", silent, "-o", output, *of(made))
     both = ["--text", "hello", "--textgrid", labels]
-    assert "give one of them" in refusal("lines", "render", sound, *both, "-o", output, *of(made))
+    assert "give --text or --textgrid" in refusal(
+        "lines", "render", sound, *both, "-o", output, *of(made)
+    )
     assert "give the labels of this sound" in refusal(
         "lines", "render", short, "--textgrid", labels, "-o", output, *of(made)
     )

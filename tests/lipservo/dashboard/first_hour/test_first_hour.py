@@ -48,7 +48,7 @@ def test_hobby_servos_are_wired_on_the_page_and_written_with_narrow_limits(wired
 
 @pytest.mark.parametrize(
     ("channel", "why"),
-    [("jaw=0", "say what a longer pulse does"), ("Jaw=0:opens", "is no name of a joint")],
+    [("jaw=0", "add what a longer pulse does"), ("Jaw=0:opens", "is not a joint's name")],
 )
 def test_what_cannot_be_wired_is_refused_in_one_line(wired, channel, why):
     with pytest.raises(FaceError, match=why) as refused:
@@ -58,7 +58,7 @@ def test_what_cannot_be_wired_is_refused_in_one_line(wired, channel, why):
 
 
 def test_a_face_without_servos_is_not_written(wired, path):
-    with pytest.raises(FaceError, match="which servos"):
+    with pytest.raises(FaceError, match="no servos given"):
         wired.write_face()
 
     assert not path.exists()
@@ -87,7 +87,7 @@ def test_a_face_on_several_buses_and_a_file_that_is_no_face_are_refused(path):
 
 @pytest.mark.parametrize("step", ["limits", "by_eye", "measure", "speak"])
 def test_no_step_on_servos_begins_before_they_have_names(path, step):
-    with pytest.raises(FaceError, match="name the servos first"):
+    with pytest.raises(FaceError, match="no face yet; name its servos"):
         FirstHour(path).start(step)
 
 
@@ -98,9 +98,9 @@ def test_limits_that_nobody_set_are_not_written(path):
     path.write_text(face_yaml("tom", bus_kind("dynamixel"), "/dev/none", 1_000_000, found))
     hour = FirstHour(path)
 
-    with pytest.raises(FaceError, match="does not say where it stands"):
+    with pytest.raises(FaceError, match="has not told its angle"):
         hour.set_end("jaw", "min")
-    with pytest.raises(FaceError, match="set min and max of a joint first"):
+    with pytest.raises(FaceError, match="set min and max of one first"):
         hour.write_limits()
 
 
@@ -128,7 +128,7 @@ def test_a_neutral_shown_by_hand_moves_zero_and_leaves_the_ends_of_the_servo_whe
 
 
 def test_a_neutral_outside_of_the_ends_is_refused():
-    with pytest.raises(UserError, match="leaves out its neutral"):
+    with pytest.raises(UserError, match="its neutral, 0, must lie between"):
         turned_values(10.0, 30.0, 0.0, 0.0)
 
 

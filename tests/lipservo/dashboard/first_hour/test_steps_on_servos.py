@@ -72,7 +72,7 @@ def test_a_stop_lets_go_at_once_and_is_no_error_of_the_step(server, servos):
     held(server)
     refused = server.post("start", step="limits")  # as a second browser would
     assert refused.status_code == 409
-    assert "'by eye' runs on the servos" in refused.json()["error"]
+    assert "step 'by eye' uses the servos" in refused.json()["error"]
 
     stopped = server.client.post("/api/stop", json={"level": "soft", "wait_s": 20})
 

@@ -25,7 +25,11 @@ def test_the_calibration_of_a_shipped_face_is_read():
 
 
 @pytest.mark.parametrize(
-    ("config", "why"), [(None, "does not say where its YAML is"), ("nobody", "no face 'nobody'")]
+    ("config", "why"),
+    [
+        (None, "the place of this face's YAML is unknown"),
+        ("nobody", "no shipped face is called 'nobody'"),
+    ],
 )
 def test_why_there_is_none_is_said(config, why):
     told, trouble = read_calibration(config)

@@ -91,7 +91,7 @@ def test_of_two_pages_that_set_at_once_both_are_written(path):
         ({"servo": "jaw", "limit": "min", "pulse_us": 1550}, 422, "set neutral first"),
         ({"servo": "jaw", "limit": "min", "pulse_us": 400}, 422, "pulse_us"),
         ({"servo": "jaw", "limit": "most", "pulse_us": 1500}, 422, "limit"),
-        ({"servo": "lip", "limit": "min", "pulse_us": 1500}, 404, "no servo of that name"),
+        ({"servo": "lip", "limit": "min", "pulse_us": 1500}, 404, "no servo has that name"),
         ({"limit": "min", "pulse_us": 1500}, 422, "servo"),
         ({"servo": "jaw", "limit": "min", "pulse_us": 1500, "force": True}, 422, "force"),
     ],
@@ -112,7 +112,7 @@ def test_a_shipped_face_and_a_servo_with_an_encoder_have_none_to_set(path):
         "min_deg: 0, max_deg: 9, max_speed_deg_s: 300}}\n"
     )
     with watched(path) as (_, client):
-        assert "has no hobby servo 'jaw'" in limit(client, "min", 1450.0).json()["error"]
+        assert "no hobby servo is called 'jaw'" in limit(client, "min", 1450.0).json()["error"]
 
 
 def test_a_limit_and_a_move_need_the_token(path):

@@ -100,6 +100,6 @@ def test_a_tick_that_is_being_written_is_not_believed():
 def test_what_is_no_board_is_refused():
     empty = os.memfd_create("empty")
     os.ftruncate(empty, 100_000)
-    with pytest.raises(ValueError, match="no live board"):
+    with pytest.raises(ValueError, match="not a live board"):
         LiveBoard.watch(empty)
     os.close(empty)
