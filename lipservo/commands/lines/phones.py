@@ -56,15 +56,17 @@ def _is_tiers(head: bytes) -> bool:
 
 def align(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
-    text: Annotated[str, typer.Argument(help="The spoken text, or a text file that holds it.")],
+    text: Annotated[
+        str, typer.Argument(help="Text spoken in the sound file, or a text file with it.")
+    ],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json.")
+        Path | None, typer.Option("--output", "-o", help="File to write: X.TextGrid or X.json.")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find when each phone of a known text is spoken.
+    """Find when each phone of a known text is spoken in a sound file.
 
-    A text that was not spoken is refused: docs/recognition.md, Alignment, says how that is decided.
+    A text that is not spoken there is refused (docs/recognition.md, "Alignment").
     """
     if sound.is_dir():
         raise UserError(f"{sound}: is a folder; `lipservo lines align-folder` aligns its texts")
@@ -124,19 +126,24 @@ def recognize(
     sound: Annotated[Path | None, typer.Argument(help="Sound file.")] = None,
     mic: Annotated[
         str | None,
-        typer.Option(metavar="[DEVICE]", help="Listen to a microphone.", show_default=False),
+        typer.Option(
+            metavar="[DEVICE]",
+            help="Listen to a microphone: DEVICE is a number or part of a name; default: the "
+            "system's.",
+        ),
     ] = None,
     channel: Channel = "",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json at the end.")
+        Path | None,
+        typer.Option("--output", "-o", help="File to write at the end: X.TextGrid or X.json."),
     ] = None,
     engine: EngineChoice = "network",
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
 ) -> None:
-    """Print the phonemes of a sound file, or of a microphone as they are spoken, with their times.
+    """Print the phonemes in a sound file, or live from a microphone, with their times in s.
 
-    With --json one object a line: phoneme, start_s, end_s.
+    With --json each phoneme is one JSON object on a line: phoneme, start_s, end_s.
     """
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")
