@@ -110,8 +110,7 @@ def lipservo(
         bool, typer.Option("--verbose", "-v", help="Log in detail, with the name of each logger.")
     ] = False,
     log_json: Annotated[
-        bool,
-        typer.Option("--log-json", help="Log one JSON object a line on stderr; show no live view."),
+        bool, typer.Option("--log-json", help="Log JSON lines on stderr; show no live view.")
     ] = False,
 ) -> None:
     """Live speech, in English, moves a physical mouth."""

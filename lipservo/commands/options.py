@@ -56,25 +56,17 @@ Sim = Annotated[
 ]
 Rate = Annotated[
     float | None,
-    typer.Option(
-        min=30.0,
-        max=200.0,
-        help="Ticks of the servo loop per second; default: `rate_hz` of the face's YAML.",
-    ),
+    typer.Option(min=30.0, max=200.0, help="Servo loop ticks per second; default: the face's."),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only read the servos, never move them.")]
 
 # ---- which running face ----
 
 FaceName = Annotated[
-    str | None,
-    typer.Option(
-        "--face", help="Only the running face of this name; `lipservo status` lists the names."
-    ),
+    str | None, typer.Option("--face", help="Only the face of this name (see `lipservo status`).")
 ]
 Control = Annotated[
-    Path | None,
-    typer.Option(help="Control socket of the face, a path; default: found by the face's name."),
+    Path | None, typer.Option(help="Path of the face's control socket; default: by its name.")
 ]
 On = Annotated[
     Path | None,
@@ -87,8 +79,7 @@ On = Annotated[
 # ---- what it hears ----
 
 Wav = Annotated[
-    Path | None,
-    typer.Option(help="Sound file that the face speaks: WAV, FLAC, OGG, any sample rate."),
+    Path | None, typer.Option(help="Sound file to speak: WAV, FLAC, OGG, any sample rate.")
 ]
 Channel = Annotated[
     str,
@@ -128,29 +119,23 @@ Output = Annotated[
 Phonemes = Annotated[
     Path | None,
     typer.Option(
-        help="File of phonemes or words with times, used instead of recognition: TextGrid and "
-        "others (docs/text.md)."
+        help="Label file, used instead of recognition: phonemes or words with times (TextGrid and "
+        "others: docs/text.md)."
     ),
 ]
 Tier = Annotated[
     str,
     typer.Option(
-        help="Tier to read in the file of phonemes or words, by name; default: the phonemes, else "
-        "visemes, else words."
+        help="Tier to read in the label file, such as `words`; default: phonemes, else visemes, "
+        "else words."
     ),
 ]
-Alphabet = Annotated[
-    str,
-    typer.Option(
-        help="Phonetic alphabet in that file: arpabet, ipa, x-sampa, ...; default: detected."
-    ),
-]
+Alphabet = Annotated[str, typer.Option(help="Label file's alphabet: arpabet, ipa, x-sampa, ...")]
 SpokenText = Annotated[
     str,
     typer.Option(
         "--text",
-        help="English text spoken in the sound file, or @FILE with it; the recogniser then uses "
-        "its words.",
+        help="English text that the sound file says, or @FILE; recognition then uses it.",
         show_default=False,
     ),
 ]
@@ -192,10 +177,7 @@ Through = Annotated[
 # ---- who watches ----
 
 Dashboard = Annotated[
-    bool,
-    typer.Option(
-        "--dashboard", help="Show the face on a web page; the command prints its address."
-    ),
+    bool, typer.Option("--dashboard", help="Show the face on a web page, whose address is printed.")
 ]
 DashboardListen = Annotated[
     str | None,
@@ -224,8 +206,7 @@ _ENGINE = typer.Option(
     show_default=False,
 )
 _WEIGHTS = typer.Option(
-    help="Weights of the recogniser's network: default, grid, or a weights file.",
-    show_default=False,
+    help="Recogniser's network weights: default, grid, or a weights file.", show_default=False
 )
 EngineChoice = Annotated[str, _ENGINE]
 MeasuredEngineChoice = Annotated[
@@ -268,9 +249,7 @@ Strength = Annotated[
 ]
 Smoothness = Annotated[
     float | None,
-    typer.Option(
-        min=0.0, max=SMOOTHEST, help="0: crisp motion, 1: slow motion; default: the face's, or 0."
-    ),
+    typer.Option(min=0.0, max=SMOOTHEST, help="0: crisp (default), 1: slow and smooth motion."),
 ]
 UnitShare = Annotated[
     float | None,
@@ -285,8 +264,7 @@ UnitShare = Annotated[
 # ---- what comes out ----
 
 Trace = Annotated[
-    Path | None,
-    typer.Option(help="Record every tick of the servo loop in this file (docs/traces.md)."),
+    Path | None, typer.Option(help="Record every tick in this file (docs/traces.md).")
 ]
 Osc = Annotated[
     str | None,
@@ -303,13 +281,10 @@ LiveLink = Annotated[
         help="Also send the face to Unreal Engine (Live Link Face); default port 11111.",
     ),
 ]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print the result as one JSON object on stdout.")
-]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no live view and no messages.")]
 SkipBad = Annotated[
-    bool,
-    typer.Option("--skip-bad", help="Leave out sentences whose files are faulty, and list them."),
+    bool, typer.Option("--skip-bad", help="Leave out sentences with faulty files, and list them.")
 ]
 Landmarker = Annotated[
     Path | None,

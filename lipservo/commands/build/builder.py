@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 
 def new_face(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="YAML file of the face, to write.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The YAML file to write.")],
     port: Annotated[
         list[str] | None,
         typer.Option(

@@ -108,15 +108,10 @@ def doctor(
         ),
     ] = None,
     seconds: Annotated[
-        float,
-        typer.Option(min=1.0, max=600.0, help="How long --report reads and writes the servos, s."),
+        float, typer.Option(min=1.0, max=600.0, help="Seconds that --report reads and writes.")
     ] = 5.0,
     move: Annotated[
-        str | None,
-        typer.Option(
-            metavar="JOINT",
-            help="With --report: the joint to move; default: the first, after a question.",
-        ),
+        str | None, typer.Option(metavar="JOINT", help="With --report: joint to move.")
     ] = None,
     yes: Annotated[
         bool, typer.Option("--yes", help="With --report: ask no questions; needed in a script.")

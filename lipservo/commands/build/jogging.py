@@ -31,12 +31,9 @@ def jog(
     ] = None,
     port: Port = None,
     config: Config = DEFAULT_FACE,
-    hold_s: Annotated[
-        float, typer.Option(min=0.0, max=60.0, help="How long to stay at the angle, s.")
-    ] = 1.0,
+    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="Seconds to stay.")] = 1.0,
     limp: Annotated[
-        bool,
-        typer.Option("--limp", help="Torque off: turn joints by hand; their ranges are shown."),
+        bool, typer.Option("--limp", help="Torque off: turn joints by hand, and see how far.")
     ] = False,
     dashboard: Dashboard = False,
     open_page: OpenPage = False,
@@ -77,8 +74,7 @@ def neutral(
     port: Port = None,
     config: Config = DEFAULT_FACE,
     yes: Annotated[
-        bool,
-        typer.Option("--yes", help="Hobby servos that have had no pulse yet may jump to neutral."),
+        bool, typer.Option("--yes", help="Hobby servos without a pulse so far may jump to neutral.")
     ] = False,
 ) -> None:
     """Move every joint to its neutral through the safety gate; then switch torque off."""

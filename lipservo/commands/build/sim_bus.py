@@ -24,31 +24,25 @@ _SIMULATED = "dynamixel"
 
 def sim_bus(
     config: Annotated[
-        str | None,
-        typer.Option(
-            help="Simulate the servos of this face: its name, or the path of its YAML file."
-        ),
+        str | None, typer.Option(help="Face (name or YAML file) whose servos are simulated.")
     ] = None,
     bus: Bus = None,
     kind: Annotated[
-        str, typer.Option(help="Without --config: kind of servos: dynamixel, maestro or feetech.")
+        str, typer.Option(help="Without --config: kind of servos: dynamixel, maestro, feetech.")
     ] = _SIMULATED,
     servos: Annotated[
-        int, typer.Option(min=1, max=252, help="Without --config: number of servos.")
+        int, typer.Option(min=1, max=252, help="Number of servos, without --config.")
     ] = (_N_SERVOS),
     model: Annotated[
         str | None,
         typer.Option(help="Without --config: model of the servos; default: XL330-M288 or STS3215."),
     ] = None,
     first_id: Annotated[
-        int,
-        typer.Option(min=0, max=252, help="Id of the first servo; the others have the next ids."),
+        int, typer.Option(min=0, max=252, help="Id of the first servo; the others count up.")
     ] = 1,
     baud_rate: Annotated[
         int | None,
-        typer.Option(
-            help="Servos are set up for this baud rate; default: new ones, at 57600.", min=9600
-        ),
+        typer.Option(help="Servos are set up for this rate; default: new, 57600 baud.", min=9600),
     ] = None,
     faults: Annotated[
         Path | None, typer.Option(help="YAML file with faults to simulate (docs/simulator.md).")

@@ -30,9 +30,7 @@ from lipsync.output_file import check_output
 
 
 def plan(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Plan to write, a CSV file of poses.")
-    ],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Plan (CSV file) to write.")],
     config: Config = DEFAULT_FACE,
     model: Model = None,
     poses: Poses = 60,
@@ -90,10 +88,7 @@ def fit(
     config: Config = DEFAULT_FACE,
     model: Model = None,
     plan: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Plan that --markers were recorded at, from `calibrate plan`."
-        ),
+        Path | None, typer.Option(metavar="FILE", help="The plan that --markers were recorded at.")
     ] = None,
     markers: Markers = None,
     axes: Axes = "x y z",
@@ -153,14 +148,13 @@ def fit(
 def grade(
     file: CalibrationFile,
     plan: Annotated[
-        Path,
-        typer.Option(metavar="FILE", help="Poses that `calibrate fit --check-plan` has written."),
+        Path, typer.Option(metavar="FILE", help="Poses that `calibrate fit --check-plan` wrote.")
     ],
     markers: Annotated[
         Path,
         typer.Option(
-            help="Marker positions recorded at these poses: a CSV or JSON file, or a folder of "
-            "C3D files or of pictures."
+            help="Markers recorded at these poses: CSV or JSON file, or a folder of C3D files or "
+            "pictures."
         ),
     ],
     config: Config = DEFAULT_FACE,

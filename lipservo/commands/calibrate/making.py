@@ -29,10 +29,7 @@ Markers = Annotated[
     ),
 ]
 Axes = Annotated[
-    str,
-    typer.Option(
-        help='Axes of C3D files that point to the robot\'s left, up and forward, such as "x z -y".'
-    ),
+    str, typer.Option(help="C3D axes to the robot's left, up and forward, such as `x z -y`.")
 ]
 Poses = Annotated[int, typer.Option(min=1, help="Number of poses to move to.")]
 Keep = Annotated[
@@ -71,8 +68,7 @@ EyeDistance = Annotated[
     ),
 ]
 Camera = Annotated[
-    str,
-    typer.Option(help="For --tracker camera: its number or device path; a video file for a trial."),
+    str, typer.Option(help="For --tracker camera: number or device path; a video file to try.")
 ]
 CalibrationFile = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration file.")]
 Accept = Annotated[

@@ -127,9 +127,7 @@ def guided(
 
 
 def practise(
-    seed: Annotated[
-        int, typer.Argument(metavar="SEED", help="Random seed that determines the robot.")
-    ],
+    seed: Annotated[int, typer.Argument(metavar="SEED", help="Seed of the simulated robot.")],
     output: Output,
     config: Config = DEFAULT_FACE,
     model: Model = None,
@@ -174,14 +172,13 @@ def practise(
 
 def pose(
     plan: Annotated[
-        Path,
-        typer.Argument(metavar="PLAN", help="File of poses that `calibrate plan` has written."),
+        Path, typer.Argument(metavar="PLAN", help="Plan file, as `calibrate plan` writes it.")
     ],
     poses: Annotated[
         list[int] | None,
         typer.Argument(
             metavar="[POSE]...",
-            help="Numbers of the poses; default: all, in the order of the plan.",
+            help="Numbers of the poses to take; default: all, in the order of the plan.",
         ),
     ] = None,
     config: Config = DEFAULT_FACE,
@@ -191,8 +188,8 @@ def pose(
 ) -> None:
     """Move the servos to poses of a plan, one after the other; Enter goes to the next pose.
 
-    For markers that you record yourself. Each joint comes from the side that the plan names,
-    because of backlash. At the end all joints go to neutral, and torque is switched off.
+    This is for markers that you record yourself. Each joint comes from the side that the plan
+    names, because of backlash. At the end all joints go to neutral, and torque is switched off.
     """
     check_inputs(plan)
     setup = load_setup(config, None, speed_deg_s=speed)
@@ -230,7 +227,7 @@ def lags(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how late each servo follows its goals, by chirps and steps; store it in a calibration.
+    """Measure how late each servo follows its goals, by chirps and steps; store it in the file.
 
     It takes 14 s for each joint. The rest of the calibration does not change; the old file is kept
     as `.previous`. Servos without encoders cannot be measured: give their lags with --lag-ms
@@ -285,7 +282,7 @@ def touch(
         bool,
         typer.Option(
             "--by-eye",
-            help="You watch, and press Enter when the lips meet; always so for hobby servos.",
+            help="You watch, and press Enter where the lips meet; always so with hobby servos.",
         ),
     ] = False,
     axes: Axes = "x y z",

@@ -21,7 +21,7 @@ def trim(
         typer.Argument(help="Degrees to add to the joint while the class is spoken; 0: no trim."),
     ] = None,
 ) -> None:
-    """Add degrees to a joint while a viseme class is spoken; without VISEME: show all such trims."""
+    """Add degrees to a joint while a viseme class is spoken; without VISEME: print these trims."""
     from calibration.files.calibration_file import load_calibration, save_calibration
 
     calibration = load_calibration(file)
@@ -55,7 +55,10 @@ def show(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Print a calibration: its grade, each servo, each viseme class, rules between joints, trims."""
+    """Print a calibration: grade, servos, viseme classes, rules between joints, and trims.
+
+    Trims are degrees that `calibrate trim` has added.
+    """
     from calibration.files.calibration_file import load_calibration
 
     calibration = load_calibration(file)

@@ -52,8 +52,8 @@ def perform(
     performance: Annotated[
         Path,
         typer.Argument(
-            help="Performance file (.perf) that `lines render` has written; with --through its "
-            "name in the running face's folder."
+            help="Performance file (.perf), as `lines render` writes it; with --through its name "
+            "in that face's folder of sounds."
         ),
     ],
     mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,

@@ -56,11 +56,9 @@ def _is_tiers(head: bytes) -> bool:
 
 def align(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
-    text: Annotated[
-        str, typer.Argument(help="Text spoken in the sound file, or a text file with it.")
-    ],
+    text: Annotated[str, typer.Argument(help="The spoken text, or a text file that holds it.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write: X.TextGrid or X.json.")
+        Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -126,16 +124,11 @@ def recognize(
     sound: Annotated[Path | None, typer.Argument(help="Sound file.")] = None,
     mic: Annotated[
         str | None,
-        typer.Option(
-            metavar="[DEVICE]",
-            help="Listen to a microphone: DEVICE is a number or part of a name; default: the "
-            "system's.",
-        ),
+        typer.Option(metavar="[DEVICE]", help="Use a microphone: its number or part of its name."),
     ] = None,
     channel: Channel = "",
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="File to write at the end: X.TextGrid or X.json."),
+        Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json at the end.")
     ] = None,
     engine: EngineChoice = "network",
     weights: WeightsChoice = DEFAULT_WEIGHTS,

@@ -21,23 +21,19 @@ Method = Literal["heard", "model-based", "live"]
 LineMethodName = Annotated[
     Method,
     typer.Option(
-        help="heard: phonemes and the sound itself; model-based: published method of Edge, Hilton "
-        "and Jackson; live: as a running face moves."
+        help="heard: by phonemes and the sound; model-based: as published by Edge, Hilton and "
+        "Jackson; live: as a running face moves."
     ),
 ]
 LineStrength = Annotated[
-    float,
-    typer.Option(
-        min=0.0, max=STRONGEST, help="Amplitude of the mouth's motion; 1: the recorded speaker's."
-    ),
+    float, typer.Option(min=0.0, max=STRONGEST, help="Amplitude of the motion; 1: as recorded.")
 ]
 Offline = Annotated[
     Path | None,
     typer.Option(help="Offline model of `learn offline`, a .npz file; default: the shipped model."),
 ]
 ReferenceSound = Annotated[
-    bool,
-    typer.Option("--reference-sound", help="Store only the name of the sound file, not the sound."),
+    bool, typer.Option("--reference-sound", help="Store the sound file's name only, not its sound.")
 ]
 ExpressionOf = Annotated[
     str | None,
@@ -51,16 +47,14 @@ ExpressionOf = Annotated[
 
 def render(
     audio: Annotated[Path, typer.Argument(help="Sound file.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Performance file to write (.perf).")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Performance (.perf) to write.")],
     text: Annotated[
         str | None, typer.Option(help="Text spoken in the sound file, or a text file with it.")
     ] = None,
     textgrid: Annotated[
         Path | None,
         typer.Option(
-            help="Phonemes or words with times: a TextGrid, or another file as in docs/text.md."
+            help="Label file: phonemes or words with times, a TextGrid or others (docs/text.md)."
         ),
     ] = None,
     tier: Tier = "",

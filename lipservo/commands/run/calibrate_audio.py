@@ -31,9 +31,7 @@ def calibrate_audio(
             "default: the face's.",
         ),
     ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Only measure; write nothing.")
-    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, write nothing.")] = False,
     as_json: Json = False,
 ) -> None:
     """Measure how late a loudspeaker is, by clicks; write the offset into the face's YAML.

@@ -47,10 +47,7 @@ def export(
     output: Annotated[
         Path,
         typer.Option(
-            "--output",
-            "-o",
-            help="File to write; its ending gives the kind: .tsv .json .xml (Rhubarb), .jsonl "
-            ".csv.",
+            "--output", "-o", help="File to write: .tsv, .json, .xml (Rhubarb), .jsonl or .csv."
         ),
     ],
     file_format: Annotated[

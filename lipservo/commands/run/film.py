@@ -34,14 +34,12 @@ def film(
     speech: Annotated[
         str | None, typer.Argument(help="Sound file, text in quotes, or performance file (.perf).")
     ] = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Film to write: .mp4, .mov or .mkv.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Film to write: .mp4 .mov .mkv.")],
     face: Annotated[
         str,
         typer.Option(
-            help="twin: a drawn face; robot: the robot; beside: both; or a photograph of a face "
-            "(JPEG, PNG ...)."
+            help="twin: a drawn face; robot: the robot, drawn; beside: both; or a photograph of a "
+            "face (JPEG, PNG ...)."
         ),
     ] = _TWIN,
     landmarks: Annotated[
@@ -53,10 +51,7 @@ def film(
     ] = None,
     landmarker: Annotated[
         Path | None,
-        typer.Option(
-            help="Face tracker's file face_landmarker.task (docs/own-face.md); default: that of "
-            "mediapipe."
-        ),
+        typer.Option(help="The face tracker's file face_landmarker.task (docs/own-face.md)."),
     ] = None,
     beside: Annotated[
         str | None,

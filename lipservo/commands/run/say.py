@@ -72,8 +72,8 @@ def say(
         Path | None,
         typer.Option(
             "--from",
-            help="File of words, phonemes or visemes with times (docs/text.md); the sound file of "
-            "the same name must be beside it.",
+            help="Label file to say: words, phonemes or visemes with times (docs/text.md); the "
+            "sound file of the same name must be beside it.",
         ),
     ] = None,
     tier: Tier = "",
@@ -100,7 +100,7 @@ def say(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Speak a text, with sound and face, by the voice in the face's YAML; or speak a file (--from)."""
+    """Speak a text with sound and face, by the voice in the face's YAML; or speak a label file."""
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
     labels = label_file(from_file, tier, alphabet)

@@ -28,9 +28,7 @@ def servo(
     name: Annotated[str, typer.Argument(help="Name of the servo's joint.")],
     switch: Annotated[
         ServoSwitch,
-        typer.Argument(
-            help="`off`: torque off; `on`: drive it again; `reboot`: restart the servo."
-        ),
+        typer.Argument(help="off: torque off; on: drive the servo again; reboot: restart it."),
     ],
     face: FaceName = None,
     control: Control = None,

@@ -72,10 +72,7 @@ def stop(
         bool, typer.Option("--freeze", help="Hold the present position until the next stop.")
     ] = False,
     end: Annotated[
-        bool,
-        typer.Option(
-            "--end", help="Also end a daemon, which otherwise waits for `lipservo start`."
-        ),
+        bool, typer.Option("--end", help="Also end a daemon, which else waits for `start`.")
     ] = False,
     face: FaceName = None,
     control: Control = None,

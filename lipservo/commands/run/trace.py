@@ -29,7 +29,8 @@ app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
 _INCOMPARABLE = 2
 
 First = Annotated[
-    Path, typer.Argument(metavar="A", help="First trace, a file of --trace; it may be gzipped.")
+    Path,
+    typer.Argument(metavar="A", help="First trace, written by --trace; it may be gzipped (.gz)."),
 ]
 Second = Annotated[Path, typer.Argument(metavar="B", help="Second trace.")]
 
@@ -51,7 +52,7 @@ def diff(
         float, typer.Option(min=0.0, help="Largest time shift of the motion and of closures, ms.")
     ] = 10.0,
     tolerance_deg: Annotated[
-        float, typer.Option(min=0.0, help="Largest difference of a servo's goal, degrees.")
+        float, typer.Option(min=0.0, help="Largest difference of a servo's goals, degrees.")
     ] = 2.0,
     model: Annotated[
         list[Path] | None,

@@ -19,8 +19,7 @@ def wyoming(
         str,
         typer.Option(
             metavar="HOST:PORT",
-            help="Address for satellites. Wyoming has no token: every client that reaches it may "
-            "speak.",
+            help="Address for satellites. Wyoming has no token: who reaches it may speak.",
         ),
     ] = "127.0.0.1:10601",
     through: Through = None,
