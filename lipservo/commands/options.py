@@ -72,7 +72,7 @@ On = Annotated[
     Path | None,
     typer.Option(
         metavar="KIOSKS.yaml",
-        help="Ask the faces on other computers, listed in this file (docs/dashboard.md).",
+        help="Instead: the faces on other computers that this file lists (docs/dashboard.md).",
     ),
 ]
 

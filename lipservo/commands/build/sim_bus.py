@@ -32,7 +32,7 @@ def sim_bus(
     ] = _SIMULATED,
     servos: Annotated[
         int, typer.Option(min=1, max=252, help="Number of servos, without --config.")
-    ] = (_N_SERVOS),
+    ] = _N_SERVOS,
     model: Annotated[
         str | None,
         typer.Option(help="Without --config: model of the servos; default: XL330-M288 or STS3215."),
