@@ -42,7 +42,9 @@ class BenchGroup(LazyGroup):
                 f"{_BENCH}.closures:nonspeech", "Sounds that are no speech.", _HEARING
             ),
             "languages": Command(f"{_BENCH}.recognition:languages", "Other languages.", _HEARING),
-            "voices": Command(f"{_BENCH}.recognition:voices", "Known texts, synthetic voices.", _HEARING),
+            "voices": Command(
+                f"{_BENCH}.recognition:voices", "Texts in synthetic voices.", _HEARING
+            ),
             "texts": Command(f"{_BENCH}.recognition:texts", "Alignment of false texts.", _HEARING),
             "ladder": Command(
                 f"{_BENCH}.closures:ladder", "The recogniser on a busy computer.", _HEARING
@@ -90,7 +92,7 @@ class LearnGroup(LazyGroup):
             "import-video": Command(
                 f"{_LEARN}.imports:import_video", "Turn videos of a face into recordings."
             ),
-            "import-scans": Command(f"{_LEARN}.imports:import_scans", "Turn scans into recordings."),
+            "import-scans": Command(f"{_LEARN}.imports:import_scans", "Turn scans to recordings."),
             "record": Command(
                 f"{_LEARN}.record_corpus:record_corpus", "Record a reader with a camera."
             ),
