@@ -282,7 +282,7 @@ def touch(
         bool,
         typer.Option(
             "--by-eye",
-            help="You watch, and press Enter where the lips meet; always so with hobby servos.",
+            help="You watch, and press Enter where the lips meet; default for hobby servos.",
         ),
     ] = False,
     axes: Axes = "x y z",

@@ -187,9 +187,9 @@ def limp(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Switch torque off: by the running face, then directly at its port.
+    """Switch torque off: ask the running face to do so, then do it directly at its port.
 
-    Without --port and --config: at all running faces. The command also works if the program that
+    Without --port and --config: for all running faces. The command also works if the program that
     uses the port is dead or hangs. Exit status 1 unless every servo has confirmed.
     """
     settings = None
