@@ -23,7 +23,7 @@ from lipservo.traces.trace_file import Trace, read_trace
 from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.face.model import FaceModel, load_face
 
-app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
+app = typer.Typer(help="Compare files that --trace has written.", no_args_is_help=True)
 
 #: Two traces that cannot be compared, as against 1, two that differ: as `diff` and `cmp` do.
 _INCOMPARABLE = 2

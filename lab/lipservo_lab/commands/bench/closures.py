@@ -52,9 +52,9 @@ def closures(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how often and how fast the mouth closes for P, B, M, F, V that were recognised.
+    """Measure how often and how fast the mouth closes at P, B, M, F, V, by recognised phonemes.
 
-    Forced alignment of the text gives the times of these phonemes. The lips are sampled at 100 Hz.
+    Forced alignment of the text gives the times of these sounds. The lips are sampled at 100 Hz.
     """
     from lipservo_lab.evaluation.motion.measures import lip_speed, lip_speed_figures
     from lipservo_lab.evaluation.recognition.heard_motion import (

@@ -143,7 +143,8 @@ def sync(
         bool,
         typer.Option(
             "--timings",
-            help="Instead: visemes shown for that clip if the times of its phonemes are wrong.",
+            help="Instead: visemes shown for the clip of `make run` if the times of its phonemes "
+            "are wrong.",
         ),
     ] = False,
     as_json: Json = False,

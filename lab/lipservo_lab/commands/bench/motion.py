@@ -131,8 +131,8 @@ def motion(
         bool,
         typer.Option(
             "--published-derivatives",
-            help="For the paper's two strategies: equation (5) as printed, with a derivative for "
-            "each sample, so that the speed jumps between phones of different length.",
+            help="For Wei and Deng's two strategies: equation (5) as printed, with a derivative "
+            "for each sample, so that the speed jumps between phones of different length.",
         ),
     ] = False,
     offline: Annotated[
