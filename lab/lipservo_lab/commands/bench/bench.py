@@ -29,7 +29,7 @@ Corpora = Annotated[
 
 
 def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure replay speed, start-up, memory, and miss rates of the published selection.
+    """Measure replay speed, start-up time, memory, and miss rates of Wei and Deng's selection.
 
     Without --corpora: replay speed on the bundled clip, and no miss rates.
     """
@@ -123,7 +123,9 @@ def faults(
     only: Annotated[
         str, typer.Option(help="With --stops: only stops, freezes, statements, restarts or idle.")
     ] = "",
-    bus: Annotated[str, typer.Option(help="dynamixel, feetech, maestro or pca9685.")] = "dynamixel",
+    bus: Annotated[
+        str, typer.Option(help="Kind of bus: dynamixel, feetech, maestro or pca9685.")
+    ] = "dynamixel",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -34,10 +34,10 @@ def face(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure the cost of the dashboard's streams, and expression against published ranges.
+    """Measure the cost of the dashboard's streams, and the motion of head, eyes and lids.
 
-    If a Chromium is installed, the command also measures how soon the web page shows the face in
-    it.
+    The motion is compared with published ranges. If a Chromium is installed, the command also
+    measures how soon the web page shows the face in it.
     """
     check_dashboard()
     from lipservo_lab.bench.face.face_figures import face_figures

@@ -45,7 +45,7 @@ def recognition(
         typer.Option(
             metavar="KIND:DB",
             help="Disturb the sound: white, music, babble or servos with a signal-to-noise ratio "
-            "in dB; level with a change in dB; telephone; clipped; room with metres.",
+            "in dB; level with a change in dB; telephone; clipped; room with a distance in metres.",
         ),
     ] = None,
     servo_speeds: Annotated[

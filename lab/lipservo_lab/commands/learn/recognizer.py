@@ -94,8 +94,8 @@ def train_recognizer(
         typer.Option(
             min=8,
             max=1024,
-            help="Channels of the network; default: 192, or as in --start-from, whose number may "
-            "grow.",
+            help="Channels of the network; default: 192, or those of --start-from, to which more "
+            "may be added.",
         ),
     ] = None,
     dilations: Annotated[

@@ -239,8 +239,8 @@ def train_soft(
 ) -> None:
     """Fit a face model to a recogniser's phoneme probabilities, frame by frame.
 
-    Each sentence is recognised as it is and in four other voices and rooms. A face model without
-    this part is moved by the recogniser's decisions alone.
+    Each sentence is recognised as it is and in four other voices and rooms. A face model that was
+    never fitted so is moved by the recogniser's decisions alone.
     """
     from lipservo_lab.bench.readability.soft_table import soft_table
     from lipservo_lab.corpus.grid import read_grid
