@@ -13,7 +13,7 @@ from lipsync.errors import UserError
 
 def recorded(
     corpus: Annotated[Path, typer.Argument(help="Recordings, a folder as in docs/motion.md.")],
-    sentence: Annotated[str, typer.Argument(help="Name of a sentence in it.")],
+    sentence: Annotated[str, typer.Argument(help="Name of a recorded sentence.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Performance to write (.perf).")],
     model: Model = None,
 ) -> None:
