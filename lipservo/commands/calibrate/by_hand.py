@@ -46,7 +46,7 @@ def by_hand(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Torque off: pose the lips with your fingers (closed, widest, rounded, touching); keep them.
+    """Torque off: pose the lips by hand (closed, widest, rounded, touching); keep the poses.
 
     Hobby servos, which report no position, are moved by keys instead. The poses become the limits
     and the touch pose of the calibration. The command asks before it switches off the servos of the

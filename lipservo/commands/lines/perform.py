@@ -80,7 +80,7 @@ def perform(
 
     No recogniser runs, and nothing is planned any more: `lines render --strength` has set the
     amplitude. With --dashboard, in a terminal, the face then continues until Ctrl-C, and listens
-    and speaks as in `lipservo run`.
+    and speaks like any other running face.
     """
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
