@@ -107,10 +107,10 @@ def lipservo(
         bool, typer.Option("--version", help="Print the version and exit.")
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Log in detail, and who logs.")
+        bool, typer.Option("--verbose", "-v", help="Log in detail, with the name of each logger.")
     ] = False,
     log_json: Annotated[
-        bool, typer.Option("--log-json", help="One JSON object a line on stderr; no live view.")
+        bool, typer.Option("--log-json", help="Log JSON lines on stderr; show no live view.")
     ] = False,
 ) -> None:
     """Live speech, in English, moves a physical mouth."""

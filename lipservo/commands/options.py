@@ -35,63 +35,57 @@ def _channel(text: str) -> str:
 # ---- which face ----
 
 Config = Annotated[
-    str, typer.Option(help="Face: the name of a shipped one, or the path of a YAML file.")
+    str, typer.Option(help="Face: the name of a shipped face, or the path of a face's YAML file.")
 ]
 Model = Annotated[
-    Path | None,
-    typer.Option(help="Face model (.npz); default: the shipped one.", show_default=False),
+    Path | None, typer.Option(help="Face model, a .npz file; default: the shipped model.")
 ]
 Port = Annotated[
     str | None,
     typer.Option(
-        help="Serial port of the servos, such as /dev/ttyUSB0; default: the face's. "
-        "Of several buses NAME=PORT, once for each.",
-        show_default=False,
+        help="Serial port of the servos, such as /dev/ttyUSB0; default: the port in the face's "
+        "YAML. For a face with several buses give NAME=PORT, once for each bus."
     ),
 ]
 Bus = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Which bus, of a face with several.", show_default=False),
+    str | None, typer.Option(metavar="NAME", help="For a face with several buses: the bus to use.")
 ]
 Sim = Annotated[
     str | None,
-    typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
+    typer.Option(help="`pty`: simulated servos, behind a serial port made for this command."),
 ]
 Rate = Annotated[
     float | None,
-    typer.Option(
-        min=30.0, max=200.0, help="Frames a second; default: the face's.", show_default=False
-    ),
+    typer.Option(min=30.0, max=200.0, help="Servo loop ticks per second; default: the face's."),
 ]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Read the servos, never move them.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Only read the servos, never move them.")]
 
 # ---- which running face ----
 
 FaceName = Annotated[
-    str | None, typer.Option("--face", help="Only the face of this name.", show_default=False)
+    str | None, typer.Option("--face", help="Only the face of this name (see `lipservo status`).")
 ]
 Control = Annotated[
-    Path | None, typer.Option(help="Socket that the face listens on.", show_default=False)
+    Path | None, typer.Option(help="Path of the face's control socket; default: by its name.")
 ]
 On = Annotated[
     Path | None,
     typer.Option(
         metavar="KIOSKS.yaml",
-        help="The faces of other computers that this file lists.",
-        show_default=False,
+        help="Instead: the faces on other computers that this file lists (docs/dashboard.md).",
     ),
 ]
 
 # ---- what it hears ----
 
 Wav = Annotated[
-    Path | None, typer.Option(help="Sound file: WAV, FLAC, OGG, any rate.", show_default=False)
+    Path | None, typer.Option(help="Sound file to speak: WAV, FLAC, OGG, any sample rate.")
 ]
 Channel = Annotated[
     str,
     typer.Option(
         metavar="left|right|mix|N",
-        help="Channel that is heard; default: the face's, or mix.",
+        help="Channel of the sound to use; default: the channel in the face's YAML, or mix.",
         show_default=False,
         callback=_channel,
     ),
@@ -100,8 +94,8 @@ Mic = Annotated[
     str | None,
     typer.Option(
         metavar="[DEVICE]",
-        help="Listen to a microphone: the default one, or a number or part of a name.",
-        show_default=False,
+        help="Listen to a microphone: DEVICE is a number or part of a name (`lipservo devices`); "
+        "default: the face's, or the system's.",
     ),
 ]
 
@@ -111,32 +105,37 @@ Play = Annotated[
     str | None,
     typer.Option(
         metavar="[DEVICE]",
-        help="Play the sound, delayed to match the lips; silent: into nothing, without a device.",
-        show_default=False,
+        help="Also play the sound, delayed to match the lips. DEVICE: a loudspeaker's number or "
+        "part of its name, or `silent` (play without a sound device).",
     ),
 ]
 Output = Annotated[
     str | None,
     typer.Option(
         metavar="DEVICE",
-        help="Loudspeaker for --play: a number, a name, or a part of it; default: the face's.",
-        show_default=False,
+        help="Loudspeaker: a number or part of a name (`lipservo devices`); default: the face's.",
     ),
 ]
 Phonemes = Annotated[
     Path | None,
     typer.Option(
-        help="Phonemes or words with times, in place of recognition: TextGrid, MFA, speech marks.",
-        show_default=False,
+        help="Label file, used instead of recognition: phonemes or words with times (TextGrid and "
+        "others: docs/text.md)."
     ),
 ]
-Tier = Annotated[str, typer.Option(help="Tier of that file; `words`: no phonemes.")]
-Alphabet = Annotated[str, typer.Option(help="Alphabet of its labels: arpabet, ipa, x-sampa, ...")]
+Tier = Annotated[
+    str,
+    typer.Option(
+        help="Tier to read in the label file, such as `words`; default: phonemes, else visemes, "
+        "else words."
+    ),
+]
+Alphabet = Annotated[str, typer.Option(help="Label file's alphabet: arpabet, ipa, x-sampa, ...")]
 SpokenText = Annotated[
     str,
     typer.Option(
         "--text",
-        help="What the file says, in English: followed in its sound. Or @FILE.",
+        help="English text that the sound file says, or @FILE; recognition then uses it.",
         show_default=False,
     ),
 ]
@@ -144,28 +143,27 @@ Listen = Annotated[
     str | None,
     typer.Option(
         metavar="HOST:PORT",
-        help="Address for voice agents, or `none`; other computers need the token.",
+        help="Address for voice agents, or `none`; agents on other computers need the token.",
         show_default="127.0.0.1:8765, or the next free port",
     ),
 ]
 TokenFile = Annotated[
     Path | None,
     typer.Option(
-        help="File whose first line voice agents and browsers must send.",
+        help="File whose first line is the access token of the face.",
         show_default="the token of the runtime folder, made at the first start",
     ),
 ]
 OpenToThisComputer = Annotated[
     bool,
     typer.Option(
-        "--open-to-this-computer", help="Any user of this computer may connect without the token."
+        "--open-to-this-computer", help="All users of this computer may connect without a token."
     ),
 ]
 Sounds = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of sound files and performances that agents and the dashboard may play.",
-        show_default=False,
+        help="Folder of sound files and performances that voice agents and the dashboard may play."
     ),
 ]
 Through = Annotated[
@@ -173,26 +171,23 @@ Through = Annotated[
     typer.Option(
         "--through",
         metavar="URL",
-        help="Let a running face say it; `lipservo status` tells its address.",
-        show_default=False,
+        help="Address of the running face that speaks; `lipservo status` shows it.",
     ),
 ]
 # ---- who watches ----
 
 Dashboard = Annotated[
-    bool, typer.Option("--dashboard", help="Show the face in a browser; the address is printed.")
+    bool, typer.Option("--dashboard", help="Show the face on a web page, whose address is printed.")
 ]
 DashboardListen = Annotated[
     str | None,
     typer.Option(
         metavar="HOST:PORT",
-        help="Where the dashboard is. Beyond loopback with a token.",
+        help="Address of the web page. On other computers, browsers need the token.",
         show_default="127.0.0.1:8080, or the next free port",
     ),
 ]
-OpenPage = Annotated[
-    bool, typer.Option("--open/--no-open", help="Open the dashboard in a browser.")
-]
+OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the web page in a browser.")]
 
 # ---- how sound becomes motion ----
 
@@ -206,17 +201,17 @@ def _known_engine(name: str | None) -> str | None:
 
 _ENGINE = typer.Option(
     callback=_known_engine,
-    help="Recogniser to begin with: network, energy, or another package's; if it fails, a "
-    "simpler one takes over.",
+    help="Recogniser to start with: network, energy (loudness only) or an installed plug-in; if "
+    "it fails, a simpler one takes over.",
     show_default=False,
 )
 _WEIGHTS = typer.Option(
-    help="What the network has learned: default, grid, or a file of weights.", show_default=False
+    help="Recogniser's network weights: default, grid, or a weights file.", show_default=False
 )
 EngineChoice = Annotated[str, _ENGINE]
 MeasuredEngineChoice = Annotated[
     MeasuredEngine,
-    typer.Option(help="Recogniser.", show_default=False),
+    typer.Option(help="Recogniser: network, or energy (loudness only).", show_default=False),
 ]
 WeightsChoice = Annotated[str, _WEIGHTS]
 #: The same where the face's YAML may say it; then None is `not typed`.
@@ -225,9 +220,8 @@ FaceWeights = Annotated[str | None, _WEIGHTS]
 FaceStrategy = Annotated[
     Strategy | None,
     typer.Option(
-        help="How phonemes become motion: animpho, expected, or the paper's naive, priority; "
-        f"default: the face's, or {DEFAULT_STRATEGY}.",
-        show_default=False,
+        help="How phonemes become motion: animpho (recorded pieces), expected (predicted faces), "
+        f"or Wei and Deng's priority or naive; default: the face's, or {DEFAULT_STRATEGY}."
     ),
 ]
 Lookahead = Annotated[
@@ -235,14 +229,14 @@ Lookahead = Annotated[
     typer.Option(
         min=0.0,
         max=LONGEST_LOOKAHEAD_MS,
-        help="Delay the face to see what sound follows; default: 100, or the face's.",
-        show_default=False,
+        help="How much following sound the motion may use, ms; it delays the face. Default: the "
+        "face's, or 100.",
     ),
 ]
 LowLatency = Annotated[
     bool,
     typer.Option(
-        "--low-latency", help="For puppeteers: goals within 150 ms of the sound, less precise."
+        "--low-latency", help="Goals within 150 ms of the sound, for puppeteers; less precise."
     ),
 ]
 Strength = Annotated[
@@ -250,58 +244,54 @@ Strength = Annotated[
     typer.Option(
         min=0.0,
         max=STRONGEST,
-        help="How far the mouth moves; 1, the default, as the speaker's.",
-        show_default=False,
+        help="Amplitude of the mouth's motion; default: the face's, or 1 (the recorded speaker's).",
     ),
 ]
 Smoothness = Annotated[
     float | None,
-    typer.Option(min=0.0, max=SMOOTHEST, help="0, the default, crisp, 1 slow.", show_default=False),
+    typer.Option(min=0.0, max=SMOOTHEST, help="0: crisp (default), 1: slow and smooth motion."),
 ]
 UnitShare = Annotated[
     float | None,
     typer.Option(
         min=0.0,
         max=ONLY_UNITS,
-        help="With animpho: 0: predicted motion only; 1: recorded motion only.",
-        show_default=False,
+        help="For strategy animpho: share of recorded motion, 0 to 1, rest predicted; default: "
+        "the face's, or 1.",
     ),
 ]
 
 # ---- what comes out ----
 
 Trace = Annotated[
-    Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
+    Path | None, typer.Option(help="Record every tick in this file (docs/traces.md).")
 ]
 Osc = Annotated[
     str | None,
     typer.Option(
         metavar="HOST[:PORT][/vowels]",
-        help="Show the face on an avatar, too: VMC protocol over OSC; port 39540. /vowels: A I U "
-        "E O, for avatars without ARKit's shapes.",
-        show_default=False,
+        help="Also send the face to an avatar: VMC protocol over OSC, default port 39540; "
+        "/vowels: shapes A I U E O, for avatars without ARKit's shapes.",
     ),
 ]
 LiveLink = Annotated[
     str | None,
     typer.Option(
         metavar="HOST[:PORT]",
-        help="Show the face in Unreal Engine, too: Live Link Face; port 11111.",
-        show_default=False,
+        help="Also send the face to Unreal Engine (Live Link Face); default port 11111.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no messages.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no live view and no messages.")]
 SkipBad = Annotated[
-    bool, typer.Option("--skip-bad", help="Leave out sentences with a bad file, and list them.")
+    bool, typer.Option("--skip-bad", help="Leave out sentences with faulty files, and list them.")
 ]
 Landmarker = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Track faces with this face_landmarker.task rather than with mediapipe "
-        "(docs/own-face.md).",
-        show_default=False,
+        help="Face tracker's file face_landmarker.task (docs/own-face.md); default: that of "
+        "mediapipe.",
     ),
 ]
 

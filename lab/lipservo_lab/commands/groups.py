@@ -24,16 +24,16 @@ class BenchGroup(LazyGroup):
                 f"{_BENCH}.readability:readability", "Words read off the mouth.", _MOTION
             ),
             "figures": Command(f"{_BENCH}.motion:figures", "The paper's tables.", _MOTION),
-            "closures": Command(f"{_BENCH}.closures:closures", "Whether lips close.", _MOTION),
+            "closures": Command(f"{_BENCH}.closures:closures", "How often lips close.", _MOTION),
             "sync": Command(f"{_BENCH}.faces:sync", "Lips against their sound.", _MOTION),
             "synthesis": Command(f"{_BENCH}.bench:synthesis", "Speed of the motion.", _MOTION),
-            "line": Command(f"{_BENCH}.faces:line", "Rendering of scripted lines.", _MOTION),
+            "line": Command(f"{_BENCH}.faces:line", "Serial lines that lose bytes.", _MOTION),
             "shapes": Command(f"{_BENCH}.faces:shapes", "Mouth shapes for avatars.", _MOTION),
             "recognition": Command(
                 f"{_BENCH}.recognition:recognition", "Phonemes and visemes recognised.", _HEARING
             ),
             "listening": Command(
-                f"{_BENCH}.recognition:listening", "A whole face that listens.", _HEARING
+                f"{_BENCH}.recognition:listening", "False speech, delays of the mouth.", _HEARING
             ),
             "microphone": Command(
                 f"{_BENCH}.closures:microphone", "Delay and closures at a microphone.", _HEARING
@@ -42,8 +42,10 @@ class BenchGroup(LazyGroup):
                 f"{_BENCH}.closures:nonspeech", "Sounds that are no speech.", _HEARING
             ),
             "languages": Command(f"{_BENCH}.recognition:languages", "Other languages.", _HEARING),
-            "voices": Command(f"{_BENCH}.recognition:voices", "Synthesisers' texts.", _HEARING),
-            "texts": Command(f"{_BENCH}.recognition:texts", "Texts that were not said.", _HEARING),
+            "voices": Command(
+                f"{_BENCH}.recognition:voices", "Texts in synthetic voices.", _HEARING
+            ),
+            "texts": Command(f"{_BENCH}.recognition:texts", "Alignment of false texts.", _HEARING),
             "ladder": Command(
                 f"{_BENCH}.closures:ladder", "The recogniser on a busy computer.", _HEARING
             ),
@@ -65,7 +67,7 @@ class BenchGroup(LazyGroup):
             "agent": Command(f"{_BENCH}.agents:agent", "What an agent remembers.", _OTHER),
             "day": Command(f"{_BENCH}.agents:day", "An agent and a face all day.", _OTHER),
             "cluster": Command(
-                f"{_BENCH}.fleet:cluster", "Lines while workers are killed.", _OTHER
+                f"{_BENCH}.fleet:cluster", "Rendering while workers are killed.", _OTHER
             ),
             "scans": Command(f"{_BENCH}.faces:scans", "Registration of scans.", _OTHER),
             "study": Command(f"{_BENCH}.study:study", "Simulated raters of a study.", _OTHER),
@@ -88,9 +90,9 @@ class LearnGroup(LazyGroup):
             "offline": Command(f"{_LEARN}.training:train_offline", "Train for `lines render`."),
             "adapt": Command(f"{_LEARN}.recognizer:adapt", "Recogniser weights for one voice."),
             "import-video": Command(
-                f"{_LEARN}.imports:import_video", "Videos of a face as recordings."
+                f"{_LEARN}.imports:import_video", "Turn videos of a face into recordings."
             ),
-            "import-scans": Command(f"{_LEARN}.imports:import_scans", "Dense scans as recordings."),
+            "import-scans": Command(f"{_LEARN}.imports:import_scans", "Turn scans to recordings."),
             "record": Command(
                 f"{_LEARN}.record_corpus:record_corpus", "Record a reader with a camera."
             ),
@@ -106,12 +108,12 @@ class StudyGroup(LazyGroup):
 
     table = MappingProxyType(
         {
-            "make": Command(f"{_STUDY}:make", "Film the clips, and deal them out."),
-            "serve": Command(f"{_STUDY}:serve", "Show them to raters in a browser."),
-            "report": Command(f"{_STUDY}:report", "What the raters said."),
+            "make": Command(f"{_STUDY}:make", "Film the clips of a study."),
+            "serve": Command(f"{_STUDY}:serve", "Show a study to raters in a browser."),
+            "report": Command(f"{_STUDY}:report", "Print the raters' results."),
             "recorded": Command(
                 "lipservo_lab.commands.study.recorded:recorded",
-                "Keep a spoken line as a performance.",
+                "Write a recorded line as a performance.",
             ),
             "rehearse": Command(f"{_STUDY}:rehearse", "Try a study with simulated raters."),
             "power": Command(f"{_STUDY}:power", "How many raters see which difference."),

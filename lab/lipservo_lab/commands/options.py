@@ -5,40 +5,42 @@ from typing import Annotated
 
 import typer
 
-GridCorpus = Annotated[Path, typer.Option("--corpus", help="Folder laid out like grid_s1.")]
-Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
+GridCorpus = Annotated[
+    Path, typer.Option("--corpus", help="One speaker's recordings, a folder as in docs/motion.md.")
+]
+Speakers = Annotated[str, typer.Option(help="Only these speakers, with commas between.")]
 Limit = Annotated[
-    int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
+    int | None, typer.Option(min=1, help="Only this many utterances of each speaker, the first.")
 ]
 Cache = Annotated[
-    Path | None, typer.Option(help="File of alignments, as `lipservo lines align` writes it.")
+    Path | None, typer.Option(help="File that keeps alignments, as `lines align-folder` writes.")
 ]
-LatencyMs = Annotated[float, typer.Option(help="When a frame's label is due.")]
-LookaheadsMs = Annotated[str, typer.Option("--lookahead-ms", help="Look-aheads, comma between.")]
-Plots = Annotated[
-    Path | None, typer.Option(help="Draw pictures into this folder.", show_default=False)
+LatencyMs = Annotated[float, typer.Option(help="Delay at which a frame's label is read, ms.")]
+LookaheadsMs = Annotated[
+    str, typer.Option("--lookahead-ms", help="Look-aheads, ms, such as 0,100.")
 ]
+Plots = Annotated[Path | None, typer.Option(help="Draw pictures into this folder.")]
 WordLimit = Annotated[
-    int, typer.Option(min=1, help="--leave-words-out: at most so many sentences of each word.")
+    int, typer.Option(min=1, help="With --leave-words-out: most sentences used for each word.")
 ]
 OtherWeights = Annotated[
     list[Path] | None,
     typer.Option(
         "--also",
         metavar="FILE",
-        help="Other weights, older or adapted, that hear the sentences too, so that the map from "
-        "posteriors leans on no one's errors; may be repeated. Of a bench: with --leave-words-out.",
-        show_default=False,
+        help="Further recogniser weights (older or adapted) that recognise the sentences too, so "
+        "that the model does not learn one recogniser's errors; may be repeated. In `bench` only "
+        "with --leave-words-out.",
     ),
 ]
 ModelOutput = Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")]
-WeightsOutput = Annotated[Path, typer.Option("--output", "-o", help="The weights to write.")]
-Seed = Annotated[int, typer.Option(help="The same seed gives the same result.")]
+WeightsOutput = Annotated[Path, typer.Option("--output", "-o", help="Weights file to write, .npz.")]
+Seed = Annotated[int, typer.Option(help="Random seed; the same seed gives the same result.")]
 Jobs = Annotated[
     int | None,
-    typer.Option(
-        min=1, help="Processes, and threads of learning; default: one a core.", show_default=False
-    ),
+    typer.Option(min=1, help="Number of processes and of training threads; default: one per core."),
 ]
-Lazy = Annotated[int, typer.Option(min=0, max=1000, help="Who do not, of each of three kinds.")]
-Inverted = Annotated[int, typer.Option(min=0, max=1000, help="Who read the scale backwards.")]
+Lazy = Annotated[
+    int, typer.Option(min=0, max=1000, help="Careless raters of each kind: alike, random, hasty.")
+]
+Inverted = Annotated[int, typer.Option(min=0, max=1000, help="Raters who reverse the scale.")]

@@ -13,19 +13,24 @@ from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
 def align_folder(
     folder: Annotated[
         Path,
-        typer.Argument(exists=True, file_okay=False, help="Folder laid out like LibriSpeech."),
+        typer.Argument(
+            exists=True,
+            file_okay=False,
+            help="Recordings with texts (docs/recognition.md, Corpora).",
+        ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Write X.jsonl, JSON lines.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="JSON lines file to write, X.jsonl.")
+    ],
     jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes; default: one a core.", show_default=False),
+        int | None, typer.Option(min=1, help="Number of processes; default: one per core.")
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Find when each phone of every transcript of a folder is spoken.
 
-    A text that was not spoken is named: docs/recognition.md, Alignment, says how that is known.
+    Texts that are not spoken in their sound are listed: docs/recognition.md, "Alignment".
     """
     from lipservo_lab.corpus.alignment_cache import align_corpus
     from lipservo_lab.corpus.transcribed import read_transcribed

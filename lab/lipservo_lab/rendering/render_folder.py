@@ -27,7 +27,7 @@ def render_folder(
     folder: Annotated[
         Path, typer.Argument(exists=True, file_okay=False, help="Folder of sound files.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the performances.")],
     method: LineMethodName = "heard",
     strength: LineStrength = 1.0,
     model: Model = None,
@@ -35,25 +35,22 @@ def render_folder(
     reference_sound: ReferenceSound = False,
     expression: ExpressionOf = None,
     jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes; default: one a core.", show_default=False),
+        int | None, typer.Option(min=1, help="Number of processes; default: one per core.")
     ] = None,
     dask: Annotated[
         str | None,
         typer.Option(
-            metavar="HOST:PORT",
-            help="Render on the Dask cluster of this scheduler.",
-            show_default=False,
+            metavar="HOST:PORT", help="Address of a Dask scheduler; its cluster then renders."
         ),
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Render every sound of a folder to a performance, on all cores or on a cluster.
+    """Render every sound of a folder to a performance, on all cores or on a Dask cluster.
 
-    NAME.TextGrid, NAME.json or NAME.txt beside NAME.wav says what is spoken; without any of them
-    the recogniser listens. What is rendered already, of the same sound by the same models and
-    options, is not rendered again.
+    The phonemes or words come from NAME.TextGrid, NAME.json or NAME.txt beside NAME.wav; without
+    them the recogniser finds the phonemes. A performance that was already made of the same sound,
+    with the same models and options, is not made again.
     """
     from lipservo.rendering.rendered import Rendering
     from lipservo.runtime.servos.assembly import load_settings

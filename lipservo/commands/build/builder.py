@@ -19,63 +19,57 @@ if TYPE_CHECKING:
 
 
 def new_face(
-    output: Annotated[Path, typer.Option("--output", "-o", help="The YAML to write.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The YAML file to write.")],
     port: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PORT",
-            help="Where the servos are, for example /dev/ttyUSB0; of several buses NAME=PORT.",
-            show_default=False,
+            help="Serial port of the servos, such as /dev/ttyUSB0; for several buses NAME=PORT, "
+            "once for each bus.",
         ),
     ] = None,
     bus: Annotated[
         list[str] | None,
         typer.Option(
             metavar="KIND",
-            help="dynamixel, feetech, maestro, pca9685, ...; default: what the port says it is. "
-            "NAME=KIND, once for each, of a face with several.",
-            show_default=False,
+            help="Kind of bus: dynamixel, feetech, maestro, pca9685, ...; default: detected at "
+            "the port. For several buses NAME=KIND, once for each bus.",
         ),
     ] = None,
-    baud_rate: Annotated[int, typer.Option(help="Try this rate first.")] = 1_000_000,
+    baud_rate: Annotated[int, typer.Option(help="Baud rate to try first.")] = 1_000_000,
     ranges: Annotated[
         Path | None,
-        typer.Option(help="LeRobot range file: names and limits by id.", show_default=False),
+        typer.Option(help="LeRobot range file with the joints' names and limits by servo id."),
     ] = None,
     board: Annotated[
         list[str] | None,
         typer.Option(
             metavar="BOARD",
-            help="Of hobby servos: the Maestro's model (micro6), the PCA9685's address (0x40); "
-            "of several buses NAME=BOARD.",
-            show_default=False,
+            help="Board of hobby servos: the Maestro's model (micro6) or the PCA9685's address "
+            "(0x40); for several buses NAME=BOARD.",
         ),
     ] = None,
     channel: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=CHANNEL:WORD",
-            help="A hobby servo, and what a longer pulse does: jaw=0:opens; again for each; "
-            "where two buses have hobby servos lips/jaw=0:opens.",
-            show_default=False,
+            help="A hobby servo as JOINT=CHANNEL:EFFECT_OF_A_LONGER_PULSE, such as jaw=0:opens; "
+            "once for each servo. With two buses of hobby servos: BUS/JOINT=..., lips/jaw=0:opens.",
         ),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Ask no questions.")] = False,
     page: Annotated[
-        bool,
-        typer.Option(
-            "--page", help="Lead through the first hour in a browser, on to the first words."
-        ),
+        bool, typer.Option("--page", help="Set up the face on a web page, up to its first words.")
     ] = False,
     sim: Sim = None,
     open_page: OpenPage = False,
 ) -> None:
-    """Write the YAML of a face: servos that answer are found, hobby servos you name.
+    """Write the YAML file of a face: serial servos are found, hobby servos are named by you.
 
-    Those that are found are moved by 3 degrees each, to see which joint it is. With --ranges, put
-    the face into its neutral by hand before: that is where 0 degrees will be. Hobby servos get
-    narrow limits, 1400 to 1600 us, and are not moved. With --page all of it happens in a browser,
-    and limits, calibration and first words as well; a YAML that is there is gone on with.
+    Each servo found is moved by 3 degrees, so that you see which joint it is. With --ranges, put
+    the face into its neutral pose by hand first: 0 degrees will be there. Hobby servos get narrow
+    limits, 1400 to 1600 us, and are not moved. With --page all this happens on a web page, as do
+    limits, calibration and first words; an existing YAML is continued there.
     """
     if page:
         _first_hour(output, port or [], sim, open_page=open_page)

@@ -29,9 +29,9 @@ _FIRST_RATE: Final = 1_000_000
 
 
 def builder_process(
-    step: Annotated[str, typer.Argument(help="Which step.")],
-    request: Annotated[str, typer.Argument(help="What it needs, a JSON object.")],
-    parent: Annotated[int, typer.Option(help="The server's process.")],
+    step: Annotated[str, typer.Argument(help="Step of the setup.")],
+    request: Annotated[str, typer.Argument(help="Parameters of the step, a JSON object.")],
+    parent: Annotated[int, typer.Option(help="Process id of the page's server.")],
 ) -> None:
     """Run one step of a new face's setup on the servos; JSON lines in and out."""
     from firmware_bridge.process.operating_system import die_with_parent, write_from_background

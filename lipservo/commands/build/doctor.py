@@ -103,28 +103,26 @@ def doctor(
         Path | None,
         typer.Option(
             metavar="FILE.json",
-            help="Measure the hardware, too, and write what may be sent to us: no names or paths.",
-            show_default=False,
+            help="Also measure the hardware, and write a report for the developers, without names "
+            "or paths.",
         ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=1.0, max=600.0, help="How long --report reads and writes.")
+        float, typer.Option(min=1.0, max=600.0, help="Seconds that --report reads and writes.")
     ] = 5.0,
     move: Annotated[
-        str | None,
-        typer.Option(
-            metavar="JOINT", help="With --report: step this joint, too.", show_default=False
-        ),
+        str | None, typer.Option(metavar="JOINT", help="With --report: joint to move.")
     ] = None,
     yes: Annotated[
-        bool, typer.Option("--yes", help="With --report: ask nothing; needed in a script.")
+        bool, typer.Option("--yes", help="With --report: ask no questions; needed in a script.")
     ] = False,
 ) -> None:
-    """Examine port, adapter and every servo; say what is wrong and what to do. Changes nothing.
+    """Examine port, adapter and every servo; print each fault and its remedy. Changes nothing.
 
-    It ends with what this computer can do: hear live, at which rate, with a page. Exit status 1
-    when something is bad. With --report the servos are let go, read and written for a while, and
-    after a yes one joint is moved 5 degrees to and fro, within its limits.
+    The last lines tell whether this computer can recognise speech live, at which servo rate, and
+    with the dashboard. Exit status 1 if a finding is bad. --report switches torque off and reads
+    and writes the servos for some seconds; if you agree, one joint then moves 5 degrees to and fro,
+    within its limits.
     """
     from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.runtime.servos.assembly import load_settings

@@ -24,25 +24,26 @@ _LIMIT_KEYS = {"1": "min", "2": "neutral", "3": "max"}
 
 
 def jog(
-    joint: Annotated[str | None, typer.Argument(help="Which joint.", show_default=False)] = None,
+    joint: Annotated[str | None, typer.Argument(help="Joint to move.")] = None,
     deg: Annotated[
         float | None,
-        typer.Argument(help="Where to, joint degrees; default: with keys.", show_default=False),
+        typer.Argument(help="Angle to move to, joint degrees; default: move with keys."),
     ] = None,
     port: Port = None,
     config: Config = DEFAULT_FACE,
-    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="How long to stay.")] = 1.0,
+    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="Seconds to stay.")] = 1.0,
     limp: Annotated[
-        bool, typer.Option("--limp", help="Torque off: turn joints by hand, and note how far.")
+        bool, typer.Option("--limp", help="Torque off: turn joints by hand, and see how far.")
     ] = False,
     dashboard: Dashboard = False,
     open_page: OpenPage = False,
 ) -> None:
-    """Move one joint, the others held, through the safety gate; then all go limp.
+    """Move one joint through the safety gate, while the others hold; then switch torque off.
 
-    JOINT alone is moved with keys, a hobby servo also a little beyond its limits, to find them;
-    --dashboard does the same on its page, for all joints. --limp tells where joints are turned by
-    hand. What is found is written into the face's YAML. None of these needs a calibration.
+    JOINT alone: you move it with keys, a hobby servo also a little beyond its limits, to find them.
+    --dashboard: the same on a web page, for all joints. --limp: torque is off, and the command
+    shows how far you turn each joint by hand. You can write the limits found into the face's YAML.
+    No calibration is needed.
     """
     from lipservo.commands.run.dashboard_beside import check_page_options
 
@@ -73,10 +74,10 @@ def neutral(
     port: Port = None,
     config: Config = DEFAULT_FACE,
     yes: Annotated[
-        bool, typer.Option("--yes", help="Servos that have had no pulse yet may jump to neutral.")
+        bool, typer.Option("--yes", help="Hobby servos without a pulse so far may jump to neutral.")
     ] = False,
 ) -> None:
-    """Bring every joint to its neutral, through the safety gate; then all go limp."""
+    """Move every joint to its neutral through the safety gate; then switch torque off."""
     from lipservo.runtime.servos.moving import move_to
 
     settings = _settings(port, config)

@@ -48,18 +48,18 @@ class _Work:
 
 def setup_servos(
     joints: Annotated[
-        list[str] | None, typer.Argument(help="Joints to set up; default: all.")
+        list[str] | None, typer.Argument(help="Joints whose servos are set up; default: all.")
     ] = None,
     port: Port = None,
     config: Config = DEFAULT_FACE,
     bus: Bus = None,
-    dry_run: Annotated[bool, typer.Option(help="Only list what would be changed.")] = False,
+    dry_run: Annotated[bool, typer.Option(help="Only list what would be written.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Give each servo its id, rate and limits; only what differs is written, torque stays off.
+    """Write id, baud rate and limits into each servo; only differences are written, torque is off.
 
-    When all of them answer at their own ids, none is unplugged. Else connect one at a time:
-    without JOINTS it asks for one after another, with one joint it asks nothing.
+    If all servos answer at their own ids, leave them connected. Otherwise connect one at a time:
+    without JOINTS the command asks for one after the other; with one joint it asks nothing.
     """
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from lipservo.runtime.servos.assembly import load_settings

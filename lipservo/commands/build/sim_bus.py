@@ -24,53 +24,48 @@ _SIMULATED = "dynamixel"
 
 def sim_bus(
     config: Annotated[
-        str | None,
-        typer.Option(help="Simulate the servos of this face.", show_default=False),
+        str | None, typer.Option(help="Face (name or YAML file) whose servos are simulated.")
     ] = None,
     bus: Bus = None,
     kind: Annotated[
-        str, typer.Option(help="Without --config: dynamixel, maestro or feetech.")
+        str, typer.Option(help="Without --config: kind of servos: dynamixel, maestro, feetech.")
     ] = _SIMULATED,
-    servos: Annotated[int, typer.Option(min=1, max=252, help="How many, without --config.")] = (
-        _N_SERVOS
-    ),
+    servos: Annotated[
+        int, typer.Option(min=1, max=252, help="Number of servos, without --config.")
+    ] = _N_SERVOS,
     model: Annotated[
         str | None,
-        typer.Option(
-            help="Which model, without --config; default XL330-M288 or STS3215.",
-            show_default=False,
-        ),
+        typer.Option(help="Without --config: model of the servos; default: XL330-M288 or STS3215."),
     ] = None,
-    first_id: Annotated[int, typer.Option(min=0, max=252, help="The others follow.")] = 1,
+    first_id: Annotated[
+        int, typer.Option(min=0, max=252, help="Id of the first servo; the others count up.")
+    ] = 1,
     baud_rate: Annotated[
         int | None,
-        typer.Option(help="Set the servos up for this rate; default: fresh, 57600.", min=9600),
+        typer.Option(help="Servos are set up for this rate; default: new, 57600 baud.", min=9600),
     ] = None,
     faults: Annotated[
-        Path | None, typer.Option(help="YAML script of faults.", show_default=False)
+        Path | None, typer.Option(help="YAML file with faults to simulate (docs/simulator.md).")
     ] = None,
     log: Annotated[
         Path | None,
-        typer.Option(
-            help="Write pulses, or torque and goals of Feetech servos, to a file.",
-            show_default=False,
-        ),
+        typer.Option(help="Write pulses, or Feetech servos' torque and goals, to this file."),
     ] = None,
     link: Annotated[
-        Path | None,
-        typer.Option(help="A path that always leads to the port.", show_default=False),
+        Path | None, typer.Option(help="Make this path a link to the serial port.")
     ] = None,
     chain_stops: Annotated[
-        bool, typer.Option(help="Servos behind a silent one do not answer.")
+        bool, typer.Option(help="Servos behind a servo that is silent do not answer.")
     ] = False,
     on_time: Annotated[
-        bool, typer.Option(help="Ask the computer for real-time scheduling.")
+        bool, typer.Option(help="Ask the operating system for real-time scheduling.")
     ] = False,
     until_stdin_closes: Annotated[bool, typer.Option(hidden=True)] = False,
 ) -> None:
-    """Simulate Dynamixel or Feetech servos, or a Maestro, at a port of their own; until stopped.
+    """Simulate Dynamixel or Feetech servos, or a Maestro, behind a serial port, until stopped.
 
-    Any program that speaks to them can open the port: lipservo, dynamixel-sdk, others.
+    The command prints the port. Any program that speaks the servos' protocol can open it: lipservo,
+    dynamixel-sdk, others.
     """
     from firmware_bridge.bus_kinds import bus_kind
     from firmware_bridge.errors import BusError

@@ -19,7 +19,7 @@ _OF_MOUTH = (
     ("plan", "by_files", "Write poses to move the robot through.", f"poses.csv {_CONFIG}"),
     ("fit", "by_files", "Fit from poses and the markers seen at them.",
      f"{_CONFIG} --plan poses.csv {_SEEN} -o {_FILE}"),
-    ("grade", "by_files", "Grade a calibration by other poses.",
+    ("grade", "by_files", "Grade a calibration by new poses.",
      f"{_FILE} {_CONFIG} --plan check.csv {_SEEN}"),
     ("measure", "on_servos", "Move the servos, watch the markers, fit.",
      f"{_AT_PORT} --tracker markers.csv -o {_FILE}"),
@@ -28,11 +28,11 @@ _OF_MOUTH = (
     ("by-hand", "by_hand", "Pose the mouth by hand: limits, touch.", f"{_FILE} {_AT_PORT}"),
 )  # fmt: skip
 _STEPS = (
-    ("pose", "on_servos", "Hold one pose of a plan.", f"poses.csv 7 8 {_AT_PORT}"),
+    ("pose", "on_servos", "Move to poses of a plan.", f"poses.csv 7 8 {_AT_PORT}"),
     ("lags", "on_servos", "Measure how late each servo is.", f"{_FILE} {_AT_PORT}"),
-    ("touch", "on_servos", "Find anew where the lips meet.", f"{_FILE} {_AT_PORT}"),
+    ("touch", "on_servos", "Find again where the lips meet.", f"{_FILE} {_AT_PORT}"),
     ("trim", "written", "Change one mouth shape by hand.", f"{_FILE} P jaw -1"),
-    ("show", "written", "Draw what a calibration says.", f"{_FILE} {_CONFIG}"),
+    ("show", "written", "Print what a calibration contains.", f"{_FILE} {_CONFIG}"),
 )
 
 

@@ -30,7 +30,7 @@ from lipsync.output_file import check_output
 
 
 def plan(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The plan to write, CSV.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Plan (CSV file) to write.")],
     config: Config = DEFAULT_FACE,
     model: Model = None,
     poses: Poses = 60,
@@ -38,9 +38,8 @@ def plan(
         Path | None,
         typer.Option(
             metavar="PLAN",
-            help="With --markers recorded at it: write that plan with further poses of speech, or "
-            "of joints of which the markers hardly tell yet what they do.",
-            show_default=False,
+            help="Plan that --markers were recorded at: write it with more poses, of speech or of "
+            "joints whose effect is still unclear.",
         ),
     ] = None,
     markers: Markers = None,
@@ -89,10 +88,7 @@ def fit(
     config: Config = DEFAULT_FACE,
     model: Model = None,
     plan: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="The plan that --markers were recorded at.", show_default=False
-        ),
+        Path | None, typer.Option(metavar="FILE", help="The plan that --markers were recorded at.")
     ] = None,
     markers: Markers = None,
     axes: Axes = "x y z",
@@ -105,19 +101,18 @@ def fit(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write ten poses of speech that were not fitted; `calibrate grade` measures by "
-            "them.",
-            show_default=False,
+            help="Also write ten new poses of speech to this file; `calibrate grade` measures the "
+            "calibration at them.",
         ),
     ] = None,
     accept: Accept = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fit to recorded markers; without --plan and --markers: to the simulated face.
+    """Fit a calibration to recorded markers; without --plan and --markers, to the simulated face.
 
-    What the fit says of itself is estimated until `calibrate grade` has measured it.
-    Lags of servos are found here for simulated ones only, and not for recorded markers.
+    The errors printed are estimates until `calibrate grade` has measured them. Servo lags are found
+    for simulated servos only; `calibrate lags` measures those of real servos.
     """
     if (plan is None) != (markers is None):
         raise typer.BadParameter("give --plan with --markers; `calibrate plan` writes one")
@@ -157,7 +152,10 @@ def grade(
     ],
     markers: Annotated[
         Path,
-        typer.Option(help="Markers recorded at them: CSV, JSON, a folder of C3D or of pictures."),
+        typer.Option(
+            help="Markers recorded at these poses: CSV or JSON file, or a folder of C3D files or "
+            "pictures."
+        ),
     ],
     config: Config = DEFAULT_FACE,
     model: Model = None,
@@ -167,9 +165,9 @@ def grade(
     accept: Accept = False,
     as_json: Json = False,
 ) -> None:
-    """Measure a calibration at ten poses of speech that were never fitted, and write its grade.
+    """Grade a calibration by markers recorded at ten new poses of speech; store the grade in it.
 
-    A grade that is too bad is not written without --accept; the file is as it was then.
+    If the grade is too bad the file stays unchanged, unless you give --accept.
     """
     from calibration.files.calibration_file import load_calibration, save_calibration
 

@@ -42,17 +42,16 @@ def by_hand(
     sim: Sim = None,
     keep: Annotated[
         Path | None,
-        typer.Option(
-            help="Keep each pose in this file at once; go on from it.", show_default=False
-        ),
+        typer.Option(help="File that keeps each pose at once; the same command continues from it."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Torque off, move the lips with your fingers, keep the pose: closed, widest, rounded, touched.
+    """Torque off: pose the lips by hand (closed, widest, rounded, touching); keep the poses.
 
-    Hobby servos, which report no position, are moved by keys instead. The poses go into the
-    calibration: a touch pose and limits. The servos of the mouth are let go once you have agreed,
-    and stay limp, whatever ends this. Exit status 3: not every servo has confirmed that.
+    Hobby servos, which report no position, are moved by keys instead. The poses become the limits
+    and the touch pose of the calibration. The command asks before it switches off the servos of the
+    mouth; they then stay limp, however the command ends. Exit status 3: not every servo has
+    confirmed that.
     """
     from calibration.calibration import check_calibration, check_servo_memories
     from calibration.files.calibration_file import load_calibration, save_calibration

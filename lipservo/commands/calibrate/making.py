@@ -20,44 +20,42 @@ if TYPE_CHECKING:
     from lipservo.calibrating.face_source import MeshOptions
     from lipservo.calibrating.measured_calibration import CalibrationResult
 
-Output = Annotated[Path, typer.Option("--output", "-o", help="The calibration to write.")]
+Output = Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")]
 Markers = Annotated[
     Path | None,
     typer.Option(
-        help="Markers recorded at the poses of a plan: CSV, JSON, a folder of C3D or of pictures.",
-        show_default=False,
+        help="Marker positions recorded at the poses of the plan: a CSV or JSON file, or a folder "
+        "of C3D files or of pictures."
     ),
 ]
 Axes = Annotated[
-    str, typer.Option(help="Axes of C3D files that point to the robot's left, up and forward.")
+    str, typer.Option(help="C3D axes to the robot's left, up and forward, such as `x z -y`.")
 ]
-Poses = Annotated[int, typer.Option(min=1, help="How many poses are captured.")]
+Poses = Annotated[int, typer.Option(min=1, help="Number of poses to move to.")]
 Keep = Annotated[
     Path | None,
     typer.Option(
-        help="Every captured pose is kept in this file, from which the same command goes on; "
-        "default: FILE.poses beside the calibration, until it is finished.",
-        show_default=False,
+        help="File that keeps every captured pose; the same command then continues an interrupted "
+        "capture. Default: FILE.poses beside the calibration FILE."
     ),
 ]
-Lags = Annotated[bool, typer.Option(help="Find the servos' lags too, by chirps and steps.")]
+Lags = Annotated[bool, typer.Option(help="Also measure how late each servo follows its goals.")]
 Speed = Annotated[
-    float,
-    typer.Option(min=5.0, max=400.0, help="Servos move from pose to pose so fast, degrees/s."),
+    float, typer.Option(min=5.0, max=400.0, help="Speed of the servos between poses, degrees/s.")
 ]
 Ranges = Annotated[
     Path | None,
-    typer.Option(help="LeRobot range file that the limits must lie within.", show_default=False),
+    typer.Option(help="LeRobot range file; the face's limits must lie within its ranges."),
 ]
 Plots = Annotated[
     Path | None,
-    typer.Option(help="Folder for a picture of what is within reach.", show_default=False),
+    typer.Option(help="Folder for a picture of the mouth shapes that the robot reaches."),
 ]
 Landmarker = Annotated[
     Path | None,
     typer.Option(
-        help="A face_landmarker.task (docs/own-face.md); default: mediapipe's own face mesh.",
-        show_default=False,
+        help="Face tracker's file face_landmarker.task (docs/own-face.md); default: that of "
+        "mediapipe."
     ),
 ]
 EyeDistance = Annotated[
@@ -65,18 +63,18 @@ EyeDistance = Annotated[
     typer.Option(
         min=10.0,
         max=500.0,
-        help="Between the outer corners of the robot's eyes; default: of the face's YAML.",
-        show_default=False,
+        help="Distance between the outer corners of the robot's eyes, mm; default: in the face's "
+        "YAML.",
     ),
 ]
 Camera = Annotated[
-    str, typer.Option(help="With --tracker camera: a number or a device; a video to try.")
+    str, typer.Option(help="For --tracker camera: number or device path; a video file to try.")
 ]
-CalibrationFile = Annotated[Path, typer.Argument(metavar="FILE", help="The calibration.")]
+CalibrationFile = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration file.")]
 Accept = Annotated[
     bool,
     typer.Option(
-        "--accept", help="Take what is judgement (odd joints, odd size, a bad grade) as a warning."
+        "--accept", help="Only warn of odd joints, an odd size or a bad grade; do not refuse them."
     ),
 ]
 

@@ -46,8 +46,8 @@ def measure(
     tracker: Annotated[
         str | None,
         typer.Option(
-            help="Who sees the markers: `camera`, or a .csv, .json or folder filled meanwhile.",
-            show_default=False,
+            help="Source of marker positions: `camera`, or a .csv or .json file or a folder that "
+            "your tracker fills during the run."
         ),
     ] = None,
     axes: Axes = "x y z",
@@ -64,9 +64,10 @@ def measure(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Move the servos through poses, measure markers at each, fit, and find the servos' lags.
+    """Move the servos through poses, measure markers at each, fit, and measure the servos' lags.
 
-    With --sim pty and no --tracker the markers are computed: a rehearsal of all but the skin.
+    With --sim pty and no --tracker the markers are computed: a rehearsal of everything but real
+    skin.
     """
     if tracker is None and sim is None:
         raise typer.BadParameter(
@@ -105,9 +106,9 @@ def guided(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """No tracker: put the mouth into 14 named poses with keys, by eye.
+    """Calibrate without a tracker: you put the mouth into 14 named poses with keys, by eye.
 
-    Coarser than a measured calibration: without a tracker no millimetres are known.
+    The result is coarser than with a tracker: millimetres are not known.
     """
     check_files(output, keep=keep_beside(output, keep))
     setup = load_setup(
@@ -126,7 +127,7 @@ def guided(
 
 
 def practise(
-    seed: Annotated[int, typer.Argument(metavar="SEED", help="Which robot is drawn.")],
+    seed: Annotated[int, typer.Argument(metavar="SEED", help="Seed of the simulated robot.")],
     output: Output,
     config: Config = DEFAULT_FACE,
     model: Model = None,
@@ -134,9 +135,8 @@ def practise(
     family: Annotated[
         RobotFamily | None,
         typer.Option(
-            help="own: rubber and play, for joints named as face_sim's; elastic: lips that stop "
-            "each other, and more, for any joints. Default: own where it knows the names.",
-            show_default=False,
+            help="Kind of robot. own: compliant skin and backlash, for the joint names of "
+            "face_sim; elastic: lips in contact, for any joints. Default: own if the names fit."
         ),
     ] = None,
     poses: Poses = 60,
@@ -148,9 +148,9 @@ def practise(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a simulated robot drawn from a seed, of which nothing is known; no servo is needed.
+    """Calibrate a simulated robot that a random seed determines, for practice; no servo is needed.
 
-    With --sim pty its servos are simulated to the byte and spoken to over a wire, at their speed.
+    With --sim pty the command drives the simulated servos over a serial port, in real time.
     """
     check_files(output, keep=keep_beside(output, keep), plots=plots)
     setup = load_setup(
@@ -171,19 +171,25 @@ def practise(
 
 
 def pose(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Poses: `calibrate plan`.")],
+    plan: Annotated[
+        Path, typer.Argument(metavar="PLAN", help="Plan file, as `calibrate plan` writes it.")
+    ],
     poses: Annotated[
         list[int] | None,
-        typer.Argument(metavar="[POSE]...", help="Which of them; default: all, in their order."),
+        typer.Argument(
+            metavar="[POSE]...",
+            help="Numbers of the poses to take; default: all, in the order of the plan.",
+        ),
     ] = None,
     config: Config = DEFAULT_FACE,
     port: Port = None,
     sim: Sim = None,
     speed: Speed = 30.0,
 ) -> None:
-    """Hold the servos in poses of a plan, each reached from the side it names; Enter: the next.
+    """Move the servos to poses of a plan, one after the other; Enter goes to the next pose.
 
-    For markers that are recorded by hand. At the end all go to neutral and are let go.
+    This is for markers that you record yourself. Each joint comes from the side that the plan
+    names, because of backlash. At the end all joints go to neutral, and torque is switched off.
     """
     check_inputs(plan)
     setup = load_setup(config, None, speed_deg_s=speed)
@@ -214,17 +220,18 @@ def lags(
         list[str] | None,
         typer.Option(
             metavar="JOINT=MS",
-            help="How late a servo is that has no encoder, as a film shows; again for each.",
-            show_default=False,
+            help="Lag of a servo that reports no position, ms, as seen in a film; once for each "
+            "servo.",
         ),
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find how late each servo follows, by chirps and steps, and write it into a calibration.
+    """Measure how late each servo follows its goals, by chirps and steps; store it in the file.
 
-    The map stays; the file that was there is kept as `.previous`. 14 s for each joint. Servos
-    without encoders cannot be read: their lags are typed (docs/calibration.md).
+    It takes 14 s for each joint. The rest of the calibration does not change; the old file is kept
+    as `.previous`. Servos without encoders cannot be measured: give their lags with --lag-ms
+    (docs/calibration.md).
     """
     from calibration.calibration import CalibrationError
     from calibration.files.calibration_file import load_calibration, save_calibration
@@ -267,13 +274,16 @@ def touch(
     tracker: Annotated[
         str | None,
         typer.Option(
-            help="Who sees the markers, as for `measure`; none: by what the servos draw.",
-            show_default=False,
+            help="Source of marker positions: `camera`, or a .csv or .json file or a folder that "
+            "your tracker fills during the run."
         ),
     ] = None,
     by_eye: Annotated[
         bool,
-        typer.Option("--by-eye", help="You look: Enter where the lips meet. So are hobby servos."),
+        typer.Option(
+            "--by-eye",
+            help="You watch, and press Enter where the lips meet; default for hobby servos.",
+        ),
     ] = False,
     axes: Axes = "x y z",
     landmarker: Landmarker = None,
@@ -283,11 +293,11 @@ def touch(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find anew where the lips meet, in a minute, and write it into a calibration.
+    """Find again where the lips meet, within a minute, and write it into a calibration.
 
     The map from face to servo angles does not change; the old file is kept as `.previous`. Contact
-    is detected by --tracker; without it by the servos' current, or by your eye where they measure
-    none; with --sim pty by markers computed from the simulated servos.
+    is detected by --tracker; without it by the servos' current, or by your eye if the servos do not
+    measure current; with --sim pty by markers computed from the simulated servos.
     """
     from calibration.files.calibration_file import load_calibration, save_calibration
 

@@ -11,19 +11,17 @@ from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 
 
 def trim(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The calibration to change.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Calibration file to change.")],
     viseme: Annotated[
-        str | None, typer.Argument(help="A phoneme of the class, P for P B M.", show_default=False)
+        str | None, typer.Argument(help="A phoneme of the viseme class; P stands for P, B and M.")
     ] = None,
-    joint: Annotated[str | None, typer.Argument(help="Which joint.", show_default=False)] = None,
+    joint: Annotated[str | None, typer.Argument(help="Joint to trim.")] = None,
     deg: Annotated[
         float | None,
-        typer.Argument(
-            help="Degrees to add while the class is spoken; 0: none.", show_default=False
-        ),
+        typer.Argument(help="Degrees to add to the joint while the class is spoken; 0: no trim."),
     ] = None,
 ) -> None:
-    """Add degrees to a joint while a viseme class is spoken; without VISEME: show what is added."""
+    """Add degrees to a joint while a viseme class is spoken; without VISEME: print these trims."""
     from calibration.files.calibration_file import load_calibration, save_calibration
 
     calibration = load_calibration(file)
@@ -44,20 +42,23 @@ def show(
     config: Annotated[
         str | None,
         typer.Option(
-            help="Face whose rules between joints are shown too; its name, or a YAML file.",
-            show_default=False,
+            help="Face (a name, or the path of a YAML file) whose rules between joints are also "
+            "shown."
         ),
     ] = None,
     plots: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for a picture of what is within reach (lipservo[plots]).",
-            show_default=False,
+            help="Folder for a picture of the mouth shapes that the robot reaches (needs "
+            "lipservo[plots])."
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Print what a calibration says: its grade, each servo, each viseme class, rules, trims."""
+    """Print a calibration: grade, servos, viseme classes, rules between joints, and trims.
+
+    Trims are degrees that `calibrate trim` has added.
+    """
     from calibration.files.calibration_file import load_calibration
 
     calibration = load_calibration(file)

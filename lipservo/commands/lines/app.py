@@ -7,7 +7,7 @@ import typer
 from lipservo.commands.lazy_group import Command, LazyGroup
 
 _HERE = "lipservo.commands.lines"
-_LAB = "Of whole folders (lipservo-lab)"
+_LAB = "Whole folders (lipservo-lab)"
 
 
 class LinesGroup(LazyGroup):

@@ -50,7 +50,11 @@ from lipsync.offline.performance import read_performance
 def perform(
     *,
     performance: Annotated[
-        Path, typer.Argument(help="What `render` wrote (.perf); with --through, its name there.")
+        Path,
+        typer.Argument(
+            help="Performance file (.perf), as `lines render` writes it; with --through its name "
+            "in that face's folder of sounds."
+        ),
     ],
     mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,
     through: Through = None,
@@ -72,11 +76,11 @@ def perform(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Play a performance: the sound, and the motion that was rendered for it.
+    """Play a performance file: its sound, and the motion that was rendered for it.
 
-    No recogniser runs and nothing is planned any more; strength was chosen when it was rendered.
-    With --dashboard, in a terminal, the face goes on afterwards until Ctrl-C, and listens and
-    speaks as any other.
+    No recogniser runs, and nothing is planned any more: `lines render --strength` has set the
+    amplitude. With --dashboard, in a terminal, the face then continues until Ctrl-C, and listens
+    and speaks like any other running face.
     """
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")

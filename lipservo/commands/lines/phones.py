@@ -62,9 +62,9 @@ def align(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find when each phone of a known text is spoken.
+    """Find when each phone of a known text is spoken in a sound file.
 
-    A text that was not spoken is refused: docs/recognition.md, Alignment, says how that is decided.
+    A text that is not spoken there is refused (docs/recognition.md, "Alignment").
     """
     if sound.is_dir():
         raise UserError(f"{sound}: is a folder; `lipservo lines align-folder` aligns its texts")
@@ -124,7 +124,7 @@ def recognize(
     sound: Annotated[Path | None, typer.Argument(help="Sound file.")] = None,
     mic: Annotated[
         str | None,
-        typer.Option(metavar="[DEVICE]", help="Listen to a microphone.", show_default=False),
+        typer.Option(metavar="[DEVICE]", help="Use a microphone: its number or part of its name."),
     ] = None,
     channel: Channel = "",
     output: Annotated[
@@ -134,9 +134,9 @@ def recognize(
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
 ) -> None:
-    """Print the phonemes of a sound file, or of a microphone as they are spoken, with their times.
+    """Print the phonemes in a sound file, or live from a microphone, with their times in s.
 
-    With --json one object a line: phoneme, start_s, end_s.
+    With --json each phoneme is one JSON object on a line: phoneme, start_s, end_s.
     """
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")

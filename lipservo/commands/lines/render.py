@@ -19,40 +19,42 @@ Method = Literal["heard", "model-based", "live"]
 # ---- options of all that renders lines ----
 
 LineMethodName = Annotated[
-    Method, typer.Option(help="By phonemes and sound; as published; or as a face does live.")
+    Method,
+    typer.Option(
+        help="heard: by phonemes and the sound; model-based: as published by Edge, Hilton and "
+        "Jackson; live: as a running face moves."
+    ),
 ]
 LineStrength = Annotated[
-    float, typer.Option(min=0.0, max=STRONGEST, help="How far the mouth moves.")
+    float, typer.Option(min=0.0, max=STRONGEST, help="Amplitude of the motion; 1: as recorded.")
 ]
 Offline = Annotated[
     Path | None,
-    typer.Option(help="Offline model (.npz); default: the shipped one.", show_default=False),
+    typer.Option(help="Offline model of `learn offline`, a .npz file; default: the shipped model."),
 ]
 ReferenceSound = Annotated[
-    bool, typer.Option("--reference-sound", help="Name the sound in the file, do not include it.")
+    bool, typer.Option("--reference-sound", help="Store the sound file's name only, not its sound.")
 ]
 ExpressionOf = Annotated[
     str | None,
     typer.Option(
         metavar="FACE",
-        help="Store head, eyes, lids and brows too, as this face (name or YAML) moves them.",
-        show_default=False,
+        help="Also store head, eyes, lids and brows, as this face (a name, or a YAML file) moves "
+        "them.",
     ),
 ]
 
 
 def render(
     audio: Annotated[Path, typer.Argument(help="Sound file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="File to write (.perf).")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Performance (.perf) to write.")],
     text: Annotated[
-        str | None,
-        typer.Option(help="The spoken text, or a text file that holds it.", show_default=False),
+        str | None, typer.Option(help="Text spoken in the sound file, or a text file with it.")
     ] = None,
     textgrid: Annotated[
         Path | None,
         typer.Option(
-            help="Phones or words and their times: a TextGrid, or another file of docs/text.md.",
-            show_default=False,
+            help="Label file: phonemes or words with times, a TextGrid or others (docs/text.md)."
         ),
     ] = None,
     tier: Tier = "",
@@ -66,9 +68,10 @@ def render(
     expression: ExpressionOf = None,
     as_json: Json = False,
 ) -> None:
-    """Render a line to a performance: the whole line is heard before the mouth moves.
+    """Render a sound file to a performance: motion planned with the whole line known.
 
-    Without --text and --textgrid the recogniser listens. Folders: `lines render-folder`.
+    Without --text and --textgrid the recogniser finds the phonemes. For a folder of sounds: `lines
+    render-folder`.
     """
     from lipservo.rendering.rendered import Rendering
     from lipservo.runtime.servos.assembly import load_settings

@@ -18,8 +18,8 @@ def calibrate_audio(
         str | None,
         typer.Option(
             metavar="DEVICE",
-            help="Loudspeaker, by number or part of its name; default: the face's.",
-            show_default=False,
+            help="Loudspeaker: a number or part of a name (`lipservo devices`); default: the "
+            "face's.",
         ),
     ] = None,
     from_input: Annotated[
@@ -27,16 +27,16 @@ def calibrate_audio(
         typer.Option(
             "--input",
             metavar="DEVICE",
-            help="Microphone, or the monitor of the loudspeaker; default: the face's.",
-            show_default=False,
+            help="Microphone, or the loudspeaker's monitor input: a number or part of a name; "
+            "default: the face's.",
         ),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, write nothing.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Play clicks, listen to them, and write the loudspeaker's offset into the face's YAML.
+    """Measure how late a loudspeaker is, by clicks; write the offset into the face's YAML.
 
-    Put the microphone a hand's breadth before the loudspeaker; it takes ten seconds.
+    Put the microphone about 10 cm in front of the loudspeaker. The command takes ten seconds.
     """
     from lipsync.audio.delay import measure_delay
     from lipsync.audio.loudspeaker import LoudspeakerOutput

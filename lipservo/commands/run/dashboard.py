@@ -43,9 +43,9 @@ def dashboard(
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Show a running face in a browser: see it, set it up, stop it. Also an API, at /docs.
+    """Serve a web page of a running face: watch it, set it up, stop it. An API is at /docs.
 
-    It is a process of its own: whatever becomes of it, the face goes on.
+    The page is a separate process: the face continues if the page ends.
     """
     check_dashboard()
     if parent is not None:

@@ -7,7 +7,7 @@ from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 
 
 def devices(as_json: Json = False) -> None:
-    """List the microphones and loudspeakers that can be named by number or part of their name."""
+    """List microphones and loudspeakers, with the numbers and names that options take."""
     from lipsync.audio.devices import sound_devices
 
     inputs, outputs = sound_devices("input"), sound_devices("output")

@@ -47,16 +47,15 @@ def export(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", help="File to write: .tsv .json .xml (Rhubarb), .jsonl .csv."
+            "--output", "-o", help="File to write: .tsv, .json, .xml (Rhubarb), .jsonl or .csv."
         ),
     ],
     file_format: Annotated[
         Format | None,
         typer.Option(
             "--format",
-            help="rhubarb: mouth shapes; arkit: 52 blendshapes; ovr: 15 visemes; "
-            "default: by the ending.",
-            show_default=False,
+            help="rhubarb: mouth shapes; arkit: 52 blendshapes; ovr: 15 visemes; default: from "
+            "the ending of the output file.",
         ),
     ] = None,
     phonemes: Phonemes = None,
@@ -66,20 +65,20 @@ def export(
     channel: Channel = "",
     shapes: Annotated[
         ShapeSource,
-        typer.Option(help="Mouth shapes from the robot's motion, or from Rhubarb's rules."),
+        typer.Option(help="Rhubarb mouth shapes from the robot's motion, or from Rhubarb's rules."),
     ] = "motion",
     rate_hz: Annotated[
-        float, typer.Option(min=10.0, max=200.0, help="Frames a second of arkit and ovr.")
+        float, typer.Option(min=10.0, max=200.0, help="Frames per second of arkit and ovr.")
     ] = 60.0,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     motion: ChosenMotion,
     as_json: Json = False,
 ) -> None:
-    """Write the speech of a sound file for avatars: mouth shapes, blendshapes or visemes.
+    """Convert speech to mouth shapes, blendshapes or visemes for an avatar.
 
-    With the recogniser and the motion of `replay`, so that avatar and robot show the same. Times
-    are sound times: 0 is the first sample.
+    Recognition and motion are those of `lipservo replay`, so that avatar and robot show the same.
+    Times count from the first sample of the sound.
     """
     from lipservo.commands.run.exported_speech import Exported, exported_text
     from lipsync.output_file import check_output, written_whole

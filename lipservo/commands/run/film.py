@@ -32,39 +32,38 @@ _TWIN, _ROBOT, _BESIDE = "twin", "robot", "beside"
 def film(
     *,
     speech: Annotated[
-        str | None,
-        typer.Argument(
-            help="Sound file, text in quotes, or a performance (.perf).", show_default=False
-        ),
+        str | None, typer.Argument(help="Sound file, text in quotes, or performance file (.perf).")
     ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Film to write: .mp4 .mov .mkv.")],
     face: Annotated[
         str,
-        typer.Option(help="twin, robot, beside (both), or a photograph of a face (JPEG, PNG ...)."),
+        typer.Option(
+            help="twin: a drawn face; robot: the robot, drawn; beside: both; or a photograph of a "
+            "face (JPEG, PNG ...)."
+        ),
     ] = _TWIN,
     landmarks: Annotated[
         Path | None,
         typer.Option(
-            help="Where the face in the photograph is (JSON), instead of a tracker.",
-            show_default=False,
+            help="JSON file of the face's points in the photograph, instead of a tracker "
+            "(docs/film.md)."
         ),
     ] = None,
     landmarker: Annotated[
         Path | None,
-        typer.Option(help="The tracker's face_landmarker.task.", show_default=False),
+        typer.Option(help="The face tracker's file face_landmarker.task (docs/own-face.md)."),
     ] = None,
     beside: Annotated[
         str | None,
         typer.Option(
             metavar="STRATEGY|PERF",
-            help="The same with another strategy, or a performance, at its right.",
-            show_default=False,
+            help="A second face at the right, moved by this strategy or performance.",
         ),
     ] = None,
     trace: Annotated[
         Path | None,
         typer.Option(
-            help="Film a run that was; the argument is its sound, if any.", show_default=False
+            help="Film the recorded run in this trace; the argument is its sound file, if any."
         ),
     ] = None,
     phonemes: Phonemes = None,
@@ -76,18 +75,18 @@ def film(
         bool, typer.Option("--still-head", help="Head, eyes and lids do not move.")
     ] = False,
     size: Annotated[
-        str, typer.Option(metavar="WIDTHxHEIGHT", help="Pixels of one face.")
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of one face, pixels.")
     ] = "640x480",
-    rate_hz: Annotated[int, typer.Option(min=10, max=60, help="Pictures a second.")] = 25,
+    rate_hz: Annotated[int, typer.Option(min=10, max=60, help="Pictures per second.")] = 25,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     motion: ChosenMotion,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Film a face that says a sound, a text or a scripted line; or a run that was.
+    """Film a face that speaks a sound file, a text or a scripted line, or show a recorded run.
 
-    The sound is in the film. Faster than it sounds; nothing is left half-written.
+    The film has the sound. It is made faster than real time; no incomplete file is left.
     """
     from lipservo.display.film import check_film, is_film, named_file
     from lipsync.output_file import check_output

@@ -24,17 +24,16 @@ class HealthError(UserError):
 
 def health(
     face: Annotated[
-        str | None,
-        typer.Option(help="Name of a face, as in its YAML; default: all.", show_default=False),
+        str | None, typer.Option(help="Name of the face, as in its YAML; default: all faces.")
     ] = None,
     days: Annotated[
-        int, typer.Option(min=1, help="Look at so many days on which it ran.")
+        int, typer.Option(min=1, help="Read the log of this many days on which the face ran.")
     ] = MOST_DAYS,
     as_json: Json = False,
 ) -> None:
-    """Show what was logged of each servo while it ran, and what is getting worse.
+    """Show what was logged of each servo while its face ran, and what is getting worse.
 
-    Servos at a port are logged every ten seconds; simulated ones in memory are not.
+    Servos at a port are logged every ten seconds; servos simulated in memory are not.
     """
     logged = logged_faces(os.environ)
     if face is not None:

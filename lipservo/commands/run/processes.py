@@ -12,7 +12,7 @@ from firmware_bridge.stopping import StopLevel, StopRequest
 from lipsync.errors import UserError
 
 Fd = Annotated[int, typer.Option(hidden=True)]
-Request = Annotated[str, typer.Option(help="What is run, whole: docs/architecture.md.")]
+Request = Annotated[str, typer.Option(help="The run as JSON: docs/architecture.md.")]
 
 
 def bridge_process(

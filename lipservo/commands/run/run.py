@@ -93,9 +93,10 @@ def run(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Speech drives the face, live; without --wav or --mic the bundled clip speaks.
+    """Let speech drive a face live: a sound file or microphone, else the bundled clip.
 
-    With --dashboard, in a terminal, it keeps running until Ctrl-C; set the rest in the YAML.
+    With --dashboard, in a terminal, the face runs until Ctrl-C. All other settings are in the
+    face's YAML.
     """
     check_page_options(None, is_shown=dashboard, open_page=open_page)
     voice = chosen_voice(play, is_needed=phonemes is not None or dashboard)
@@ -151,9 +152,10 @@ def daemon(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run until stopped; with nothing to hear the mouth rests closed. What a service starts.
+    """Run a face until it is stopped, as a service does; without any sound its mouth stays closed.
 
-    With servos at a port, bridge and speech are processes of their own, watched over.
+    With servos at a port, servo loop and speech are separate processes, which the daemon
+    supervises.
     """
     check_page_options(dashboard_listen, is_shown=dashboard, open_page=False)
     voice = daemons_voice(
@@ -213,7 +215,10 @@ def replay(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Play a sound file as fast as possible, on a simulated clock: same file, same trace."""
+    """Compute the motion for a sound file as fast as possible, on a simulated clock.
+
+    The same file gives the same trace.
+    """
     request = RunRequest(
         config,
         Sound("file", str(sound), text=spoken_text(text), channel=channel),

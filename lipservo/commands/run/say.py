@@ -47,36 +47,33 @@ if TYPE_CHECKING:
 
 
 Language = Annotated[
-    str | None,
-    typer.Option(help="As espeak-ng names it: en-us, de, fr-fr.", show_default=False),
+    str | None, typer.Option(help="Language as espeak-ng names it: en-us, de, fr-fr.")
 ]
 SpokenBy = Annotated[
-    str | None, typer.Option(help="A voice of the face's speech engine.", show_default=False)
+    str | None, typer.Option(help="Voice of the face's speech synthesiser, by name.")
 ]
 RateWpm = Annotated[
     int | None,
     typer.Option(
-        min=SLOWEST_WPM, max=FASTEST_WPM, help="Words a minute; 175 is usual.", show_default=False
+        min=SLOWEST_WPM, max=FASTEST_WPM, help="Speed of speech, words per minute; 175 is usual."
     ),
 ]
 Pitch = Annotated[
     int | None,
-    typer.Option(
-        min=0, max=HIGHEST_PITCH, help="Pitch; 50 is the voice's own.", show_default=False
-    ),
+    typer.Option(min=0, max=HIGHEST_PITCH, help="Pitch of the voice; 50 is the voice's own."),
 ]
 
 
 @takes_motion
 def say(
     *,
-    text: Annotated[str | None, typer.Argument(help="What is said.", show_default=False)] = None,
+    text: Annotated[str | None, typer.Argument(help="Text to say.")] = None,
     from_file: Annotated[
         Path | None,
         typer.Option(
             "--from",
-            help="A file of words, phonemes or visemes with times, its sound beside it.",
-            show_default=False,
+            help="Label file to say: words, phonemes or visemes with times (docs/text.md); the "
+            "sound file of the same name must be beside it.",
         ),
     ] = None,
     tier: Tier = "",
@@ -103,7 +100,7 @@ def say(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Speak a text with sound and face, by the voice of the face's YAML; or a file."""
+    """Speak a text with sound and face, by the voice in the face's YAML; or speak a label file."""
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
     labels = label_file(from_file, tier, alphabet)

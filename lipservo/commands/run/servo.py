@@ -25,15 +25,18 @@ _LOOK_EVERY_S: Final = 0.1
 
 
 def servo(
-    name: Annotated[str, typer.Argument(help="Which: the name of its joint.")],
-    switch: Annotated[ServoSwitch, typer.Argument(help="What is asked of it.")],
+    name: Annotated[str, typer.Argument(help="Name of the servo's joint.")],
+    switch: Annotated[
+        ServoSwitch,
+        typer.Argument(help="off: torque off; on: drive the servo again; reboot: restart it."),
+    ],
     face: FaceName = None,
     control: Control = None,
     as_json: Json = False,
 ) -> None:
-    """Switch one servo of a running face off, on again, or restart it; the others go on.
+    """Switch one servo of a running face off or on, or restart it; the others continue.
 
-    Exit status 1 unless it has confirmed.
+    Exit status 1 unless the servo has confirmed.
     """
 
     def request(each: RunningFace) -> dict[str, Any]:

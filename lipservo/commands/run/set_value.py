@@ -15,20 +15,20 @@ def set_value(
     name: Annotated[
         str,
         typer.Argument(
-            help="What: strength, stage, smoothness, unit_share, lip_gap_offset_mm, expression, "
-            "look_yaw_deg, look_pitch_deg, look_weight (0: at no target), affect_valence, "
-            "affect_arousal, affect_tau_s."
+            help="Setting: strength, stage, smoothness, unit_share (docs/motion.md), "
+            "lip_gap_offset_mm, expression, look_yaw_deg, look_pitch_deg, look_weight (0: no gaze "
+            "target), affect_valence, affect_arousal, affect_tau_s (docs/expression.md)."
         ),
     ],
-    value: Annotated[float, typer.Argument(help="To which value.")],
+    value: Annotated[float, typer.Argument(help="New value.")],
     face: FaceName = None,
     control: Control = None,
     as_json: Json = False,
 ) -> None:
-    """Change a setting of every running face without a jump; it lasts until the face ends.
+    """Change a setting of the running faces, smoothly; it lasts until the face ends.
 
-    A place to look at is looked at from then on; a mood fades by itself. Exit status 1 unless every
-    face has taken it.
+    A gaze target (look_...) holds from then on; a mood (affect_...) fades by itself. Exit status 1
+    unless every face has accepted the value.
     """
 
     def request(each: RunningFace) -> dict[str, Any]:

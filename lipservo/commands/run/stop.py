@@ -65,22 +65,24 @@ def run_without_parser(arguments: Sequence[str]) -> bool:
 
 
 def stop(
-    limp: Annotated[bool, typer.Option("--limp", help="Let go at once, wherever it is.")] = False,
+    limp: Annotated[
+        bool, typer.Option("--limp", help="Switch torque off at once, without moving to rest.")
+    ] = False,
     freeze: Annotated[
-        bool, typer.Option("--freeze", help="Stay where it is, held, until the next stop.")
+        bool, typer.Option("--freeze", help="Hold the present position until the next stop.")
     ] = False,
     end: Annotated[
-        bool, typer.Option("--end", help="End a daemon too; otherwise it waits for `start`.")
+        bool, typer.Option("--end", help="Also end a daemon, which else waits for `start`.")
     ] = False,
     face: FaceName = None,
     control: Control = None,
     on: On = None,
     as_json: Json = False,
 ) -> None:
-    """Stop every running face: to rest and limp, confirmed by its servos.
+    """Stop every running face: move to rest, then torque off, confirmed by its servos.
 
-    A daemon then waits for `lipservo start`; a `run` ends. Works although the speech side is dead.
-    Exit status 1 unless every servo has confirmed. --on: the faces of other computers instead.
+    A daemon then waits for `lipservo start`; a `lipservo run` ends. The command also works if the
+    speech process is dead. Exit status 1 unless every servo has confirmed.
     """
     if limp and freeze:
         raise UserError("--limp and --freeze: give one of them")
@@ -101,9 +103,10 @@ def stop(
 
 
 def start(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
-    """Drive a stopped face again, through the ordinary checks. It moves: keep your hands away.
+    """Drive a stopped face again, after the usual checks. It moves: keep your hands away.
 
-    Every servo is tried again, one that was given up, too. Exit status 1 unless all hold.
+    Every servo is tried again, also one that the face had given up. Exit status 1 unless all servos
+    hold.
     """
 
     def started(each: RunningFace) -> dict[str, Any]:
@@ -148,7 +151,7 @@ def status(
 ) -> None:
     """List the running faces: name, process, port, state, servos, troubles.
 
-    --on: the faces of other computers instead; exit status 1 unless all answer.
+    With --on: exit status 1 unless all listed faces answer.
     """
     if _is_elsewhere(on, face, control):
         from lipservo.commands.run.kiosks import status_of_kiosks
@@ -173,22 +176,21 @@ def limp(
     config: Annotated[
         str | None,
         typer.Option(
-            help="Let go of this face's servos, at --port or the port of its YAML.",
-            show_default=False,
+            help="Switch off the servos of this face, at --port or at the port in its YAML."
         ),
     ] = None,
     unless_held: Annotated[
         bool,
         typer.Option(
-            "--unless-held", help="Leave the port alone while a program holds it; for services."
+            "--unless-held", help="Do nothing while a program uses the port; for services."
         ),
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Let everything go, whatever held it: asks the face, then switches torque off at its port.
+    """Switch torque off: ask the running face to do so, then do it directly at its port.
 
-    Without --port and --config: all running faces. Works when whatever held the port is dead or
-    hangs. Exit status 1 unless every servo has confirmed.
+    Without --port and --config: for all running faces. The command also works if the program that
+    uses the port is dead or hangs. Exit status 1 unless every servo has confirmed.
     """
     settings = None
     if config is not None:

@@ -23,18 +23,21 @@ from lipservo.traces.trace_file import Trace, read_trace
 from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.face.model import FaceModel, load_face
 
-app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
+app = typer.Typer(help="Compare files that --trace has written.", no_args_is_help=True)
 
 #: Two traces that cannot be compared, as against 1, two that differ: as `diff` and `cmp` do.
 _INCOMPARABLE = 2
 
-First = Annotated[Path, typer.Argument(metavar="A", help="A trace, `.gz` or not.")]
-Second = Annotated[Path, typer.Argument(metavar="B", help="The one to compare with it.")]
+First = Annotated[
+    Path,
+    typer.Argument(metavar="A", help="First trace, written by --trace; it may be gzipped (.gz)."),
+]
+Second = Annotated[Path, typer.Argument(metavar="B", help="Second trace.")]
 
 
 @app.callback()
 def about() -> None:
-    """Inspect files that `--trace` wrote."""
+    """Compare files that --trace has written."""
 
 
 @app.command()
@@ -43,27 +46,29 @@ def diff(
     b: Second,
     *,
     tolerance_mm: Annotated[
-        float, typer.Option(min=0.0, help="Lips and lip gap may be so far apart.")
+        float, typer.Option(min=0.0, help="Largest difference of lips and lip gap, mm.")
     ] = 0.5,
     tolerance_ms: Annotated[
-        float, typer.Option(min=0.0, help="Motion and closures may be so late.")
+        float, typer.Option(min=0.0, help="Largest time shift of the motion and of closures, ms.")
     ] = 10.0,
-    tolerance_deg: Annotated[float, typer.Option(min=0.0, help="A servo may be so far off.")] = 2.0,
+    tolerance_deg: Annotated[
+        float, typer.Option(min=0.0, help="Largest difference of a servo's goals, degrees.")
+    ] = 2.0,
     model: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Face model a trace was made with; once for each that is not the shipped one.",
-            show_default=False,
+            help="Face model of a trace that was not made with the shipped model; once for each "
+            "model."
         ),
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw both into this .png or .svg.", show_default=False)
+        Path | None, typer.Option(help="Draw both traces in this file, .png or .svg.")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Say where two traces differ: degrees, millimetres of the lips, milliseconds.
+    """Compare two traces: differences in degrees, in millimetres of the lips, in milliseconds.
 
-    Exit status 1 beyond a tolerance, 2 where they cannot be compared.
+    Exit status 1 if a difference exceeds its tolerance, 2 if the traces cannot be compared.
     """
     tolerance = Tolerance(tolerance_mm, tolerance_deg, tolerance_ms * 1e-3)
     try:

@@ -19,15 +19,16 @@ def wyoming(
         str,
         typer.Option(
             metavar="HOST:PORT",
-            help="Where satellites connect. Wyoming knows no token: who reaches it may speak.",
+            help="Address for satellites. Wyoming has no token: who reaches it may speak.",
         ),
     ] = "127.0.0.1:10601",
     through: Through = None,
     token_file: TokenFile = None,
 ) -> None:
-    """Let Wyoming programs, as Home Assistant's satellites, speak through a running face.
+    """Let Wyoming programs, such as Home Assistant's satellites, speak through a running face.
 
-    Sound only (`snd`), until Ctrl-C. Sound is played to its end before the next begins.
+    It takes sound only (`snd`), and runs until Ctrl-C. Each sound is played to its end before the
+    next begins.
     """
     host, port = host_and_port(listen)
     check_extra("wyoming", "`lipservo wyoming`")

@@ -21,16 +21,20 @@ if TYPE_CHECKING:
 def agent(
     only: Annotated[
         list[str] | None,
-        typer.Option("--only", help="Of these alone: pipecat, livekit, openai, wyoming."),
+        typer.Option(
+            "--only",
+            help="Only this framework: pipecat, livekit, openai or wyoming; may be repeated. "
+            "Default: all.",
+        ),
     ] = None,
-    turns: Annotated[int, typer.Option(min=3, max=300, help="How many an agent says.")] = 60,
-    barge_ins: Annotated[int, typer.Option(min=0, help="How many of them are cut off.")] = 30,
+    turns: Annotated[int, typer.Option(min=3, max=300, help="How often the agent speaks.")] = 60,
+    barge_ins: Annotated[int, typer.Option(min=0, help="How many turns are interrupted.")] = 30,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Let agents speak, be interrupted, lose their face, and compare what they remember.
+    """Measure whether voice agents remember only what a person could hear, when interrupted.
 
-    Of each framework, with its own packages (`make agents`).
+    The agents also lose their face once. Each framework needs its own packages (`make agents`).
     """
     if barge_ins > turns:
         raise typer.BadParameter("at most one barge-in a turn")
@@ -64,14 +68,14 @@ def _agent(name: str) -> "Speaks":
 
 def day(
     minutes: Annotated[
-        float, typer.Option(min=1.0, help="How long; fewer than twelve bring less trouble.")
+        float, typer.Option(min=1.0, help="Duration in minutes; below 12, fewer events happen.")
     ] = 12.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Let an agent and a face run through loads, restarts, pulled cables, stops and starts.
+    """Let an agent and a face run through load, restarts, pulled cables, stops and starts.
 
-    On real processes, with a PulseAudio sink in place of a loudspeaker.
+    Both are real processes; a PulseAudio sink replaces the loudspeaker.
     """
     check_extra("pipecat", "`bench day`")
     from lipservo_lab.bench.agents.day_figures import EVENTS, day_figures

@@ -24,14 +24,14 @@ _REPLAYED = ("grid_s1/audio/bbaf3s.flac", "librispeech/audio/1089-134691-0011.op
 
 Corpora = Annotated[
     Path | None,
-    typer.Option(help="Folder that holds grid_s1 and librispeech.", show_default=False),
+    typer.Option(help="Folder with the corpora grid_s1 and librispeech (docs/benchmarks.md)."),
 ]
 
 
 def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure the speed of the street and the miss rates of the published selection.
+    """Measure replay speed, start-up time, memory, and miss rates of Wei and Deng's selection.
 
-    Without the corpora: the speeds on the bundled clip, and no miss rates.
+    Without --corpora: replay speed on the bundled clip, and no miss rates.
     """
     from lipservo_lab.bench import speed_figures as measure
 
@@ -58,10 +58,11 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
 
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure a bridge's process, its tick, and the bare line, on simulated servos.
+    """Measure the servo loop's process, its tick and its serial line, on simulated servos.
 
-    Against the wire and dynamixel-sdk; against rustypot too, when that is installed. Feetech servos
-    against a loop by hand, and hobby servos.
+    The figures are compared with the time on the wire and with dynamixel-sdk; also with rustypot,
+    if it is installed. Feetech servos are compared with a hand-written loop; hobby servos are
+    measured too.
     """
     check_extra("smbus2", "bench bus")
     from lipservo_lab.bench.bus import bus_figures as measure
@@ -93,46 +94,46 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
 
 
 def faults(
-    every: Annotated[int, typer.Option(min=1, help="Play only one case in so many.")] = 1,
+    every: Annotated[int, typer.Option(min=1, help="Play only every Nth case.")] = 1,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Every arming and stop for every fault: 8 times more.")
+        bool, typer.Option("--whole", help="Every fault with every arming and stop: 8 times more.")
     ] = False,
     stops: Annotated[
         bool,
         typer.Option(
             "--stops",
-            help="Stops by every client in every trouble instead, on real processes, 10 s each.",
+            help="Instead: stops by every client in every trouble, on real processes, 10 s each.",
         ),
     ] = False,
     signals: Annotated[
         bool,
         typer.Option(
             "--signals",
-            help="Signals to every command that moves servos instead, on real processes, 8 s each.",
+            help="Instead: signals to every command that moves servos, on real processes, 8 s "
+            "each.",
         ),
     ] = False,
     starved: Annotated[
         bool,
-        typer.Option(
-            "--starved", help="A face that gets a tenth of a processor instead; needs root."
-        ),
+        typer.Option("--starved", help="Instead: a face with a tenth of a processor; needs root."),
     ] = False,
     minutes: Annotated[
-        float, typer.Option(min=1.0, help="How long --starved starves it; then 40 starts.")
+        float, typer.Option(min=1.0, help="Minutes that --starved takes; then 40 starts follow.")
     ] = 20.0,
     only: Annotated[
-        str,
-        typer.Option(help="Of --stops only: stops, freezes, statements, restarts or idle."),
+        str, typer.Option(help="With --stops: only stops, freezes, statements, restarts or idle.")
     ] = "",
-    bus: Annotated[str, typer.Option(help="Which kind of bus.")] = "dynamixel",
+    bus: Annotated[
+        str, typer.Option(help="Kind of bus: dynamixel, feetech, maestro or pca9685.")
+    ] = "dynamixel",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Play every kind of fault against bridge and bus, on a virtual clock.
+    """Play every kind of fault against servo loop and bus, on a virtual clock.
 
-    With --stops, --signals or --starved: how faces and commands end, on real processes at simulated
-    servos; with --stops also whether what they say of torque is so.
-    Exit status 1 when anything happened that must not.
+    --stops, --signals and --starved instead test how faces and commands end, on real processes with
+    simulated servos; --stops also tests whether their statements about torque are true. Exit status
+    1 if anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
         STOP_PARTS,
@@ -171,9 +172,10 @@ def faults(
 
 
 def house(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Count what a tick, a stop and a command pass of the source, and lines of rooms.
+    """Count source files and calls of a tick and a stop, time and size of commands, and code lines.
 
-    Needs a checkout. Figures above a bar are named at the end; exit status 1 where there are any.
+    The command needs a checkout. Figures above their limits are listed at the end, with exit status
+    1.
     """
     from lipservo_lab.bench.house.house_figures import house_figures
 
@@ -189,22 +191,21 @@ def house(as_json: Json = False, quiet: Quiet = False) -> None:
 
 
 def endurance(
-    cycles: Annotated[int, typer.Option(min=1_000, help="How many ticks of the bridge.")] = 100_000,
+    cycles: Annotated[int, typer.Option(min=1_000, help="Ticks of the servo loop.")] = 100_000,
     resume: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Keep what was seen in this file, and go on from what is there.",
-            show_default=False,
+            help="File that keeps the results so far; the same command continues from it.",
         ),
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Drive simulated servos for hours on a virtual clock: memory, descriptors, wrong goals.
+    """Drive simulated servos for hours of virtual time: memory, file descriptors, wrong goals.
 
-    Ctrl-C ends it with the figures so far; with --resume the same command goes on from there.
-    Exit status 1 when anything happened that must not.
+    Ctrl-C ends the run with the figures so far; with --resume the same command continues it. Exit
+    status 1 if anything happened that must not.
     """
     from firmware_bridge.stop_signals import SignalCounter
     from lipservo_lab.campaigns.endurance import endurance_figures, what_went_wrong
@@ -227,34 +228,34 @@ def endurance(
 
 def calibration(
     seeds: Annotated[
-        str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
+        str, typer.Option(metavar="A-B", help="Random seeds, one robot for each.")
     ] = "0-19",
     family: Annotated[
         RobotFamily | None,
         typer.Option(
-            help="own: rubber and play; elastic: lips that stop each other, and more. Default: "
-            "both.",
-            show_default=False,
+            help="own: compliant skin and backlash; elastic: lips in contact, and more. Default: "
+            "both."
         ),
     ] = None,
     ways: Annotated[
         bool,
         typer.Option(
             "--ways",
-            help="elastic: also every shipped way (measured, guided, practise, port, hobby, dots) "
-            "on robots of 1 to 12 servos, drawn by the first seed.",
+            help="With family elastic: also test every way to calibrate (measured, guided, "
+            "practise, port, hobby, dots) on robots of 1 to 12 servos, drawn by the first seed.",
         ),
     ] = False,
     kills: Annotated[
         int,
-        typer.Option(min=0, help="Kill so many captures with each of three trackers; they go on."),
+        typer.Option(min=0, help="Captures to interrupt and resume, with each of three trackers."),
     ] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate simulated robots that nothing is known of, and score them: medians and worst.
+    """Calibrate simulated robots whose build is hidden, and score the results: medians and worst.
 
-    Also: faults done to each of them, and twenty mouths that cannot close.
+    The command also puts faults into each robot, to see whether they are reported, and tests twenty
+    mouths that cannot close.
     """
     from lipservo_lab.bench.calibration.every_robot import bench_figures, read_seeds
 
@@ -275,13 +276,12 @@ def calibration(
 
 def replay(
     sound: Annotated[
-        Path | None,
-        typer.Argument(help="Sound file; default: 20 s of the bundled clip.", show_default=False),
+        Path | None, typer.Argument(help="Sound file; default: 20 s of the bundled clip.")
     ] = None,
-    times: Annotated[int, typer.Option(min=1, help="The median of so many replays counts.")] = 5,
+    times: Annotated[int, typer.Option(min=1, help="Number of replays; the median counts.")] = 5,
     as_json: Json = False,
 ) -> None:
-    """Measure the speed of `replay`."""
+    """Measure how much faster than real time `lipservo replay` is."""
     from lipservo_lab.bench.speed_figures import replay_speed
     from lipservo_lab.repeated_recording import repeated
 

@@ -35,27 +35,26 @@ def closures(
     corpus: Annotated[
         Path | None,
         typer.Option(
-            help="Folder as for `bench recognition`; without it the bundled clip.",
-            show_default=False,
+            help="Recordings with texts (docs/recognition.md, Corpora); default: the bundled clip."
         ),
     ] = None,
     speakers: Speakers = "",
     limit: Limit = None,
     cache: Cache = None,
     lookahead_ms: Annotated[
-        float, typer.Option(min=0.0, max=1000.0, help="As for `run`.")
+        float, typer.Option(min=0.0, max=1000.0, help="Look-ahead of the motion, ms.")
     ] = DEFAULT_LOOKAHEAD_S * 1e3,
     latency_ms: Annotated[
-        float, typer.Option(min=0.0, help="When a frame's label is due: 45, 95 or 145.")
+        float, typer.Option(min=0.0, help="Delay at which a label is read, ms: 45, 95 or 145.")
     ] = LATENCY_S * 1e3,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     model: Model = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure at how many closures the mouth closes, by the recognised phonemes, and how fast.
+    """Measure how often and how fast the mouth closes at P, B, M, F, V, by recognised phonemes.
 
-    Forced alignment of the text gives where they are. Lips are watched at 100 Hz.
+    Forced alignment of the text gives the times of these sounds. The lips are sampled at 100 Hz.
     """
     from lipservo_lab.evaluation.motion.measures import lip_speed, lip_speed_figures
     from lipservo_lab.evaluation.recognition.heard_motion import (
@@ -122,8 +121,8 @@ def microphone(
     corpus: Annotated[
         Path | None,
         typer.Option(
-            help="Folder as for `bench recognition`; without it the bundled clip, no accuracy.",
-            show_default=False,
+            help="Recordings with texts (docs/recognition.md, Corpora); default: the bundled "
+            "clip, without accuracy."
         ),
     ] = None,
     speakers: Speakers = "",
@@ -134,9 +133,10 @@ def microphone(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure what look-ahead and recogniser cost and give: delay, closures, accuracy.
+    """Measure delay, closures and accuracy for several look-aheads and recogniser delays.
 
-    From the microphone to the first goal on the bus, on a virtual clock with simulated servos.
+    Delay counts from the microphone to the first goal on the bus, on a virtual clock with simulated
+    servos.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import aligned, selected
     from lipservo_lab.bench.sync.microphone_latency import microphone_table
@@ -183,7 +183,7 @@ _OPENINGS = {
 
 def nonspeech(
     folder: Annotated[
-        Path, typer.Argument(help="Sound files in which nobody speaks, in it and below it.")
+        Path, typer.Argument(help="Folder of sound files without speech; subfolders count, too.")
     ],
     engine: EngineChoice = "network",
     weights: WeightsChoice = DEFAULT_WEIGHTS,
@@ -193,8 +193,8 @@ def nonspeech(
 ) -> None:
     """Measure how often, how long and how wide the mouth opens while there is no speech.
 
-    Through recogniser and default motion as they run live. A folder below FOLDER is a kind of
-    sound, and has its own line. Files that are no sound are named and left out.
+    Recogniser and default motion run as they do live. Each subfolder of FOLDER is one kind of
+    sound, and has a line of its own. Files that are no sound are listed and left out.
     """
     from lipservo_lab.evaluation.recognition.nonspeech_answers import nonspeech_folder, sound_files
     from lipservo_lab.learning.motion.trained_model import load_trained_model
@@ -230,18 +230,18 @@ def nonspeech(
 
 def ladder(
     minutes: Annotated[
-        float, typer.Option(min=0.8, max=600.0, help="How long the face listens.")
+        float, typer.Option(min=0.8, max=600.0, help="Minutes that the face listens.")
     ] = 10.0,
     programs: Annotated[
-        int, typer.Option(min=1, max=64, help="How many programs are busy for each core.")
+        int, typer.Option(min=1, max=64, help="Busy programs for each processor core.")
     ] = 2,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure who listens while every core is busy for 1, 2 and 5 s of every minute.
+    """Measure which recogniser runs while every core is busy for 1, 2 and 5 s of every minute.
 
-    On a whole `lipservo run` in real time; and how soon loudness takes over from a recogniser that
-    takes ten times as long as its sound.
+    The face is a whole `lipservo run` in real time. The command also measures how soon the loudness
+    recogniser replaces one that takes ten times as long as its sound.
     """
     from firmware_bridge.stop_signals import SignalCounter
     from lipservo_lab.bench.hearing.ladder_figures import ladder_figures

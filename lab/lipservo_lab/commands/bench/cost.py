@@ -18,22 +18,21 @@ def cost(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Another checkout, to compare with in turns; its goals must be equal.",
-            show_default=False,
+            help="Folder of another checkout to compare with; its servo goals must be equal.",
         ),
     ] = None,
-    config: Annotated[str, typer.Option(help="A shipped face.")] = "face_sim",
+    config: Annotated[str, typer.Option(help="Name of a shipped face.")] = "face_sim",
     listens: Annotated[
-        bool, typer.Option("--listens", help="It hears a recording in place of its own voice.")
+        bool, typer.Option("--listens", help="The face listens to a recording; else it speaks.")
     ] = False,
-    cycles: Annotated[int, typer.Option(min=1, help="How often it speaks and rests.")] = 5,
+    cycles: Annotated[int, typer.Option(min=1, help="Cycles of speech and rest.")] = 5,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure the processor time of a face's speech process, speaking and at rest.
 
-    On a virtual clock, 3 s of speech and 8 s of rest a cycle. Exit status 1 where goals differ from
-    those of --against by .005 degrees, or times by a microsecond.
+    It runs on a virtual clock; a cycle has 3 s of speech and 8 s of rest. Exit status 1 if goals
+    differ from those of --against by .005 degrees, or times by a microsecond.
     """
     from lipservo_lab.bench.cost.cost_figures import cost_figures
 

@@ -17,24 +17,25 @@ def display(
     corpus: GridCorpus,
     sentences: Annotated[
         int | None,
-        typer.Option(min=1, help="Of random_test, the first so many.", show_default="all"),
+        typer.Option(min=1, help="Number of sentences of random_test to use.", show_default="all"),
     ] = None,
     track: Annotated[
         bool,
         typer.Option(
-            "--track", help="Also film the twin, and look at its pixels with the face tracker."
+            "--track", help="Also film the drawn face, and run a face tracker on the film."
         ),
     ] = False,
     landmarker: Annotated[
         Path | None,
-        typer.Option(help="For --track: face_landmarker.task; else mediapipe.", show_default=False),
+        typer.Option(help="For --track: the tracker's face_landmarker.task; default: mediapipe."),
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure folds and errors of the warp on three faces, and a film's time and sound.
+    """Measure fold-overs and errors of warped photographs, and speed and sync of films.
 
-    Every recorded frame of random_test is shown. Without --track no tracker is needed.
+    Three faces show every recorded frame of random_test, a list of sentences in splits.json.
+    Without --track no face tracker is needed.
     """
     check_inputs(corpus, landmarker)
     check_extra("cv2", "drawing a photograph")

@@ -26,19 +26,18 @@ from lipsync.errors import UserError, check_extra
 def face(
     sounds: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Speech that the head moves to; the bundled clip otherwise.", show_default=False
-        ),
+        typer.Argument(help="Sound files of speech that move the head; default: the bundled clip."),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=1.0, help="How long each window of the streams is measured.")
+        float, typer.Option(min=1.0, help="Length of each measuring window, s.")
     ] = 20.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure what the dashboard's streams cost, and expression against published ranges.
+    """Measure the cost of the dashboard's streams, and the motion of head, eyes and lids.
 
-    A page that is shown is timed in a Chromium without a screen, where one is installed.
+    The motion is compared with published ranges. If a Chromium is installed, the command also
+    measures how soon the web page shows the face in it.
     """
     check_dashboard()
     from lipservo_lab.bench.face.face_figures import face_figures
@@ -50,14 +49,14 @@ def face(
 
 def line(
     questions: Annotated[
-        int, typer.Option(min=1, help="How many are asked over each disturbed line.")
+        int, typer.Option(min=1, help="Register reads over each disturbed line.")
     ] = 18_000,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Count wrong register values over lines that delay, echo, lose and invent bytes.
+    """Count wrong register values over serial lines that delay, echo, lose and add bytes.
 
-    Four simulated servos in virtual time. Exit status 1 when a value was wrong.
+    Four simulated servos answer in virtual time. Exit status 1 if a value was wrong.
     """
     from lipservo_lab.campaigns.line_campaign import line_figures
 
@@ -71,15 +70,16 @@ def line(
 
 def scans(
     n_scans: Annotated[
-        int, typer.Option("--scans", min=2, help="How many scans of each kind.")
+        int, typer.Option("--scans", min=2, help="Number of scans of each kind.")
     ] = 12,
-    seed: Annotated[int, typer.Option(help="Other faces, samples and noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of faces, samples and noise.")] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how near registered points come to where they are, on scans made of the mean face.
+    """Measure how exactly points are registered, on scans that are made of the mean face.
 
-    The distance is that of the same point of the skin: sliding along the surface counts.
+    The distance is that to the true place of the same point of the skin, so sliding along the
+    surface counts.
     """
     check_extra("trimesh", "bench scans")
     from lipservo_lab.bench.scan_figures import scan_figures
@@ -95,14 +95,14 @@ def scans(
 
 def shapes(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
-    phonemes: Annotated[Path, typer.Argument(help="File of its true phones.")],
+    phonemes: Annotated[Path, typer.Argument(help="Label file (docs/text.md) of its phones.")],
     picture: Annotated[
-        Path | None, typer.Option(help="Draw 3 s of it as PNG.", show_default=False)
+        Path | None, typer.Option(help="Draw 3 s of the sound into this PNG file.")
     ] = None,
     model: Model = None,
     as_json: Json = False,
 ) -> None:
-    """Measure when the mouth closes for P, B and M: drawn by Rhubarb's rules, and ours."""
+    """Compare when the mouth closes for P, B and M: by Rhubarb's rules, and by our motion."""
     from lipservo.rendering.spoken_sound import spoken_sound
     from lipservo.runtime.motion_options import ChosenMotion
     from lipservo.terminal.pictures import check_picture
@@ -129,22 +129,22 @@ def shapes(
 
 def sync(
     quick: Annotated[
-        bool, typer.Option("--quick", help="A quarter of the sentences, a minute of drift.")
+        bool, typer.Option("--quick", help="Use a quarter of the sentences, and 1 minute of drift.")
     ] = False,
     face: Annotated[
         str | None,
         typer.Option(
             "--face",
-            help="Instead: closures of the clip of `make run` at the shafts of this face's servos, "
-            "over those of the same face on Dynamixels.",
-            show_default=False,
+            help="Instead: compare closures at the shafts of this face's servos with those of the "
+            "same face with Dynamixels, for the clip of `make run`.",
         ),
     ] = None,
     timings: Annotated[
         bool,
         typer.Option(
             "--timings",
-            help="Instead: the visemes shown of that clip beside wrong times of its phonemes.",
+            help="Instead: visemes shown for the clip of `make run` if the times of its phonemes "
+            "are wrong.",
         ),
     ] = False,
     as_json: Json = False,
@@ -152,8 +152,8 @@ def sync(
 ) -> None:
     """Measure lips against sound at the encoders of simulated servos, on a virtual clock.
 
-    Phones and their times are the synthesiser's, never our recogniser's; with --face the
-    recogniser, on either side.
+    Phones and their times are the synthesiser's, not our recogniser's; with --face they are the
+    recogniser's on both sides.
     """
     from lipservo_lab.bench.sync.closures_at_shaft import closures_at_shaft
     from lipservo_lab.bench.sync.sync_figures import sync_figures

@@ -16,14 +16,14 @@ _N_FACES = 100
 
 def fleet(
     daemons: Annotated[
-        int, typer.Option(min=1, max=_N_FACES, help="Of 100 faces so many are real daemons.")
+        int, typer.Option(min=1, max=_N_FACES, help="Real daemons among the 100 faces.")
     ] = 12,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure status and stop of 100 faces, real daemons among them, and five dead or hung ones.
+    """Measure how soon 100 faces answer status and stop, beside five more that are dead or hung.
 
-    Exit status 1 unless all confirm and all five are named.
+    Exit status 1 unless all 100 faces confirm and all five are named.
     """
     check_dashboard()
     from lipservo_lab.bench.fleet_figures import fleet_figures
@@ -36,16 +36,16 @@ def fleet(
 
 
 def cluster(
-    lines: Annotated[int, typer.Option(min=10, help="Short lines to render.")] = 2000,
+    lines: Annotated[int, typer.Option(min=10, help="Number of short lines to render.")] = 2000,
     kill_every_s: Annotated[
-        float, typer.Option(min=1.0, help="A worker is killed so often; once the scheduler.")
+        float, typer.Option(min=1.0, help="Seconds between kills of a worker; the scheduler: once.")
     ] = 60.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Count lines that are lost or computed twice while workers and the scheduler are killed.
+    """Count lines that are lost or rendered twice while workers and the scheduler are killed.
 
-    `lines render-folder` on a Dask cluster of this computer. Exit status 1 where one is lost.
+    `lines render-folder` runs on a Dask cluster of this computer. Exit status 1 if a line is lost.
     """
     for library in ("distributed", "joblib"):
         check_extra(library, "bench cluster")

@@ -12,15 +12,15 @@ from lipsync.errors import check_extra
 
 
 def inputs(
-    each: Annotated[int, typer.Option(min=1, help="So many inputs of each kind.")] = 84,
-    seed: Annotated[int, typer.Option(help="Of the inputs.")] = 0,
+    each: Annotated[int, typer.Option(min=1, help="Number of inputs of each kind.")] = 84,
+    seed: Annotated[int, typer.Option(help="Random seed of the inputs.")] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Try odd labels, sounds, ranges, texts, markers, photographs and names, each made by rule.
+    """Feed odd labels, sounds, ranges, texts, markers, photographs and names to their readers.
 
-    What is right is known by who made the input, never by the reader. Exit status 1 if one
-    ended in a traceback, hung, or was read wrongly without a word.
+    Each input is generated together with the right answer. Exit status 1 if an input caused a
+    traceback or a hang, or was read wrongly without a message.
     """
     for library in ("ezc3d", "PIL"):
         check_extra(library, "bench inputs")

@@ -88,69 +88,67 @@ _RENDERING = ("seconds_per_sentence", "build_s", "build_processor_s", "build_mb"
 
 def motion(
     corpus: Annotated[
-        Path | None, typer.Option(help="Folder laid out like grid_s1.", show_default=False)
+        Path | None, typer.Option(help="One speaker's recordings, a folder as in docs/motion.md.")
     ] = None,
     video: Annotated[
         Path | None,
         typer.Option(
-            help="Instead: a folder of video of any talkers (or one video); our mouth, by its "
-            "sound alone, beside theirs.",
-            show_default=False,
+            help="Instead: a video, or a folder of videos, of any talkers; their lips are "
+            "compared with our mouth, moved by their sound alone."
         ),
     ] = None,
     landmarker: Landmarker = None,
     model: Annotated[
         Path | None,
         typer.Option(
-            help="Score this model on the folder; without it, cross-validate by splits.json. "
-            "`shipped` names the shipped one.",
-            show_default=False,
+            help="Face model to score on the whole folder (`shipped`: the shipped model); "
+            "default: train and score models by the splits in splits.json."
         ),
     ] = None,
     words: Annotated[
         str | None,
-        typer.Option(help="Score these words alone, comma between; without --model unseen."),
+        typer.Option(
+            help="Score only these words, commas between; without --model, by models that have "
+            "not learned them."
+        ),
     ] = None,
     strategy: Annotated[
         str | None,
         typer.Option(
-            help="Score these methods alone, comma between; with --leave-words-out every further "
-            "one in pairs with the first.",
-            show_default=False,
+            help="Score only these methods, commas between; with --leave-words-out each further "
+            "method is compared in pairs with the first."
         ),
     ] = None,
     lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
-        str, typer.Option(help="true, recognized live, or text: live with the words known.")
+        str, typer.Option(help="true (labels), recognized (live) or text (live, words known).")
     ] = "true",
     random_units: Annotated[
         bool,
-        typer.Option(
-            "--random-units", help="Score AnimPhos drawn by lot too: what their choice is worth."
-        ),
+        typer.Option("--random-units", help="Also score randomly chosen AnimPhos, as a baseline."),
     ] = False,
     published_derivatives: Annotated[
         bool,
         typer.Option(
             "--published-derivatives",
-            help="The paper's two strategies with equation (5) as printed: a derivative for each "
-            "sample, so that the speed jumps between phones of other lengths.",
+            help="For Wei and Deng's two strategies: equation (5) as printed, with a derivative "
+            "for each sample, so that the speed jumps between phones of different length.",
         ),
     ] = False,
     offline: Annotated[
         bool,
         typer.Option(
             "--offline",
-            help="Score the methods of `lipservo lines render` too: the published one and ours; "
-            "with --leave-words-out ours.",
+            help="Also score the methods of `lipservo lines render`: the published one and ours; "
+            "with --leave-words-out only ours.",
         ),
     ] = False,
     leave_words_out: Annotated[
         bool,
         typer.Option(
             "--leave-words-out",
-            help="Instead: every word of the folder by a model that never met it, in ten folds. "
-            "Their models are kept in the user's cache.",
+            help="Instead: score every word of the folder by a model that has not learned it, in "
+            "ten folds. The models are kept in the user's cache.",
         ),
     ] = False,
     limit: WordLimit = 40,
@@ -160,9 +158,9 @@ def motion(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure synthesised motion against recorded faces, ours and the baselines.
+    """Measure synthesised motion against recorded faces: our methods and the baselines.
 
-    With --video, against faces filmed by anybody: docs/own-face.md.
+    With --video: against faces in any video (docs/own-face.md).
     """
     if (corpus is None) == (video is None):
         raise typer.BadParameter("give --corpus FOLDER or --video FOLDER")
@@ -384,17 +382,17 @@ def figures(
     model: Annotated[
         Path,
         typer.Option(
-            help="One that has not learned the sentences: `learn face --without`, `--without-words`"
+            help="Face model that has not learned all the sentences (`learn face --without`)."
         ),
     ],
     plots: Plots = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Print the tables and draw the figures of Wei and Deng, beside what they printed.
+    """Print the tables and draw the figures of Wei and Deng: our values beside theirs.
 
-    Of the sentences that the model has not learned; times are of the processor. Of those that it
-    has, what Edge, Hilton and Jackson print of their recordings and modes.
+    Sentences that the model has not learned are scored; times are processor times. For the
+    sentences that it has learned, the figures of Edge, Hilton and Jackson are printed, too.
     """
     from lipservo.terminal.pictures import check_folder
     from lipservo_lab.bench import motion_figures as measure

@@ -45,40 +45,41 @@ def readability(
     corpus: GridCorpus,
     words: Annotated[
         str | None,
-        typer.Option(help="Only these words, comma between, as new ones; no known words."),
+        typer.Option(
+            help="Only these words, commas between, by models that have not learned them."
+        ),
     ] = None,
     models: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of models trained without what is read: known.npz, a.npz, b.npz; with "
-            "--words words.npz. Without it they are trained.",
-            show_default=False,
+            help="Folder of face models trained without the sentences that are read: known.npz, "
+            "a.npz, b.npz; with --words: words.npz. Default: they are trained now."
         ),
     ] = None,
     leave_words_out: Annotated[
         bool,
         typer.Option(
             "--leave-words-out",
-            help="Instead: every word, by a model that never met it; as `bench motion`.",
+            help="Instead: every word, by a model that has not learned it, as in `bench motion`.",
         ),
     ] = False,
     limit: WordLimit = 20,
     strategy: Annotated[
         str,
         typer.Option(
-            help="Methods to read, comma between: of `bench motion`, and `heard`, `model-based` of "
-            "`render`."
+            help="Methods of motion, commas between: those of `bench motion`, and heard and "
+            "model-based of `lines render`."
         ),
     ] = f"{DEFAULT_STRATEGY},expected,priority",
     lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
         str,
         typer.Option(
-            help="true, recognized live, or text: live with the words known; comma between."
+            help="Commas between: true (labels), recognized (live), text (live, words known)."
         ),
     ] = "true,recognized",
     robot: Annotated[
-        bool, typer.Option(help="Also read known words from the encoders of face_sim.")
+        bool, typer.Option(help="Also read known words from joint angles of the simulated robot.")
     ] = True,
     plots: Plots = None,
     also: OtherWeights = None,
@@ -86,7 +87,10 @@ def readability(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how many words can be read off the mouth, by readers of recorded faces."""
+    """Measure how many words automatic lip-readers read off the mouth's motion.
+
+    The lip-readers are classifiers that are trained on the recorded faces.
+    """
     from lipservo.terminal.pictures import check_folder
     from lipservo_lab.bench.readability.readability_figures import (
         PICTURES,

@@ -27,15 +27,14 @@ _Item = TypeVar("_Item")
 
 def recognition(
     corpus: Annotated[
-        Path, typer.Option(help="Folder laid out like LibriSpeech, or like grid_s1.")
+        Path, typer.Option(help="Folder of recordings with texts (docs/recognition.md, Corpora).")
     ],
     speakers: Speakers = "",
     only: Annotated[
         str | None,
         typer.Option(
             metavar="FILE[:KEY]",
-            help="Only these utterances: a name a line, or a list in a JSON file.",
-            show_default=False,
+            help="Only these utterances: a text file of names, one a line, or FILE.json:KEY.",
         ),
     ] = None,
     limit: Limit = None,
@@ -43,48 +42,49 @@ def recognition(
     engine: MeasuredEngineChoice = "network",
     noise: Annotated[
         str | None,
-        typer.Option(metavar="KIND:DB", help="white, music, servos (signal to noise), level, ..."),
+        typer.Option(
+            metavar="KIND:DB",
+            help="Disturb the sound: white, music, babble or servos with a signal-to-noise ratio "
+            "in dB; level with a change in dB; telephone; clipped; room with a distance in metres.",
+        ),
     ] = None,
     servo_speeds: Annotated[
         bool,
         typer.Option(
-            "--servo-speeds", help="With --noise servos:DB: the recogniser is told how they move."
+            "--servo-speeds", help="With --noise servos:DB: the recogniser gets the servos' motion."
         ),
     ] = False,
     text: Annotated[
         Literal["own", "another"] | None,
         typer.Option(
-            help="The recogniser is told the words: those said, or another utterance's; then also "
-            "how soon a text is left that is not said.",
-            show_default=False,
+            help="Give the recogniser a text: its own or another utterance's; `another` also "
+            "measures how soon the wrong text is dropped."
         ),
     ] = None,
     by: Annotated[
         Literal["speaker", "group"] | None,
-        typer.Option(help="Also the figures of each speaker, or of each group of speakers."),
+        typer.Option(help="Also print figures of each speaker, or of each group of speakers."),
     ] = None,
     groups: Annotated[
         Path | None,
         typer.Option(
-            help="Table of speakers, speaker,group,gender; default: speakers.csv of the corpus.",
-            show_default=False,
+            help="Table of speakers (speaker,group,gender); default: speakers.csv of the corpus."
         ),
     ] = None,
     cache: Cache = None,
     yardstick: Annotated[
         Path | None,
         typer.Option(
-            help="Hashes of the alignments that it is to be judged by: those that have moved since "
-            "are counted, new ones are added to the file.",
-            show_default=False,
+            help="File of hashes of the reference alignments: alignments that differ from it are "
+            "counted, new ones are added to it."
         ),
     ] = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes that align.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Number of processes that align.")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a recogniser, live, against forced alignment of the transcripts."""
+    """Measure a live recogniser against forced alignment of the transcripts."""
     from lipservo_lab.bench.hearing.recognizer_bench import (
         aligned,
         known_texts,
@@ -145,8 +145,8 @@ def listening(
     corpus: Annotated[
         Path | None,
         typer.Option(
-            help="Also measure how soon the mouth closes, on a folder as for `bench recognition`.",
-            show_default=False,
+            help="Also measure how soon the mouth closes and wakes, on these recordings "
+            "(docs/recognition.md, Corpora)."
         ),
     ] = None,
     speakers: Speakers = "",
@@ -154,12 +154,16 @@ def listening(
     cache: Cache = None,
     model: Model = None,
     hours: Annotated[
-        float, typer.Option(min=0.0, help="Also hear so much speech without a pause.")
+        float, typer.Option(min=0.0, help="Also run this many hours of speech without a pause.")
     ] = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure false speech, the time that a block costs, how soon the mouth closes and wakes."""
+    """Measure false speech in quiet, processor time of an audio block, and delays of the mouth.
+
+    The delays, with --corpus: how late the mouth closes when a voice stops, and how soon it leaves
+    rest when a voice starts.
+    """
     import numpy as np
 
     from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
@@ -237,14 +241,14 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
 
 
 def texts(
-    corpus: Annotated[Path, typer.Option(help="Folder as for `bench recognition`.")],
+    corpus: Annotated[Path, typer.Option(help="Recordings with texts (docs/recognition.md).")],
     speakers: Speakers = "",
     limit: Limit = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how often `align` refuses, doubts and passes true and false texts."""
+    """Measure how often `lines align` refuses, doubts and passes true and false texts."""
     from lipservo_lab.bench.hearing.recognizer_bench import selected
     from lipservo_lab.evaluation.recognition.benchmark import score_texts, text_figures
 
@@ -271,7 +275,7 @@ _LANGUAGE_HEADINGS = {
 
 def languages(
     languages: Annotated[
-        str, typer.Option(help="Only these, with commas between: de,fr,ja.", show_default=False)
+        str, typer.Option(help="Only these languages: de,fr,ja; default: all.", show_default=False)
     ] = "",
     engine: MeasuredEngineChoice = "network",
     latency_ms: LatencyMs = 95.0,
@@ -279,9 +283,10 @@ def languages(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure what is heard of languages that espeak-ng speaks, by its own phoneme times.
+    """Measure how well the recogniser works for other languages, spoken by espeak-ng.
 
-    Ten sentences each. Phonemes that English lacks are taken for those that look alike on the lips.
+    There are ten sentences of each language; espeak-ng's own phoneme times are the truth. Phonemes
+    that English lacks count as English ones that look alike on the lips.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
     from lipservo_lab.bench.hearing.spoken_languages import (
@@ -326,27 +331,27 @@ _VOICE_HEADINGS = {
 
 def voices(
     corpus: Annotated[
-        Path, typer.Option(help="Folder as for `bench recognition`; its texts are spoken.")
+        Path, typer.Option(help="Folder of texts to speak (docs/recognition.md, Corpora).")
     ],
     speakers: Speakers = "",
     limit: Limit = None,
     spoken_by: Annotated[
-        str, typer.Option("--voices", help="SYNTHESISER:VOICE, with commas between.")
+        str, typer.Option("--voices", help="Voices as SYNTHESISER:VOICE, commas between.")
     ] = "espeak:en-029,espeak:en-gb-scotland,flite:rms",
     languages: Annotated[
-        str, typer.Option(help="Also these, by espeak-ng: de,fr,ja; none: all six.")
+        str, typer.Option(help="Also languages by espeak-ng, such as de,fr,ja; default: all six.")
     ] = "",
     heard: Annotated[
-        bool, typer.Option("--heard", help="The text is not told: what hearing alone gives.")
+        bool, typer.Option("--heard", help="Do not give the text: measure recognition alone.")
     ] = False,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how a known text is followed in a synthesiser's voice, by its own times.
+    """Measure how exactly the phones of a known text are found in a synthesiser's voice.
 
-    A voice of espeak is a language. Closures are of P B M; boundaries are
-    where phones begin, of those that were found.
+    The synthesiser's own times are the truth. A voice of espeak is a language. Closures are those
+    of P, B and M; boundaries are the beginnings of the phones that were found.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import selected
     from lipservo_lab.bench.hearing.spoken_languages import language_sentences, read_languages

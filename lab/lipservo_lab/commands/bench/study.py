@@ -13,16 +13,17 @@ from lipservo_lab.commands.options import Inverted, Lazy
 
 
 def study(
-    studies: Annotated[int, typer.Option(min=1, max=100_000, help="How many.")] = 200,
-    honest: Annotated[int, typer.Option(min=2, max=1000, help="Raters who do as asked.")] = 16,
+    studies: Annotated[int, typer.Option(min=1, max=100_000, help="Number of studies.")] = 200,
+    honest: Annotated[int, typer.Option(min=2, max=1000, help="Raters who rate with care.")] = 16,
     lazy: Lazy = 1,
     inverted: Inverted = 1,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulated raters of known taste sit studies, and each is counted as a real one would be.
+    """Simulate studies with raters of known taste, and evaluate each like a study with people.
 
-    coverage: share of 95 % intervals that hold the truth, over ratings, pairs and words read.
+    The result `coverage` is the share of 95 % intervals that contain the truth, over ratings, pairs
+    and words read.
     """
     from lipservo_lab.study.rehearsal import Crew, coverage_figures
     from lipservo_lab.study.sheets import Size

@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 
 def import_video(
-    source: Annotated[Path, typer.Argument(help="A video, or a folder of them, of one talker.")],
+    source: Annotated[Path, typer.Argument(help="A video, or a folder of videos, of one talker.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The corpus folder to write.")],
     landmarker: Landmarker = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a corpus for `train` from video of a face that talks to the camera.
+    """Make recordings for `learn face` from video of a face that talks to the camera.
 
-    NAME.txt beside NAME.mp4, or a line NAME ... in transcripts.txt, gives the words; without, they
-    are recognised. docs/own-face.md says how to film.
+    The words come from NAME.txt beside NAME.mp4, or from a line NAME ... in transcripts.txt;
+    without them the phonemes are recognised. docs/own-face.md explains how to film.
     """
     from lipservo_lab.bench.pictures.import_sheets import draw_sheet
     from lipservo_lab.video.video_clips import find_clips
@@ -97,7 +97,7 @@ _MOTION_ENDING = ".npz"
 
 def import_scans(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of scans (PLY, OBJ), or of a folder for each take.")
+        Path, typer.Argument(help="Folder of scans (PLY, OBJ), or with a folder for each take.")
     ],
     output: Annotated[
         Path,
@@ -105,27 +105,24 @@ def import_scans(
             "--output", "-o", help="The corpus folder to write, or FILE.npz for motion alone."
         ),
     ],
-    rate_hz: Annotated[
-        float, typer.Option(min=1.0, max=1000.0, help="Scans a second; the paper's: 60.")
-    ] = 60.0,
+    rate_hz: Annotated[float, typer.Option(min=1.0, max=1000.0, help="Scans per second.")] = 60.0,
     template: Annotated[
         Path | None,
         typer.Option(
-            help="A scan of the same face at rest, mouth closed; default: the first scan.",
-            show_default=False,
+            help="A scan of the same face at rest, mouth closed; default: the first scan."
         ),
     ] = None,
-    unit: Annotated[str, typer.Option(help="Of the scans: mm, cm, m or in.")] = "mm",
+    unit: Annotated[str, typer.Option(help="Unit of the scans: mm, cm, m or in.")] = "mm",
     axes: Annotated[
-        str, typer.Option(help="The scans' axes to the picture's right, up, and to the viewer.")
+        str, typer.Option(help="Axes of the scans to the picture's right, up, and to the viewer.")
     ] = "x,y,z",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a corpus for `train` from scans that are not registered: each a mesh of its own.
+    """Make recordings for `learn face` from scans without common points: each has its own mesh.
 
-    NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt gives the words, else
-    they are recognised; NAME.markers.csv gives named points. docs/own-face.md says more.
+    NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt gives the words,
+    otherwise the phonemes are recognised; NAME.markers.csv gives named points (docs/own-face.md).
     """
     check_inputs(folder, template)
     check_extra("trimesh", "learn import-scans")

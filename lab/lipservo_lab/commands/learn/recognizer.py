@@ -29,84 +29,81 @@ if TYPE_CHECKING:
 
 def train_recognizer(
     corpora: Annotated[
-        list[Path], typer.Argument(help="Folders laid out like LibriSpeech, or like grid_s1.")
+        list[Path],
+        typer.Argument(help="Folders of recordings with texts (docs/recognition.md, Corpora)."),
     ],
     output: WeightsOutput,
     folder: Annotated[
-        Path, typer.Option(help="Keeps alignments, state and run log; a run goes on from there.")
+        Path, typer.Option(help="Folder that keeps alignments, state and log of the run.")
     ] = Path("recognizer-training"),
     held_out: Annotated[
         str,
         typer.Option(
-            help="Speakers that train nothing, with commas between, or FILE.csv with a column "
-            "`speaker`."
+            help="Speakers not to train on, commas between, or FILE.csv with a column `speaker`."
         ),
     ] = "",
     validation: Annotated[
-        str, typer.Option(help="Speakers that only the run log hears, with commas between.")
+        str, typer.Option(help="Speakers for validation (not trained on), with commas between.")
     ] = "",
     leave_out: Annotated[
         str | None,
         typer.Option(
             metavar="FILE[:KEY]",
-            help="Utterances that train nothing: a name a line, or a list in a JSON file.",
-            show_default=False,
+            help="Utterances not to train on: a file of names, one a line, or FILE.json:KEY.",
         ),
     ] = None,
     limit: Annotated[
-        int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
+        int | None,
+        typer.Option(min=1, help="Only this many utterances of each speaker, the first."),
     ] = None,
     synthetic: Annotated[
         str,
         typer.Option(
             metavar="VOICES",
-            help="Also learn from these synthetic voices, with commas between: espeak:en-us, "
-            "flite:awb, festival:ked. They read the corpora's texts.",
+            help="Also learn from these synthetic voices, which read the corpora's texts; commas "
+            "between: espeak:en-us, flite:awb, festival:ked.",
         ),
     ] = "",
     noise: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Folder of sounds without speech (music, effects): noise beside speech, and "
-            "silence. May be given again.",
-            show_default=False,
+            help="Folder of sounds without speech (music, effects), used as noise behind speech "
+            "and as silence; may be repeated."
         ),
     ] = None,
     start_from: Annotated[
-        str | None,
-        typer.Option(help="Weights to go on from: default, grid, or a file.", show_default=False),
+        str | None, typer.Option(help="Weights to start from: default, grid, or a weights file.")
     ] = None,
     start_share: Annotated[
         float,
         typer.Option(
             min=0.0,
             max=1.0,
-            help="How much of the weights gone on from is in the mean that is written: what they "
-            "knew is kept, and what is new is learned all the same.",
+            help="Share of the start weights in the average that is written: preserves what they "
+            "had learned.",
         ),
     ] = 0.0,
     seed: Seed = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 5_000,
+    steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 5_000,
     rate: Annotated[
-        float, typer.Option(min=0.0, help="Learning rate at its peak; less to go on from weights.")
+        float, typer.Option(min=0.0, help="Peak learning rate; use less with --start-from.")
     ] = 3e-3,
-    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the speech.")] = 10,
+    copies: Annotated[int, typer.Option(min=0, help="Augmented copies of each recording.")] = 10,
     channels: Annotated[
         int | None,
         typer.Option(
             min=8,
             max=1024,
-            help="Width of the network; default: 192, or that of what it begins as, which may "
-            "grow.",
-            show_default=False,
+            help="Channels of the network; default: 192, or those of --start-from, to which more "
+            "may be added.",
         ),
     ] = None,
     dilations: Annotated[
         str,
         typer.Option(
             metavar="D,D,...",
-            help="Of its layers; it hears 20 ms times their sum back. Default: 1,2,4,8,1,2,4,8, or "
-            "those of what it begins as, to which more may be added.",
+            help="Dilations of the layers; the network sees 20 ms times their sum back. Default: "
+            "1,2,4,8,1,2,4,8, or those of --start-from, to which more may be added.",
             show_default=False,
         ),
     ] = "",
@@ -114,8 +111,8 @@ def train_recognizer(
         str,
         typer.Option(
             metavar="N,N,...",
-            help="Frames that its heads wait; default: 2,7,12. One of 60 is a teacher's, which "
-            "knows what comes.",
+            help="Output delays of the network's heads, frames of 10 ms; default: 2,7,12. A "
+            "teacher may use 60, to know what follows.",
             show_default=False,
         ),
     ] = "",
@@ -123,35 +120,38 @@ def train_recognizer(
         str | None,
         typer.Option(
             metavar="WEIGHTS",
-            help="Weights that lay the labels of what trains anew and teach their doubt; texts "
-            "that they do not hear are left out.",
-            show_default=False,
+            help="Weights of a teacher network: it aligns the labels anew, its posteriors are "
+            "soft targets, and texts that it does not find in the sound are left out.",
         ),
     ] = None,
     soft_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="With --teacher: of its posteriors in the loss.")
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="With --teacher: share of its soft targets in the loss; the labels have the rest.",
+        ),
     ] = 0.5,
     visible_weight: Annotated[
-        float, typer.Option(min=0.0, help="Of the visible error in the loss, a mm.")
+        float, typer.Option(min=0.0, help="Weight in the loss of each mm of visible error.")
     ] = 0.0,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the run that the folder holds, if any.")
+        bool, typer.Option("--resume", help="Continue the run in --folder, if there is one.")
     ] = False,
     nice: Annotated[
-        int, typer.Option(min=0, max=19, help="Priority beside other work; 19 is the least.")
+        int, typer.Option(min=0, max=19, help="Niceness of the process; 19 is the lowest priority.")
     ] = 0,
     jobs: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="Processes, and threads of learning; default: one a core. With 1 the same seed "
-            "gives the same bytes.",
-            show_default=False,
+            help="Number of processes and of training threads; default: one per core. With 1 the "
+            "same seed gives the same bytes.",
         ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Learn the recogniser's weights (needs the extra `train`: torch)."""
+    """Train the recogniser's network on recordings with texts (needs the extra `train`: torch)."""
     check_inputs(*corpora)
     check_extra("torch", "learn recognizer")
     from lipservo_lab.corpus.transcribed import read_names
@@ -216,7 +216,7 @@ def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
 
 
 def plot_training(
-    log: Annotated[Path, typer.Argument(help="The `log.jsonl` of a training's folder.")],
+    log: Annotated[Path, typer.Argument(help="File log.jsonl of a training's folder.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture (PNG) to write.")],
 ) -> None:
     """Draw the run log of `learn recognizer` (needs the extra `plots`)."""
@@ -252,31 +252,28 @@ def adapt(
     voice_folder: Annotated[
         Path,
         typer.Argument(
-            help="Folder of 2 to 10 minutes of one voice: NAME.wav and beside it NAME.txt, what is "
-            "said in it; or a corpus as for `train-recognizer`."
+            help="Folder of 2 to 10 minutes of one voice: NAME.wav and its text NAME.txt; or "
+            "recordings with texts (docs/recognition.md, Corpora)."
         ),
     ],
     output: WeightsOutput,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     speaker: Annotated[
-        str | None,
-        typer.Option(help="Of a corpus of several speakers: this one.", show_default=False),
+        str | None, typer.Option(help="Speaker to use, in recordings of several speakers.")
     ] = None,
     seed: Seed = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 100,
-    rate: Annotated[
-        float, typer.Option(min=0.0, max=0.01, help="Learning rate at its peak.")
-    ] = 5e-4,
-    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the voice.")] = 2,
+    steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 100,
+    rate: Annotated[float, typer.Option(min=0.0, max=0.01, help="Peak learning rate.")] = 5e-4,
+    copies: Annotated[int, typer.Option(min=0, help="Augmented copies of the voice.")] = 2,
     jobs: Jobs = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Adapt the recogniser to one voice: a synthetic one, or a person's who speaks for the robot.
+    """Adapt the recogniser to one voice: a synthetic one, or a person who speaks for the robot.
 
-    Every fifth sentence is not learned from but graded on; weights that do not hear the voice
-    better are refused. Needs the extra `train` (torch). Use them with
-    `motion: {weights: my.npz}` in the YAML of the face.
+    Every fifth sentence is not trained on: it grades the result, and weights that do not recognise
+    the voice better are refused. The command needs the extra `train` (torch). To use the weights,
+    write `motion: {weights: my.npz}` into the YAML of the face.
     """
     check_extra("torch", "learn adapt")
     from lipservo_lab.corpus.transcribed import read_transcribed

@@ -19,35 +19,31 @@ def record_corpus(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="Folder to record into; what it holds is not asked for again."
+            "--output", "-o", help="Folder to record into; sentences recorded there are skipped."
         ),
     ] = None,
     sentences: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Sentences of your own, one a line; default: 60 of ours.",
-            show_default=False,
+            help="Text file of your own sentences, one a line; default: 60 shipped ones.",
         ),
     ] = None,
     camera: Annotated[
         str,
         typer.Option(
             metavar="DEVICE",
-            help="Camera: a number or a device; a video file or lavfi:GRAPH to try without one.",
+            help="Camera: a number or device path; or a video file or lavfi:GRAPH, for a trial.",
         ),
     ] = "0",
-    size: Annotated[str, typer.Option(metavar="WxH", help="Pictures asked for.")] = "1280x720",
+    size: Annotated[str, typer.Option(metavar="WxH", help="Picture size to request.")] = "1280x720",
     rate_hz: Annotated[
-        float,
-        typer.Option("--rate", min=24.0, max=120.0, help="Pictures a second asked for."),
+        float, typer.Option("--rate", min=24.0, max=120.0, help="Pictures per second to request.")
     ] = 30.0,
     mic: Annotated[
         str | None,
         typer.Option(
-            metavar="DEVICE",
-            help="Microphone: a number or part of a name; default: the system's.",
-            show_default=False,
+            metavar="DEVICE", help="Microphone: a number or part of a name; default: the system's."
         ),
     ] = None,
     list_: Annotated[bool, typer.Option("--list", help="Print the sentences and end.")] = False,
@@ -56,8 +52,9 @@ def record_corpus(
 ) -> None:
     """Record yourself reading sentences, with camera and microphone.
 
-    Each sentence becomes NAME.mkv, NAME.wav and NAME.txt, which `lipservo learn import-video`
-    reads: docs/own-face.md, "Record yourself". Space begins and ends a take; nothing is kept half.
+    Each sentence becomes NAME.mkv, NAME.wav and NAME.txt, for `lipservo learn import-video`
+    (docs/own-face.md, "Record yourself"). Space starts and ends a recording; no incomplete
+    recording is kept.
     """
     from lipservo_lab.recording.sentence_list import (
         read_sentences,

@@ -33,19 +33,19 @@ def train(
         list[Path],
         typer.Argument(
             metavar="CORPUS...",
-            help="Folder of recordings: sounds, landmarks, labels; one for each speaker.",
+            help="Folder of recordings (sounds, landmarks, labels), one for each speaker.",
         ),
     ],
     output: ModelOutput,
     seed: Seed = 0,
     components: Annotated[
         int | None,
-        typer.Option(help="How many principal components a face has; default: 8, the paper: 5."),
+        typer.Option(help="Number of principal components; default: 8; Wei and Deng: 5."),
     ] = None,
     markers: Annotated[
         str | None,
         typer.Option(
-            help="The points of a face: 39, 47 (default) or 478, or a JSON file (docs/motion.md)."
+            help="Points of a face: 39, 47 (default) or 478, or a JSON file (docs/motion.md)."
         ),
     ] = None,
     paper: Annotated[
@@ -54,37 +54,33 @@ def train(
     phonemes: Annotated[
         Phonemes,
         typer.Option(
-            help="Learn from the labels and from what the shipped recogniser hears (both), or from "
-            "the labels alone (true), which is quicker."
+            help="both: learn from the labels and from what the shipped recogniser finds; true: "
+            "from the labels alone, which is quicker."
         ),
     ] = "both",
     face_of: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Of several speakers: whose face it is, by the folder's name; default: the first.",
-            show_default=False,
+            help="With several speakers: folder name of the one whose face is used; default: the "
+            "first.",
         ),
     ] = None,
     weight: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=W",
-            help="Of several speakers: how often a frame of this one counts; default: 1.",
-            show_default=False,
+            help="With several speakers: frames of the speaker with folder NAME count W times; "
+            "default: 1.",
         ),
     ] = None,
     without_words: Annotated[
         str | None,
-        typer.Option(help="Leave out sentences that hold any of these words, comma between."),
+        typer.Option(help="Leave out sentences with any of these words, commas between."),
     ] = None,
     without: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Leave out the sentences that a text file names, one a line.",
-            show_default=False,
-        ),
+        typer.Option(metavar="FILE", help="Text file of sentences to leave out, one name a line."),
     ] = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,
@@ -92,9 +88,9 @@ def train(
 ) -> None:
     """Learn a face model from recorded speech with mouth motion.
 
-    CORPUS holds audio/NAME.flac, landmarks/NAME.npz and labels/NAME.TextGrid of each sentence, and
-    landmarks.json: docs/motion.md, "A corpus of your own", says what is in them. The motion of
-    several speakers is brought to the face of one: docs/motion.md, "Several speakers".
+    For each sentence, CORPUS has audio/NAME.flac, landmarks/NAME.npz and labels/NAME.TextGrid;
+    landmarks.json lists the landmarks: docs/motion.md, "A corpus of your own". The motion of
+    several speakers is scaled to the face of one: docs/motion.md, "Several speakers".
     """
     from lipservo_lab.corpus.grid import folder_name, read_grid
     from lipservo_lab.learning.expectation.deviation import hear_sentences
@@ -223,7 +219,7 @@ def _speaker_rows(
 
 def train_soft(
     corpus: Annotated[
-        Path, typer.Argument(help="Folder of recordings that the model was made of.")
+        Path, typer.Argument(help="Folder of recordings that the face model was learned from.")
     ],
     output: ModelOutput,
     model: Model = None,
@@ -233,17 +229,18 @@ def train_soft(
         bool,
         typer.Option(
             "--table",
-            help="Then train models without what the folder's splits.json holds out, fit them to "
-            "the same weights, and print how their motion is read, beside the bars.",
+            help="Also train models without the sentences that splits.json holds out, fit them to "
+            "the same weights, and print how readable their motion is, beside the required "
+            "figures.",
         ),
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fit a face model to a recogniser's posteriors, frame by frame, beside its decisions.
+    """Fit a face model to a recogniser's phoneme probabilities, frame by frame.
 
-    Every sentence is heard as it is and in four other voices and rooms. A model without this part
-    is moved by decided phonemes alone, and one that was fitted to other weights goes on with them.
+    Each sentence is recognised as it is and in four other voices and rooms. A face model that was
+    never fitted so is moved by the recogniser's decisions alone.
     """
     from lipservo_lab.bench.readability.soft_table import soft_table
     from lipservo_lab.corpus.grid import read_grid
@@ -309,25 +306,21 @@ def train_soft(
 
 def train_offline(
     corpus: Annotated[
-        Path, typer.Argument(help="Folder of recordings: sounds, landmarks, labels.")
+        Path, typer.Argument(help="One speaker's recordings, a folder as in docs/motion.md.")
     ],
     output: ModelOutput,
     model: Model = None,
     states: Annotated[
-        int | None, typer.Option(min=2, help="How many states; default: 100.", show_default=False)
+        int | None, typer.Option(min=2, help="Number of mouth states; default: 100.")
     ] = None,
     components: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Principal components of the states; default: 10.", show_default=False
-        ),
+        int | None, typer.Option(min=1, help="Principal components of the states; default: 10.")
     ] = None,
     markers: Annotated[
         str | None,
         typer.Option(
-            help="A layout of more points than the face's, for dense scans (corpus/layout.json); "
-            "default: the face's own.",
-            show_default=False,
+            help="Layout file with more points than the face model, for dense scans "
+            "(corpus/layout.json); default: the model's own."
         ),
     ] = None,
     seed: Seed = 0,
@@ -335,9 +328,10 @@ def train_offline(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn what `render` needs beside a face model: states and units, and what sound tells.
+    """Learn the offline model that `lines render` needs beside a face model.
 
-    CORPUS is a folder as `lipservo learn face` takes it; give the face model that was made of it.
+    It holds states of the mouth, pieces of motion, and what the sound tells of the face. CORPUS is
+    a folder as for `lipservo learn face`; give the face model that was learned from it.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.learning.offline.offline_training import train_offline as train_model

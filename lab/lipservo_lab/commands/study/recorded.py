@@ -12,14 +12,15 @@ from lipsync.errors import UserError
 
 
 def recorded(
-    corpus: Annotated[Path, typer.Argument(help="Folder laid out like grid_s1.")],
-    sentence: Annotated[str, typer.Argument(help="Name of a sentence in it.")],
+    corpus: Annotated[Path, typer.Argument(help="Recordings, a folder as in docs/motion.md.")],
+    sentence: Annotated[str, typer.Argument(help="Name of a recorded sentence.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Performance to write (.perf).")],
     model: Model = None,
 ) -> None:
-    """Write how a person said a sentence: the recorded face, with its sound, as a performance.
+    """Write a recorded sentence, the person's face motion and sound, as a performance.
 
-    `lipservo film SOUND --beside FILE.perf` sets a method beside it; a robot can play it too.
+    `lipservo film SOUND --beside FILE.perf` shows it beside a synthesised face; a robot can play
+    it, too.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipsync.face.model import load_face

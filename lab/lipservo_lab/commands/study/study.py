@@ -39,42 +39,42 @@ Sentences = Annotated[int, typer.Option(min=0, max=2000, help="Sentences that ar
 
 
 def make(
-    folder: Annotated[Path, typer.Argument(help="Folder to write.")],
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1, with splits.json.")],
-    methods: Annotated[str, typer.Option(help="What is compared, comma between.")] = _METHODS,
+    folder: Annotated[Path, typer.Argument(help="Folder of the study, to write.")],
+    corpus: Annotated[
+        Path, typer.Option(help="Recordings as in docs/motion.md, with splits.json.")
+    ],
+    methods: Annotated[str, typer.Option(help="Methods to compare (docs/study.md).")] = _METHODS,
     ratings: Ratings = 40,
     pairs: Pairs = 20,
     readings: Annotated[
-        int, typer.Option(min=0, max=400, help="Clips that a rater reads without sound.")
+        int, typer.Option(min=0, max=400, help="Clips whose words a rater reads off the lips.")
     ] = 10,
     sentences: Sentences = 20,
     face: Annotated[
-        str, typer.Option(help="Whose head: twin, or a photograph of a face.")
+        str, typer.Option(help="Face to film: twin (drawn), or a photograph of a face.")
     ] = "twin",
     landmarker: Landmarker = None,
     model: Annotated[
         Path | None,
         typer.Option(
-            help="A face model trained without the splits' random_test; default: one is trained.",
-            show_default=False,
+            help="Face model trained without the sentences random_test of splits.json; default: "
+            "train one now."
         ),
     ] = None,
-    title: Annotated[str, typer.Option(help="What raters see above it.")] = "Talking faces",
+    title: Annotated[str, typer.Option(help="Title of the raters' page.")] = "Talking faces",
     consent: Annotated[
-        Path | None,
-        typer.Option(help="What raters agree to, a text file; default: ours.", show_default=False),
+        Path | None, typer.Option(help="Text file that raters agree to; default: the shipped text.")
     ] = None,
     seed: Annotated[
-        str | None,
-        typer.Option(help="Decides sheets and names; default: by chance.", show_default=False),
+        str | None, typer.Option(help="Seed of rating sheets and clip names; default: random.")
     ] = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Film the clips of a study and deal them out, blind and balanced.
+    """Film the clips of a study, and distribute them to raters, blind and balanced.
 
-    Raters get FOLDER/served alone; FOLDER/key.json says what they saw.
+    Raters get FOLDER/served only; FOLDER/key.json lists which clip shows which method.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.output_folder import check_output_folder
@@ -186,10 +186,10 @@ def serve(
     listen: DashboardListen = None,
     quiet: Quiet = False,
 ) -> None:
-    """Show a study to raters in a browser, and keep what they answer.
+    """Show a study to raters in a browser, and store their answers.
 
-    Beyond this computer: --listen 0.0.0.0:8080. Everybody opens the address that is printed; a
-    rater goes on where they were, whatever was closed or started again.
+    For raters on other computers: --listen 0.0.0.0:8080. All raters open the address that is
+    printed; each continues where they stopped, also after a restart.
     """
     for library in ("starlette", "uvicorn"):
         check_extra(library, "serving a study")
@@ -243,23 +243,19 @@ def report(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output",
-            "-o",
-            help="HTML to write; default: report.html in the folder.",
-            show_default=False,
+            "--output", "-o", help="HTML file to write; default: report.html in the folder."
         ),
     ] = None,
     answers: Annotated[
-        Path | None,
-        typer.Option(help="Another file of answers, as of `rehearse`.", show_default=False),
+        Path | None, typer.Option(help="Other file of answers, such as that of `study rehearse`.")
     ] = None,
     mixed: Annotated[
-        bool, typer.Option(help="Fit a linear mixed model too (extra study; half a minute).")
+        bool, typer.Option(help="Also fit a linear mixed model (extra `study`; half a minute).")
     ] = True,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Print the raters' results: one page with intervals, pictures, and who was left out."""
+    """Print a study's results, and write a page with intervals, pictures, and raters left out."""
     from lipservo_lab.study.answers import now, read_answers
     from lipservo_lab.study.counted import counted
     from lipservo_lab.study.mixed_model import mixed_model
@@ -323,20 +319,17 @@ def rehearse(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output",
-            "-o",
-            help="Answers to write; default: rehearsal.jsonl in the folder.",
-            show_default=False,
+            "--output", "-o", help="Answers file to write; default: rehearsal.jsonl in the folder."
         ),
     ] = None,
-    raters: Annotated[int, typer.Option(min=1, max=1000, help="Who does what is asked.")] = 20,
+    raters: Annotated[int, typer.Option(min=1, max=1000, help="Raters who rate with care.")] = 20,
     lazy: Lazy = 1,
     inverted: Inverted = 1,
     seed: Seed = 0,
 ) -> None:
-    """Let simulated raters of known taste sit a study, before people do.
+    """Let simulated raters of known taste answer a study, before people do.
 
-    They prefer its methods in the order in which they were named.
+    The raters prefer the methods in the order in which `study make` named them.
     """
     import numpy as np
 
@@ -367,15 +360,17 @@ def _is_rehearsal(head: bytes) -> bool:
 
 
 def power(
-    raters: Annotated[str, typer.Option(help="How many, comma between.")] = "5,10,20,40",
-    methods: Annotated[int, typer.Option(min=2, max=20, help="How many are compared.")] = 10,
+    raters: Annotated[str, typer.Option(help="Numbers of raters, comma between.")] = "5,10,20,40",
+    methods: Annotated[int, typer.Option(min=2, max=20, help="Methods to compare.")] = 10,
     ratings: Ratings = 40,
     sentences: Sentences = 20,
-    studies: Annotated[int, typer.Option(min=10, max=10_000, help="Simulated for each.")] = 100,
+    studies: Annotated[
+        int, typer.Option(min=10, max=10_000, help="Simulated studies for each.")
+    ] = 100,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """How many raters are needed to see which difference, by simulated studies."""
+    """Simulate studies to find how many raters see which difference between methods."""
     from lipservo_lab.study.rehearsal import power_rows
     from lipservo_lab.study.sheets import Size, StudyError
 
