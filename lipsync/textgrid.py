@@ -134,7 +134,7 @@ def text_of(path: Path) -> str:
     """
     try:
         if "\0" in str(path) or (path.exists() and not path.is_file()):
-            raise LabelError("not a regular file; give the path of a saved file")
+            raise LabelError("cannot be read: not a regular file; save it first")
         if path.stat().st_size > _LARGEST_BYTES:
             raise LabelError("larger than 64 MiB; give labels of one recording only")
         return decoded(path.read_bytes())

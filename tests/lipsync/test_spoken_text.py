@@ -95,8 +95,8 @@ def test_visemes_at_a_thousand_a_second_are_a_hundred():
     ("kind", "units", "says"),
     [
         ("phoneme", (SpokenUnit("Q", 0, 1),), "'Q' is not an ARPAbet phoneme"),
-        ("word", (SpokenUnit("", 0, 1),), "word 0: 0 characters"),
-        ("word", (SpokenUnit("x" * (LONGEST_LABEL + 1)),), "word 0: 101 characters"),
+        ("word", (SpokenUnit("", 0, 1),), "word 0 has 0 characters"),
+        ("word", (SpokenUnit("x" * (LONGEST_LABEL + 1)),), "word 0 has 101 characters"),
         ("text", (SpokenUnit("x" * 1_000_000),), "text 0 has 1000000 characters; 1 to 20000"),
         ("text", (SpokenUnit("x" * LONGEST_TEXT),) * 6, "at most 100000"),
         ("word", (SpokenUnit("a", 5, 9), SpokenUnit("b", 8, 12)), "word 1: sample 8 is before 9"),

@@ -43,7 +43,7 @@ def test_each_servo_has_the_keys_of_its_own_bus_and_the_same_address_may_be_on_b
         ("channel: 3", "chanel: 3", "servos.jaw.chanel: unknown setting; did you mean channel?"),
         ("id: 3", "channel: 3", "servos.yaw.id: is missing"),
         ("model: mini12", "modle: mini12", "buses.lips.modle: unknown setting; did you mean model"),
-        ("kind: maestro", "kind: steamer", "buses.lips.kind: 'steamer' is not known here"),
+        ("kind: maestro", "kind: steamer", "buses.lips.kind: bus kind 'steamer' is not known here"),
         ("lips: {kind", "Lips: {kind", "buses.Lips: 'Lips' does not have the form"),
         ("lips: {kind: maestro, model: mini12}", "lips: 5", "buses.lips: 5 is not settings of its"),
         ("buses:", "bus: {}\nbuses:", "bus: this face has `bus` and `buses`"),

@@ -165,7 +165,7 @@ def test_a_file_with_the_mark_of_its_encoding_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("", "file: empty; docs/text.md"),
+        ("", "file: the file is empty; docs/text.md"),
         ("hello", "file: line 1 is neither labels nor JSON"),
         (POLLY + "nonsense", "file: line 9 is neither labels nor JSON"),
         (
