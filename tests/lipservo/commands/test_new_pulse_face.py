@@ -40,13 +40,13 @@ def test_a_face_is_written_with_narrow_limits_and_can_be_moved(tmp_path, bus):
     ("arguments", "words"),
     [
         ((*MAESTRO, "--board", "nano", *JAW), "'nano' is not known here; use one of micro6, mini"),
-        ((*MAESTRO, "--board", "a: b", *JAW), "'a: b' is no model of a maestro"),
+        ((*MAESTRO, "--board", "a: b", *JAW), "'a: b' is not the model of a maestro"),
         ((*MAESTRO, "--channel", "jaw=9:opens"), "jaw: a Maestro micro6 has channels 0 to 5"),
         ((*MAESTRO, *JAW, "--channel", "lip=0:raises"), "channel 0 belongs to jaw"),
         ((*MAESTRO, *JAW, *JAW), "joint jaw exists already"),
         ((*MAESTRO, "--channel", "jaw"), "write NAME=CHANNEL:WORD"),
         ((*MAESTRO, "--channel", "jaw=-1:opens"), "write NAME=CHANNEL:WORD"),
-        ((*MAESTRO, "--channel", "jaw=0"), "say what a longer pulse does: jaw=0:opens"),
+        ((*MAESTRO, "--channel", "jaw=0"), "add what a longer pulse does: jaw=0:opens"),
         ((*MAESTRO, "--channel", "Jaw=0:opens"), "'Jaw' is not a joint's name"),
         (MAESTRO, "no servos given; add --channel jaw=0:opens"),
         (("--bus", "pca9685", "--yes", "--board", "0x70", *JAW), "PCA9685 address 0x70 is not"),
@@ -225,7 +225,7 @@ def test_the_doctor_says_which_lags_no_servo_confirms_and_which_are_not_known(tm
 
 
 def test_a_board_that_is_no_word_is_refused():
-    with pytest.raises(UserError, match="is no model of a maestro"):
+    with pytest.raises(UserError, match="is not the model of a maestro"):
         pulse_face_yaml("x", bus_kind("maestro"), None, "", [WiredJoint("jaw", 0, "opens")])
 
 
