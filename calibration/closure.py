@@ -18,7 +18,7 @@ from lipsync.arrays import Array, Indices
 #: that angles do not jump; and corrected whole up to there, then less and less. Nearer to the rest
 #: than the last, mm of the coefficients, closed lips are pressed less and less, since servos must
 #: not press all day; recorded closures of speech are 2.9 or more from it.
-CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM, _RESTS_MM = 1.0, 0.8, 2.6, 2.5
+CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM, _RESTS_MM = 1.0, 0.8, 2.6, 1.0
 _FADES_MM = _CORRECTED_MM - CLOSED_GAP_MM - BLEND_MM
 
 

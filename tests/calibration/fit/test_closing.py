@@ -136,7 +136,7 @@ CLOSURE = Closure(
 SERVOS = MouthServos((JointRange("jaw", -10.0, 20.0), JointRange("out", -20.0, 20.0)))
 
 
-@pytest.mark.parametrize(("from_rest_mm", "pressed_mm"), [(0.0, 0.0), (1.25, 0.35), (3.0, 0.7)])
+@pytest.mark.parametrize(("from_rest_mm", "pressed_mm"), [(0.0, 0.0), (0.5, 0.35), (3.0, 0.7)])
 def test_lips_press_in_speech_and_just_touch_at_rest(from_rest_mm, pressed_mm):
     """A servo that presses all day burns; recorded closures are 2.9 mm or more from the rest."""
     face = np.zeros((1, MODEL.n_components))

@@ -39,7 +39,7 @@ def test_guided_poses_without_the_closed_mouth_or_too_few_are_refused():
     with pytest.raises(CalibrationError, match="the pose 'closed' is missing"):
         fit_guided(MODEL, MOUTH, {k: v for k, v in made.items() if k != CLOSED})
     few = {pose.name: np.zeros(10) for pose in poses[:5]}
-    with pytest.raises(CalibrationError, match="5 poses are too few, 7 are needed"):
+    with pytest.raises(CalibrationError, match="5 poses are too few; 7 are needed"):
         fit_guided(MODEL, MOUTH, few)
 
 

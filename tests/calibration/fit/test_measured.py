@@ -98,7 +98,7 @@ def test_a_mouth_that_never_opens_or_has_no_width_is_refused(capture):
     upper, lower = (MARKERS_47.names.index(f"inner_lip_{n}") for n in (13, 14))
     noise = np.random.default_rng(0).normal(0, 0.1, markers_mm[:, lower].shape)
     markers_mm[:, lower] = markers_mm[:, upper] + noise
-    with pytest.raises(CalibrationError, match=r"inner_lip_13 and inner_lip_14 part by .* at most"):
+    with pytest.raises(CalibrationError, match=r"inner_lip_13, inner_lip_14\) open by .* at most"):
         fit_measured(MODEL, with_few_markers(capture, markers_mm), MOUTH)
     narrow_mm = capture.markers_mm * np.array([0.1, 1.0, 1.0])
     with pytest.raises(

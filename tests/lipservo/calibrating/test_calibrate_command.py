@@ -149,7 +149,7 @@ def test_the_end_of_a_script_keeps_what_was_made(tmp_path):
     done = calibrate("guided", "--config", "face_jaw", "-o", tmp_path / "c.yaml",
                    "--keep", keep, input="\n\n")  # fmt: skip
     assert done.exit_code == 1
-    assert "2 poses are too few, 10 are needed" in str(done.exception)
+    assert "2 poses are too few; 10 are needed" in str(done.exception)
     assert list(json.loads(keep.read_text())) == ["closed", "open"]
     assert not (tmp_path / "c.yaml").exists()
 

@@ -116,7 +116,7 @@ def test_without_targets_nothing_is_sent():
         (":39540", "write HOST:PORT, such as 127.0.0.1:11111"),
         ("two words", "write HOST:PORT"),
         ("line\nline:1", "write HOST:PORT"),
-        ("localhost:", "write HOST:PORT, localhost:11111"),
+        ("localhost:", "write HOST:PORT, such as localhost:11111"),
         ("localhost:osc", "write HOST:PORT"),
         ("localhost:²", "write HOST:PORT"),
         ("::1", "write HOST:PORT"),

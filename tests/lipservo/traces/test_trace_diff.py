@@ -179,7 +179,7 @@ def test_a_picture_of_another_kind_is_refused_before_anything_is_read(tmp_path):
     done = diff("none", "none", "--plot", tmp_path / "x.jpg")
 
     assert done.exit_code == 2
-    assert "--plot draws .png or .svg" in done.stderr
+    assert "the plot's name must end in .png or .svg" in done.stderr
 
 
 @settings(max_examples=25)

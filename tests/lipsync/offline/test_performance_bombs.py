@@ -128,7 +128,7 @@ def test_phonemes(rewritten, tmp_path):
     before, after = text.split(b"%s")
     n_bytes = len(before) + 400 * len(row) + 14 + len(after)
     chunks = as_bytes(n_bytes, [before, *[row] * 400, b'["AA",0.0,0.1]', after])
-    assert "'about' has 60" in refused(rewritten(about=chunks))
+    assert "'about' is 60" in refused(rewritten(about=chunks))
 
 
 @pytest.mark.parametrize("piece", [b"[],", b"{},", b"[[],1.5],", b'"\xc3\xa9\xc3\xa9",'])
@@ -196,13 +196,13 @@ def test_an_archive_in_an_archive(rewritten, tmp_path):
 @pytest.mark.parametrize(
     ("lie", "why"),
     [
-        (header((10**9, 5)), "promises"),
-        (header((10**11, 10**11)), "promises"),
+        (header((10**9, 5)), "bytes for"),
+        (header((10**11, 10**11)), "bytes for"),
         (header((0, 10**11)), "shape"),
-        (header((10**11,), descr="<U0"), "promises"),
+        (header((10**11,), descr="<U0"), "bytes for"),
         (header((1,), descr="|O"), "no plain numbers"),
         (header((1,), descr=[("a", "<f4")]), "no plain numbers"),
-        (header(()), "promises"),
+        (header(()), "bytes for"),
         (b"\x93NUMPY\x02\x00\xff\xff\xff\xff", "no plain numbers"),
         (b"\x93NUMPY\x01\x00\xff\xff" + b"(" * 65_535, "no plain numbers"),
         (b"\x93NUMPY\x01\x00\x40\x00" + b"{'descr': '<f4', 'shape': (" + b"9" * 37, "no plain"),

@@ -95,10 +95,10 @@ def test_a_command_that_fails_is_one_line(command, error):
 
 
 def test_times_that_cannot_be_used_are_one_line(tts):
-    with pytest.raises(SynthesisError, match=r"\{words\}: no times of words"):
+    with pytest.raises(SynthesisError, match=r"\{words\}: the file has no times of words"):
         speak(with_words(tts, []))
     rows = [{"word": "a" * 200, "start": 0}]
-    with pytest.raises(SynthesisError, match="200 characters; 1 to 100 are possible"):
+    with pytest.raises(SynthesisError, match="200 characters; 1 to 100 are allowed"):
         speak(with_words(tts, rows))
 
 

@@ -251,7 +251,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says .* -> FACE +torque off", _ALL_OFF),
     (r"says .* -> FACE +torque on", Torque(on=True, who="any")),
     (r"says  *\w+ +[─●]+ +-?[\d.]+ deg", nothing),
-    (r"says \S+\.flac(?:: no speech in .*)?", nothing),
+    (r"says \S+\.flac(?:: no speech was found in .*)?", nothing),
     (r"says animpho, .*", nothing),
     (r"says delay from sound to face: .*", nothing),
     (r"says (?:lip gap|phonemes) .*", nothing),
