@@ -203,8 +203,6 @@ def widest_gap_mm(face: ElasticFace, servos: MouthServos) -> float:
 _TOUCH_MM = 0.02
 #: The force that suffices closes a slit that is so much too wide all along.
 _ENOUGH_MM = 0.15
-#: Frames after which a silent face stands still.
-_SETTLES = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,7 +299,7 @@ def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
 
 def rest_force_ratio(face: ElasticFace, calibration: Calibration) -> float:
     """Return the force between the lips of a silent face, over that which closes them."""
-    silent = np.repeat(calibration.rest[None], _SETTLES, axis=0)
+    silent = np.repeat(calibration.rest[None], 10, axis=0)  # until it stands still
     state = face.state(played(face, calibration, silent)[-1:])
     return float(state.force_n[0] / face.closing_force_n(_ENOUGH_MM))
 

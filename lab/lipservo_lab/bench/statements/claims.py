@@ -17,8 +17,9 @@ from lipservo_lab.bench.stops.logged_device import LoggedDevice, Moment
 
 #: What is known of a servo may be so old: each is asked in its turn, and a line takes its way.
 OLD_S: Final = 0.3
-#: A pulse that goes slowly is sent on while it is told.
-_PULSE_US: Final = 60.0
+#: A pulse that goes slowly is sent on while it is told; and a Maestro goes to a pulse that is far,
+#: after a tick that came late, at its own speed.
+_PULSE_US, _RAMP_S = 60.0, 1.0
 #: Between two troubles in one line.
 _NEXT_TROUBLE: Final = re.compile(r"; (?=servo '|recogniser )")
 #: Before the sentence itself.
@@ -197,7 +198,8 @@ def limp_state(heard: Heard) -> Verdict:
 def sent_pulse(heard: Heard) -> Verdict:
     """`sent_us` of a servo: the pulse that it gets, or got last."""
     (index,), us = heard.servos("who"), float(heard.match["us"])
-    for each in heard.records:
+    later = heard.device.during(heard.statement.until_s, heard.statement.until_s + _RAMP_S)
+    for each in (*heard.records, *later):
         if each.on[index] and abs(each.pulses_us[index] - us) <= _PULSE_US:
             return Verdict.TRUE
     if any(each.on[index] for each in heard.records):

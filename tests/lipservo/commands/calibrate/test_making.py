@@ -98,7 +98,9 @@ def test_kept_poses_are_put_aside_when_all_is_done_and_named_when_it_is_refused(
         with going_on(output, None):
             raise CalibrationError("'jaw' is reversed")
 
-    with pytest.raises(CalibrationError, match=r"reversed; the poses are kept in .*poses: run the same"):
+    with pytest.raises(
+        CalibrationError, match=r"reversed; the poses are kept in .*poses: run the same"
+    ):
         refused()
     assert kept.exists()
 
