@@ -28,7 +28,7 @@ def test_a_range_file_of_an_scs0009_keeps_its_neutral_where_it_stands(tmp_path):
             input="\nopens\ny\n",
         )
     assert done.returncode == 0, done.stderr
-    assert "id 9 (neck)" in done.stderr
+    assert "id 9 (neck in " in done.stderr
     jaw = load_face(path).servos["jaw"]
     # It stands within a step of 0.3 degrees.
     assert (jaw.min_deg, jaw.max_deg) == pytest.approx((-32.8, 31.6), abs=0.35)
