@@ -7,6 +7,7 @@ port when the port is opened.
 """
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -109,7 +110,7 @@ class PortRelease(Protocol):
         """Close the port."""
 
 
-class BusKind:
+class BusKind(ABC):
     """One kind of servo bus, such as Dynamixel: its settings, and functions that open or check it.
 
     A kind of another package derives from this class and overrides what it supports. Methods import
@@ -132,16 +133,16 @@ class BusKind:
     workshop_module: str = ""
     simulator_module: str = ""
 
+    @abstractmethod
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
         """Return the capabilities of the servos of a bus with these settings; opens no port."""
-        raise NotImplementedError
 
+    @abstractmethod
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
         """Return the unopened bus of the servos in `wiring`; its `with` block opens it.
 
         clock: moves servos that are simulated in memory. strict=False: servos may be missing.
         """
-        raise NotImplementedError
 
     def slowness(self, _wiring: Wiring, _rate_hz: float) -> str | None:
         """Return why the bus cannot do this many ticks a second, and the remedy; None if it can."""

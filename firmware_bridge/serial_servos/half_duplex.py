@@ -1,5 +1,6 @@
 """A half-duplex serial line to servos: transactions, learnt waiting times, late answers, echoes."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Any, Final, Protocol, TypeVar
 
@@ -126,7 +127,7 @@ class Take(Protocol[_Taken_co]):
         """
 
 
-class HalfDuplex:
+class HalfDuplex(ABC):
     """A half-duplex serial line; subclasses add the requests and answers of their protocol.
 
     Not thread-safe: one owner. Every method raises PortError when the port fails; a servo that does
@@ -165,13 +166,13 @@ class HalfDuplex:
         self.transport.baud_rate = baud_rate
         self.byte_s = BITS_PER_BYTE / baud_rate
 
+    @abstractmethod
     def read(self, servo_id: int, address: int, size: int) -> Any:
         """Read `size` bytes of one servo from `address` on: a status with `data`; None: silent."""
-        raise NotImplementedError
 
+    @abstractmethod
     def write(self, servo_id: int, address: int, data: bytes) -> object:
         """Write bytes of one servo from `address` on. Read them back: an answer proves nothing."""
-        raise NotImplementedError
 
     def tell(self, request: bytes) -> None:
         """Send a request that has no answer."""

@@ -12,13 +12,12 @@ from firmware_bridge.bus import GOAL_OUT_OF_RANGE, Array, Feedback, Health, Read
 from firmware_bridge.capabilities import IN_MEMORY, BusCapabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError
-from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint, JointPulse
+from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 from firmware_bridge.known_torque import KnownTorque
 
 #: XL330-M288-T without load at 5 V: 103 rev/min;
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications
 XL330_TOP_SPEED_DEG_S = 618.0
-_NO_PULSE = JointPulse(np.nan, np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +78,8 @@ class SimulatedBus:
         self._errors = np.zeros(n_servos, dtype=np.uint8)
         self._torque_on = np.zeros(n_servos, dtype=np.bool_)
         self.torque = KnownTorque(n_servos)
-        pulses = [joint.pulse or _NO_PULSE for joint in joints]
-        self._neutral_us = np.array([pulse.neutral_us for pulse in pulses])
-        self._us_per_deg = np.array([pulse.us_per_deg for pulse in pulses])
+        pulses = [(p.neutral_us, p.us_per_deg) if (p := j.pulse) else (np.nan,) * 2 for j in joints]
+        self._neutral_us, self._us_per_deg = np.array(pulses).reshape(-1, 2).T
         self._is_open = False
         self._moved_until_s = clock.now()
         self._history: deque[Motion] = deque(maxlen=n_remembered)
