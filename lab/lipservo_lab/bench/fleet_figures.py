@@ -233,7 +233,7 @@ def _run_on_all(
             if re.split(r"[ :]", line)[0] in good:
                 last_s = time.monotonic() - began_s
     faces = {each["name"]: each for each in json.loads(output.read_text())["faces"]}
-    words = {"dead": "is dead", "hung": "hangs"}
+    words = {"dead": "no server answers", "hung": "hangs"}
     named = [
         words[name.partition("-")[0]] in face.get("error", "")
         for name, face in faces.items()

@@ -211,7 +211,7 @@ def test_photographs_of_all_kinds_are_shown(opened, written):
         ("me.png", lambda: picture((40, 40)), b"", "40 x 40 pixels"),
         ("me.png", picture, b"{", "no points of a face"),
         ("me.png", picture, lambda: hand_points(0.1), "pixels wide"),
-        ("me.png", picture, b'{"points_px": {"chin": [5, 5]}}', "lacks"),
+        ("me.png", picture, b'{"points_px": {"chin": [5, 5]}}', "are missing"),
     ],
 )
 def test_what_is_no_photograph_of_a_face_is_said_in_one_line(opened, name, content, points, says):
