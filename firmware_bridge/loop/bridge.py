@@ -20,10 +20,11 @@ from firmware_bridge.loop.face_table import (
     FaceGuard,
     FaceState,
 )
-from firmware_bridge.loop.report import BridgeSettings, BridgeStatus, TickReport
+from firmware_bridge.loop.report import BridgeSettings, TickReport
 from firmware_bridge.loop.servo_group import ServoGroup
 from firmware_bridge.loop.single_servos import Jog, SingleServos
 from firmware_bridge.loop.targets import FollowedTargets, TargetChannel
+from firmware_bridge.loop.tick_counts import TickCounts
 from firmware_bridge.stopping import START_WHILE_STOPPING, Order, StartFace, StopLevel, StopReport
 
 #: The first wait before a lost port is tried again, and the longest; it doubles in between.
@@ -34,18 +35,16 @@ _LONGEST_WAIT_S: Final = 0.5
 class PortRetry:
     """When to open a lost port again, in seconds of tick time.
 
-    n_lost: how often the port was lost; due_s: when to try to open it.
+    due_s: when to try to open it.
     """
 
     def __init__(self) -> None:
         self.is_open = True
-        self.n_lost = 0
         self._wait_s = self.due_s = 0.0
 
     def note_lost(self, time_s: float) -> None:
         """Note that the port was lost at `time_s`; the first try is due 0.1 s later."""
         self.is_open = False
-        self.n_lost += 1
         self._wait_s = _FIRST_WAIT_S
         self.due_s = time_s + _FIRST_WAIT_S
 
@@ -68,6 +67,9 @@ _STOPS: Final = {
 }
 #: In which key of an answer a servo is named, by what is known of its torque.
 _TORQUE_KEYS: Final = {Torque.ON: "holds", Torque.OFF: "limp", Torque.UNKNOWN: "unknown"}
+#: Counts in a status: of `TickCounts`, and of the gate.
+_COUNTS: Final = ("n_ticks", "n_late", "n_stale", "n_armed", "n_unplugged")
+_GATE_COUNTS: Final = ("range_hits", "rate_hits", "rejected", "prevented")
 
 
 class Bridge:
@@ -101,7 +103,7 @@ class Bridge:
         self._level = StopLevel.LIMP  # of the last stop
         self._tick_s = 0.0
         self._easing: EaseToNeutral | None = None
-        self._n_ticks = self._n_late = self._n_stale = self._n_armed = 0
+        self.counts = TickCounts(settings.rate_hz)
         #: Why the face stopped by itself; empty: it did not.
         self.failure = ""
 
@@ -131,26 +133,9 @@ class Bridge:
         return self._port.is_open
 
     @property
-    def tick_counts(self) -> tuple[int, int, int]:
-        """Ticks so far, missed ticks, and ticks of a driven face without a fresh target."""
-        return self._n_ticks, self._n_late, self._n_stale
-
-    @property
-    def status(self) -> BridgeStatus:
-        """The state of face and servos, and the counts since the bridge was made."""
-        return BridgeStatus(
-            state=self._state,
-            n_ticks=self._n_ticks,
-            n_late=self._n_late,
-            n_stale=self._n_stale,
-            n_armed=self._n_armed,
-            n_rejected_targets=self._targets.n_rejected,
-            gate=self._servos.limiter.counts,
-            n_unplugged=self._port.n_lost,
-            servo_states=tuple(
-                ServoState(state) for state in self._servos.supervision.states.tolist()
-            ),
-        )
+    def servo_states(self) -> list[ServoState]:
+        """The state of each servo, in the order of `names`."""
+        return [ServoState(state) for state in self._servos.supervision.states.tolist()]
 
     @property
     def feedback(self) -> Feedback | None:
@@ -202,20 +187,39 @@ class Bridge:
             if joint.pulse is not None
         }
 
-    def servo_words(self) -> dict[str, str]:
-        """Return each servo's `ServoState` in words, by joint name.
+    def as_dict(self) -> dict[str, object]:
+        """Return the face's status as one object for JSON; too slow for every tick.
 
-        `starting` where a servo is to be driven, but is not known to have torque yet.
+        state: a `FaceState`; plugged: whether the port is open; torque_on: as of
+        `KnownTorque.any_on`; torque: `KnownTorque.records`, their ages at the last tick; servos:
+        each `ServoState` in words, `starting` where a servo is to be driven, but is not known to
+        have torque yet; troubles: a line for each servo that is not driven, and for what comes too
+        late; jogged: joints that a person jogs, by name; health: a `ServoHealth` for each servo
+        that was polled, None for what was never read; capabilities: what the bus can do; pulses: as
+        from `pulses`; *_total: how often the gate changed a goal, over all joints; the other counts
+        are those of `TickCounts`.
         """
-        return dict(zip(self.names, self._servos.words(), strict=True))
+        servos, counts, gate = self._servos, self.counts, self._servos.limiter.counts
+        return {
+            "state": self._state.value,
+            "plugged": self.plugged,
+            "torque_on": self.torque.any_on,
+            "torque": dict(zip(self.names, self.torque.records(self._tick_s), strict=True)),
+            "servos": dict(zip(self.names, servos.words(), strict=True)),
+            "troubles": [*self.troubles, *counts.delays()],
+            "jogged": list(self.jogged),
+            "health": servos.health_records(),
+            "capabilities": self.capabilities.as_dict(),
+            "pulses": self.pulses(),
+            "n_rejected_targets": self._targets.n_rejected,
+            **{name: getattr(counts, name) for name in _COUNTS},
+            **{f"{name}_total": int(getattr(gate, name).sum()) for name in _GATE_COUNTS},
+            "bridge_pid": os.getpid(),
+        }
 
     def servo_health(self) -> tuple[ServoHealth, ...]:
         """Return the last reading of every servo's condition; too slow for every tick."""
         return self._servos.health()
-
-    def health_records(self) -> list[dict[str, object]]:
-        """Return `servo_health` as objects for JSON: None for what was never read."""
-        return self._servos.health_records()
 
     @property
     def torque(self) -> KnownTorque:
@@ -231,10 +235,6 @@ class Bridge:
         for name, state in zip(self.names, self.torque.states.tolist(), strict=True):
             known[_TORQUE_KEYS[Torque(state)]].append(name)
         return known
-
-    def torque_records(self) -> dict[str, dict[str, bool | float | None]]:
-        """Return `KnownTorque.records` by joint name, their ages at the last tick."""
-        return dict(zip(self.names, self.torque.records(self._tick_s), strict=True))
 
     def start(
         self, may_continue: Callable[[], bool] = lambda: True, *, by_person: bool = False
@@ -290,8 +290,6 @@ class Bridge:
         time_s: the tick's planned time, monotonic. late: how many ticks were missed before it.
         """
         self._tick_s = time_s
-        self._n_ticks += 1
-        self._n_late += late
         port, targets, servos = self._port, self._targets, self._servos
         if not port.is_open and time_s >= port.due_s:
             self._try_port(time_s)
@@ -302,6 +300,8 @@ class Bridge:
                 targets.follow()
         silence_s = targets.silence_s(time_s)
         level = self._settings.stale.level(silence_s)
+        is_stale = port.is_open and self._state is _DRIVEN and targets.was_spoken_to
+        self.counts.add(late, is_stale=is_stale and level is not _FRESH)
         acted = None
         if port.is_open:
             try:
@@ -406,7 +406,7 @@ class Bridge:
             case FaceAction.LEAVE_PORT_HELD:
                 servos.lose_port(self._tick_s, lets_go=False)
             case FaceAction.COUNT_START:
-                self._n_armed += 1
+                self.counts.n_armed += 1
 
     def _begin(self) -> None:
         """Let targets and goals begin where the servos stand. Raises PortError."""
@@ -442,7 +442,6 @@ class Bridge:
         if level is StaleLevel.LIMP:
             self._fire(FaceEvent.STALE)
             return wanted_deg, limiter.unchanged()
-        self._n_stale += self._targets.was_spoken_to and level is not _FRESH
         scaled_deg = wanted_deg * scale
         if self._jog.is_active:
             wanted_deg = scaled_deg = self._jog.guide(scaled_deg, limiter.sent_deg, scale, time_s)
@@ -487,6 +486,7 @@ class Bridge:
     def _unplug(self, time_s: float) -> None:
         """Note that a port is lost; switch all torque off, unless a person froze the face."""
         self._port.note_lost(time_s)
+        self.counts.n_unplugged += 1
         self._jog.clear()
         self._fire(FaceEvent.PORT_LOST)
 
@@ -499,40 +499,3 @@ class Bridge:
             return
         self._port.note_open()
         self._fire(FaceEvent.PORT_BACK)
-
-
-def face_status(bridge: Bridge) -> dict[str, object]:
-    """Return the face's status as one object for JSON; too slow for every tick.
-
-    state: a `FaceState`; plugged: whether the port is open; torque_on: as of
-    `KnownTorque.any_on`; torque: as from `Bridge.torque_records`; servos: as from
-    `Bridge.servo_words`; troubles: a line for each servo that is not driven; jogged: joints that a
-    person jogs, by name; health: a `ServoHealth` for each servo that was polled, None for what was
-    never read; capabilities: what the bus can do; pulses: as from `Bridge.pulses`; *_total: how
-    often the gate changed a goal, over all joints; the counts are those of `BridgeStatus`.
-    """
-    status = bridge.status
-    gate = {
-        f"{name}_total": int(getattr(status.gate, name).sum())
-        for name in ("range_hits", "rate_hits", "rejected", "prevented")
-    }
-    return {
-        "state": status.state.value,
-        "plugged": bridge.plugged,
-        "torque_on": bridge.torque.any_on,
-        "torque": bridge.torque_records(),
-        "servos": bridge.servo_words(),
-        "troubles": list(bridge.troubles),
-        "jogged": list(bridge.jogged),
-        "health": bridge.health_records(),
-        "capabilities": bridge.capabilities.as_dict(),
-        "pulses": bridge.pulses(),
-        "n_ticks": status.n_ticks,
-        "n_late": status.n_late,
-        "n_stale": status.n_stale,
-        "n_armed": status.n_armed,
-        "n_unplugged": status.n_unplugged,
-        "n_rejected_targets": status.n_rejected_targets,
-        **gate,
-        "bridge_pid": os.getpid(),
-    }

@@ -43,6 +43,7 @@ class ChangeLog:
         self._lifeline = lifeline
         self._on_health = on_health
         self._plugged, self._state = True, FaceState.STOPPED
+        self._keeps_up = True
         self._given_up = set(bridge.given_up)
         self._n_changes = bridge.n_trouble_changes
         self._trouble_since_s = float("inf")
@@ -62,6 +63,12 @@ class ChangeLog:
                 _LOG.warning("the port of the servos is gone")
         if bridge.state is not self._state:
             self._log_state(bridge.state)
+        if bridge.counts.keeps_up is not self._keeps_up:
+            self._keeps_up = bridge.counts.keeps_up
+            if self._keeps_up:
+                _LOG.info("servo loop and speech are in time again")
+            else:
+                _LOG.warning("%s", "; ".join(bridge.counts.delays()))
         if bridge.given_up.keys() != self._given_up:
             for index in bridge.given_up.keys() - self._given_up:
                 if self._lifeline is not None:

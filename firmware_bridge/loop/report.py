@@ -1,4 +1,4 @@
-"""The settings of a bridge, and what it reports: each tick, and counts so far."""
+"""The settings of a bridge, and its report of each tick."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import Array, ServoState
-from firmware_bridge.gate.limits import GateCounts, PreventRule
+from firmware_bridge.bus import Array
+from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.gate.ramp import StaleLevel, StaleRule
 from firmware_bridge.gate.tracking import TrackingRule
-from firmware_bridge.loop.face_table import FaceState
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,24 +59,3 @@ class TickReport:
     range_hits: NDArray[np.bool_]
     rate_hits: NDArray[np.bool_]
     rejected: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class BridgeStatus:
-    """State and counts of a bridge since it was made, for a status line or a dashboard.
-
-    n_stale: ticks of a driven face whose target was no longer fresh; the wait for the first target
-    after a start does not count. n_armed: how often the face was brought up: started, sent targets
-    again after a silence, plugged in again.
-    """
-
-    state: FaceState
-
-    n_ticks: int
-    n_late: int
-    n_stale: int
-    n_armed: int
-    n_rejected_targets: int
-    gate: GateCounts
-    n_unplugged: int
-    servo_states: tuple[ServoState, ...]

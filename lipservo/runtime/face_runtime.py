@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from firmware_bridge.clock import Clock, ManualClock
-from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.process.logs import LOG_JSON
@@ -184,7 +184,7 @@ class _Run:
 
     def status(self, bridge: Bridge) -> Status:
         """Return the face's present status: of servos, as `bridge` drives them, and of speech."""
-        return self._whole({**face_status(bridge), **self._requested.about})
+        return self._whole({**bridge.as_dict(), **self._requested.about})
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
         """Return the whole face's status for JSON, given the servo side's status in `bridge`."""

@@ -11,7 +11,7 @@ from firmware_bridge.capabilities import IN_MEMORY, ONE_LOST, mixed_capabilities
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.errors import PortError, PortGone, ServoError
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
@@ -125,7 +125,7 @@ def drive_until(face, condition, most=2000):
 
 
 def servos(face):
-    return face_status(face.bridge)["servos"]
+    return face.bridge.as_dict()["servos"]
 
 
 def all_driven(face):
@@ -146,7 +146,7 @@ def test_places_are_those_of_the_servos_that_know_them(face):
     drive(face, 200)
     places_deg = face.bus.feedback().positions_deg
     np.testing.assert_array_equal(face.bus.read().positions_deg, places_deg)
-    health = face_status(face.bridge)["health"]
+    health = face.bridge.as_dict()["health"]
 
     np.testing.assert_allclose(places_deg[NECK], GOAL_DEG[NECK], atol=0.1)
     assert np.isnan(places_deg[LIPS]).all()

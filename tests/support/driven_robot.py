@@ -4,7 +4,7 @@ import numpy as np
 from dynamixel_chain import MemoryFace
 from logged import logged
 
-from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
@@ -109,7 +109,7 @@ class Robot:
 
     def state(self, name):
         """Of one servo, as the status tells it."""
-        return face_status(self.bridge)["servos"][name]
+        return self.bridge.as_dict()["servos"][name]
 
     def live(self, until_s, at=None):
         """From start to end; `at`: what happens at a moment, by its time."""

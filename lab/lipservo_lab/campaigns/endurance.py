@@ -123,7 +123,7 @@ def endure(
             moved_outside=auditor.moved_outside,
             armed_wrongly=auditor.armed_wrongly,
             contention=chain.counts.contention,
-            replugs=bridge.status.n_unplugged,
+            replugs=bridge.counts.n_unplugged,
         )
 
     with bus, LifeCycle(bridge, clock) as life:

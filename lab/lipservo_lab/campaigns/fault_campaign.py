@@ -160,7 +160,7 @@ def play(case: Case, end_s: float = END_S) -> Outcome:
                 channel.publish(ServoTargets(time_s, wanted_deg(time_s, case.n_servos)))
                 bridge.tick(time_s, late)
                 stage.look(bridge)
-                fine = all(s is ServoState.DRIVEN for s in bridge.status.servo_states)
+                fine = all(s is ServoState.DRIVEN for s in bridge.servo_states)
                 if not fine:
                     recovered_s = math.nan
                 elif math.isnan(recovered_s):

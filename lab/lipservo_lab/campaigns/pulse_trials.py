@@ -150,9 +150,8 @@ class PulseStage:
         feedback = bridge.feedback
         places = 0 if feedback is None else int(np.isfinite(feedback.positions_deg).sum())
         unknown = ("temperature_degc", "load", "voltage_v", "current_ma")
-        self._claims += places + sum(
-            record[name] is not None for record in bridge.health_records() for name in unknown
-        )
+        values = [getattr(each, name) for each in bridge.servo_health() for name in unknown]
+        self._claims += places + sum(each is not None and math.isfinite(each) for each in values)
 
     def look_at_last(self) -> None:
         """Check nothing: hobby servos report nothing."""

@@ -8,13 +8,12 @@ import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Final
 
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.clock import Clock, ManualClock
-from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle import Heartbeat, LifeCycle, LifeCycleLinks
 from firmware_bridge.loop.targets import TargetChannel
 from firmware_bridge.process.commands import CommandQueue
@@ -188,7 +187,7 @@ def face_life(
         links = LifeCycleLinks(
             listener,
             None if watched is None else watched.lifeline,
-            partial(face_status, bridge),
+            bridge.as_dict,
             None if healths is None else healths.offer,
             str if watched is None else watched.not_kept,
         )

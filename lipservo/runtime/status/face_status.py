@@ -20,12 +20,12 @@ class BridgeSide:
     (`StopReport`), None before it; can_start: whether a person can start the face now; plugged:
     whether the port exists; torque_on: whether any servo is known to hold, False: every one is
     known to be off; torque: on and age_s of each, by name, on None where it is not known; servos:
-    the state of each, by name; troubles: a line for each servo that is not driven; jogged: joints
-    that a person jogs; health: readings of each servo (`ServoHealth`), None for one never received;
-    capabilities: what the bus can do (`BusCapabilities`); pulses: of each hobby servo, by name, its
-    limits and the pulse it gets; n_ticks to n_rejected_targets: the counts of `BridgeStatus`;
-    *_total: how often the gate changed a goal, over all servos; bridge_pid: the process that drives
-    them.
+    the state of each, by name; troubles: a line for each servo that is not driven, and one while
+    ticks or motion come late; jogged: joints that a person jogs; health: readings of each servo
+    (`ServoHealth`), None for one never received; capabilities: what the bus can do
+    (`BusCapabilities`); pulses: of each hobby servo, by name, its limits and the pulse it gets;
+    n_ticks to n_unplugged: `TickCounts`; *_total: how often the gate changed a goal, over all
+    servos; bridge_pid: the process that drives them.
     """
 
     name: str = ""

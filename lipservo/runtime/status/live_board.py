@@ -253,7 +253,7 @@ class ServoBoard:
     def tell(self, report: TickReport) -> None:
         """Write the servo record of one tick of the bridge."""
         feedback = self._bridge.feedback
-        n_ticks, n_late, n_stale = self._bridge.tick_counts
+        counts = self._bridge.counts
         self._board.write_servos(
             time_s=report.time_s,
             goal_deg=report.sent_deg,
@@ -261,9 +261,9 @@ class ServoBoard:
             effort=self._never if feedback is None else feedback.effort,
             state=self._numbers[self._bridge.state],
             torque_on=report.torque_on is not False,  # what is not known may hold
-            n_ticks=n_ticks,
-            n_late=n_late,
-            n_stale=n_stale,
+            n_ticks=counts.n_ticks,
+            n_late=counts.n_late,
+            n_stale=counts.n_stale,
         )
 
 

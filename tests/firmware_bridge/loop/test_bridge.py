@@ -125,7 +125,7 @@ def test_invalid_targets_are_counted_and_change_nothing(face):
     report = face.tick([math.nan, 0.0])
 
     np.testing.assert_allclose(report.sent_deg, [10.0, 10.0])
-    assert face.bridge.status.n_rejected_targets == 1
+    assert face.bridge.as_dict()["n_rejected_targets"] == 1
 
 
 def test_a_silent_speech_side_leads_to_hold_then_neutral_then_limp(face):
@@ -148,10 +148,10 @@ def test_a_silent_speech_side_leads_to_hold_then_neutral_then_limp(face):
 def test_easing_to_neutral_in_a_silence_never_hits_the_speed_limit(face):
     face.bridge.start()
     face.ticks(50, [25.0, -30.0])
-    before = face.bridge.status.gate.rate_hits
+    before = face.bridge.as_dict()["rate_hits_total"]
     face.ticks(600)
 
-    np.testing.assert_array_equal(face.bridge.status.gate.rate_hits, before)
+    assert face.bridge.as_dict()["rate_hits_total"] == before
 
 
 def test_a_limp_face_wakes_without_a_jump_when_speech_returns(face):
@@ -164,7 +164,7 @@ def test_a_limp_face_wakes_without_a_jump_when_speech_returns(face):
     assert reports[0].torque_on
     assert np.diff(jaw_deg).max() <= 3.0 + 1e-9
     assert jaw_deg[-1] == 20.0
-    assert face.bridge.status.n_armed == 2
+    assert face.bridge.counts.n_armed == 2
 
 
 def test_a_servo_that_cannot_hold_stays_limp_while_the_others_wake_and_is_named(face):
@@ -192,7 +192,7 @@ def test_waiting_for_the_first_target_holds_the_place_then_eases_and_is_not_call
 
         assert reports[9].sent_deg[0] == 10.0
         assert reports[-1].sent_deg[0] == 0.0
-        assert face.bridge.status.n_stale == 0
+        assert face.bridge.counts.n_stale == 0
 
 
 def test_targets_from_before_arming_do_not_move_the_face(face):
@@ -215,8 +215,8 @@ def test_late_ticks_are_reported_and_counted(face):
     report = face.tick()
 
     assert report.late == 4
-    assert face.bridge.status.n_late == 4
-    assert face.bridge.status.n_ticks == 2
+    assert face.bridge.counts.n_late == 4
+    assert face.bridge.counts.n_ticks == 2
 
 
 def test_at_the_end_the_face_eases_to_neutral_in_half_a_second_and_goes_limp(face):

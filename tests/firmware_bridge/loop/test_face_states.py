@@ -125,7 +125,7 @@ class Face:
     def happen(self, cause):
         """An event, and what it does at once."""
         self.before, self.held_before = self.bridge.state, self.stiff
-        self.n_starts, self.at_s = self.bridge.status.n_armed, self.face.clock.now()
+        self.n_starts, self.at_s = self.bridge.counts.n_armed, self.face.clock.now()
         cause(self)
         self.look()
 
@@ -133,7 +133,7 @@ class Face:
         self.after, self.held = self.after or self.bridge.state, self.stiff
         now_s = self.face.clock.now()
         self.deaf = [each.index for each in self.face.chain.servos if each.deaf_until_s > now_s]
-        self.n_starts_after = self.bridge.status.n_armed
+        self.n_starts_after = self.bridge.counts.n_armed
         self.said, self.troubles = self.bridge.torque_by_name(), self.bridge.troubles
         self.why_not = self.bridge.refusal(ServoOrder("joint_1", ServoSwitch.REBOOT))
         self.place = self.face.chain.motors.position[0]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.joints import Joint, JointPulse
-from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
@@ -110,7 +110,7 @@ def test_it_goes_beyond_its_limits_step_by_step_and_slowly(face):
     way_us = jaw_us(face, before)
     assert way_us[-1] == pytest.approx(1630.0)
     assert np.abs(np.diff(way_us)).max() <= BEYOND_US_S / RATE_HZ + 1e-6
-    assert face_status(face.bridge)["pulses"]["jaw"]["sent_us"] == pytest.approx(1630.0)
+    assert face.bridge.as_dict()["pulses"]["jaw"]["sent_us"] == pytest.approx(1630.0)
     assert not any(row[1] != 1500.0 for row in face.controller.sent[before:]), "the lip stays"
 
 
@@ -197,7 +197,7 @@ def test_whatever_is_ordered_no_pulse_jumps_and_none_leaves_500_to_2500(orders, 
         before = len(face.controller.sent)
         for seconds, pulse_us in orders:
             face.bridge.obey(ArmJog(), face.clock.now())
-            near_us = face_status(face.bridge)["pulses"]["jaw"]["sent_us"]
+            near_us = face.bridge.as_dict()["pulses"]["jaw"]["sent_us"]
             for each_us in (pulse_us, near_us + 9.0 * np.sign(pulse_us - near_us)):
                 face.bridge.obey(JogPulse("jaw", float(each_us)), face.clock.now())
             drive(face, seconds)

@@ -9,7 +9,7 @@ from hobby_bus import PULSES, WORDS
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.report import BridgeSettings
@@ -54,7 +54,7 @@ def test_its_status_has_no_number_that_nobody_measured(face):
     with face.bus:
         face.bridge.start()
         drive(face, 5)
-        told = face_status(face.bridge)
+        told = face.bridge.as_dict()
 
     assert json.loads(json.dumps(told, allow_nan=False))["capabilities"]["place"] is False
     unknown = ("temperature_degc", "load", "voltage_v", "current_ma")
@@ -106,7 +106,7 @@ def test_one_servo_is_switched_off_without_waiting_for_its_word(face):
         drive(face, 20)
 
         assert face.bridge.troubles == ("servo 'jaw' (id 0) switched off by a person",)
-        assert face_status(face.bridge)["servos"] == {"jaw": "off", "lip": "driven"}
+        assert face.bridge.as_dict()["servos"] == {"jaw": "off", "lip": "driven"}
 
 
 def test_what_confirms_is_reported_as_before():

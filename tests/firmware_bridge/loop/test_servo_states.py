@@ -74,7 +74,7 @@ class Face:
 
     @property
     def state(self):
-        return word(self.bridge.status.servo_states[SUBJECT])
+        return word(self.bridge.servo_states[SUBJECT])
 
     @property
     def n_restarts(self):

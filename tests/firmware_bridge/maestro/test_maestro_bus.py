@@ -12,7 +12,7 @@ from firmware_bridge.bus_kinds import bus_kind
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.gate.limits import PreventRule
-from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.maestro.controller import MaestroController
@@ -123,7 +123,7 @@ def test_a_tick_is_one_write_and_no_pulse_is_said_to_be_sent_before_it():
     face = put_together(model="mini12")
 
     def said():
-        return [each["sent_us"] for each in face_status(face.bridge)["pulses"].values()]
+        return [each["sent_us"] for each in face.bridge.as_dict()["pulses"].values()]
 
     receive, heard = face.maestro.receive, []
     with face.bus:

@@ -213,11 +213,11 @@ def test_one_spoilt_message_is_sent_again_and_more_are_a_lost_port(board):
         drive(board, 3.0)
         board.chip.nacks = 1
         drive(board, 0.5)
-        assert board.bridge.status.n_unplugged == 0
+        assert board.bridge.counts.n_unplugged == 0
         board.chip.nacks = 4
         drive(board, 3.0)
 
-        assert board.bridge.status.n_unplugged == 1
+        assert board.bridge.counts.n_unplugged == 1
         assert board.bridge.troubles == ()
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from firmware_bridge.clock import ManualClock, ticks
-from firmware_bridge.loop.bridge import face_status
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import assemble_face, bus_for
 from lipservo.runtime.status.face_status import whole_status
@@ -65,7 +64,7 @@ def measured(source_of, recognizer_of):
                 break
             tally.begin_tick(time_s)
             tally.observe(street.tick(time_s, late))
-        return tally.summary(whole_status(face_status(street.bridge), None), 6.0, 6.0)
+        return tally.summary(whole_status(street.bridge.as_dict(), None), 6.0, 6.0)
 
 
 def undisturbed(_clock):

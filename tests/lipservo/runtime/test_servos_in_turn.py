@@ -48,7 +48,7 @@ def rate_limits(begin):
         n_hits = 0
         for time_s, late in ticks(clock, RATE_HZ):
             n_hits += int(street.tick(time_s, late).report.rate_hits.sum())
-            assert street.bridge.status.n_stale == 0
+            assert street.bridge.counts.n_stale == 0
             if time_s > zero_s + 9.0:
                 return n_hits
     raise AssertionError

@@ -273,11 +273,11 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
                 back_s = driven_s = 0.0
                 for time_s, late in ticks(clock, _REPLUG_RATE_HZ):
                     channel.publish(ServoTargets(time_s, np.zeros(n_servos)))
-                    before = bridge.status
+                    was_lost = bridge.counts.n_unplugged > 0
                     bridge.tick(time_s, late)
-                    if before.n_unplugged and not back_s and link.exists():
+                    if was_lost and not back_s and link.exists():
                         back_s = link.lstat().st_mtime - time.time() + clock.now()
-                    states = bridge.status.servo_states
+                    states = bridge.servo_states
                     driven = bridge.plugged and all(s is ServoState.DRIVEN for s in states)
                     if back_s and driven and not driven_s:
                         driven_s = clock.now()

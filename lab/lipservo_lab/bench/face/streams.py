@@ -23,7 +23,7 @@ from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.process.control_socket import ControlSocket
@@ -92,7 +92,7 @@ class BenchedFace:
             expression=expression_values(),
         )
         self._control.poll()
-        self._control.answer(lambda: face_status(self._bridge))
+        self._control.answer(self._bridge.as_dict)
 
 
 def stream_figures(seconds: float) -> dict[str, float]:

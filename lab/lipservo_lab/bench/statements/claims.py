@@ -21,7 +21,7 @@ OLD_S: Final = 0.3
 #: after a tick that came late, at its own speed.
 _PULSE_US, _RAMP_S = 60.0, 1.0
 #: Between two troubles in one line.
-_NEXT_TROUBLE: Final = re.compile(r"; (?=servo '|recogniser )")
+_NEXT_TROUBLE: Final = re.compile(r"; (?=servo '|recogniser |the servo loop |no new )")
 #: Before the sentence itself.
 _KIND: Final = re.compile(r"\w+ (?:[\w ]+: )?")
 

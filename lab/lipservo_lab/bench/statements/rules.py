@@ -169,7 +169,7 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}dry run over; no torque was switched on", _ALL_OFF),
     (r"{S}every servo (?:is driven|holds) again", _ALL_ON),
     (r"{S}motion comes again", nothing),
-    (r"{S}no motion comes from speech .*: the servos are let go until it comes", _ALL_OFF),
+    (r"{S}(?:the servo loop missed|no new motion|servo loop and speech are in).*", nothing),
     # What is done; what came of it, each servo's torque says.
     (r"{S}no motion comes from speech .*: torque is switched off until it comes", unknown),
     (r"{S}the port of the servos is (?:gone|back)", nothing),

@@ -171,9 +171,9 @@ def test_a_question_is_asked_while_the_servos_are_held():
         return "7 8 9"
 
     with robot:
-        n_ticks = robot._driven.bridge.status.n_ticks
+        n_ticks = robot._driven.bridge.counts.n_ticks
         assert robot.hold_while(ask) == "7 8 9"
-        assert robot._driven.bridge.status.n_ticks > n_ticks
+        assert robot._driven.bridge.counts.n_ticks > n_ticks
         with pytest.raises(EOFError, match="no more"):
             robot.hold_while(lambda: (_ for _ in ()).throw(EOFError("no more")))
 

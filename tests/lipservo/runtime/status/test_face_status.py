@@ -9,7 +9,6 @@ from places import ROOT
 from speaking_status import SPEECH
 
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.loop.bridge import face_status
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.runtime.servos.assembly import assemble_face, bridge_for, bus_for
 from lipservo.runtime.status.face_status import BridgeSide, SpeechStatus, Status, whole_status
@@ -21,7 +20,7 @@ FIELDS = [field.name for side in (BridgeSide, SpeechStatus) for field in fields(
 def of_bridge():
     face = assemble_face("face_jaw", None)
     with bus_for(face.settings, ManualClock()) as bus:
-        return face_status(bridge_for(face.settings, bus, MemoryTargetChannel(), rate_hz=30.0))
+        return bridge_for(face.settings, bus, MemoryTargetChannel(), rate_hz=30.0).as_dict()
 
 
 def test_bridge_and_speech_fill_in_every_field_but_what_only_a_loop_or_a_servo_knows(of_bridge):
