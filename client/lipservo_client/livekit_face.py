@@ -99,7 +99,7 @@ class LiveKitFace(AudioOutput):
                 self._end(self._turn, self._words, 0, is_whole=False)
 
     async def _begun(self, rate_hz: int) -> AsyncSpeech:
-        """Return a new stream for a segment. Raises FaceError."""
+        """Return a new stream, started once earlier calls are sent. Raises FaceError."""
         self._take_context()
         self._words = SpokenWords(rate_hz)
         if self._last is not None:
@@ -114,7 +114,10 @@ class LiveKitFace(AudioOutput):
         return speech
 
     def _take_context(self) -> None:
-        """Find whose segment begins: LiveKit sends its frames in a context that holds both."""
+        """Store the speech handle and the session of the segment that begins.
+
+        LiveKit calls `capture_frame` in a task whose context variables contain both.
+        """
         values = list(copy_context().values())
         handle = next((each for each in values if isinstance(each, SpeechHandle)), None)
         if handle is None or handle is not self._turn.handle:
@@ -177,7 +180,10 @@ class LiveKitFace(AudioOutput):
         )
 
     def _correct(self, event: ConversationItemAddedEvent) -> None:
-        """Cut what the session remembers of a turn to what was heard, if no words came with it."""
+        """Cut an interrupted message of the session to what was heard.
+
+        Only where no words came with the sound; otherwise `_end` has reported them.
+        """
         item, turn = event.item, self._turn
         if item.type != "message" or item.role != "assistant":
             return
