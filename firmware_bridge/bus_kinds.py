@@ -238,6 +238,10 @@ def kind_at(port: str) -> BusKind:
 
 
 def _other(name: str) -> object:
+    """Load a kind of bus from another package's entry point of the group `lipservo.buses`.
+
+    Raises UnknownBusError if no package has one of this name, or loading it fails.
+    """
     for point in entry_points(group=GROUP, name=name):
         try:
             return point.load()

@@ -171,6 +171,7 @@ def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> 
 
 
 def _fast_read(line: Line, ids: Sequence[int]) -> Iterator[Finding]:
+    """Yield a warning that names those of `ids` that do not answer Fast Sync Read, if any."""
     deaf = without_fast_read(line, ids)
     if deaf:
         named = "all servos" if len(deaf) == len(ids) else f"ids {', '.join(map(str, deaf))}"

@@ -362,6 +362,10 @@ class Bridge:
         return self._servos.torque_off.report(at_rest=at_rest, plugged=self._port.is_open)
 
     def _start_refusal(self, *, dry_run: bool) -> str:
+        """Return why a start is refused now; empty: it is accepted.
+
+        dry_run: True refuses every start, since no servo ever gets torque in a dry run.
+        """
         if dry_run:
             return self._servos.gate.forbidden
         if self._state in (FaceState.DRIVEN, FaceState.SILENT):
@@ -384,6 +388,7 @@ class Bridge:
                 return self._port.is_open and self._servos.supervision.any_driven
 
     def _do(self, action: FaceAction) -> None:
+        """Carry out one action of `FACE_TABLE`. BEGIN raises PortError; others note a lost port."""
         servos = self._servos
         match action:
             case FaceAction.ALLOW_TORQUE:

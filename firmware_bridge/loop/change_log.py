@@ -82,6 +82,7 @@ class ChangeLog:
                 _LOG.warning("%s", remark)
 
     def _log_state(self, state: FaceState) -> None:
+        """Log that motion from speech stops or comes again, and store the new state."""
         if state is FaceState.SILENT:
             _LOG.warning(
                 "no motion comes from speech (the computer is too busy, or it hangs): "

@@ -218,6 +218,12 @@ class LifeCycle:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, _: object
     ) -> bool:
+        """Bring the face to rest, switch torque off, report it, and restore the signal handlers.
+
+        A frozen face is held here until another stop. Raises ServoError if the face stopped because
+        a critical servo failed. Returns True for ImmediateStop, which ends here; to any other
+        exception the report is added if a servo did not confirm.
+        """
         control, lifeline = self._links.control, self._links.lifeline
         try:
             with contextlib.suppress(ImmediateStop):
@@ -303,6 +309,7 @@ class LifeCycle:
                 return self._bridge.state is FaceState.EASING
 
     def _do(self, action: LifeAction) -> None:
+        """Carry out one action of `LIFE_TABLE`. ARM, ARM_AGAIN and KEEP may raise BusError."""
         match action:
             case LifeAction.ARM | LifeAction.ARM_AGAIN:
                 by_person = action is LifeAction.ARM_AGAIN

@@ -337,6 +337,10 @@ class ServoSupervision:
         return True
 
     def _do(self, action: ServoAction, i: int, time_s: float, port: TorquePort | None) -> None:
+        """Carry out one action of `SERVO_TABLE` for servo `i` at `time_s`.
+
+        port: may be None for actions that send nothing; ValueError for all others.
+        """
         match action:
             case ServoAction.COUNT:
                 self._failures[i].append(time_s)

@@ -156,6 +156,10 @@ class OeGuard:
                 process.wait(_TAKE_OVER_S)
 
     def _fail(self, what: str) -> None:
+        """Kill the guard process, so that the pin's pull-up ends the pulses; raise ServoError.
+
+        what: what the process did, such as `has died`, for the message.
+        """
         if self._process is not None:
             self._process.kill()
             self._process.wait()

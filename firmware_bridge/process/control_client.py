@@ -334,6 +334,11 @@ def _wait_to_retry(give_up_s: float) -> None:
 
 @contextlib.contextmanager
 def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
+    """Connect to the control socket at `path`; yield the connection, and close it at the end.
+
+    The time left until monotonic `give_up_s` is the timeout of every call on the connection. Raises
+    TimeoutError while too many clients wait, OSError if no face listens.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
         client.settimeout(max(0.001, give_up_s - time.monotonic()))
         try:

@@ -83,6 +83,7 @@ def let_go(face: str, settings: "BusSettings", servos: Mapping[int, str]) -> Non
     is_taken = False
 
     def open_free() -> PortRelease:
+        """Open the port; note in `is_taken` whether another program has it. Raises PortError."""
         nonlocal is_taken
         try:
             port, is_taken = opener(), False

@@ -245,6 +245,7 @@ class Supervisor:
                 return self._stop_report is not None and not self._holds(Requested.END)
 
     def _do(self, action: SupervisorAction) -> None:
+        """Carry out one action of `SUPERVISOR_TABLE`."""
         match action:
             case SupervisorAction.START_BRIDGE:
                 self._start_bridge()
@@ -281,6 +282,7 @@ class Supervisor:
         return [*self._bridge.child.filenos(), *self._speech.child.filenos(), *control]
 
     def _read_messages(self) -> None:
+        """Store or act on what bridge and speech have reported since the last step."""
         for message in self._bridge.child.read():
             match message:
                 case Stopped(level, ends, requested_by):
@@ -344,6 +346,7 @@ class Supervisor:
         self._fire(SupervisorEvent.SIGNAL)
 
     def _serve_control(self) -> None:
+        """Answer clients, and carry out their stops and orders, while no bridge does so."""
         if self._bridge.serves:
             self._control.send_away()  # a client let in here would wait for ever for an answer
             return
@@ -362,6 +365,7 @@ class Supervisor:
                 return
 
     def _obey_stop(self, request: StopRequest) -> None:
+        """Keep a client's stop for later bridges, and act on it; a second freeze does nothing."""
         was_frozen = self._holds(Requested.FREEZE)
         self._hold_stop(request)
         if request.level is not StopLevel.FREEZE:
@@ -399,6 +403,10 @@ class Supervisor:
         return self._servo_names.index(name)
 
     def _watch_speech(self, ended: int | None, now_s: float) -> None:
+        """Start speech when due, kill it if it hangs, or note its end; not after a stop to end.
+
+        ended: its exit status, if it has just ended.
+        """
         speech = self._speech
         if ended is not None:
             if not self._holds(Requested.END):
@@ -410,6 +418,10 @@ class Supervisor:
             speech.start(zero, now_s)
 
     def _watch_bridge(self, ended: int | None, now_s: float) -> None:
+        """Take the next step with the bridge: its end, start or kill, or torque off by force.
+
+        ended: its exit status, if it has just ended.
+        """
         if ended is not None:
             self._bridge_ended(ended, now_s)
         elif self._release is not None:
@@ -425,6 +437,7 @@ class Supervisor:
             self._fire(SupervisorEvent.DUE)
 
     def _start_bridge(self) -> None:
+        """Start the bridge; its arguments are the stop and the servos that must stay limp."""
         arguments = []
         if self._request is not None:
             arguments += ["--stopped", self._request.level.value]
@@ -436,6 +449,7 @@ class Supervisor:
         self._bridge.start(arguments, self._now_s)
 
     def _bridge_ended(self, status: int, now_s: float) -> None:
+        """Note the bridge's exit status (negative: killed by that signal), and fire its event."""
         self._bridge_status = status
         if status == ExitStatus.ENDED_WELL:
             self._conclude(let_go_report(self._servos.can, {}), status)

@@ -244,6 +244,7 @@ class ChainSetup:
         return Plan(servo, servo_id, rate, tuple(self.lacking(line, servo, servo_id, baud_rate)))
 
     def _other_model(self, servo: MountedServo[Any], number: Any) -> list[str]:
+        """Return [a line that another model was found], or [] for the right model."""
         it_is, wanted = self.model_name(number), servo.model.name
         if it_is == wanted:
             return []

@@ -56,6 +56,7 @@ class PyserialTransport:
 
     @baud_rate.setter
     def baud_rate(self, baud_rate: int) -> None:
+        """Set the baud rate. Raises PortError for an impossible one, PortGone for a lost port."""
         try:
             self._handle.baudrate = baud_rate
         except ValueError as error:

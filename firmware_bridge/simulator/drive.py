@@ -101,6 +101,7 @@ class RegisterMemory:
     def _mapping_refusal(
         self, block: IndirectBlock, address: int, data: bytes
     ) -> list[tuple[Register, int]] | StatusError:
+        """Return the status error against a write of indirect addresses; []: it is allowed."""
         if (address - block.addresses) % 2 or len(data) % 2:
             return StatusError.DATA_LENGTH
         targets = struct.unpack(f"<{len(data) // 2}H", data)
@@ -111,6 +112,10 @@ class RegisterMemory:
         return []
 
     def _through_indirect(self, block: IndirectBlock, address: int, data: bytes) -> bytes:
+        """Return the bytes of a read with the block's data bytes replaced by what they point to.
+
+        data: the bytes in memory from `address` on.
+        """
         shown = bytearray(data)
         for offset in range(len(data)):
             number = address + offset - block.data
