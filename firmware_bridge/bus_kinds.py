@@ -52,7 +52,7 @@ class Wiring:
     `BusKind.servo`, in the order of `joints`. rate_hz: ticks a second. kept: the file with the
     positions sent last, for a bus whose servos cannot report theirs; None: no file. capabilities:
     of servos in memory that simulate others; None: their kind's. may_jump: a person agreed that
-    servos whose position nobody knows jump to neutral (0 degrees) when they start.
+    servos of unknown position jump to neutral (0 degrees) when they start.
     """
 
     settings: Any

@@ -165,10 +165,10 @@ class KeptPulses:
 class PulseBus:
     """All hobby servos of one face behind one controller, as a `ServoBus`.
 
-    `torque` is what the controller says: a servo is on where it sends it a pulse, off where it
-    sends none, and unknown while the servo waits for its turn to start. A servo that gets pulses
-    already when the port is opened goes on getting them as they are, until it is
-    started or switched off.
+    `torque` is what the controller reports: a servo is on while the controller sends it pulses, off
+    while it sends none, and unknown while the servo waits for its turn to start. A servo that gets
+    pulses already when the port is opened goes on getting them as they are, until it is started or
+    switched off.
     """
 
     def __init__(

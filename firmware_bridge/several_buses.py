@@ -135,7 +135,7 @@ class BusThread:
             return 0.0 if self._running is None else self._clock.now() - self._since_s
 
     def excuse(self, seconds: float) -> None:
-        """Count the present job `seconds` less: it had no processor, or no caller."""
+        """Subtract `seconds` from the running time of the present job: the program stood still."""
         with self._changed:
             self._since_s += seconds
 
@@ -150,7 +150,7 @@ class BusThread:
     def let_go(self) -> None:
         """Drop all waiting jobs, and so make torque off for the whole bus the next job.
 
-        What the present job answers is not believed: it may have switched torque on before.
+        The answer of the job that runs now is thrown away: it may have switched torque on before.
         """
         with self._changed:
             self._jobs.clear()

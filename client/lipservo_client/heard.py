@@ -35,8 +35,8 @@ class SpokenWords:
     def add(self, text: str, start: int | None = None, end: int | None = None) -> int:
         """Append a piece, a text or word, and return its number.
 
-        start, end: samples of the stream; None: it follows the piece before, and lasts until the
-        next that has a start, or the end of the sound.
+        start, end: samples of the stream. Without a start the piece follows the one before; without
+        an end it lasts until the next piece that has a start, or the end of the sound.
         """
         self._pieces.append((text, start, end))
         return len(self._pieces) - 1

@@ -79,7 +79,10 @@ class LiveKitFace(AudioOutput):
         await asyncio.gather(*self._working, return_exceptions=True)
 
     async def capture_frame(self, frame: rtc.AudioFrame) -> None:
-        """Send a frame of sound to the face; wait while 30 s are unplayed."""
+        """Send a frame of sound to the face, waiting while 30 s are unplayed.
+
+        Frames of a segment that was cut off, or that no face accepts, are dropped.
+        """
         await super().capture_frame(frame)
         if self._is_cut:
             return
@@ -164,7 +167,10 @@ class LiveKitFace(AudioOutput):
         self._end(turn, words, speech.n_played, is_whole=speech.was_heard)
 
     def _end(self, turn: _Turn, words: SpokenWords, n_played: int, *, is_whole: bool) -> None:
-        """Tell the session that a segment is over, and which of its words were heard."""
+        """Report to the session that a segment is over, and which of its words were heard.
+
+        n_played: samples. is_whole: played to the end; otherwise the turn counts as interrupted.
+        """
         turn.n_samples += words.n_samples
         turn.n_played += n_played
         is_known = not is_whole and (turn.has_words or n_played == 0)

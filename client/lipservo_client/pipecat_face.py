@@ -140,7 +140,7 @@ class PipecatFace(_FaceProcessor):
 
     Frames behind sound go on when the sound was played, so that the context contains what a person
     heard. While no face answers, an error is pushed and the sound goes on to the transport, until
-    the face is back and the transport has played it. last_played: how much of its speech was played
+    the face is back and the transport has played it. last_played: how much of the speech was played
     at the last interruption; None: no speech was cut off, or it is not known.
     """
 

@@ -159,7 +159,7 @@ _Node = Mapping[str, object]
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """The path of an object in a message, and what those around it say of it.
+    """The path of an object in a message, and what the objects around it state.
 
     start: where its word begins; speed: by which its durations are divided (VOICEVOX).
     """
@@ -183,7 +183,11 @@ class _Here:
 
 
 def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
-    """Yield every object in `value` with its path, keys in lower case without underscores."""
+    """Yield every object in `value` with its path, keys in lower case without underscores.
+
+    Blendshapes, and lists of [label, start, end], are yielded as objects with lists of values.
+    Raises VendorError for a malformed one, or objects nested too deep.
+    """
     if isinstance(value, list):
         for number, each in enumerate(value):
             yield from _nodes(each, here.inside({}, f"[{number}]"))

@@ -32,8 +32,8 @@ _STOP: Final = b'{"type": "audio-stop"}\n'
 class _Handler(AsyncEventHandler):
     """A Wyoming client's connection: `audio-start`, `-chunk` and `-stop` are an announcement.
 
-    It is answered by `played` once all of it was heard, else by `error`. turn: held by the
-    connection whose announcement is spoken; the others wait, and read no further.
+    An announcement is answered by `played` once all of it was heard, else by `error`. turn: held by
+    the connection whose announcement is spoken; the others wait, and read no further.
     """
 
     def __init__(

@@ -482,10 +482,11 @@ def simulated_wire(wiring: Wiring) -> tuple[FeetechBus, ManualClock]:
 def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) -> PtyHost:
     """Return a host that serves simulated servos at a pseudo-terminal.
 
-    wiring: of the face that they belong to; None: servos of one model, with factory settings. link:
-    path of a symbolic link to the terminal. request.log: a file that gets each change of torque or
-    goal as a line of JSON. Raises ServoError for what no chain can have, ValueError for an invalid
-    script, and PortError where no terminal or link can be made.
+    wiring: the servos of the face that is simulated; None: new servos of one model, with factory
+    settings. link: path of a symbolic link to the terminal. request.log: a file that gets each
+    change of torque or goal as a line of JSON. Raises ServoError for an unknown model, baud rate or
+    id and for a log that cannot be written, ValueError for an invalid script, and PortError where
+    no terminal or link can be made.
     """
     rates, last_id = baud_rates(), BROADCAST_ID - 1
     new = request.new_servos(servo_models(), "STS3215", rates.values(), last_id)

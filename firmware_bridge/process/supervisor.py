@@ -220,7 +220,10 @@ class Supervisor:
         return {"not_kept": not_kept} if not_kept else {}
 
     def _fire(self, event: SupervisorEvent) -> bool:
-        """Go where the table says, and do what it says; return whether the event means anything."""
+        """Set the phase by the row of `SUPERVISOR_TABLE` for `event`, and carry out its actions.
+
+        Return False, having done nothing, if the present phase has no such row.
+        """
         row = SUPERVISOR_TABLE.find(self._phase, event, self._holds)
         if row is None:
             return False
@@ -230,7 +233,7 @@ class Supervisor:
         return True
 
     def _holds(self, requested: Requested) -> bool:
-        """Return whether this was requested last, and holds."""
+        """Return whether the condition `requested` of a row holds: what a person requested last."""
         request = self._request
         match requested:
             case Requested.END:
@@ -391,9 +394,10 @@ class Supervisor:
         return f"{self._phase.value}: ask again once the face is driven"
 
     def _obey_start(self, order: StartFace, *, is_stopped_now: bool) -> None:
-        """Start the face's bridge as the order demands, unless the face was stopped in this round.
+        """Start the face's bridge as `order` demands, and log it.
 
-        is_stopped_now: whether it was. A start of a face that is not stopped is ignored, too.
+        is_stopped_now: whether a stop came in the same round, which voids the start. A start of a
+        face that is not stopped does nothing.
         """
         is_obeyed = not is_stopped_now and self._fire(SupervisorEvent.START)
         then = "" if is_obeyed else ": not obeyed, a stop came with it"
@@ -502,7 +506,7 @@ class Supervisor:
         return let_go_report(let_go, release.unconfirmed, confirms=confirms)
 
     def _conclude(self, report: StopReport, status: int) -> None:
-        """Note the report of torque off, and with what the process would exit."""
+        """Store the report of torque off, and the exit status that the process would have now."""
         self._end_report, self._at_s = report, round(time.time(), 3)
         self.exit_status = int(status)
 

@@ -161,7 +161,7 @@ class SerialBus(ABC, Generic[_Line]):
     def __exit__(self, *exc: object) -> None:
         """Switch all torque off if any was switched on here, and close the port.
 
-        A port that is lost is only closed: what the servos do then, nobody can be told.
+        A port that is lost cannot carry the order: it is closed, and no error is raised.
         """
         try:
             if self._line is not None and self._cache.enabled.any():

@@ -54,8 +54,9 @@ class RegisterMemory:
     ) -> list[tuple[Register, int]] | StatusError:
         """Return the registers that a write changes, with their values, or the write's error.
 
-        Indirect data is resolved. []: an allowed write of indirect addresses, to be done by
-        `map_indirect`. locked: whether torque is on, so that indirect addresses cannot be changed.
+        Indirect data is resolved. []: an allowed write of indirect addresses, whose bytes the
+        caller puts into memory. locked: whether torque is on, so that indirect addresses cannot be
+        changed.
         """
         for block in self._indirect:
             if block.data <= address < block.data + block.count:
