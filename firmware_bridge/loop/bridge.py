@@ -364,7 +364,8 @@ class Bridge:
     def _start_refusal(self, *, dry_run: bool) -> str:
         """Return why a start is refused now; empty: it is accepted.
 
-        dry_run: True refuses every start, since no servo ever gets torque in a dry run.
+        dry_run: True refuses a person's start, since no servo gets torque in a dry run; `start`
+        passes False, since the program's own start of a dry run only reads the servos.
         """
         if dry_run:
             return self._servos.gate.forbidden

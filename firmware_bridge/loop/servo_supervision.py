@@ -343,7 +343,7 @@ class ServoSupervision:
     def _do(self, action: ServoAction, i: int, time_s: float, port: TorquePort | None) -> None:
         """Carry out one action of `SERVO_TABLE` for servo `i` at `time_s`.
 
-        port: may be None for actions that send nothing; ValueError for all others.
+        Raises ValueError if port is None, unless the action only counts or forgets failures.
         """
         match action:
             case ServoAction.COUNT:

@@ -233,7 +233,7 @@ class Supervisor:
         return True
 
     def _holds(self, requested: Requested) -> bool:
-        """Return whether the condition `requested` of a row holds: what a person requested last."""
+        """Return whether the condition `requested` of a row of `SUPERVISOR_TABLE` holds now."""
         request = self._request
         match requested:
             case Requested.END:
@@ -407,9 +407,10 @@ class Supervisor:
         return self._servo_names.index(name)
 
     def _watch_speech(self, ended: int | None, now_s: float) -> None:
-        """Start speech when due, kill it if it hangs, or note its end; not after a stop to end.
+        """Note the end of the speech process, kill it if it hangs, or start it when due.
 
-        ended: its exit status, if it has just ended.
+        Once the face's processes are to end it is not started again. ended: its exit status if it
+        has just ended; None otherwise.
         """
         speech = self._speech
         if ended is not None:
@@ -424,7 +425,7 @@ class Supervisor:
     def _watch_bridge(self, ended: int | None, now_s: float) -> None:
         """Take the next step with the bridge: its end, start or kill, or torque off by force.
 
-        ended: its exit status, if it has just ended.
+        ended: its exit status if it has just ended; None otherwise.
         """
         if ended is not None:
             self._bridge_ended(ended, now_s)

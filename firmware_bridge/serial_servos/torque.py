@@ -78,7 +78,7 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
     def keep(self, line: _Line, index: int) -> bool:
         """Hold a servo with torque on at its present position; return whether it confirmed that.
 
-        False if its torque is off, which stays off, or if reads do not confirm goal and limits.
+        False if its torque is off, and stays off, or if reads do not confirm goal and protections.
         """
         status = line.read(self._servos[index].joint.servo_id, self.torque_address, 1)
         if status is None or not status.data:
