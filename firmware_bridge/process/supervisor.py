@@ -113,8 +113,8 @@ class Supervisor:
         control : the face's control socket, served here while no bridge serves it.
         notice : to systemd.
         record : keeps stops beyond this process, and may hold one from before it.
-        tell_kept : called with the reason whenever it changes why a stop cannot be kept, for the
-            process that answers clients; empty: it is kept.
+        tell_kept : informs the process that answers clients; called, whenever that changes, with
+            why a stop cannot be kept, empty: it is kept.
 
         """
         self._bridge, self._speech = RestartedChild(bridge), RestartedChild(speech)
