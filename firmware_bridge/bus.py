@@ -113,13 +113,13 @@ class Feedback:
 class Health:
     """The last readings of all servos' condition, polled one at a time; arrays are (n_servos,).
 
-    silent_s: seconds since its last answer. torque: numbers of `Torque`, as the bus knows them
-    (`ServoBus.torque`).
-    watchdog_tripped: it stopped by itself because it received no packet in time. hardware_errors:
-    bits of `HardwareError`. temperature_degc, voltage_v: NaN = never read, or not measured.
-    room_degc: how far its temperature is below its own limit; 45 before the first reading, infinite
-    where it is not measured. effort: share of the stall torque; current_ma: NaN where it is not
-    measured. n_unanswered: requests of ticks left unanswered so far.
+    silent_s: seconds since a servo's last answer. torque: numbers of `Torque`, as the bus knows
+    them (`ServoBus.torque`). watchdog_tripped: the servo stopped by itself because it received no
+    packet in time. hardware_errors: bits of `HardwareError`. temperature_degc, voltage_v: NaN =
+    never read, or not measured. room_degc: how far the servo's temperature is below its own limit;
+    45 before the first reading, infinite where it is not measured. effort: share of the stall
+    torque; current_ma: NaN where it is not measured. n_unanswered: requests of ticks left
+    unanswered so far.
     """
 
     silent_s: Array

@@ -52,7 +52,7 @@ class Wiring:
     `BusKind.servo`, in the order of `joints`. rate_hz: ticks a second. kept: the file with the
     positions sent last, for a bus whose servos cannot report theirs; None: no file. capabilities:
     of servos in memory that simulate others; None: their kind's. may_jump: a person agreed that
-    servos whose position nobody knows jump to neutral (0 degrees) when they start.
+    servos of unknown position jump to neutral (0 degrees) when they start.
     """
 
     settings: Any
@@ -238,6 +238,10 @@ def kind_at(port: str) -> BusKind:
 
 
 def _other(name: str) -> object:
+    """Load a kind of bus from another package's entry point of the group `lipservo.buses`.
+
+    Raises UnknownBusError if no package has one of this name, or loading it fails.
+    """
     for point in entry_points(group=GROUP, name=name):
         try:
             return point.load()

@@ -112,9 +112,10 @@ class BusServo(Strict):
         return 0.0
 
     def within_reach(self, reach_deg: float, fastest_deg_s: float) -> Self:
-        """Return this, of a servo that reaches `reach_deg` to each side; ValueError if it cannot.
+        """Return `self` if the servo reaches all of the joint's range; raise ValueError otherwise.
 
-        fastest_deg_s: its speed without load.
+        reach_deg: how far the servo turns to each side. fastest_deg_s: its speed without load,
+        which max_speed_deg_s must not exceed.
         """
         for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
             servo_deg = self.sign * (angle + self.zero_offset_deg)

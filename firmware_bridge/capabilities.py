@@ -14,8 +14,8 @@ SOFT_START_S: Final = 1.0
 class BusCapabilities:
     """What the servos of one kind of bus can do; callers test this, not the kind.
 
-    What a bus cannot know it reports as NaN (positions, load, heat, voltage), and nothing that
-    follows from it is claimed for it.
+    Values that a bus cannot know are NaN (positions, load, heat, voltage), and callers conclude
+    nothing from them.
 
     Attributes
     ----------

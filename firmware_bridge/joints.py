@@ -67,6 +67,7 @@ class Joint:
     pulse: JointPulse | None = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError for limits, speed or acceleration that the class does not allow."""
         if not -math.inf < self.min_deg <= 0.0 <= self.max_deg < math.inf:
             raise ValueError(
                 f"joint {self.name!r}: needs min_deg <= 0 <= max_deg, "

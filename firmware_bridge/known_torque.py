@@ -42,7 +42,7 @@ class KnownTorque:
     """
 
     def __init__(self, n_servos: int, sent_us: NDArray[np.float64] | None = None) -> None:
-        """Know nothing yet. sent_us: (n_servos,), of the bus; None: it sends no pulses."""
+        """Start with all unknown. sent_us: (n_servos,), of the bus; None: it sends no pulses."""
         self._nothing = np.full(n_servos, _UNKNOWN, dtype=np.int8)
         self._nothing.flags.writeable = False
         self.states: NDArray[np.int8] = self._nothing
@@ -50,12 +50,12 @@ class KnownTorque:
         self.sent_us = np.full(n_servos, np.nan) if sent_us is None else sent_us
 
     def note(self, index: int, at_s: float, *, on: bool) -> None:
-        """Take evidence of one servo: it confirmed at monotonic `at_s` that its torque is `on`."""
+        """Store that one servo confirmed, at monotonic `at_s`, that its torque is `on`."""
         self._set(index, _ON if on else _OFF)
         self.at_s[index] = at_s
 
     def forget(self, indices: Iterable[int] | None = None) -> None:
-        """Know nothing of these servos from now on; None: of all.
+        """Mark these servos as unknown; None: all servos.
 
         To be called before a packet that may change torque, when a servo is silent, and when the
         port is lost.
@@ -84,7 +84,7 @@ class KnownTorque:
 
     @property
     def any_on(self) -> bool | None:
-        """Whether any servo is on; None: none is known to be, and not every one to be off."""
+        """Whether any servo is on; None: none is known to be on, but some are unknown."""
         states = self.states.tobytes()
         if _ON in states:
             return True
@@ -139,6 +139,8 @@ def unknown_when_lost(bus: type[_Bus]) -> type[_Bus]:
 
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a bus's method, changed: a PortError makes all torque unknown before it goes on."""
+
     @wraps(method)
     def guarded(bus: _KnowsTorque, *args: Any) -> Any:
         try:

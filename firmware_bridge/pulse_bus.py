@@ -165,10 +165,10 @@ class KeptPulses:
 class PulseBus:
     """All hobby servos of one face behind one controller, as a `ServoBus`.
 
-    `torque` is what the controller says: a servo is on where it sends it a pulse, off where it
-    sends none, and unknown while the servo waits for its turn to start. A servo that gets pulses
-    already when the port is opened goes on getting them as they are, until it is
-    started or switched off.
+    `torque` is what the controller reports: a servo is on while the controller sends it pulses, off
+    while it sends none, and unknown while the servo waits for its turn to start. A servo that gets
+    pulses already when the port is opened goes on getting them as they are, until it is started or
+    switched off.
     """
 
     def __init__(
@@ -400,6 +400,7 @@ class PulseBus:
         self._open()
 
     def _open(self) -> None:
+        """Open the controller and read each channel's pulse: servos that get one keep it."""
         self._controller.open()
         self._held[:] = self._slow[:] = self._is_steady = False
         self._wrong = [""] * len(self._wrong)
@@ -424,6 +425,7 @@ class PulseBus:
         return self
 
     def __exit__(self, *exc: object) -> None:
+        """End all pulses, if any was sent from here; close the controller; write the pulse file."""
         try:
             if self._has_sent and self.torque.any_on is not False:
                 self.disable_all()
@@ -435,6 +437,7 @@ class PulseBus:
             self._kept.close()
 
     def _release(self, which: NDArray[np.bool_]) -> None:
+        """End the pulses of some servos. which: (n_servos,), True for these."""
         self._goal_us = np.where(which & self._pulsed, self._last_us, self._goal_us)
         self._is_steady = False
         self._held &= ~which

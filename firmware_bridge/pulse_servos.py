@@ -56,6 +56,10 @@ class PulseServo(BusServo, _Channel):
 
     @model_validator(mode="after")
     def _its_pulses_reach(self) -> Self:
+        """Raise ValueError where a limit of the joint needs a pulse outside min_us..max_us.
+
+        Also for a sign or zero_offset_deg, which hobby servos do not have.
+        """
         if self.sign != 1 or self.zero_offset_deg != 0.0:
             raise ValueError(
                 "hobby servos have no sign and zero_offset_deg; a negative us_per_deg reverses "

@@ -135,7 +135,7 @@ class BusThread:
             return 0.0 if self._running is None else self._clock.now() - self._since_s
 
     def excuse(self, seconds: float) -> None:
-        """Count the present job `seconds` less: it had no processor, or no caller."""
+        """Subtract `seconds` from the running time of the present job: the program stood still."""
         with self._changed:
             self._since_s += seconds
 
@@ -150,7 +150,7 @@ class BusThread:
     def let_go(self) -> None:
         """Drop all waiting jobs, and so make torque off for the whole bus the next job.
 
-        What the present job answers is not believed: it may have switched torque on before.
+        The answer of the job that runs now is thrown away: it may have switched torque on before.
         """
         with self._changed:
             self._jobs.clear()
@@ -201,6 +201,10 @@ class BusThread:
         return key in self._answers or not is_due or self._error is not None
 
     def _next(self) -> tuple[_Key, Callable[[], Any], int]:
+        """Wait for a job, the oldest; return its key, the job, and how often `let_go` was called.
+
+        By that count `_run` notices a `let_go` while the job ran.
+        """
         with self._changed:
             if not self._jobs:
                 self.is_behind = False
@@ -210,6 +214,10 @@ class BusThread:
             return key, self._jobs.pop(key), self._n_offs
 
     def _run(self) -> None:
+        """Do the jobs one after another, and store answers and errors, until the job `leave`.
+
+        The answer to a job during which `let_go` was called is thrown away.
+        """
         key = _WRITE
         while key != _LEAVE:
             key, job, n_offs = self._next()
@@ -460,6 +468,10 @@ class SeveralBuses:
         self._check()
 
     def __enter__(self) -> Self:
+        """Open all buses, and start their threads; where one fails, close the others and raise.
+
+        Raises the bus's BusError, with the bus's name.
+        """
         with ExitStack() as opened:
             for name, bus in self._buses.items():
                 try:

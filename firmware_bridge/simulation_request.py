@@ -51,9 +51,11 @@ class SimulationRequest:
     def new_servos(
         self, models: Mapping[str, Model], usual: str, rates: Collection[int], highest_id: int
     ) -> tuple[list[Model], range]:
-        """Return model and id of each servo of no face. Raises ServoError for what there is not.
+        """Return models and ids of the servos requested, where they belong to no face.
 
-        models: all, by name. usual: the name of the one that is taken otherwise. rates: all, baud.
+        models: all that can be simulated, by name. usual: the name used where the request has no
+        model. rates: all baud rates. Raises ServoError for an unknown model or rate, or an id above
+        highest_id.
         """
         last_id, model = self.first_id + self.n_servos - 1, self.model or usual
         if model not in models:
@@ -94,9 +96,9 @@ class DueFaults(Generic[Fault]):
         self._coming = [(fault.at_s, fault) for fault in faults]
 
     def take(self, now_s: float) -> list[tuple[float, Fault]]:
-        """Return (time, fault) of those that begin by `now_s` and were not returned before.
+        """Return (time, fault) of the faults that begin by `now_s`, in order of time.
 
-        Each is there once, in the order of time.
+        A fault is returned once a call at most; one that is repeated is due again `every_s` later.
         """
         due = [each for each in self._coming if each[0] <= now_s]
         for at_s, fault in due:

@@ -50,11 +50,12 @@ def without_place(label: str) -> str:
 
 
 def alphabet_of(units: Iterable[tuple[str, float, float | None]]) -> Literal["arpabet", "ipa"]:
-    """Return the alphabet of all phonemes of a file, (label, start s, end s); pauses do not count.
+    """Return the alphabet of a file's phonemes, units (label, start s, end s), pauses left out.
 
-    It is ARPAbet if every label is, in any case. Lower-case letters alone (`m`, `y`) are IPA, as
-    they are the same there but for `y`. Raises VendorError for an ASCII word: it is not spelled as
-    IPA, letter by letter, unless someone says that it is IPA.
+    ARPAbet if every label is one of its phones, in any case, and not all are single lower-case
+    letters: those (`m`, `y`) are IPA, where all but `y` mean the same. Raises VendorError for an
+    ASCII word, which would else be spelled as IPA letter by letter, and for a label without
+    letters.
     """
     labelled = [
         (label, f"phoneme {n} at {start_s:.3f} s")

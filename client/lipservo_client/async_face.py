@@ -436,6 +436,10 @@ class AsyncFace:
         return await self._let_speak("play", wait=wait, file=file)
 
     async def _let_speak(self, kind: str, *, wait: bool, **fields: object) -> dict[str, Any]:
+        """Send `say` or `play` and return the answer; with `wait` once the speech has ended.
+
+        Raises FaceError: 60 s without an answer, or no end of the speech 310 s after its duration.
+        """
         number = next(self._numbers)
         heard: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
         self._spoken[number] = heard
@@ -455,6 +459,11 @@ class AsyncFace:
     async def _ask(
         self, kind: str, number: int | None = None, limit_s: float | None = None, **fields: object
     ) -> dict[str, Any]:
+        """Send a command over `/control`, connecting first if needed; return the answer's `result`.
+
+        number: the command's id; None: a new one. limit_s: seconds until the answer; None: 10.
+        Raises FaceError for an `error` as the answer, or none.
+        """
         number = next(self._numbers) if number is None else number
         limit_s = PATIENCE_S if limit_s is None else limit_s
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
@@ -471,6 +480,7 @@ class AsyncFace:
             del self._pending[number]
 
     async def _connect(self) -> None:
+        """Open `/stream` and compare protocol versions. Raises FaceError as `__aenter__` does."""
         url = f"{self._url}/stream"
         self._greeting = asyncio.get_running_loop().create_future()
         async with _patience(url, PATIENCE_S):
@@ -488,6 +498,7 @@ class AsyncFace:
         self._connection = wire
 
     async def _reconnect(self) -> None:
+        """Try to connect, with growing pauses, until a face answers; then emit `reconnected`."""
         wait_s, reason = _FIRST_WAIT_S, "not_answering"
         while self._connection is None:
             await _happened(self._wanted, wait_s * random.uniform(0.5, 1.0))
@@ -503,6 +514,7 @@ class AsyncFace:
         self._hand_on({"type": "reconnected", "code": "", "message": f"{self._url}: is back"})
 
     def _take(self, event: Event) -> None:
+        """Complete the command that a message of `/control` answers, or whose speech has ended."""
         number = event.get("id") or 0
         if event["type"] in ("finished", "dropped"):
             _settle(self._spoken.get(number), event)
@@ -517,6 +529,10 @@ class AsyncFace:
             _settle(waiting, error)
 
     def _hear(self, event: Event) -> None:
+        """Hand an event of `/stream` to its stream and all `Events`; the greeting to `_connect`.
+
+        An error without a stream fails the first stream that waits for its start.
+        """
         if self._greeting is not None and not self._greeting.done():
             if event["type"] == "error":
                 self._greeting.set_exception(error_of(event))
@@ -533,6 +549,7 @@ class AsyncFace:
         self._hand_on(event)
 
     def _lose(self, error: FaceError) -> None:
+        """End all streams with the error of the lost `/stream`, and start reconnecting."""
         _settle(self._greeting, error)
         if self._connection is None:  # left, or never greeted
             return

@@ -84,6 +84,8 @@ def _weights(frame: object) -> dict[str, float]:
 
 
 def _nearest(weights: Mapping[str, float]) -> str:
+    """Return the phone in `_MOUTHS` whose four measures are nearest to those of the weights."""
+
     def mean(*names: str) -> float:
         return sum(weights[name] for name in names) / len(names)
 

@@ -79,6 +79,7 @@ class Face:
         self._face = AsyncFace(url, token)
 
     def __enter__(self) -> Self:
+        """Start the connection's thread and connect. Raises FaceError as `AsyncFace.__aenter__`."""
         self._thread.start()
         try:
             self.wait_for(self._face.__aenter__())
@@ -195,6 +196,8 @@ class Face:
             raise
 
     def _listen(self, events: Events) -> Iterator[Event]:
+        """Yield a face's events, blocking until each comes; end when the client disconnects."""
+
         async def following() -> Event | None:
             return await anext(events, None)
 

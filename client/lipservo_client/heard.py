@@ -16,11 +16,11 @@ _MORE_LETTERS: Final = 3
 
 
 class SpokenWords:
-    """The words of one stream, in the order in which they are spoken, beside its samples.
+    """The words of one stream, in the order in which they are spoken, and the samples they last.
 
-    A word counts as heard when half of it was played, and none while nothing was. Where only some
-    places are known, words share the sound between them by their length in letters. n_samples: of
-    the stream so far.
+    A word counts as heard when half of its samples were played, and no word does before any sample
+    was. Between known places, words share the sound by their length in letters. n_samples: of the
+    stream so far.
     """
 
     def __init__(self, rate_hz: int, n_samples: int = 0) -> None:
@@ -35,24 +35,24 @@ class SpokenWords:
     def add(self, text: str, start: int | None = None, end: int | None = None) -> int:
         """Append a piece, a text or word, and return its number.
 
-        start, end: samples of the stream; None: it follows the piece before, and lasts until the
-        next that has a start, or the end of the sound.
+        start, end: samples of the stream. Without a start the piece follows the one before; without
+        an end it lasts until the next piece that has a start, or the end of the sound.
         """
         self._pieces.append((text, start, end))
         return len(self._pieces) - 1
 
     def heard(self, n_played: int) -> tuple[str, ...]:
-        """Return of each piece the words that count as heard when `n_played` samples were played.
+        """Return for each piece its words that count as heard when `n_played` samples were played.
 
         Joined, they are the text that was heard.
         """
         return tuple(self.part(number, n_played) for number in range(len(self._pieces)))
 
     def part(self, number: int, n_played: int, *, is_complete: bool = True) -> str:
-        """Return the words of one piece, by its number, that count as heard.
+        """Return the words of piece `number` that count as heard after `n_played` samples.
 
-        is_complete: no more samples will come. Deltas of a text are cut anywhere: words are found
-        in all pieces that share its sound.
+        is_complete: no more samples will come. A piece without a start shares the sound of those
+        before it; a word may begin in one piece and end in the next, as in the deltas of a text.
         """
         first, stop = number, number + 1
         while first > 0 and self._pieces[first][1] is None:
@@ -72,7 +72,10 @@ class SpokenWords:
         return texts[number - first][: max(0, n_heard - n_before)]
 
     def _end(self, first: int, stop: int, n_characters: int, is_complete: bool) -> int:
-        """Return the sample at which a run of pieces ends; never before it starts."""
+        """Return the sample at which pieces `first` to `stop` (excluded) end; at least their start.
+
+        n_characters: of their text, by which the end is estimated where none is known.
+        """
         start, end = self._pieces[first][1], self._pieces[stop - 1][2]
         spoken = round(n_characters / _CHARACTERS_PER_S * self.rate_hz)
         begins = start or 0

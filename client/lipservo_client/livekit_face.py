@@ -79,7 +79,10 @@ class LiveKitFace(AudioOutput):
         await asyncio.gather(*self._working, return_exceptions=True)
 
     async def capture_frame(self, frame: rtc.AudioFrame) -> None:
-        """Send a frame of sound to the face; wait while 30 s are unplayed."""
+        """Send a frame of sound to the face, waiting while 30 s are unplayed.
+
+        Frames of a segment that was cut off, or that no face accepts, are dropped.
+        """
         await super().capture_frame(frame)
         if self._is_cut:
             return
@@ -99,7 +102,7 @@ class LiveKitFace(AudioOutput):
                 self._end(self._turn, self._words, 0, is_whole=False)
 
     async def _begun(self, rate_hz: int) -> AsyncSpeech:
-        """Return a new stream for a segment. Raises FaceError."""
+        """Return a new stream, started once earlier calls are sent. Raises FaceError."""
         self._take_context()
         self._words = SpokenWords(rate_hz)
         if self._last is not None:
@@ -114,7 +117,10 @@ class LiveKitFace(AudioOutput):
         return speech
 
     def _take_context(self) -> None:
-        """Find whose segment begins: LiveKit sends its frames in a context that holds both."""
+        """Store the speech handle and the session of the segment that begins.
+
+        LiveKit calls `capture_frame` in a task whose context variables contain both.
+        """
         values = list(copy_context().values())
         handle = next((each for each in values if isinstance(each, SpeechHandle)), None)
         if handle is None or handle is not self._turn.handle:
@@ -161,7 +167,10 @@ class LiveKitFace(AudioOutput):
         self._end(turn, words, speech.n_played, is_whole=speech.was_heard)
 
     def _end(self, turn: _Turn, words: SpokenWords, n_played: int, *, is_whole: bool) -> None:
-        """Tell the session that a segment is over, and which of its words were heard."""
+        """Report to the session that a segment is over, and which of its words were heard.
+
+        n_played: samples. is_whole: played to the end; otherwise the turn counts as interrupted.
+        """
         turn.n_samples += words.n_samples
         turn.n_played += n_played
         is_known = not is_whole and (turn.has_words or n_played == 0)
@@ -177,7 +186,10 @@ class LiveKitFace(AudioOutput):
         )
 
     def _correct(self, event: ConversationItemAddedEvent) -> None:
-        """Cut what the session remembers of a turn to what was heard, if no words came with it."""
+        """Cut an interrupted message of the session to what was heard.
+
+        Only where no words came with the sound; otherwise `_end` has reported them.
+        """
         item, turn = event.item, self._turn
         if item.type != "message" or item.role != "assistant":
             return

@@ -48,9 +48,9 @@ def found_tokens(url: str) -> list[str]:
 def runtime_folders() -> list[Path]:
     """Return the folders that may contain a running face: the service's and the user's; root: all.
 
-    LIPSERVO_RUNTIME, if set, is the only one. Folders that cannot be read are left out, and so is
-    any that does not belong, alone, to the user whose number is in its path (to us where none is):
-    its contents may be anything.
+    LIPSERVO_RUNTIME, if set, is the only one. Left out are folders that cannot be read, and users'
+    folders to which others may write or that belong to another user than the one whose number is in
+    their path (without a number: than this process's), since their contents cannot be trusted.
     """
     if own := os.environ.get("LIPSERVO_RUNTIME", ""):
         return [each for each in (Path(own),) if _may_look_into(each)]

@@ -74,10 +74,10 @@ class _FaceProcessor(FrameProcessor):
 class _Unheard:
     """A frame in the order of speech; it waits until sample `n` of its stream was played.
 
-    Frames of sound are dropped then, others pushed on. speech: None: the frame follows no speech.
+    Frames of sound are dropped then, others pushed. speech: None: the frame follows no speech.
     words, piece: of a spoken text, the words of its stream, and its number among them. is_timed: n
-    is where a word begins, and it waits until it counts as heard; otherwise n is behind all sound
-    before the frame.
+    is where a word begins, and the frame waits until that word counts as heard; otherwise n is
+    behind all sound before the frame.
     """
 
     speech: AsyncSpeech | None
@@ -140,7 +140,7 @@ class PipecatFace(_FaceProcessor):
 
     Frames behind sound go on when the sound was played, so that the context contains what a person
     heard. While no face answers, an error is pushed and the sound goes on to the transport, until
-    the face is back and the transport has played it. last_played: how much of its speech was played
+    the face is back and the transport has played it. last_played: how much of the speech was played
     at the last interruption; None: no speech was cut off, or it is not known.
     """
 
@@ -188,6 +188,7 @@ class PipecatFace(_FaceProcessor):
         await super().queue_frame(frame, direction, callback)
 
     def _note_time(self, frame: frames.Frame) -> None:
+        """Write into a context's first sound the time, in ns, from which its words are timed."""
         if isinstance(frame, frames.TTSAudioRawFrame):
             if frame.context_id not in self._open_contexts:
                 self._open_contexts.add(frame.context_id)
@@ -198,7 +199,10 @@ class PipecatFace(_FaceProcessor):
             self._last_word_ns = max(self._last_word_ns, frame.pts)
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
-        """Send sound to the face; push every other frame once the sound before that was played."""
+        """Send sound to the face; push other frames once the sound before them was played.
+
+        System frames, and frames that go upstream, are pushed at once.
+        """
         await super().process_frame(frame, direction)
         if isinstance(frame, frames.StartFrame):
             await self._connect(self._follow(), self._ask_positions())
@@ -210,6 +214,10 @@ class PipecatFace(_FaceProcessor):
         await self.push_frame(frame, direction)
 
     async def _take(self, frame: frames.Frame) -> None:
+        """Send a frame's sound or text to the face, and let the frame wait for the sound before it.
+
+        Text of a turn that was cut off at the face is dropped.
+        """
         if isinstance(frame, frames.TTSAudioRawFrame):
             await self._say(frame)
             return
@@ -228,6 +236,12 @@ class PipecatFace(_FaceProcessor):
         await asyncio.shield(self._release())
 
     async def _say(self, frame: frames.TTSAudioRawFrame) -> None:
+        """Send a frame of sound to the face, waiting while 30 s are unplayed; or push it.
+
+        The frame is pushed, for the transport to play, while no face with a loudspeaker is
+        connected, and until the transport has played what was pushed. It is dropped if the turn was
+        cut off at the face.
+        """
         now_s = asyncio.get_running_loop().time()
         seconds = len(frame.audio) / (2 * frame.num_channels * frame.sample_rate)
         self._is_complete = False
@@ -383,6 +397,7 @@ class PipecatFace(_FaceProcessor):
             await self._hear(event)
 
     async def _hear(self, event: Event) -> None:
+        """Push frames whose sound was played; broadcast the bot's speaking, and report a loss."""
         if event["type"] == "disconnected":
             self._has_loudspeaker = True  # the next may have one
             await self._complain(error_of(event))
@@ -419,7 +434,10 @@ class PipecatFollower(_FaceProcessor):
         self._began_s: float | None = None
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
-        """Send sound to the face; push all frames but system ones later, by its delay."""
+        """Send sound to the face, and push frames later, by the face's delay.
+
+        System frames, and frames that go upstream, are pushed at once.
+        """
         await super().process_frame(frame, direction)
         now_s = asyncio.get_running_loop().time()
         if isinstance(frame, frames.StartFrame):
@@ -447,6 +465,7 @@ class PipecatFollower(_FaceProcessor):
         await self.push_frame(frame, direction)
 
     async def _show(self, frame: frames.Frame) -> None:
+        """Send a frame's sound to a connected face, in one stream per turn. Raises FaceError."""
         if isinstance(frame, frames.TTSStoppedFrame) and self._speech is not None:
             speech, self._speech = self._speech, None
             await speech.end()
@@ -459,6 +478,7 @@ class PipecatFollower(_FaceProcessor):
             await self._speech.write(mono_pcm(frame.audio, frame.num_channels))
 
     async def _hand_on(self) -> None:
+        """Push each delayed frame at its time, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             if not self._line:

@@ -61,7 +61,7 @@ class VendorUnits:
     def stream_units(self, rate_hz: int) -> SpeechUnits:
         """Return the units with times in samples, for a stream's `tell`, beside `alphabet`.
 
-        One that reaches into the next ends where that begins.
+        A unit that overlaps the next ends where the next begins.
         """
         starts_s = (*(each.start_s for each in self.units[1:]), _LONGEST_S)
         return _PLURAL[self.kind], [
@@ -141,11 +141,11 @@ def vendor_units(
 ) -> tuple[VendorUnits, ...]:
     """Return all timed units in a message, the most precise kind first: phonemes, visemes, words.
 
-    () for a message without times, as every stream has. message: parsed JSON of a vendor, or a list
-    of several, whose characters are joined to words over their borders. from_s: added to its times,
-    where these are counted from the beginning of a piece of sound and not of the stream. alphabet:
-    of phonemes beside which the message names none; "": ARPAbet if all of them are, else IPA.
-    Raises VendorError for a malformed message.
+    () for a message without times; every stream has some. message: parsed JSON of a vendor, or a
+    list of several messages, whose characters are joined to words across their borders. from_s:
+    seconds added to the message's times, where these count from the beginning of a piece of sound
+    and not of the stream. alphabet: of phonemes for which the message names none; "": ARPAbet if
+    all of them are, else IPA. Raises VendorError for a malformed message.
     """
     found = _Found(from_s)
     for node, here in _nodes(message, _Here()):
@@ -159,7 +159,7 @@ _Node = Mapping[str, object]
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """The path of an object in a message, and what those around it say of it.
+    """The path of an object in a message, and what the objects around it state.
 
     start: where its word begins; speed: by which its durations are divided (VOICEVOX).
     """
@@ -183,7 +183,11 @@ class _Here:
 
 
 def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
-    """Yield every object in `value` with its path, keys in lower case without underscores."""
+    """Yield every object in `value` with its path, keys in lower case without underscores.
+
+    Blendshapes, and lists of [label, start, end], are yielded as objects with lists of values.
+    Raises VendorError for a malformed one, or objects nested too deep.
+    """
     if isinstance(value, list):
         for number, each in enumerate(value):
             yield from _nodes(each, here.inside({}, f"[{number}]"))
@@ -216,10 +220,10 @@ _SAME_AS: Final = {"normalizedalignment": "alignment", "wordsegments": "segments
 
 
 def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
-    """Return frames of blendshapes as visemes, which are the phones that look most like them.
+    """Return frames of blendshapes as visemes: for each run of frames the most similar phone.
 
-    node: the object that contains the frames (Azure's viseme type FacialExpression), with their
-    rate.
+    node: the object that contains the frames (Azure's viseme type FacialExpression) and their rate,
+    `fps`. Raises VendorError for a malformed frame, rate or first frame's number.
     """
     rate_hz, first = node.get("fps", DEFAULT_RATE_HZ), node.get("frameindex", 0)
     if not isinstance(rate_hz, int | float) or not 10 <= rate_hz <= 1000:
@@ -258,7 +262,10 @@ class _Found:
     _untimed: list[str] = field(default_factory=list)
 
     def take(self, shape: _Shape, node: _Node, here: _Here) -> None:
-        """Add the units of the object `node`, if it has the shape's keys. Raises VendorError."""
+        """Add the units of the object `node`, if it has the shape's keys. Raises VendorError.
+
+        here: the path of the object, with the sample rate, alphabet and start of what surrounds it.
+        """
         label, *times = (_first(node, each) for each in (shape.label, shape.start, shape.end))
         lasts, unit_s = _first(node, shape.lasts), shape.unit_s
         if lasts is None and shape.kind == "phoneme" and _SAMPLES in node:
@@ -303,8 +310,8 @@ class _Found:
     ) -> tuple[float, float | None]:
         """Return start and end in s of a unit's values [start, end, duration]; end None if unknown.
 
-        reached_s: where the unit before ends, the start of one without; unit_s: seconds per unit of
-        the values; place: names the unit in a VendorError.
+        unit_s: seconds per unit of the values; reached_s: end of the unit before, in s, which is
+        the start where none is given; place: names the unit in a VendorError.
         """
         start, end, lasts = values
         start_s, end_s = reached_s, None
@@ -368,7 +375,7 @@ def _in_order(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]:
 
 
 def _words(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
-    """Yield the words that characters form between white space, with the times of both ends."""
+    """Yield the words that characters form between white space, from first start to last end."""
     word: TimedUnit | None = None
     for each in characters:
         if each.label.isspace():

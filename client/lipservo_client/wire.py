@@ -54,6 +54,7 @@ class Wire:
             raise FaceError("not_answering", f"it accepted nothing for {PATIENCE_S:g} s") from error
 
     async def _read(self) -> None:
+        """Call `on_event` with each message that has a `type`; `on_close` when disconnected."""
         try:
             while True:
                 with contextlib.suppress(ValueError):

@@ -32,8 +32,8 @@ _STOP: Final = b'{"type": "audio-stop"}\n'
 class _Handler(AsyncEventHandler):
     """A Wyoming client's connection: `audio-start`, `-chunk` and `-stop` are an announcement.
 
-    It is answered by `played` once all of it was heard, else by `error`. turn: held by the
-    connection whose announcement is spoken; the others wait, and read no further.
+    An announcement is answered by `played` once all of it was heard, else by `error`. turn: held by
+    the connection whose announcement is spoken; the others wait, and read no further.
     """
 
     def __init__(
@@ -78,6 +78,7 @@ class _Handler(AsyncEventHandler):
             self.writer.close()
 
     async def _handle(self, event: Event) -> None:
+        """Answer `describe`, or begin, play or end an announcement; other events are ignored."""
         if Describe.is_type(event.type):
             await self.write_event(_info().event())
         elif AudioStart.is_type(event.type):
@@ -89,6 +90,7 @@ class _Handler(AsyncEventHandler):
             await self._end()
 
     async def _say(self, chunk: AudioChunk) -> None:
+        """Send a chunk of mono 16-bit sound to the face; store the first error for `_end`."""
         self._is_open = True
         if self._error is not None:
             return

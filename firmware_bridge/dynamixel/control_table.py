@@ -152,6 +152,7 @@ def _tables() -> Any:
 
 
 def _model(name: str, raw: Mapping[str, Any]) -> ServoModel:
+    """Return a model made from `raw`, its entry in the YAML file, and from what models share."""
     tables = _tables()
     registers = {}
     for each in tables["registers"]:

@@ -171,6 +171,7 @@ def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> 
 
 
 def _fast_read(line: Line, ids: Sequence[int]) -> Iterator[Finding]:
+    """Yield a warning that names those of `ids` that do not answer Fast Sync Read, if any."""
     deaf = without_fast_read(line, ids)
     if deaf:
         named = "all servos" if len(deaf) == len(ids) else f"ids {', '.join(map(str, deaf))}"
@@ -182,7 +183,7 @@ def _fast_read(line: Line, ids: Sequence[int]) -> Iterator[Finding]:
 
 
 def _condition(line: Line, servo: MountedServo) -> ServoCondition:
-    """Return what a servo says of itself. Raises ServoError where it falls silent."""
+    """Read and return a servo's condition. Raises ServoError if the servo stops answering."""
     servo_id, model = servo.joint.servo_id, servo.model
     state = read_settings(line, servo_id, model, _STATE)
     wanted = wanted_settings(servo, line.baud_rate)

@@ -96,6 +96,10 @@ class DynamixelServo(BusServo, _Keys):
 
     @model_validator(mode="after")
     def _the_servo_can_limit_its_current(self) -> Self:
+        """Raise ValueError for a max_current_ma above the model's limit.
+
+        Also for any max_current_ma on a model that does not measure current.
+        """
         if self.max_current_ma is None:
             return self
         unit_ma = self.facts.current_unit_ma

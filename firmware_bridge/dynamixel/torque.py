@@ -185,6 +185,10 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
             self._watchdogs.start(line, self._servos[index].joint.servo_id)
 
     def _prepare(self, line: Line, index: int, place: int) -> str:
+        """Start the watchdog, set goal and soft limits before torque on; return what is refused.
+
+        place: present position in encoder steps, which becomes the goal. "": reads confirmed all.
+        """
         cache, servo_id = self._cache, self._servos[index].joint.servo_id
         # First of all, since a tripped watchdog refuses every goal.
         if not self._watchdogs.start(line, servo_id):
@@ -201,6 +205,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         self._watchdogs.spoke(now_s)
 
     def _hold(self, line: Line, index: int) -> bool:
+        """Restart the watchdog and make the present position the goal; return whether confirmed."""
         cache, servo_id = self._cache, self._servos[index].joint.servo_id
         cache.enabled[index] = True
         place = self._place_now(line, servo_id)

@@ -172,9 +172,10 @@ class FeetechBus(SerialBus[Line]):
             line.tell(some.request(goals[sent], speeds[sent]))
 
     def _speeds(self, goals: Array, since_s: float) -> Array:
-        """Return the goal_speed of each servo with its next goal; since_s: when the last was sent.
+        """Return register goal_speed for each servo's next goal; arrays are (n_servos,).
 
-        Never less than that of a start, nor more than the joint's; arrays are (n_servos,).
+        goals: position register values. since_s: when the last goals were sent. At least the speed
+        of a slow start, at most the joint's top speed.
         """
         torque, seconds = self._torque, min(self._sent_s - since_s, self._period_s)
         margin = _SPEED_MARGIN / max(seconds, _TURNAROUND_S)
@@ -185,8 +186,8 @@ class FeetechBus(SerialBus[Line]):
     def read(self) -> Readings:
         """Read torque, goals and positions of all servos; return what was read.
 
-        Of a limp servo the goal that was to be sent last, if any, instead of its register; NaN as
-        the goal of a servo that does not answer.
+        The goal of a limp servo is the last one from `write_positions`, if any, not its register;
+        the goal of a servo that does not answer is NaN.
         """
         line, cache = self.line, self._cache
         found = self._whole.ask(line)
@@ -270,7 +271,7 @@ class FeetechBus(SerialBus[Line]):
         return is_kept
 
     def _begin_where_it_stands(self, index: int) -> None:
-        """Count the place of a servo whose torque came on as its last goal, which it is."""
+        """Store the present position of a servo whose torque came on as its last goal."""
         self._behind[index] = False
         self._sent = self._sent.copy()
         self._sent[index] = self._cache.pulses[index]

@@ -69,7 +69,7 @@ def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Itera
 
 
 def _condition(line: Line, servo: MountedServo) -> ServoCondition:
-    """Return what a servo says of itself. Raises ServoError where it falls silent."""
+    """Read and return a servo's condition. Raises ServoError if the servo stops answering."""
     servo_id, model = servo.joint.servo_id, servo.model
     dialect, eeprom = model.dialect, read_eeprom(line, servo_id, model)
     state = line.read(servo_id, STATE, dialect.state_size)

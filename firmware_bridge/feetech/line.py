@@ -196,6 +196,7 @@ class Group:
         self._prepare()
 
     def _prepare(self, *, retry: bool = False) -> None:
+        """Prepare the next request: silent servos last, long silent ones only if `retry`."""
         silent = self._silent
         trusted = [each for each in self.ids if silent[each] < _SUSPECT_AFTER]
         doubtful = [

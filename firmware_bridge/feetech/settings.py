@@ -51,6 +51,10 @@ class FeetechServo(BusServo, _Keys):
 
     @model_validator(mode="after")
     def _the_servo_can_do_it(self) -> Self:
+        """Raise ValueError if the model cannot reach the joint's limits, or is not fast enough.
+
+        For an SCS also if `zero_offset_deg` puts neutral near an end of the servo's range.
+        """
         if self.facts.dialect.name == "scs" and abs(self.zero_offset_deg) > _FARTHEST_NEUTRAL_DEG:
             raise ValueError(
                 f"zero_offset_deg {self.zero_offset_deg:g} puts neutral near the end of an "

@@ -67,7 +67,7 @@ _FACTORY: Final = {
 
 
 class ChainFault(TimedFault):
-    """A simulated fault; each lasts lasts_s.
+    """A simulated fault, which lasts `lasts_s`; `locked` lasts for ever.
 
     servo: its index in the chain; None: all servos. A brown-out is a restart that takes .2 s.
     """
@@ -199,6 +199,10 @@ class SimulatedServo:
             self._settle()
 
     def _set_torque(self, value: int) -> None:
+        """Switch torque on (`value` 1) or off; 128: call the shaft's present position the middle.
+
+        Off ends an overload. Torque that comes on holds the present position.
+        """
         motors, i = self._motors, self.index
         if value == _MIDDLE:
             motors.position[i] = motors.trajectory[i] = CENTER_PULSE
@@ -228,6 +232,7 @@ class SimulatedServo:
         motors.strength[i] = min(strength, 1.0)
 
     def _refresh(self) -> None:
+        """Write the motor's present position, load, voltage, heat and current into registers."""
         motors, i = self._motors, self.index
         motors.shown_at_s = -1.0
         effort = motors.register_values()[i][3]
@@ -345,6 +350,7 @@ class SimulatedChain:
         return b"".join(reply.data for reply in sorted(due, key=lambda each: each.end_s))
 
     def _happen(self, fault: ChainFault, now_s: float) -> None:
+        """Apply a fault of the script that begins at `now_s`."""
         end_s = now_s + fault.lasts_s
         if fault.kind in self._until_s:
             self._until_s[fault.kind] = end_s
@@ -368,6 +374,10 @@ class SimulatedChain:
     def _hear(
         self, packet_id: int, instruction: int, parameters: bytes, end_s: float, baud_rate: int
     ) -> None:
+        """Carry out a packet whose last byte is received at `end_s`, and queue the servos' answers.
+
+        baud_rate: the computer's; servos set to another rate do not receive the packet.
+        """
         self.advance(end_s)
         self._wire_until_s = end_s
         byte_s = BITS_PER_BYTE / baud_rate
@@ -415,6 +425,11 @@ class SimulatedChain:
         byte_s: float,
         servo_id: int | None = None,
     ) -> None:
+        """Queue a servo's answer with `data`, sent after its return delay; faults lose or spoil it.
+
+        after_s: when the line is free. byte_s: seconds per byte. servo_id: the id in the answer;
+        None: as in the register. Answers that overlap on the wire damage each other.
+        """
         raw = packet(servo["id"] if servo_id is None else servo_id, servo.table[65], data)
         start_s = after_s + servo["return_delay_time"] * RETURN_DELAY_UNIT_S
         end_s = start_s + len(raw) * byte_s
@@ -467,10 +482,11 @@ def simulated_wire(wiring: Wiring) -> tuple[FeetechBus, ManualClock]:
 def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) -> PtyHost:
     """Return a host that serves simulated servos at a pseudo-terminal.
 
-    wiring: of the face that they belong to; None: servos of one model, with factory settings. link:
-    path of a symbolic link to the terminal. request.log: a file that gets each change of torque or
-    goal as a line of JSON. Raises ServoError for what no chain can have, ValueError for an invalid
-    script, and PortError where no terminal or link can be made.
+    wiring: the servos of the face that is simulated; None: new servos of one model, with factory
+    settings. link: path of a symbolic link to the terminal. request.log: a file that gets each
+    change of torque or goal as a line of JSON. Raises ServoError for an unknown model, baud rate or
+    id and for a log that cannot be written, ValueError for an invalid script, and PortError where
+    no terminal or link can be made.
     """
     rates, last_id = baud_rates(), BROADCAST_ID - 1
     new = request.new_servos(servo_models(), "STS3215", rates.values(), last_id)

@@ -85,6 +85,11 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         self._full_at_s[:] = np.inf
 
     def _prepare(self, line: Line, index: int, place: int) -> str:
+        """Set soft limits, then `place` as the goal, before torque on; return what is refused.
+
+        place: present position in encoder steps. The goal may switch torque on already; if the
+        servo refuses it, torque is switched off.
+        """
         if not self._bound(line, index, soft=True):
             return "does not take its slow start"
         self._cache.enabled[index] = True
@@ -99,6 +104,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         self._full_at_s[index] = now_s + SOFT_START_S
 
     def _hold(self, line: Line, index: int) -> bool:
+        """Set full limits and the present position as the goal; return whether reads confirm it."""
         if self._identities[index] is None:
             return False
         self._cache.enabled[index] = True

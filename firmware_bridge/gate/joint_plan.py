@@ -138,11 +138,12 @@ class JointPlan:
         return np.where(window.must_meet[:, None], poses_deg, near_deg)
 
     def _feasible(self, times_s: Array, poses_deg: Array) -> Array:
-        """Return the pose at the first of `times_s`, from which top speed can be kept, (n_joints,).
+        """Return the pose at the first of `times_s` from which top speed can be kept, (n_joints,).
 
-        The first of those poses, degrees, that keep top speed and are nearest to `poses_deg`: least
-        squares by Dykstra's projections (Boyle and Dykstra 1986), from the last pair of poses to
-        the first: each pair's earlier correction is undone, and computed anew.
+        times_s: (k,) seconds; poses_deg: (k, n_joints). Of all rows of poses that keep top speed,
+        those nearest to `poses_deg` by least squares are approached by Dykstra's projections (Boyle
+        and Dykstra 1986), from the last pair of poses to the first: each pair's earlier correction
+        is undone, and computed anew.
         """
         reach_deg = (times_s[1:] - times_s[:-1])[:, None] * self._speed_deg_s
         if not (np.abs(poses_deg[1:] - poses_deg[:-1]) > reach_deg).any():

@@ -142,7 +142,10 @@ class PreventRule:
 
 
 class Prevention:
-    """A filter that cuts a step short where it would break a rule; a step out of one is not cut."""
+    """A filter that cuts a step short where it would break a rule.
+
+    A step that leads out of a pose that breaks a rule is not cut.
+    """
 
     def __init__(self, rules: Sequence[PreventRule], n_joints: int) -> None:
         """Store the rules. Raises ValueError if any lacks a joint's factor or forbids neutral."""

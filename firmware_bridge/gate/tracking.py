@@ -69,8 +69,8 @@ class TrackingRule:
 class TrackingMonitor:
     """A monitor that compares each tick's positions with the goals of the tick before.
 
-    Those the servos have had the time to follow, however late the tick comes. Old positions do not
-    count, and a tick counts for .05 s at most.
+    Servos have had the time to follow those, however late the tick comes. A servo that does not
+    answer keeps its last error, and a tick counts for .05 s at most.
 
     error_deg: how far each servo was from its goal when it last answered, (n_servos,).
     """
@@ -178,9 +178,10 @@ class _Travel:
     ) -> None:
         """Update `travelled_deg` and `still` from one tick.
 
-        seen_s: its time, without what was stolen between ticks. heard: (n_servos,), True for servos
-        that answered; None: all did. Arrays are changed in place, and only every 50 ms or so, to
-        save time in every tick.
+        goals_deg, places_deg: (n_servos,), goals and positions. seen_s: the tick's monotonic time,
+        less all that ticks took beyond .05 s each. heard: (n_servos,), True for servos that
+        answered; None: all did. Arrays are changed in place, and only every 50 ms or so, to save
+        time in every tick.
         """
         elapsed_s = seen_s - self._time_s
         if elapsed_s < _SAMPLE_S:

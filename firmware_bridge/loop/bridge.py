@@ -241,14 +241,14 @@ class Bridge:
     ) -> None:
         """Start the face, or end a freeze; nothing moves.
 
-        Of a limp face all torque is switched off, then on at the present positions. If `tolerant`
-        in the settings, or by_person, the ticks bring up one servo after another, and only critical
+        A limp face: all torque is switched off, then on at the present positions. If `tolerant` in
+        the settings, or by_person, the ticks bring up one servo after another, and only critical
         servos must be able to hold now. Otherwise all hold when this returns, or none: raises
-        ServoError that names those that cannot. Of a frozen face servos with torque keep it; the
+        ServoError that names those that cannot. A frozen face: servos with torque keep it; the
         ticks bring up the others. Raises PortError when the port fails.
 
-        may_continue: called in between; False: a stop, which has acted already, or else all torque
-        goes off here. by_person: servos that were given up are tried again.
+        may_continue: called before each servo; False ends the start, and unless a stop has acted
+        already, all torque goes off. by_person: servos that were given up are tried again.
         """
         servos = self._servos
         if why_not := self._start_refusal(dry_run=False):
@@ -329,9 +329,9 @@ class Bridge:
         """Stop the face for a person: SOFT to neutral, then limp; LIMP; or FREEZE, held as it is.
 
         LIMP and FREEZE act at once, in every state but those on the way to limp; SOFT from the next
-        tick on. A stop that goes further may follow: SOFT, then LIMP; FREEZE, then either. Of a
-        limp face FREEZE holds nothing, and of one that is being started what is armed. Never
-        raises.
+        tick on. A stop that goes further may follow: SOFT, then LIMP; FREEZE, then either. FREEZE
+        of a limp face holds nothing, and of a face that is being started the servos that have
+        torque by then. Never raises.
         """
         self._level = level
         self._fire(_STOPS[level])
@@ -362,6 +362,11 @@ class Bridge:
         return self._servos.torque_off.report(at_rest=at_rest, plugged=self._port.is_open)
 
     def _start_refusal(self, *, dry_run: bool) -> str:
+        """Return why a start is refused now; empty: it is accepted.
+
+        dry_run: True refuses a person's start, since no servo gets torque in a dry run; `start`
+        passes False, since the program's own start of a dry run only reads the servos.
+        """
         if dry_run:
             return self._servos.gate.forbidden
         if self._state in (FaceState.DRIVEN, FaceState.SILENT):
@@ -371,7 +376,10 @@ class Bridge:
         return "" if self._port.is_open else "the port of the servos is gone: plug it in first"
 
     def _fire(self, event: FaceEvent) -> None:
-        """Go where the table says, and do what it says."""
+        """Set the state by the row of `FACE_TABLE` for `event`, and carry out its actions.
+
+        An event without a row for the present state does nothing.
+        """
         row = FACE_TABLE.find(self._state, event, self._holds)
         if row is not None:
             self._state = row.then or self._state
@@ -384,6 +392,7 @@ class Bridge:
                 return self._port.is_open and self._servos.supervision.any_driven
 
     def _do(self, action: FaceAction) -> None:
+        """Carry out one action of `FACE_TABLE`. BEGIN raises PortError; others note a lost port."""
         servos = self._servos
         match action:
             case FaceAction.ALLOW_TORQUE:

@@ -53,7 +53,10 @@ class ChangeLog:
         self._n_remarks = 0
 
     def look(self, time_s: float) -> None:
-        """Log what has changed; to be called in every tick, at its monotonic time."""
+        """Log changes of port, state, troubles and remarks, and report servos that were given up.
+
+        To be called in every tick, at its monotonic time `time_s`.
+        """
         bridge = self._bridge
         if bridge.plugged is not self._plugged:
             self._plugged = bridge.plugged
@@ -89,6 +92,7 @@ class ChangeLog:
                 _LOG.warning("%s", remark)
 
     def _log_state(self, state: FaceState) -> None:
+        """Log that motion from speech stops or comes again, and store the new state."""
         if state is FaceState.SILENT:
             _LOG.warning(
                 "no motion comes from speech (the computer is too busy, or it hangs): "

@@ -39,7 +39,7 @@ class FaceEvent(StrEnum):
 
 
 class FaceGuard(StrEnum):
-    """What must hold for some rows."""
+    """The conditions that some rows of `FACE_TABLE` have."""
 
     CAN_EASE = "a servo is driven and the port is open"
 

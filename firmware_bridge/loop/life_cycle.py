@@ -86,10 +86,10 @@ class Heartbeat(Protocol):
 class LifeCycleLinks:
     """Optional connections of a `LifeCycle` to the outside; None: there is none.
 
-    control: a person's stops and orders. lifeline: reports to a supervisor. status: makes what the
-    control socket answers. on_health: called every 10 s with all servos' condition; must
-    return at once. not_kept: why a stop cannot be kept beyond this process, one line; empty: it
-    can.
+    control: a person's stops and orders. lifeline: reports to a supervisor. status: returns the
+    face's status for clients of the control socket. on_health: called every 10 s with all servos'
+    condition; must return at once. not_kept: returns why a stop cannot be kept beyond this process,
+    one line; empty: it can.
     """
 
     control: Control | None = None
@@ -178,7 +178,7 @@ class LifeCycle:
 
     @property
     def stopped_by_person(self) -> bool:
-        """Whether a person asked for the end, by a signal or through the control socket."""
+        """Whether a person requested the end, by a signal or through the control socket."""
         return bool(self._n_signals) or self._request is not None
 
     def start(self) -> None:
@@ -218,6 +218,12 @@ class LifeCycle:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, _: object
     ) -> bool:
+        """Bring the face to rest, switch torque off, report it, and restore the signal handlers.
+
+        A frozen face is held here until another stop. Raises ServoError if the face stopped because
+        a critical servo failed. Returns True for ImmediateStop, which ends here; to any other
+        exception the report is added if a servo did not confirm.
+        """
         control, lifeline = self._links.control, self._links.lifeline
         try:
             with contextlib.suppress(ImmediateStop):
@@ -286,7 +292,10 @@ class LifeCycle:
             raise ImmediateStop
 
     def _fire(self, event: LifeEvent) -> bool:
-        """Go where the table says, and do what it says; return whether the event means anything."""
+        """Set the state by the row of `LIFE_TABLE` for `event`, and carry out its actions.
+
+        Return False, having done nothing, if the present state has no such row.
+        """
         row = LIFE_TABLE.find(self._state, event, self._holds)
         if row is None:
             return False
@@ -303,6 +312,7 @@ class LifeCycle:
                 return self._bridge.state is FaceState.EASING
 
     def _do(self, action: LifeAction) -> None:
+        """Carry out one action of `LIFE_TABLE`. ARM, ARM_AGAIN and KEEP may raise BusError."""
         match action:
             case LifeAction.ARM | LifeAction.ARM_AGAIN:
                 by_person = action is LifeAction.ARM_AGAIN
@@ -435,9 +445,10 @@ class LifeCycle:
         return ""
 
     def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
-        """Carry out a person's orders; log each.
+        """Carry out a person's orders, and log each.
 
-        is_stopped_now: a stop came in this tick; it comes before a start, and voids it.
+        time_s: the tick's. is_stopped_now: whether a stop came in this tick; then starts are
+        refused.
         """
         control, lifeline = self._links.control, self._links.lifeline
         for order in () if control is None else control.take_orders():
@@ -454,7 +465,7 @@ class LifeCycle:
                     lifeline.tell(Switched(index, on=order.switch is ServoSwitch.ON))
 
     def _port_due_s(self, time_s: float) -> float:
-        """Return when a stop has waited long enough for a lost port; infinity: no end to that.
+        """Return the monotonic time at which a stop gives up a lost port; infinity: never.
 
         A stop that a person requested through the control socket waits without limit.
         """

@@ -23,7 +23,7 @@ class LifeState(StrEnum):
 
 
 class LifeEvent(StrEnum):
-    """What happens in the course of a face."""
+    """The events that may change the `LifeState` of a face."""
 
     START = "start"
     STARTED = "started"
@@ -41,7 +41,7 @@ class LifeEvent(StrEnum):
 
 
 class LifeGuard(StrEnum):
-    """What must hold for some rows."""
+    """The conditions that some rows of `LIFE_TABLE` have."""
 
     WAITS = "the process waits for a start"
     CAN_FREEZE = "not yet being let go"

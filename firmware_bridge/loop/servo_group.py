@@ -57,9 +57,9 @@ class HeatDerating:
         Parameters
         ----------
         feedback : Feedback
-            Its time, seconds.
+            Its time, seconds, and effort, (n_servos,) shares of the stall torque.
         health : Health
-            Temperatures in degC.
+            `room_degc`, (n_servos,) degC below each servo's limit.
 
         Returns
         -------
@@ -320,7 +320,10 @@ class ServoGroup:
             self._bus.widen(wide)
 
     def send(self, limited: Limited, time_s: float) -> None:
-        """Run a tick of a driven face: send goals, read all servos, supervise the next in turn."""
+        """Run a tick of a face with torque: send goals, read all, supervise the next servo in turn.
+
+        limited: the goals that passed the limiter; servos that are not driven get none.
+        """
         goals_deg = limited.positions_deg
         limp = None if self.supervision.all_driven else ~self.supervision.driven
         if limp is None:
@@ -361,7 +364,7 @@ class ServoGroup:
         return self.supervision.switch_on(index, time_s)
 
     def reboot(self, index: int, time_s: float) -> None:
-        """Restart one servo at a person's order; it must not be driven."""
+        """Restart one servo, which must not be driven, at a person's order."""
         self.supervision.reboot(index, time_s, self.gate)
 
     def remarks(self) -> Sequence[str]:

@@ -291,7 +291,10 @@ class ServoSupervision:
         return ServoEvent.READY, self.reasons[i]
 
     def _seen_driven(self, i: int, health: Health) -> tuple[ServoEvent | None, str]:
-        """Return the same for a driven servo."""
+        """Return the event that a driven servo's readings cause, and the reason to show.
+
+        (None, ""): servo `i` is well.
+        """
         errors = int(health.hardware_errors[i])
         if self._n_silent[i] >= _SILENT_TICKS:
             return ServoEvent.SILENT, "does not answer"
@@ -315,9 +318,10 @@ class ServoSupervision:
         why: str = "",
         port: TorquePort | None = None,
     ) -> bool:
-        """Go where the table says, and do what it says; return whether the event means anything.
+        """Set the state of servo `i` by its row of `SERVO_TABLE`, and carry out the row's actions.
 
-        why: the reason in words, of a servo that is not driven. port: for rows whose actions send.
+        Return False, having done nothing, if the table has no row for state and event. why: the
+        reason in words why the servo is not driven. port: required where an action sends packets.
         """
 
         def holds(_guard: ServoGuard) -> bool:
@@ -337,6 +341,10 @@ class ServoSupervision:
         return True
 
     def _do(self, action: ServoAction, i: int, time_s: float, port: TorquePort | None) -> None:
+        """Carry out one action of `SERVO_TABLE` for servo `i` at `time_s`.
+
+        Raises ValueError if port is None, unless the action only counts or forgets failures.
+        """
         match action:
             case ServoAction.COUNT:
                 self._failures[i].append(time_s)

@@ -31,7 +31,7 @@ class ServoEvent(StrEnum):
 
 
 class ServoGuard(StrEnum):
-    """What must hold for some rows."""
+    """The conditions that some rows of `SERVO_TABLE` have."""
 
     FAILED_OFTEN = "the fourth time in ten minutes"
 

@@ -207,6 +207,7 @@ class SingleServos:
                 self._jog.end()
 
     def _switch(self, index: int, switch: ServoSwitch, time_s: float) -> None:
+        """Switch a servo off, on or restart it; one that comes on goes to its target slowly."""
         if switch is ServoSwitch.OFF:
             self._jog.drop(index)
             self._servos.switch_off(index, time_s)
@@ -216,6 +217,7 @@ class SingleServos:
             self._jog.return_slowly(index)
 
     def _switch_refusal(self, index: int, switch: ServoSwitch, state: FaceState) -> str:
+        """Return why a servo must not be switched off, on or restarted now; empty: it may."""
         joint, gate = self._joints[index], self._servos.gate
         if switch is ServoSwitch.OFF:
             if joint.critical:
@@ -236,6 +238,10 @@ class SingleServos:
         return f"the face is {why}: nothing can be jogged"
 
     def _goal_refusal(self, order: JogTo | JogPulse) -> str:
+        """Return why a jog order is refused; empty: accepted.
+
+        Refused are jogs that were not armed, goals out of range, and servos that are not driven.
+        """
         if not self._jog.is_armed:
             return _NOT_ARMED
         index, supervision = self._index[order.name], self._servos.supervision
@@ -257,6 +263,11 @@ def _angle_refusal(joint: Joint, goal_deg: float) -> str:
 
 
 def _pulse_refusal(joint: Joint, pulse_us: float, sent_deg: float) -> str:
+    """Return why a joint must not be jogged to `pulse_us`; empty: it may.
+
+    sent_deg: the goal sent last. Within min_us..max_us any pulse is allowed; beyond, up to
+    `reach_us`, only one a small step farther than the present pulse.
+    """
     pulse = joint.pulse
     if pulse is None:
         return f"{named(joint)} takes no pulses: jog it in degrees"

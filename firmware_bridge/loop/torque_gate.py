@@ -26,7 +26,7 @@ class TorqueGate:
 
     Is it forbidden for the whole face: a dry run, or a stop by a person, which lasts until a person
     starts again? Was this servo switched off by a person, or given up? Does the servo itself, read
-    now, agree with the YAML? (The last is `ServoBus.obstacle`, and every bus asks it again in
+    now, agree with the YAML? (The last check is `ServoBus.obstacle`, which every bus repeats in
     `enable_torque`.) Start, the end of a silence, replug and restart all come through `enable`.
     """
 

@@ -81,6 +81,7 @@ class Maestro:
             raise PortError(f"{port}: the Maestro does not use a CRC; set bus.crc to false")
 
     def _ask(self, n_bytes: int, *commands: tuple[int, Sequence[int]]) -> bytes | None:
+        """Send commands, and return their answer of `n_bytes`; None: not all came within 20 ms."""
         transport = self.transport
         transport.discard_input()
         self.tell(*commands)

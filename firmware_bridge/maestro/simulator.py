@@ -220,6 +220,7 @@ class SimulatedMaestro:
         self._message.clear()
 
     def _happen(self, fault: PulseFault) -> None:
+        """Apply a fault of the script that is due now."""
         if fault.kind == "brown-out":
             self.brown_out()
         elif fault.kind == "deaf":
@@ -232,6 +233,10 @@ class SimulatedMaestro:
             self.unplug(fault.lasts_s)
 
     def _n_missing(self) -> int:
+        """Return how many bytes the command being received still lacks; 0 or less: it is whole.
+
+        While its length is not known yet, at least as many are missing.
+        """
         message = self._message
         head = 3 if message[0] == protocol.POLOLU else 1
         if len(message) < head:
@@ -244,6 +249,10 @@ class SimulatedMaestro:
         return head + n_data + self._crc - len(message)
 
     def _obey(self, message: bytes, now_s: float) -> None:
+        """Carry out a whole command, unless it is for another device number.
+
+        A wrong CRC or an unknown command is an error, which switches all pulses off.
+        """
         if self._crc:
             message, checksum = message[:-1], message[-1]
             if checksum != protocol.crc7(message):

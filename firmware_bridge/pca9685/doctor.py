@@ -53,6 +53,7 @@ def examine(
 
 
 def _guard(settings: Pca9685Settings) -> Finding:
+    """Return the finding on the OE pin: not set, held by another program, or usable."""
     if settings.oe_gpio is None:
         return Finding(Severity.WARNING, NO_GUARD, "put a switch into the servos' supply")
     pin = f"oe_gpio {settings.oe_gpio} of {settings.gpio_chip}"
@@ -67,6 +68,7 @@ def _guard(settings: Pca9685Settings) -> Finding:
 
 
 def _mode(chip: I2cChip) -> Finding:
+    """Return the finding on register MODE1: the chip runs, sleeps, or is set up otherwise."""
     mode = Mode1(chip.read(Register.MODE1)[0])
     if mode & ~Mode1.RESTART == RUNNING:
         return Finding(Severity.GOOD, "makes pulses, or is ready to")
@@ -78,6 +80,7 @@ def _mode(chip: I2cChip) -> Finding:
 
 
 def _channel(chip: I2cChip, wiring: Wiring, index: int) -> Finding:
+    """Return the finding on a servo's channel: its present pulse, pulse limits and resolution."""
     servo, joint = wiring.servos[index], wiring.joints[index]
     timing = wiring.settings.timing
     # One by one: auto-increment may be off.

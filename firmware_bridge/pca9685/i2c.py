@@ -87,6 +87,10 @@ class I2cChip:
             self._transfers.close()
 
     def _transfer(self, messages: Sequence[Message]) -> bytes:
+        """Run messages as one transfer, once more after an error; return all bytes read.
+
+        Raises PortGone with the cause and the remedy.
+        """
         for tries_left in reversed(range(_TRIES)):
             try:
                 return self._transfers.transfer(messages)
@@ -160,6 +164,10 @@ class _TerminalTransfers:
         return self._fd
 
     def transfer(self, messages: Sequence[Message]) -> bytes:
+        """Send messages as one frame; return all bytes read, joined.
+
+        Raises OSError: the simulated chip's error, or ETIMEDOUT after a second without answer.
+        """
         with contextlib.suppress(termios.error):
             termios.tcflush(self._fd, termios.TCIFLUSH)
         frame = [COUNT.pack(len(messages))]
@@ -174,6 +182,7 @@ class _TerminalTransfers:
         return self._read(n_bytes, give_up_s)
 
     def _read(self, n_bytes: int, give_up_s: float) -> bytes:
+        """Return exactly `n_bytes`; OSError if they do not come until monotonic `give_up_s`."""
         found = b""
         while len(found) < n_bytes:
             if not self._poll.poll(max(0.0, give_up_s - time.monotonic()) * 1e3):
@@ -230,6 +239,7 @@ def _claim(fd: int, address: int, *, alone: bool) -> None:
 
 
 def _explain(path: str, error: OSError) -> str:
+    """Return why the I2C bus at `path` could not be opened, with the remedy."""
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         return (
             f"{path}: no such I2C bus; switch it on (Raspberry Pi: `sudo raspi-config nonint "

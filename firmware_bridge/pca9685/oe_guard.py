@@ -156,6 +156,10 @@ class OeGuard:
                 process.wait(_TAKE_OVER_S)
 
     def _fail(self, what: str) -> None:
+        """Kill the guard process, so that the pin's pull-up ends the pulses; raise ServoError.
+
+        what: what the process did, such as `has died`, for the message.
+        """
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -244,7 +248,7 @@ def _in_words() -> Iterator[None]:
 
 
 def guard(link: socket.socket, pin: Pin) -> bool:
-    """Drive the pin by the heartbeats received over `link`, until the bridge has closed it.
+    """Drive the pin by the heartbeats received over `link`, until the bridge closes its end.
 
     Low for `HOLD_S` after a heartbeat that lets pulses through, else high. Return True if the last
     heartbeat had blocked pulses, or none came.
@@ -270,10 +274,10 @@ def guard(link: socket.socket, pin: Pin) -> bool:
 
 
 def _lock(chip: str, line: int) -> int:
-    """Lock `line` of GPIO `chip` for this process, ending a guard without a bridge; return an fd.
+    """Lock `line` of GPIO `chip` for this process; return the descriptor of the lock's file.
 
-    The fd is of the lock's file. Raises PortError when the lock cannot be made, or another guard
-    keeps it for 2 s.
+    A guard that holds the lock although its bridge is gone is ended first. Raises PortError when
+    the file cannot be made, or another face's guard keeps the lock for 2 s.
     """
     name = f"oe-{os.path.realpath(chip).replace('/', '_')}-{line}.lock"
     try:

@@ -247,6 +247,7 @@ class SimulatedPca9685:
         return address == self.address or address in also
 
     def _reset(self) -> None:
+        """Set all registers as after power-up: asleep, all channels off."""
         self.registers[:] = bytes(256)
         self.registers[Register.MODE1] = Mode1.SLEEP | Mode1.ALL_CALL
         self.registers[Register.MODE2] = Mode2.TOTEM_POLE
@@ -266,6 +267,7 @@ class SimulatedPca9685:
         return 0 if register in _LAST else (register + 1) & 0xFF
 
     def _write(self, register: int, value: int) -> None:
+        """Write one byte to a register, as the chip allows: the prescaler only while asleep."""
         if register == Register.MODE1:
             self._write_mode(value)
         elif register == Register.PRE_SCALE:
@@ -281,6 +283,10 @@ class SimulatedPca9685:
             self.registers[register] = value & (0x1F if register == Register.MODE2 else 0xFE)
 
     def _write_mode(self, value: int) -> None:
+        """Write MODE1: sleep cuts all pulses; awake, cycles begin after the oscillator's start.
+
+        A chip that slept with pulses makes none until RESTART, or a channel, is written.
+        """
         was = Mode1(self.registers[Register.MODE1])
         mode = Mode1(value & ~Mode1.RESTART & ~Mode1.EXTERNAL_CLOCK) | was & Mode1.EXTERNAL_CLOCK
         if mode & Mode1.SLEEP and not was & Mode1.SLEEP:
@@ -307,6 +313,10 @@ class SimulatedPca9685:
         return counts_of(bytes(self.registers[first : first + 4]))
 
     def _begin_cycle(self, time_s: float) -> None:
+        """Log the pulses of the last cycle, and start those of the cycle that begins at `time_s`.
+
+        None is started while the OE pin is high, or a restart is awaited.
+        """
         for pulse in self._under_way.values():
             self._order(pulse)
             self._note(pulse)

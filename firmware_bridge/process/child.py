@@ -25,8 +25,8 @@ _UNREAD_SHARE: Final = 0.1
 class HeartbeatTimeouts:
     """The longest silence in s: `start_s` until a process's first heartbeat, `run_s` afterwards.
 
-    What a process waited for a processor does not count, but the silence ends after `patience`
-    times as long: what it does is unknown then.
+    Time in which the process waited for a processor does not count; patience: the longest silence
+    with such waits, in multiples of these limits.
     """
 
     start_s: float
@@ -49,10 +49,10 @@ class HeartbeatMonitor:
     def look(self, now_s: float, beat_s: float | None, counts: CountThreads = dict) -> float:
         """Return the time at which the process counts as hung if no further heartbeat comes.
 
-        If that is at or before `now_s`, the process hangs. beat_s: time of its newest heartbeat;
-        None: none yet. counts: called to read those of its threads once it has been silent for a
-        tenth of its time. Call `look` often: if the caller itself paused for more than .5 s, the
-        silence is counted anew.
+        If that is at or before `now_s`, the process hangs. beat_s: time of the newest heartbeat;
+        None: none yet. counts: returns the `ThreadCounts` of the process; called once the process
+        has been silent for a tenth of the time allowed. Call `look` often: if the caller itself
+        paused for more than .5 s, the silence is counted anew.
         """
         if now_s - self._looked_s > _BLIND_S:
             self._since_s = now_s
@@ -70,9 +70,9 @@ class HeartbeatMonitor:
 class Child:
     """A process that is started, watched by its heartbeats, and ended by its supervisor.
 
-    It has a group of its own, so that a terminal's Ctrl-C reaches the supervisor only. It dies with
-    its supervisor: by the kernel's signal, and when it finds the lifeline, its socket to the
-    supervisor, closed.
+    The process has a process group of its own, so that a terminal's Ctrl-C reaches the supervisor
+    only. It dies with its supervisor: by the kernel's signal, and when it finds the lifeline, its
+    socket to the supervisor, closed.
     """
 
     def __init__(

@@ -193,6 +193,10 @@ def command_answer(
 
 
 def _set(words: list[str], commands: CommandQueue) -> dict[str, object]:
+    """Queue the changes of a `set` command, and return its answer; CommandError if refused.
+
+    words: NAME VALUE pairs.
+    """
     if not words or len(words) % 2:
         raise CommandError(_SAY_SET)
     names = words[::2]
@@ -208,6 +212,7 @@ def _set(words: list[str], commands: CommandQueue) -> dict[str, object]:
 def _switch(
     words: list[str], commands: CommandQueue, requested_by: Callable[[], str]
 ) -> dict[str, object]:
+    """Queue a `servo` command, NAME off|on|reboot; return its answer. Raises CommandError."""
     if len(words) != 2 or words[1] not in set(ServoSwitch):
         raise CommandError(_SAY_SERVO)
     name, switch = words
@@ -216,6 +221,7 @@ def _switch(
 
 
 def _jog(words: list[str], commands: CommandQueue) -> dict[str, object]:
+    """Queue a `jog` command, and return its answer; CommandError if it is refused or malformed."""
     match words:
         case [word] if word == ARM_WORD:
             commands.order(ArmJog())

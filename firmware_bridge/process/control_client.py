@@ -288,10 +288,10 @@ def stop_and_wait(
 
 
 def _receive(client: socket.socket, give_up_s: float) -> Answer | None:
-    """Return the face's next message; None: it closed the connection.
+    """Return the face's next message; None: the face closed the connection.
 
-    Raises TimeoutError when neither happens until the monotonic time `give_up_s`, OSError for
-    what is no answer of a face.
+    Raises TimeoutError when neither happens until monotonic `give_up_s`, and OSError for a message
+    that is no JSON object.
     """
     client.settimeout(max(0.001, give_up_s - time.monotonic()))
     try:
@@ -302,9 +302,9 @@ def _receive(client: socket.socket, give_up_s: float) -> Answer | None:
 
 
 def _answer_in(raw: bytes) -> Answer:
-    """Return a message of a face without control characters, also of a foreign socket.
+    """Return the JSON object in `raw`, with all text made printable: any program may send it.
 
-    Raises OSError for what no face says.
+    Raises OSError if `raw` is no JSON object.
     """
     try:
         return dict(printable(json.loads(raw)))
@@ -334,6 +334,11 @@ def _wait_to_retry(give_up_s: float) -> None:
 
 @contextlib.contextmanager
 def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
+    """Connect to the control socket at `path`; yield the connection, and close it at the end.
+
+    The time left until monotonic `give_up_s` is the timeout of every call on the connection. Raises
+    TimeoutError while too many clients wait, OSError if no face listens.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
         client.settimeout(max(0.001, give_up_s - time.monotonic()))
         try:

@@ -191,6 +191,11 @@ class ControlSocket:
             self.path.unlink(missing_ok=True)
 
     def _accept(self) -> None:
+        """Accept up to four waiting clients, and receive what they have sent already.
+
+        Where all 16 places are taken, the oldest client is dropped; clients that wait for the end
+        of a stop are dropped last.
+        """
         for _ in range(_ACCEPTED_AT_ONCE):
             try:
                 end, _ = self._listener.accept()
@@ -226,6 +231,10 @@ class ControlSocket:
     def _answer(
         self, client: _Client, word: str, status: Callable[[], Mapping[str, object]]
     ) -> None:
+        """Answer one word of a client that is no stop: status, watch, or a command.
+
+        status: returns the face's status. An empty word stands for one that was too long.
+        """
         if not word:
             client.send({"error": f"longer than {LONGEST_WORD} bytes"})
         elif word == STATUS_WORD:

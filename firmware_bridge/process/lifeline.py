@@ -129,6 +129,7 @@ class Lifeline:
             self._unsent.popleft()
 
     def _send(self, message: bytes) -> bool:
+        """Send a message without waiting; return False only if the connection has no room."""
         try:
             self._end.send(message, socket.MSG_NOSIGNAL)
         except BlockingIOError:

@@ -127,6 +127,7 @@ class LogLines(logging.Handler):
         self.close(_LAST_WRITES_S)
 
     def _write_all(self) -> None:
+        """Pass queued records to the target, one after another, for ever; run by the thread."""
         while True:
             with self._is_new:
                 self._busy = False

@@ -42,10 +42,11 @@ _END_S: Final = 1.0
 
 @contextlib.contextmanager
 def port_guard(face: str, settings: "BusSettings", servos: Mapping[int, str]) -> Iterator[int]:
-    """Start the guard of a face's port; yield the descriptor that keeps it waiting; end it.
+    """Start the guard process of a face's port; end it with the `with` block.
 
-    Each process of the face that drives or supervises its servos must hold the descriptor. face:
-    its name. settings: of the bus, with its port. servos: the servos' names, by address.
+    Yields the descriptor of a pipe that each process of the face that drives or supervises its
+    servos must hold: the guard acts once all are closed. face: its name. settings: of the bus, with
+    its port. servos: the servos' names, by address.
     """
     waits, alive = os.pipe()
     job = json.dumps({"face": face, "bus": settings.model_dump(), "servos": dict(servos)})
@@ -74,8 +75,8 @@ def port_guard(face: str, settings: "BusSettings", servos: Mapping[int, str]) ->
 def let_go(face: str, settings: "BusSettings", servos: Mapping[int, str]) -> None:
     """Switch torque off at the port of a dead face, and log what its servos confirm.
 
-    A port that is gone is waited for, 30 s. Nothing happens at one that another program has taken.
-    Arguments as of `port_guard`.
+    A port that is gone is waited for up to 30 s; to a port that another program has taken nothing
+    is sent. Arguments as of `port_guard`.
     """
     kind = bus_kind(settings.kind)
     opener = kind.port_release(str(settings.port), Wiring(settings, (), (), 1.0))
@@ -83,6 +84,7 @@ def let_go(face: str, settings: "BusSettings", servos: Mapping[int, str]) -> Non
     is_taken = False
 
     def open_free() -> PortRelease:
+        """Open the port; note in `is_taken` whether another program has it. Raises PortError."""
         nonlocal is_taken
         try:
             port, is_taken = opener(), False

@@ -30,10 +30,11 @@ class ProcessorWait:
         self._seen: dict[str, tuple[int, tuple[bool, int, int], float]] = {}
 
     def waited_s(self, now_s: float, counts: ThreadCounts) -> float:
-        """Return the seconds that a thread has waited, the present wait included, by `counts`.
+        """Return how many seconds a thread has waited for a processor, of the one that waited most.
 
-        A thread waits now if it is runnable and has neither run nor been given a processor since an
-        earlier reading.
+        Counted from the first call on, the present wait included. counts: of the process's threads
+        now. A thread waits now if it is runnable and has neither run nor been given a processor
+        since an earlier call.
         """
         longest_s = 0.0
         for thread, count in counts.items():

@@ -80,8 +80,9 @@ def read_socket_name(path: Path) -> tuple[str, int] | None:
 def searched_folders() -> list[Path]:
     """Return readable folders where faces may listen: the service's, ours, for root all users'.
 
-    Left out are unreadable folders, and any that does not belong, alone, to the user whose number
-    is in its path (to us where none is): the files of another cannot be trusted.
+    Left out are unreadable folders, and users' folders to which others may write or that belong to
+    another user than the one whose number is in their path (without a number: than this process's),
+    since their files cannot be trusted.
     """
     _check_system()
     if own := os.environ.get(_OWN_VARIABLE, ""):
@@ -119,9 +120,10 @@ def _folders_of_others() -> Iterator[Path]:
 
 
 def _is_its_users(folder: Path) -> bool:
-    """Return whether `folder` belongs to the user whose number is in its path; to us without one.
+    """Return whether `folder` belongs to the user whose number is in its path.
 
-    The number is 1000 in /run/user/1000/lipservo and in /tmp/lipservo-1000.
+    The number is 1000 in /run/user/1000/lipservo and in /tmp/lipservo-1000; a folder without one
+    must belong to this process's user.
     """
     match = _OF_A_USER.fullmatch(str(folder))
     return _belongs_to(folder, int(match[1] or match[2]) if match else os.geteuid())

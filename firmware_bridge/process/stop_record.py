@@ -107,6 +107,11 @@ class StopRecord:
     def _left_by(
         self, before: dict[str, Any], drives_after_power_cut: bool
     ) -> tuple[StopRequest | None, str]:
+        """Return the stop that record `before` leaves in force, and why; (None, ""): there is none.
+
+        It is limp, whatever its level was: after a person's stop, an unreadable record, or a power
+        cut, unless drives_after_power_cut.
+        """
         if before.get("error"):
             return StopRequest(StopLevel.LIMP, "a record that cannot be read"), before["error"]
         if before.get("stopped"):
@@ -119,6 +124,7 @@ class StopRecord:
         return None, ""
 
     def _keep(self, *, is_running: bool) -> None:
+        """Hand the present state to the writing thread; is_running: False at this process's end."""
         if self._path is None:
             return
         stop = self.stopped
@@ -134,6 +140,10 @@ class StopRecord:
             self._is_due.notify_all()
 
     def _write_all(self, path: Path) -> None:
+        """Write every new state to `path` until the process ends; run by the thread.
+
+        A state that could not be written is tried again every 5 s.
+        """
         while True:
             with self._is_due:
                 if self._tried is self._state:

@@ -113,8 +113,8 @@ class Supervisor:
         control : the face's control socket, served here while no bridge serves it.
         notice : to systemd.
         record : keeps stops beyond this process, and may hold one from before it.
-        tell_kept : called with the reason whenever it changes why a stop cannot be kept, for the
-            process that answers clients; empty: it is kept.
+        tell_kept : informs the process that answers clients; called, whenever that changes, with
+            why a stop cannot be kept, empty: it is kept.
 
         """
         self._bridge, self._speech = RestartedChild(bridge), RestartedChild(speech)
@@ -220,7 +220,10 @@ class Supervisor:
         return {"not_kept": not_kept} if not_kept else {}
 
     def _fire(self, event: SupervisorEvent) -> bool:
-        """Go where the table says, and do what it says; return whether the event means anything."""
+        """Set the phase by the row of `SUPERVISOR_TABLE` for `event`, and carry out its actions.
+
+        Return False, having done nothing, if the present phase has no such row.
+        """
         row = SUPERVISOR_TABLE.find(self._phase, event, self._holds)
         if row is None:
             return False
@@ -230,7 +233,7 @@ class Supervisor:
         return True
 
     def _holds(self, requested: Requested) -> bool:
-        """Return whether this was requested last, and holds."""
+        """Return whether the condition `requested` of a row of `SUPERVISOR_TABLE` holds now."""
         request = self._request
         match requested:
             case Requested.END:
@@ -245,6 +248,7 @@ class Supervisor:
                 return self._stop_report is not None and not self._holds(Requested.END)
 
     def _do(self, action: SupervisorAction) -> None:
+        """Carry out one action of `SUPERVISOR_TABLE`."""
         match action:
             case SupervisorAction.START_BRIDGE:
                 self._start_bridge()
@@ -281,6 +285,7 @@ class Supervisor:
         return [*self._bridge.child.filenos(), *self._speech.child.filenos(), *control]
 
     def _read_messages(self) -> None:
+        """Store or act on what bridge and speech have reported since the last step."""
         for message in self._bridge.child.read():
             match message:
                 case Stopped(level, ends, requested_by):
@@ -344,6 +349,7 @@ class Supervisor:
         self._fire(SupervisorEvent.SIGNAL)
 
     def _serve_control(self) -> None:
+        """Answer clients, and carry out their stops and orders, while no bridge does so."""
         if self._bridge.serves:
             self._control.send_away()  # a client let in here would wait for ever for an answer
             return
@@ -362,6 +368,7 @@ class Supervisor:
                 return
 
     def _obey_stop(self, request: StopRequest) -> None:
+        """Keep a client's stop for later bridges, and act on it; a second freeze does nothing."""
         was_frozen = self._holds(Requested.FREEZE)
         self._hold_stop(request)
         if request.level is not StopLevel.FREEZE:
@@ -387,9 +394,10 @@ class Supervisor:
         return f"{self._phase.value}: ask again once the face is driven"
 
     def _obey_start(self, order: StartFace, *, is_stopped_now: bool) -> None:
-        """Start the face's bridge as the order demands, unless the face was stopped in this round.
+        """Start the face's bridge as `order` demands, and log it.
 
-        is_stopped_now: whether it was. A start of a face that is not stopped is ignored, too.
+        is_stopped_now: whether a stop came in the same round, which voids the start. A start of a
+        face that is not stopped does nothing.
         """
         is_obeyed = not is_stopped_now and self._fire(SupervisorEvent.START)
         then = "" if is_obeyed else ": not obeyed, a stop came with it"
@@ -399,6 +407,11 @@ class Supervisor:
         return self._servo_names.index(name)
 
     def _watch_speech(self, ended: int | None, now_s: float) -> None:
+        """Note the end of the speech process, kill it if it hangs, or start it when due.
+
+        Once the face's processes are to end it is not started again. ended: its exit status if it
+        has just ended; None otherwise.
+        """
         speech = self._speech
         if ended is not None:
             if not self._holds(Requested.END):
@@ -410,6 +423,10 @@ class Supervisor:
             speech.start(zero, now_s)
 
     def _watch_bridge(self, ended: int | None, now_s: float) -> None:
+        """Take the next step with the bridge: its end, start or kill, or torque off by force.
+
+        ended: its exit status if it has just ended; None otherwise.
+        """
         if ended is not None:
             self._bridge_ended(ended, now_s)
         elif self._release is not None:
@@ -425,6 +442,7 @@ class Supervisor:
             self._fire(SupervisorEvent.DUE)
 
     def _start_bridge(self) -> None:
+        """Start the bridge; its arguments are the stop and the servos that must stay limp."""
         arguments = []
         if self._request is not None:
             arguments += ["--stopped", self._request.level.value]
@@ -436,6 +454,7 @@ class Supervisor:
         self._bridge.start(arguments, self._now_s)
 
     def _bridge_ended(self, status: int, now_s: float) -> None:
+        """Note the bridge's exit status (negative: killed by that signal), and fire its event."""
         self._bridge_status = status
         if status == ExitStatus.ENDED_WELL:
             self._conclude(let_go_report(self._servos.can, {}), status)
@@ -488,7 +507,7 @@ class Supervisor:
         return let_go_report(let_go, release.unconfirmed, confirms=confirms)
 
     def _conclude(self, report: StopReport, status: int) -> None:
-        """Note the report of torque off, and with what the process would exit."""
+        """Store the report of torque off, and the exit status that the process would have now."""
         self._end_report, self._at_s = report, round(time.time(), 3)
         self.exit_status = int(status)
 

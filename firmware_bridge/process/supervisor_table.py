@@ -41,7 +41,7 @@ class SupervisorEvent(StrEnum):
 
 
 class Requested(StrEnum):
-    """What was requested last, and holds: the guards of the rows."""
+    """The conditions of rows: which request of a person was the last, and is still in force."""
 
     END = "a stop that ends the process, or a signal"
     STOP = "a stop"

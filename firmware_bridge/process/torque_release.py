@@ -78,6 +78,7 @@ class TorqueRelease:
             self._port = None
 
     def _open(self) -> None:
+        """Open the port, send torque off and begin a new report. Raises BusError."""
         port = self._port = self._open_port()
         self.port_error = ""
         self._opened_s = self._now_s()
@@ -93,6 +94,7 @@ class TorqueRelease:
             self.released, self.unconfirmed = list(addresses), {}
 
     def _next_round(self, port: PortRelease) -> None:
+        """Send torque off again and begin to poll all unconfirmed servos; or end the release."""
         if self._n_rounds:
             port.tell_all(list(self.unconfirmed))
         waited_s = self._now_s() - self._opened_s

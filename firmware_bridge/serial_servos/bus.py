@@ -144,6 +144,7 @@ class SerialBus(ABC, Generic[_Line]):
         self._begin(self._open_line())
 
     def __enter__(self) -> Self:
+        """Open the port and identify all servos; torque stays. Raises PortError, ServoError."""
         line = self._open_line()
         try:
             for n, found in enumerate(self._identities(line)):
@@ -158,6 +159,10 @@ class SerialBus(ABC, Generic[_Line]):
         return self
 
     def __exit__(self, *exc: object) -> None:
+        """Switch all torque off if any was switched on here, and close the port.
+
+        A port that is lost cannot carry the order: it is closed, and no error is raised.
+        """
         try:
             if self._line is not None and self._cache.enabled.any():
                 self.disable_all()

@@ -17,7 +17,7 @@ _WARM_DEGC: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class ServoCondition:
-    """What one servo says of itself. errors: bits of `HardwareError`.
+    """The condition of one servo, read from its registers. errors: bits of `HardwareError`.
 
     differences: between its EEPROM and what the face needs.
     """
@@ -40,10 +40,11 @@ def servo_findings(
     wanted_rate: int,
     condition: Callable[[], ServoCondition],
 ) -> Iterator[Finding]:
-    """Yield the findings about one servo, which should be a `model`.
+    """Yield the findings about the servo of `joint`, which should be a `model`.
 
-    seen: baud rate and model with which it answered; None: it did not. condition: reads it; raises
-    ServoError where it falls silent.
+    seen: (baud rate, model) with which the servo answered; None: it did not answer. wanted_rate:
+    the YAML's baud rate. condition: reads the servo's condition; raises ServoError if the servo
+    stops answering.
     """
     name = f"{joint.name} (id {joint.servo_id})"
     if seen is None:

@@ -161,10 +161,10 @@ def checked_identities(
 ) -> list[Identity | None]:
     """Return `found`, the identities that servos reported (None: silent), if they can be driven.
 
-    mismatches: returns the differences between a servo and its identity. Not strict: servos that do
-    not answer are allowed, unless all are silent or a critical one is. Raises ServoError with every
-    mismatch in one text; where all are silent, with the other kind of bus, in place of `kind`, that
-    answers at `transport`; None: no other kind is tried.
+    mismatches: returns the differences between a servo and its identity. strict: every servo must
+    answer; otherwise servos may be silent, but neither a critical one nor all. kind: the face's
+    kind of bus. transport: where all are silent, servos of other kinds are looked for there; None:
+    they are not. Raises ServoError with all mismatches, or with the kind of bus that does answer.
     """
     silent = [servo for servo, each in zip(servos, found, strict=True) if each is None]
     if len(silent) == len(servos) and transport is not None:

@@ -155,8 +155,8 @@ class ChainSetup:
     ) -> list[Plan]:
         """Return, for every servo at its own id, the plan of registers to change.
 
-        found: all that answer. baud_rate: the one that servos shall have. Raises ServoError with a
-        line for each servo of another model, or with an id that several have.
+        found: all servos that answer. baud_rate: the rate that the servos shall have. Raises
+        ServoError with a line for each servo of another model, or with an id that several have.
         """
         lines = []
         for servo in servos:
@@ -181,8 +181,8 @@ class ChainSetup:
     def plan_alone(self, line: Any, servo: MountedServo[Any], found: Found, baud_rate: int) -> Plan:
         """Return the plan of registers to change so that the only connected servo becomes `servo`.
 
-        found: all that answer, at any id. baud_rate: the one that it shall have. Raises ServoError
-        if none or several answer, and for another model.
+        found: all servos that answer, at any id. baud_rate: the rate that `servo` shall have.
+        Raises ServoError if none or several answer, and for another model.
         """
         name, own_id = servo.joint.name, servo.joint.servo_id
         answers = [(servo_id, *each) for servo_id, all_of_it in found.items() for each in all_of_it]
@@ -244,6 +244,7 @@ class ChainSetup:
         return Plan(servo, servo_id, rate, tuple(self.lacking(line, servo, servo_id, baud_rate)))
 
     def _other_model(self, servo: MountedServo[Any], number: Any) -> list[str]:
+        """Return [a line that another model was found], or [] for the right model."""
         it_is, wanted = self.model_name(number), servo.model.name
         if it_is == wanted:
             return []

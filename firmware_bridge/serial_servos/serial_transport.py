@@ -56,6 +56,7 @@ class PyserialTransport:
 
     @baud_rate.setter
     def baud_rate(self, baud_rate: int) -> None:
+        """Set the baud rate. Raises PortError for an impossible one, PortGone for a lost port."""
         try:
             self._handle.baudrate = baud_rate
         except ValueError as error:
@@ -100,7 +101,7 @@ class PyserialTransport:
 
 
 class SerialTransport(PyserialTransport):
-    """The same over a tty, by its descriptor: USB adapter or pseudo-terminal."""
+    """A `Transport` over a tty, USB adapter or pseudo-terminal, that uses its descriptor."""
 
     def __init__(self, handle: Tty, clock: Clock) -> None:
         super().__init__(handle, str(handle.port), handle.baudrate, clock)
@@ -188,7 +189,7 @@ def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> Pyserial
 
 
 def _open_url(url: str, baud_rate: int, clock: Clock) -> PyserialTransport:
-    """Open a URL; what is behind a socket is locked among this computer's processes.
+    """Open a URL of pyserial's; the address of a socket is locked for this process.
 
     The lock is a name in Linux's abstract namespace: the kernel frees it when its process dies.
     """
@@ -238,7 +239,8 @@ def latency_timer_ms(port: str) -> int | None:
 def adapter_identity(port: str, sysfs: Path = Path("/sys")) -> str | None:
     """Return what tells the USB adapter behind a port from others, in words; None: it is not USB.
 
-    Its serial number or, where it has none as most CH340 have none, the socket that it is in.
+    The adapter's serial number; where it has none, as most CH340, the socket that it is plugged
+    into.
     """
     device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
     for folder in (device, *device.parents):

@@ -41,7 +41,7 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
     """Switches torque of one servo at a time. Every method may raise PortError.
 
     torque_address: of register torque_enable. identify, mismatches: the functions of the servos'
-    `mounting`. The underlined methods are what each kind of servo adds.
+    `mounting`. A subclass for each kind of servo adds the abstract methods.
     """
 
     torque_address: ClassVar[int]
@@ -78,7 +78,7 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
     def keep(self, line: _Line, index: int) -> bool:
         """Hold a servo with torque on at its present position; return whether it confirmed that.
 
-        False if its torque is off, which it stays, or if it does not confirm what it needs.
+        False if its torque is off, and stays off, or if reads do not confirm goal and protections.
         """
         status = line.read(self._servos[index].joint.servo_id, self.torque_address, 1)
         if status is None or not status.data:
@@ -94,7 +94,7 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
         return limp
 
     def note(self, index: int, read: bytes, now_s: float) -> None:
-        """Take what was read at `now_s` of a servo, from register `torque_enable` on."""
+        """Store whether torque is on, by the bytes `read` from `torque_enable` on at `now_s`."""
         self._cache.torque.note(index, now_s, on=read[0] != 0)
 
     @property
@@ -126,7 +126,7 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
         """Switch torque; return whether a read shows it."""
 
     def _place(self, _line: _Line, _servo_id: int, found: Any) -> int | None:
-        """Return the position register of a servo just identified; None: it does not say."""
+        """Return the position register of a servo just identified; None: the servo is silent."""
         return int(found.place)
 
     def _switch(self, line: _Line, index: int, *, on: bool) -> bool:

@@ -54,8 +54,9 @@ class RegisterMemory:
     ) -> list[tuple[Register, int]] | StatusError:
         """Return the registers that a write changes, with their values, or the write's error.
 
-        Indirect data is resolved. []: an allowed write of indirect addresses, to be done by
-        `map_indirect`. locked: whether torque is on, so that indirect addresses cannot be changed.
+        Indirect data is resolved. []: an allowed write of indirect addresses, whose bytes the
+        caller puts into memory. locked: whether torque is on, so that indirect addresses cannot be
+        changed.
         """
         for block in self._indirect:
             if block.data <= address < block.data + block.count:
@@ -101,6 +102,7 @@ class RegisterMemory:
     def _mapping_refusal(
         self, block: IndirectBlock, address: int, data: bytes
     ) -> list[tuple[Register, int]] | StatusError:
+        """Return the status error against a write of indirect addresses; []: it is allowed."""
         if (address - block.addresses) % 2 or len(data) % 2:
             return StatusError.DATA_LENGTH
         targets = struct.unpack(f"<{len(data) // 2}H", data)
@@ -111,6 +113,10 @@ class RegisterMemory:
         return []
 
     def _through_indirect(self, block: IndirectBlock, address: int, data: bytes) -> bytes:
+        """Return the bytes of a read with the block's data bytes replaced by what they point to.
+
+        data: the bytes in memory from `address` on.
+        """
         shown = bytearray(data)
         for offset in range(len(data)):
             number = address + offset - block.data

@@ -37,6 +37,7 @@ class _StrictLoader(yaml.SafeLoader):
     """A YAML loader of plain values; refuses a key given twice, where PyYAML keeps the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Return a mapping's values. Raises ConstructorError for a key that is given twice."""
         seen = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode):
@@ -68,6 +69,7 @@ def read_faults(text: str | None, n_servos: int) -> tuple[int, tuple[Fault, ...]
 
 
 def _load(text: str) -> object:
+    """Parse the YAML of a fault script. Raises FaultScriptError with the line and the reason."""
     if _bracket_depth(text) > _DEEPEST:  # PyYAML takes seconds for thousands of them
         raise FaultScriptError("not a fault script: nested too deep")
     try:
@@ -142,6 +144,7 @@ class _Reader:
         return Fault(self._kind, **values)
 
     def _allowed(self) -> list[str]:
+        """Return the keys that an entry of this kind may have."""
         kind = self._kind
         keys = ["kind"] if kind in ON_INSTRUCTIONS or kind == "unplug" else ["kind", "servos"]
         if self._by_chance:
@@ -178,6 +181,10 @@ class _Reader:
         whole: bool = False,
         meaning: str = "",
     ) -> float:
+        """Return `value` if it is a number in low..high; raise FaultScriptError otherwise.
+
+        key, meaning: name the value in the error, and say what it means. whole: only integers.
+        """
         kind = "a whole number" if whole else "a number"
         bounds = f"from {low:g} on" if high == _LONGEST_S else f"between {low:g} and {high:g}"
         allowed = f"must be {kind} {bounds}{meaning}"

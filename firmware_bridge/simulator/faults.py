@@ -178,6 +178,7 @@ class FaultInjector:
         return self._motors.hardware_errors(self._low_v, self._high_v, self._hottest)
 
     def _begin(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
+        """Begin a fault of one servo at `now_s`."""
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind == "silence":
             servo.ignore_until(now_s + fault.lasts_s if fault.lasts_s else math.inf)
@@ -205,6 +206,7 @@ class FaultInjector:
             self._change_registers(servo, fault)
 
     def _change_registers(self, servo: SimulatedServo, fault: Fault) -> None:
+        """Begin a fault that changes registers or torque, turns the shaft, or unplugs the chain."""
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind == "torque_lost":
             servo.lose_torque()
@@ -226,6 +228,7 @@ class FaultInjector:
             self.unplugged = True
 
     def _end(self, servo: SimulatedServo, fault: Fault) -> None:
+        """End a fault of one servo: load, supply, heat, answers or port are as usual again."""
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind in ("overload", "jam", "load"):
             motors.load[i] = 0.0

@@ -79,6 +79,7 @@ class Profile:
         return self.acceleration * ACCELERATION_UNIT
 
     def _timed_course(self, distance: float, speed: float) -> Course:
+        """Return `course` of a timed profile, whose velocity and acceleration are times in ms."""
         total_s = self.velocity * 1e-3
         # As the manual says, speeding up never takes more than half of the time.
         rising_s = min(self.acceleration * 1e-3, 0.5 * total_s)
@@ -278,6 +279,7 @@ class Motors:
         return not (on & (strained | (self.load != 0.0))).any()
 
     def _step(self) -> None:
+        """Advance all motors by 5 ms: trajectory, speed, position, effort, voltage and heat."""
         on = self.torque_on
         self._follow_profile()
         room = np.maximum(0.0, 1.0 - self.load / np.maximum(self.strength, 1e-6))

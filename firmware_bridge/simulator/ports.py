@@ -327,6 +327,7 @@ class PtyHost:
             self._link.remove()
 
     def _plug_in(self) -> None:
+        """Open a new pseudo-terminal, whose name becomes `port`. Raises PortError."""
         try:
             self._master, self._slave = os.openpty()
         except OSError as error:
@@ -337,6 +338,7 @@ class PtyHost:
         self._access = ExclusiveAccess(self._slave, self.port)
 
     def _mind_the_plug(self) -> None:
+        """Open or close the terminal if the device was plugged in or unplugged since."""
         if self._chain.plugged and self._master < 0:
             self._plug_in()
             if self._link is not None:
@@ -347,6 +349,7 @@ class PtyHost:
             self.close()
 
     def _receive(self) -> None:
+        """Pass the client's bytes to the device, at the baud rate that the client has set."""
         now_s = time.monotonic() - self._zero_s
         try:
             data = os.read(self._master, _CHUNK)

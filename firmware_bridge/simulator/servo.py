@@ -249,6 +249,7 @@ class SimulatedServo:
         return 0 if low <= goal <= high else StatusError.DATA_LIMIT
 
     def _refusal_of_one(self, entry: Register, value: int) -> int:
+        """Return the status error against writing `value` to one register; 0: it is allowed."""
         name, table = entry.name, self._table
         if entry.in_eeprom and self._drive.torque_on:
             return StatusError.ACCESS
@@ -326,6 +327,7 @@ class SimulatedServo:
         return self.read_span(*struct.unpack("<HH", parameters))
 
     def _factory_settings(self, keep: Mapping[str, int] | None = None) -> None:
+        """Set all registers to the model's defaults; keep: values of registers that differ."""
         self._memory[:] = bytes(len(self._memory))
         for name, value in self.model.defaults.items():
             self._table[name] = value
@@ -349,6 +351,11 @@ class SimulatedServo:
         self.holds_at_start = bool(self["startup_configuration"] & _TORQUE_AT_START)
 
     def _reset(self, parameters: bytes, now_s: float) -> int:
+        """Obey the instruction factory reset, then restart; return the status error.
+
+        parameters: one byte, of what is reset: 0xFF: all; 1: all but the id; 2: all but id and baud
+        rate.
+        """
         if len(parameters) != 1:
             return StatusError.DATA_LENGTH
         kept = {0xFF: (), 1: ("id",), 2: ("id", "baud_rate")}.get(parameters[0])

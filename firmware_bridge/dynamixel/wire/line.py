@@ -132,6 +132,10 @@ class Line(HalfDuplex):
         return statuses if wide.size == span.size else span.cut(statuses, wide.address)
 
     def _ask_span(self, span: SpanRead) -> Sequence[Status]:
+        """Send request `span` as it is; return the statuses that came, in the order of its ids.
+
+        Servos that did not answer in time are noted: their answers may still come.
+        """
         n = len(span.ids)
 
         def take(stream: bytes, *, last: bool) -> Sequence[Status] | None:
@@ -185,6 +189,7 @@ class Line(HalfDuplex):
         size = codec.EMPTY_STATUS_SIZE + n_data
 
         def take(stream: bytes, *, last: bool) -> list[Status] | None:
+            """Return [status] for a fitting status in `stream`; None: read on; []: none came."""
             if len(stream) == size:
                 status = codec.undisturbed_status(stream)
                 if status is not None and status.servo_id == servo_id:

@@ -28,7 +28,7 @@ class SpanGroup:
     """A repeated read of the same registers of servos `ids`; a fast read while that works.
 
     Servos that were silent in two successive reads are read last, after five only now and then.
-    leaves_out: whether there are servos of the latter sort.
+    leaves_out: whether any servo is read only now and then.
     """
 
     def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
