@@ -38,6 +38,10 @@ class AlphabetError(UserError):
 
 @cache
 def _tables() -> Mapping[str, Mapping[str, tuple[str, ...]]]:
+    """Return the tables of alphabets.yaml: by alphabet and label, the row of that label.
+
+    A row of a viseme set is (phone, reason); that of a spelling is (IPA,).
+    """
     text = files("lipsync").joinpath("alphabets.yaml").read_text("utf-8")
     return MappingProxyType(
         {
@@ -136,6 +140,10 @@ def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) 
 
 
 def _spelled(label: str, alphabet: str, *, guesses: bool) -> tuple[str, ...]:
+    """Return the phones for a `label` of IPA or of a spelling that stands for IPA; SIL for a pause.
+
+    guesses: as in `phones_of`. Raises AlphabetError for a letter that would have to be guessed.
+    """
     # Vowels of X-SAMPA are punctuation.
     if label.lower() in PAUSES or (alphabet != X_SAMPA and is_pause(label)):
         return (SILENCE,)

@@ -73,6 +73,7 @@ class SpokenText:
     sample_rate_hz: int
 
     def __post_init__(self) -> None:
+        """Raise SpokenTextError for units, times or a sample rate that the class does not allow."""
         if self.sample_rate_hz <= 0:
             raise SpokenTextError(f"sample_rate_hz {self.sample_rate_hz} must be above 0")
         if len(self.units) > MOST_UNITS:

@@ -143,6 +143,7 @@ def reason_of(error: soundfile.LibsndfileError) -> str:
 
 
 def _refuse_other_than_files(path: Path) -> None:
+    """Raise SoundError unless `path` is a readable file with content; open no pipe or device."""
     try:
         kind = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError) as error:
@@ -169,6 +170,7 @@ def _refuse_other_than_files(path: Path) -> None:
 
 
 def _refuse_odd_settings(path: Path, sound: soundfile.SoundFile) -> None:
+    """Raise SoundError for a sample rate outside 4 to 192 kHz, or more than 32 channels."""
     if not SLOWEST_RATE_HZ <= sound.samplerate <= FASTEST_RATE_HZ:
         raise SoundError(
             f"{path}: a sample rate of {sound.samplerate} Hz is not possible here "
@@ -540,6 +542,7 @@ def _numbers(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
 
 
 def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
+    """Return a line for the log if a file of `n_frames` frames is cut short, else ""."""
     holds_s = n_frames / sound.samplerate
     if lacks_its_end(path, sound):
         return f"{path}: cut short: its end is missing; the {holds_s:.2f} s that are there are used"
@@ -555,6 +558,7 @@ def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
 
 
 def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
+    """Raise SoundError for sound that is empty, below 25 ms, or zeros alone (no `has_sound`)."""
     if duration_s == 0.0:
         raise SoundError(f"{path}: has no sound (0 samples); record or export it again")
     if duration_s < SHORTEST_S:

@@ -300,6 +300,10 @@ class LoudspeakerOutput:
         self.watch.close()
 
     def _open(self) -> OpenStream:
+        """Find the device, open and start a stream at the timeline's rate, and return the stream.
+
+        Called by `watch`, at first and after each loss; waits for the device. Raises SoundError.
+        """
         self._device = find_device(self._wanted, "output")
         # The timeline is counted in samples: another rate would tear it.
         rate_hz, n_channels = self._rate_and_channels((self.rate_hz,))

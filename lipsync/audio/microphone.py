@@ -134,6 +134,7 @@ class MicrophoneSource:
         self.watch.close()
 
     def _start_afresh(self) -> None:
+        """Reset the source to sound time 0, with no capture, no samples and no lost blocks."""
         # One for each time that the device was opened; all but the newest have ended.
         self._captures: deque[_Capture] = deque()
         self._n_pushed = 0  # samples at 16 kHz that went on to the cutter
@@ -145,6 +146,10 @@ class MicrophoneSource:
         self._cutter = BlockCutter()
 
     def _open(self) -> OpenStream:
+        """Find the device, open and start a stream that queues its sound, and return the stream.
+
+        Called by `watch`, at first and after each loss; waits for the device. Raises SoundError.
+        """
         self._device = find_device(self._wanted, "input")
         rate_hz, n_channels = self._rate_and_channels()
         make_stream = partial(

@@ -371,6 +371,7 @@ class Playout:
         """Do nothing: the loudspeaker is closed by the caller that opened it."""
 
     def _commit(self, n_until: int) -> Iterator[tuple[AudioBlock, AudioBlock]]:
+        """Commit blocks up to number `n_until`: write each to the loudspeaker, yield its pair."""
         while self._n_blocks < n_until:
             start_s = self.committed_s
             self._n_blocks += 1
@@ -465,6 +466,7 @@ class Playout:
         return _SILENCE if samples is None else samples
 
     def _note_underrun(self, playing: PlayingStream) -> None:
+        """Mark a stream as starved; count an underrun unless its sender waits for a mark."""
         playing.is_starved = True
         if playing.stream.is_marked:  # its sender waits until this was heard
             return

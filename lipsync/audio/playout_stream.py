@@ -209,6 +209,12 @@ class PlayoutStream:
         *,
         is_better: bool,
     ) -> None:
+        """Queue the words of `spoken` in `started_words`, after earlier words or in their place.
+
+        whole: all units of this kind, `spoken` included. All earlier words are replaced if
+        `is_better`, as by words in place of a text; those from the start of `spoken` on, if it
+        corrects earlier units.
+        """
         before = self.spoken.get(spoken.kind)
         n_units = 0 if before is None else len(before.units)
         is_correction = len(whole.units) < n_units + len(spoken.units)

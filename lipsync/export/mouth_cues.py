@@ -198,6 +198,10 @@ def rule_cues(
 def _mouth_spans(
     events: Iterable[PhonemeEvent], total_cs: int, *, stops_at_burst: bool
 ) -> list[_MouthSpan]:
+    """Return the spans of phonemes and of the silences between, from 0 to `total_cs`, without gaps.
+
+    stops_at_burst: as in `rule_cues`: a stop's closure is then put before its label.
+    """
     spans: list[_MouthSpan] = []
     now_cs = before_cs = 0
     for event in events:
@@ -227,6 +231,7 @@ def _cut_at(spans: Sequence[_MouthSpan], time_cs: int) -> list[_MouthSpan]:
 
 
 def _of_phone(phone: str, start_cs: int, end_cs: int) -> list[_MouthSpan]:
+    """Return the spans of a phone, two for a diphthong; times in hundredths of a second."""
     shapes = _shapes_of(phone, end_cs - start_cs)
     is_vowel = phone in _VOWELS
     if len(shapes) == 1:
@@ -313,6 +318,11 @@ def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
 
 
 def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
+    """Return the shape for a pause inside speech, `duration_cs` hundredths of a second long.
+
+    Below 0.12 s the shape before; up to 0.35 s that shape relaxed, until it differs from the shape
+    after; in longer pauses, or where none differs, X.
+    """
     if duration_cs < _HELD_PAUSE_CS:
         return before
     if duration_cs <= _RELAXED_PAUSE_CS:

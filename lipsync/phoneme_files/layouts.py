@@ -120,6 +120,11 @@ def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Ti
 
 
 def _of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
+    """Return the tiers in a parsed JSON document of a speech service.
+
+    alphabet: of phonemes where the document names none. Raises LabelError or VendorError for a
+    document without labels that can be used.
+    """
     if isinstance(document, dict) and "facsNames" in document and "weightMat" in document:
         raise LabelError(
             "the file has weights of face shapes (as Audio2Face exports them), not labels; give "

@@ -203,6 +203,7 @@ class Espeak:
         )
 
     def _check_voice(self, voice: Voice) -> None:
+        """Raise SynthesisError for a named voice, and a language, rate or pitch not available."""
         if voice.name:
             raise SynthesisError(f"espeak-ng has no voice {voice.name!r}; give a language")
         known = self._process.languages()
@@ -276,6 +277,11 @@ def _sounds(samples: NDArray[np.float32]) -> bool:
 
 
 def _words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tuple[SpokenWord, ...]:
+    """Return the words of `text` that are spoken, with start and end in seconds.
+
+    timed: the phonemes, with corrected times. Words that espeak-ng counts within one written word
+    (syllables, parts of a number) are joined.
+    """
     marks = [mark for mark in spoken.marks if isinstance(mark, WordMark)]
     found: list[SpokenWord] = []
     until = 0

@@ -209,6 +209,7 @@ def pronounce(word: str) -> tuple[str, ...]:
 
 
 def _ipa(word: str) -> list[str]:
+    """Return gruut's IPA phonemes of a word. Raises PronunciationError where gruut is missing."""
     try:
         check_extra("gruut", f"word {word!r} is not in the dictionary; guessing how it sounds")
     except MissingExtraError as error:

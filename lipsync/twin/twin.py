@@ -315,6 +315,11 @@ def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tu
 def _mouth_frame(
     places: Array, lips: Indices, morphs: dict[str, Array], components: tuple[str, ...]
 ) -> MouthFrame:
+    """Return the frame by which teeth, tongue and inside of the mouth are placed and moved.
+
+    places: (n, 3) mm, the skin's vertices; lips: the vertices of the lips' inner rim, in order;
+    morphs: displacements (n, 3) in mm by morph target; components: the targets of the face model.
+    """
     chin = list(CHIN)
     joint = places[list(JAW_JOINT)].mean(axis=0)
     moves = np.stack([morphs[name][chin] for name in components])
