@@ -411,6 +411,11 @@ def _has_goals(line: Mapping[str, Any], goals_deg: Array) -> bool:
 def _pose(
     line: Mapping[str, Any], index: int, plan: PosePlan, marker_names: tuple[str, ...]
 ) -> CapturedPose:
+    """Return the captured pose that one parsed JSON line of the file holds.
+
+    index: the pose's row in `plan`. Raises ValueError for a pose of another face or plan, or with
+    another number of markers.
+    """
     if line["servos"] != list(plan.servo_names) or line["markers"] != list(marker_names):
         raise ValueError("the pose is of another face")
     if not _has_goals(line, plan.goals_deg[index]):

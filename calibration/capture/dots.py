@@ -145,6 +145,11 @@ def _spot(pixels: Array) -> _Spot:
 
 
 def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
+    """Return the dots among the spots of the dots' colour in a picture.
+
+    size_px: the picture's height and width. Dots are about as large as the usual one; a spot of two
+    touching dots becomes two dots, and any other spot is left out.
+    """
     usual_px, usual_length = _usual(spots)
     middles: list[Array] = []
     n_merged = 0
@@ -300,6 +305,10 @@ class DotsFolder:
         ]
 
     def _look(self, pose: int, picture: Path) -> list[Reading]:
+        """Find the dots in a picture; return a reading for each named dot, NaN for a hidden one.
+
+        Raises CalibrationError for an unreadable picture, or one not as large as the first.
+        """
         names = self._names
         found = find_dots(picture)
         self._check_size(picture.name, found.size_px)
@@ -315,6 +324,10 @@ class DotsFolder:
         return [(pose, name, place_mm) for name, place_mm in places_mm.items()]
 
     def _check_size(self, name: str, size_px: tuple[int, int]) -> None:
+        """Raise CalibrationError if a picture is not as large as the first one checked.
+
+        name: the picture's file name; size_px: height and width.
+        """
         self._first = self._first or (name, size_px)
         first, wanted = self._first
         if size_px != wanted:
@@ -324,6 +337,10 @@ class DotsFolder:
             )
 
     def _tell_of(self, picture: str, found: FoundDots, places_px: Mapping[str, Array]) -> None:
+        """Tell the user of a picture's touching and hidden dots, once per remark and picture.
+
+        places_px: (2,) pixels of each named dot, NaN where hidden.
+        """
         n_lost = sum(bool(np.isnan(place).any()) for place in places_px.values())
         remarks = []
         if found.n_merged:

@@ -166,6 +166,12 @@ class MeshFolder:
         return readings, useless
 
     def _markers(self, path: Path) -> Array | str:
+        """Return a photograph's markers, (47, 3) mm, or the reason why it has none.
+
+        A photograph is read again only after its size or time of change differs. One that is
+        unreadable is read a second time before `tell` is called, as another program may be writing
+        the file.
+        """
         try:
             status = path.stat()
         except FileNotFoundError:
@@ -187,6 +193,10 @@ class MeshFolder:
         return self._seen[path][1]
 
     def _look(self, path: Path) -> Array | str:
+        """Read a photograph; return its markers, (47, 3) mm, or the reason why it has none.
+
+        The first photograph that shows a face defines the coordinate frame of all others.
+        """
         try:
             picture = next((each for _, each in video_pictures(path)), None)
             if picture is None:

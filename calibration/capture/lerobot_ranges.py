@@ -70,6 +70,11 @@ def by_id(ranges: Mapping[str, RecordedRange]) -> dict[int, RecordedRange]:
 
 
 def _parse(place: str, name: str, entry: object) -> RecordedRange:
+    """Return the recorded range in one joint's `entry` of the JSON file.
+
+    place: file and joint, for messages. Raises CalibrationError for a missing key or a value that
+    is out of range or no whole number.
+    """
     if not isinstance(entry, dict):
         raise CalibrationError(f"{place}: must have the keys {', '.join(_KEYS)}")
     values: dict[str, int] = {}

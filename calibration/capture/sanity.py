@@ -173,6 +173,10 @@ def check_frame(
 def _frame_findings(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel
 ) -> Iterator[Finding]:
+    """Yield a refusal each for wrong axes and for an odd size of the markers.
+
+    usual_mm: (n_markers, 3) mm, the usual position of each.
+    """
     axes, size = frame_faults(marker_names, usual_mm, model)
     if axes is not None:
         yield Finding("", f"{axes}; correct the tracker's axes and capture again")
@@ -293,6 +297,7 @@ def _stalled(capture: Capture) -> Iterator[Finding]:
 
 
 def _lost_points(capture: Capture) -> Iterator[Finding]:
+    """Yield a refusal for a marker lost in over half of the poses, else a warning of lost ones."""
     is_seen = np.isfinite(capture.markers_mm).all(axis=2)
     seen, n_lost = is_seen.mean(axis=0), int((~is_seen).sum())
     worst = int(seen.argmin())
@@ -323,6 +328,11 @@ def _moved_head(record: _Record) -> Iterator[Finding]:
 
 
 def _exchanged_names(record: _Record) -> Iterator[Finding]:
+    """Yield refusals for pairs of markers that swapped names, in every pose or in single poses.
+
+    Swaps in single poses are a judgement: if the refusal is accepted, the names are exchanged back
+    in `record`.
+    """
     everywhere = swapped_everywhere(record.given, record.model)
     in_poses = swapped_in_poses(record.capture, record.lines.expected_mm)
     if in_poses:

@@ -143,6 +143,11 @@ def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Arra
 
 
 def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
+    """Return the errors of the live map `run` on held-out frames of speech, on the learnt face.
+
+    held_out: (n, n_components) coefficients. Markers are compared with the wanted shapes, angles
+    with the best poses.
+    """
     from_rest = held_out - on.model.rest
     best_deg = on.retargeting.poses_deg(from_rest)
     targets_mm = on.retargeting.targets_mm(from_rest)

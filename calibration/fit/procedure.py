@@ -165,6 +165,11 @@ class Procedure:
             return self._speech_plan(checked.capture, checked.still, n_poses)
 
     def _speech_plan(self, capture: Capture, still: Sequence[int], n_poses: int) -> PosePlan:
+        """Return a plan of `n_poses` poses of speech, in whole degrees, chosen by the learnt face.
+
+        still: numbers of joints that stay at 0. First come poses that close the lips in steps, then
+        the widest opening, then centres of the speaker's other mouth shapes.
+        """
         learnt = self._learnt(capture, still)
         retargeting, from_rest = learnt.retargeting, learnt.from_rest
         mouth, face = retargeting.mouth, learnt.face
@@ -186,6 +191,10 @@ class Procedure:
         return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
 
     def _learnt(self, capture: Capture, still: Sequence[int]) -> "_Learnt":
+        """Learn the face from a capture; return it with some of the speaker's frames of speech.
+
+        still: numbers of joints that stay at 0.
+        """
         names = correspond(capture.marker_names)
         face = fit_robot_face(capture, names.shape_features)
         servos = MouthServos(tuple(self.joints), rules=tuple(self.rules)).holding(still)

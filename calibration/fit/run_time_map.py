@@ -315,6 +315,11 @@ def _centres(from_rest: Array) -> Array | None:
 def _fitted(
     retargeting: Retargeting, from_rest: Array, poses_deg: Array, centres: Array | None
 ) -> RunTimeMap:
+    """Return the live map fitted to poses; frames with closed lips count up to six times.
+
+    from_rest: (n, n_components) mm; poses_deg: (n, n_servos) degrees; centres: as in
+    `fit_run_time_map`.
+    """
     mouth = retargeting.mouth
     counts = 1.0 + (_CLOSURE_COUNTS - 1.0) * retargeting.closing(from_rest)
     return fit_run_time_map(
