@@ -71,9 +71,9 @@ def alphabets() -> tuple[str, ...]:
 def phones_of(label: str, alphabet: str = ARPABET, *, guesses: bool = True) -> tuple[str, ...]:
     """Return our inventory's phones for one `label` of an `alphabet` ("": ARPAbet, in any case).
 
-    Empty for a label that is only a mark, such as a length mark: the phone before it goes on.
-    guesses: an IPA letter that ipa.yaml lacks becomes the most similar that it has; else it is
-    refused. Raises AlphabetError for an unknown alphabet or label.
+    () for a label that is only a mark, such as a length mark, which prolongs the phone before it.
+    guesses: whether an IPA letter that ipa.yaml lacks becomes the most similar letter in ipa.yaml,
+    or is refused. Raises AlphabetError for an unknown alphabet or label.
     """
     if alphabet in ("", ARPABET):
         if is_pause(label):
@@ -102,11 +102,12 @@ def phones_of(label: str, alphabet: str = ARPABET, *, guesses: bool = True) -> t
 def in_inventory(
     kind: UnitKind, units: Iterable[SpokenUnit], alphabet: str, sample_rate_hz: int
 ) -> SpokenText:
-    """Return `units`, labelled in `alphabet`, as units of phones, which share its time evenly.
+    """Return `units`, labelled in `alphabet`, as units of phones.
 
-    kind: of all units; sample_rate_hz: that of the sound whose samples are their times. A label
-    without a phone, such as a length mark, extends the unit before it. Raises AlphabetError for an
-    unknown label or alphabet, and SpokenTextError for units that are too many or out of order.
+    The phones of a unit share its time evenly. kind: of all units; sample_rate_hz: of the sound,
+    whose sample numbers the units' times are. A label without a phone, such as a length mark,
+    extends the unit before it. Raises AlphabetError for an unknown label or alphabet, and
+    SpokenTextError for units that are too many or out of order.
     """
     found: list[SpokenUnit] = []
     units = tuple(units)

@@ -119,7 +119,7 @@ class SpokenText:
         return all(unit.start_sample is not None for unit in self.units)
 
     def revised(self, later: "SpokenText") -> "SpokenText":
-        """Return a copy with the units of `later` appended, or in place of all from its start on.
+        """Return a copy with the units of `later` appended, or in place of all from their start on.
 
         The newest units are kept where there are too many. Raises SpokenTextError for another kind
         or rate, or where the result goes back in time.

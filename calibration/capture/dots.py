@@ -30,10 +30,11 @@ _FOREIGN: Final = (".heic", ".heif", ".dng", ".cr2", ".nef", ".arw", ".webp", ".
 
 
 def pose_pictures(folder: Path, pose: int | None = None) -> list[tuple[int, Path]]:
-    """Return pose number and file of a folder's pictures, sorted by file name.
+    """Return pose number and path of the pictures in a folder, sorted by file name.
 
-    pose: only that one's, [] without any; None: all. Raises CalibrationError for a file name
-    without a number, for a format that no reader reads, and, of all, for no picture.
+    pose: the only pose whose pictures are returned, which may have none; None: all poses. Raises
+    CalibrationError for a picture whose name has no number or whose format is not read, and, for
+    all poses, if there is no picture.
     """
     pictures = []
     for path in sorted(folder.iterdir()):
@@ -296,7 +297,8 @@ class DotsFolder:
         """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in one pose.
 
         pose: None: of all pictures. The origin is the mean of the dots in `dots.csv`. Raises
-        CalibrationError for an unusable picture, one of another size, or, of all, for none.
+        CalibrationError for an unusable picture or one of another size, and, for all pictures, if
+        there is none.
         """
         return [
             each

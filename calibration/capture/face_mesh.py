@@ -139,9 +139,9 @@ class MeshFolder:
     def all_readings(self) -> list[Reading]:
         """Read every photograph in the folder; return a list of (pose, marker, position).
 
-        It has one tuple for each marker in each photograph: the pose's number, the marker's name,
-        its position (3,) in mm. Raises CalibrationError if there is no picture, or naming those
-        that are unreadable or show no face or two.
+        The list has one tuple for each marker in each photograph: pose number, marker name and
+        position, (3,) mm. Raises CalibrationError if there is no picture, or, with the names of the
+        files, if any is unreadable or does not show exactly one face.
         """
         readings, useless = self._read(None)
         if useless:

@@ -82,7 +82,7 @@ def frame_faults(
     Parameters
     ----------
     marker_names : tuple[str, ...]
-        n_markers.
+        Names of the n_markers markers.
     usual_mm : Array
         (n_markers, 3) mm, the usual position of each.
     model : FaceModel
@@ -149,7 +149,7 @@ def check_frame(
     Parameters
     ----------
     marker_names : tuple[str, ...]
-        n_markers.
+        Names of the n_markers markers.
     usual_mm : Array
         (n_markers, 3) mm, the usual position of each.
     model : FaceModel
@@ -350,9 +350,10 @@ def _far_points(record: _Record) -> Iterator[Finding]:
 
 
 def _faulty_joints(record: _Record) -> Iterator[Finding]:
-    """Find joints that stopped, slipped, are dead, reversed or weak: first what refuses.
+    """Yield findings on joints that stopped, slipped, are dead, reversed or weak; refusals first.
 
     Poses that were captured twice are preferred as evidence of what happened during the capture.
+    Dead joints are added to `record.still`.
     """
     # Lips that press each other are no fault of a joint.
     capture, positive = outside_ladders(record.capture), record.positive
@@ -433,8 +434,8 @@ def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) 
 def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Array | None:
     """Return the direction in which `word` moves each marker, (n_markers, 3); None: unknown word.
 
-    slope_mm: (n_markers, 3), the joint's measured effect: of the mouth's corners only those count
-    that it moves, because words contain no side.
+    slope_mm: (n_markers, 3), the joint's measured effect. Only corners of the mouth that the joint
+    moves get a direction, because words such as `widens` name no side.
     """
     lips = [i for i, name in enumerate(names) if name in MARKERS_47.names and "lip" in name]
     rides = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]

@@ -169,8 +169,8 @@ def _pairs(
     """Yield pairs of exchanged markers, the clearest first; a marker is in one pair at most.
 
     off_mm: (n, 3), each marker's offset from its expected position; points_mm: (n, 3), its
-    position; pose: that the swaps will name; near_mm: how near each must be to the other's expected
-    position.
+    position; pose: the number stored in the swaps, None: in every pose; near_mm: how near each
+    marker must be to the other's expected position.
     """
     sizes_mm = np.linalg.norm(off_mm, axis=1)
     pairs = []

@@ -204,9 +204,10 @@ def too_bad(calibration: Calibration) -> str | None:
 
 
 def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
-    """Return rows of up to N_GRADED held-out frames, spread over speech, and each one's share.
+    """Return rows of up to N_GRADED held-out frames, spread over speech, and the share of each.
 
-    A frame is drawn by `seed` from each part of speech: frames in the middle of a part are easier.
+    Speech is divided into parts of similar frames, whose shares add up to 1; from each part one
+    frame is drawn by `seed`, because the frame in its middle would be easier than the others.
     """
     rng = np.random.default_rng([seed, 10])
     from_rest = fit.held_out - fit.retargeting.model.rest

@@ -218,12 +218,12 @@ class Procedure:
     ) -> Capture:
         """Capture range, speech and ladders, and repeat the first poses; return the capture.
 
-        Ladders are poses that close the lips step by step. kept: file of poses, from which an
-        interrupted capture is resumed.
-        Axes and size are checked by the first pose. Beyond `n_poses`, a joint that may be dead is
-        captured again alone, and the first part of the plan at the end; a pose in which the tracker
-        exchanged two names is captured again. report is called with a line for each. Once a servo
-        is strained, lips are closed no farther. Raises CalibrationError for a capture with faults.
+        Ladders are poses that close the lips step by step. Axes and size are checked by the first
+        pose. Added to the `n_poses` are: a joint that may be dead, alone once more; the first part
+        of the plan, at the end; each pose in which the tracker exchanged two names, again. kept:
+        file of poses, from which an interrupted capture is resumed; report: called with lines for
+        the user. Once a servo is strained, lips are closed no farther. Raises CalibrationError for
+        a capture with faults.
         """
         poses: list[CapturedPose] = []
 

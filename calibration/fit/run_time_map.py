@@ -89,7 +89,7 @@ class RunTimeMap:
         )
 
     def free_deg(self, from_rest: Array) -> Array:
-        """Return the angles of the live map before lips are corrected to meet, limits and rules.
+        """Return the live angles, before the correction that makes lips meet, limits and rules.
 
         Parameters
         ----------

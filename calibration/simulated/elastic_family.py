@@ -97,7 +97,7 @@ class Pull:
 
 
 def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
-    """Return the pull of each joint of a mouth, by its name and word; it is guessed if these fail.
+    """Return the pull of each joint of a mouth by its name and word, guessed if these do not tell.
 
     positive: one word per joint, or empty. The first joint that opens is the jaw. Two joints may
     pull at one landmark.

@@ -260,8 +260,9 @@ def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
     """Decode and check a file's first 60 s; return its rate, length and warning.
 
     channel: the one to be heard: `left`, `right`, `mix` or a number from 1. The length of a longer
-    file is that of its header, or of what is there of it. Raises SoundError if it is damaged in the
-    first 60 s, empty, silent as a whole, too short or too long, or lacks the channel.
+    file is that in its header, less what an MP3 file lacks of it. Raises SoundError if it is
+    damaged in the first 60 s, empty, silent as a whole, too short or too long, or lacks the
+    channel.
     """
     n_frames, has_sound = 0, False
     levels = _Levels()
@@ -311,7 +312,7 @@ class _Levels:
         self.mean_energy += float((whole.mean(axis=1) ** 2).sum())
 
     def mix(self, is_float: bool) -> tuple[Mix, str]:
-        """Return how to take the samples, and a line on what is odd about them, or ""."""
+        """Return how the samples become mono, and a line on what is odd about them, or ""."""
         remarks: list[str] = []
         channel, gain = None, 1.0
         if is_float and self.peak > _MOST_OVERDRIVEN:

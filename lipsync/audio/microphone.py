@@ -172,10 +172,11 @@ class MicrophoneSource:
         return capture.stream
 
     def _rate_and_channels(self) -> tuple[int, int]:
-        """Return rate in Hz and channels to open the device with: (16000, 1) if it accepts these.
+        """Return rate in Hz and number of channels to open the device with.
 
-        Else its preferred rate, with one channel if it accepts this, or with all channels; with all
-        where one of them is chosen.
+        The first that the device accepts: 16 kHz with one channel, its own rate with one channel,
+        else its own rate with all channels. All channels are taken in each case if one of them was
+        chosen.
         """
         own_rate_hz, all_channels = self._device.sample_rate_hz, self._device.n_channels
         n_wanted = 1 if self._channel is None else all_channels

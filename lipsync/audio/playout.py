@@ -258,8 +258,8 @@ class Playout:
         """Return the newest report of what is heard: (monotonic seconds, timeline seconds then).
 
         The report comes from the sender that plays the current speech itself, else from the
-        loudspeaker. None: that one has reported nothing (a sender nothing new), or there is no
-        loudspeaker.
+        loudspeaker. None if the sender has reported nothing new, or the loudspeaker nothing so far,
+        or there is no loudspeaker.
         """
         while self.reports:
             now_s, stream, n_samples = self.reports.popleft()
@@ -437,7 +437,7 @@ class Playout:
             self._started_words.append(StartedWords(passed.kind, words, passed.is_new, behind_s))
 
     def _note_timed(self, timed: TimedUnits) -> None:
-        """Queue the units of the sound from `timed.from_s` on, if it differs from before."""
+        """Queue the units of the sound from `timed.from_s` on, if they differ from the last."""
         last = self._timed_last
         if timed.units is not last.units or timed.start_s != last.start_s:
             self._timed_last = timed

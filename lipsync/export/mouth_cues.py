@@ -183,8 +183,8 @@ def rule_cues(
 ) -> list[MouthCue]:
     """Return mouth shapes for phonemes in order, from 0 to the end of the sound, without gaps.
 
-    stops_at_burst: phonemes are labelled as Rhubarb expects of its recogniser, stops from their
-    burst on: their closure is put before the label. Else a stop begins with its closure, as with
+    stops_at_burst: True where stops are labelled from their burst on, as by Rhubarb's recogniser;
+    their closure is then put before the label. False where a stop begins with its closure, as with
     our recogniser, speech synthesisers and labels by hand. Empty for a sound of no length.
     """
     end_cs = centiseconds(duration_s)
@@ -276,7 +276,7 @@ def _nearest(shape: Shape, allowed: str) -> Shape:
 
 
 def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
-    """Return the cues of spans: of a span's shapes the nearest to the last span's, relaxed.
+    """Return cues for spans: each gets that of its shapes nearest to the last shape, relaxed.
 
     A vowel with only one shape begins early: spans up to 0.2 s before it get their shape nearest to
     the vowel's.
@@ -306,7 +306,8 @@ def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
 def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
     """Return the cues with inner pauses X of up to 0.35 s replaced by the shape before.
 
-    A pause of 0.12 s or more gets this shape relaxed, if that differs from the shape after it.
+    A pause of 0.12 s or more gets that shape relaxed, until it differs from the shape after the
+    pause; where it never does, the pause stays X.
     """
     found = list(cues)
     for i in range(1, len(cues) - 1):

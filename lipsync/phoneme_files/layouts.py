@@ -95,12 +95,15 @@ def tiers_in(text: str, alphabet: str = "") -> tuple[Tier, ...]:
 
 
 def kind_of(name: str) -> Kind | Literal[""]:
-    """Return what a tier holds, as the last word of its `name` says; "": it says nothing."""
+    """Return what a tier holds, by the last word of its `name`; "" if that word does not say."""
     return _KINDS.get((re.findall(r"\w+", name.lower()) or [""])[-1], "")
 
 
 def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Tier, ...]:
-    """Return the tiers of rows, (number of the line, groups by name)."""
+    """Return the tiers in the rows of a file, each (line number, the row's groups by name).
+
+    Raises LabelError, with the line, for a time that is negative or an end before its start.
+    """
     several = len({row.get("speaker") for _, row in rows}) > 1
     tiers: dict[str, list[TimedUnit]] = {}
     for (number, row), (_, after) in pairwise([*rows, (0, {})]):

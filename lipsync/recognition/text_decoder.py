@@ -247,7 +247,8 @@ class TextDecoder:
     def _step(self, front: "_Front", frame: int, age: int, *, keep: bool = False) -> "_Front":
         """Return the paths' scores after frame number `frame`, by the head that fits its `age`.
 
-        keep: the step is not searched again: the window of words may move, scores are normalised.
+        keep: whether the step is final: then the window of words may move, and scores are
+        normalised. Steps that are not final are searched again in the next frame.
         """
         settings = self._settings
         window = self._words.window(self.place) if keep else front.window

@@ -137,7 +137,7 @@ def _release_s(
 ) -> float:
     """Return when the sound rises most between `earliest_s` and a vowel's event at `event_s`.
 
-    The event's time if it does not rise enough. edges: differences of successive samples, which
+    `event_s` if the sound does not rise enough. edges: differences of successive samples, which
     weigh the higher formants, let out by an open mouth, above the murmur of a closed one.
     """
     n_compared = round(_COMPARED_S * sample_rate_hz)
@@ -221,7 +221,7 @@ class Espeak:
 def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]]:
     """Return phones from 0 to the end of the sound without gaps, and the IPA phonemes guessed.
 
-    Those are not in the table of IPA phonemes, and are replaced by similar ones.
+    A guessed phoneme is missing in the table of IPA phonemes and replaced by a similar one.
     """
     duration_s = len(spoken.samples) / spoken.sample_rate_hz
     found = [TimedPhones((SILENCE,), 0.0, duration_s)]

@@ -111,7 +111,10 @@ def pronounced_units(
 
 
 def _english(text: str) -> Iterator[PronouncedWord]:
-    """Yield an English text's words from the lexicon if it has all, else by the slow gruut."""
+    """Yield an English text's words from the lexicon if it has all of them, else by gruut, slowly.
+
+    Raises PronunciationError for a text that gruut cannot read.
+    """
     plain = _plain_words(text)
     if plain is not None:
         yield from plain

@@ -111,8 +111,8 @@ _PICTURES: Final = ("So", "Sk", "Cf", "Co")
 def spoken_form(text: str, language: str = "en-us") -> str:
     """Return the words of `text` as a person would read them out; "" where no one would say any.
 
-    A text of plain words and punctuation is returned as it is. What was spoken once is spoken again
-    alike: `spoken_form` of it is the same for texts that the marks above do not make by chance.
+    A text of plain words and punctuation is returned as it is. A result given to the function again
+    is returned unchanged, unless it contains one of the marks above by chance.
     """
     if _PLAIN.match(text):
         return text

@@ -78,8 +78,8 @@ _SMILING_LID_MM = 0.9
 def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[str, Array]:
     """Return the skin's displacements for 1 of lids, brow, smile and lip_tuck, by name.
 
-    And lid_left_over, lid_right_over, to be applied by lid (1 - lid) of each: a straight path
-    would lead a lid through the eyeball; with this target the lid passes over it.
+    lid_left_over and lid_right_over are further targets, to be applied by lid (1 - lid), where lid
+    is 0 to 1: a straight path would lead a half shut lid through the eyeball.
 
     Parameters
     ----------
