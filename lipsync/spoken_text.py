@@ -200,8 +200,8 @@ def _start(unit: SpokenUnit) -> int:
 def _before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUnit]:
     """Return the units before `start_sample`; one that lasts beyond it is cut there.
 
-    They end at the first unit known to begin at or after that sample. No unit is before sample 0,
-    whether its time is known or not.
+    The result ends at the first unit known to begin at or after that sample. No unit is before
+    sample 0, whether its time is known or not.
     """
     if start_sample == 0:
         return ()

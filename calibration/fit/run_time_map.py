@@ -50,7 +50,7 @@ class RunTimeMap:
     def poses_deg(self, from_rest: Array, mouth: RobotMouth) -> Array:
         """Return the poses that this map gives, within limits and coupling rules.
 
-        They include the correction that makes lips meet, if the map has one.
+        The poses include the correction that makes lips meet, if the map has one.
 
         Parameters
         ----------
@@ -219,7 +219,8 @@ _TURN_MM_PER_DEG = 0.1
 def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
     """Return the better of two kinds of map: quadratic, or with bends that are not quadratic.
 
-    They are fitted to the first four fifths and compared on the last, by lip gap and shape.
+    Both are fitted to the first four fifths of the frames and compared on the rest, by lip gap and
+    shape.
 
     Parameters
     ----------

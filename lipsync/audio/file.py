@@ -429,8 +429,8 @@ class FileSource:
     def _played_chunks(self, sound: soundfile.SoundFile, first: int) -> Iterator[Samples]:
         """Yield the file's sound mono (n,) at its own rate, until its end or the first damage.
 
-        It begins at the frame that `_first_frame` gives for `first`, a sample at 16 kHz. Samples
-        that are NaN or infinite become 0; these and all after damage are counted as lost.
+        The sound begins at the frame that `_first_frame` gives for `first`, a sample at 16 kHz.
+        Samples that are NaN or infinite become 0; these and all after damage are counted as lost.
         """
         n_played = _first_frame(sound.samplerate, first)
         try:

@@ -383,7 +383,7 @@ class Playout:
     def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
         """Return the next 10 ms, from `start_s` on, as three blocks.
 
-        They are for the recogniser, the loudspeaker and the prosody tracker. All three are of the
+        The blocks are for the recogniser, the loudspeaker and the prosody tracker. All are of the
         first stream that has sound, but the recogniser's is silent if the stream's phonemes are
         known, the loudspeaker's if another program plays the stream. Without a stream the
         loudspeaker's is silent, the other two are the microphone's, or silent.

@@ -462,7 +462,7 @@ def expectation_of(arrays: dict[str, Array]) -> Expectation:
 def constant_expectation(faces: Array) -> Expectation:
     """Return an expectation by the present phoneme only, for corpora too small to train networks.
 
-    It returns exactly a row of `faces`: each phoneme has two rectifiers a component.
+    The expectation returns exactly a row of `faces`: each phoneme has two rectifiers a component.
 
     Parameters
     ----------
