@@ -81,8 +81,8 @@ class GradedPoses:
 def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> GradedPoses:
     """Return ten poses of held-out speech, by which a fit is graded.
 
-    Their goals lead by half the backlash, so that the horns reach the poses. servos: with ranges
-    and rules; seed: of the choice of poses and of the side that each joint comes from.
+    The poses' goals lead by half the backlash, so that the horns reach the poses. servos: with
+    ranges and rules; seed: of the choice of poses and of the side that each joint comes from.
     """
     rows, shares = _chosen(fit, seed)
     frames = fit.held_out[rows]

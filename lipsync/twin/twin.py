@@ -264,8 +264,9 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None =
 
 
 def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
-    """Return the skin V + T_0 and the targets T_k of a face model on a head's surface.
+    """Return the skin V + T_0 and the targets T_k, in mm, of a face model on a head's surface.
 
+    V: the surface's vertices; T_0, T_k: their displacements by the mean face and by coefficient k.
     Raises TwinError if the model has fewer than three points on the 478-point face mesh.
     """
     landmarks = face.layout.landmarks
