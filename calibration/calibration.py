@@ -30,7 +30,8 @@ def keep_rules(rules: Sequence[CouplingRule], positions_deg: Array) -> Array:
     """Return joint angles scaled towards neutral until no rule is broken.
 
     The joints with a weight in a broken rule are multiplied by one factor below 1, which keeps them
-    within limits that include 0. Where that breaks another rule, all joints are multiplied so.
+    within limits that include 0. Where that breaks another rule, all joints are scaled by one
+    factor.
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def free_angles_deg(
     centres: Array,
     centre_weights: Array,
 ) -> Array:
-    """Return a map's angles before lips are corrected to meet, limits and rules.
+    """Return a map's angles, before the correction that makes lips meet, limits and rules.
 
     The map's parts are shaped as in `Calibration`.
 

@@ -130,9 +130,9 @@ class VisemeReach:
     make opening and width within 1 mm; off_mm, rms distance of the calibrated face's lips from the
     wanted shapes; gap_slope, openings made over openings wanted; closed_gap_mm, how far lips stay
     apart in 95 % of the frames with the speaker's lips closed; small_gaps_kept, the share of small
-    openings that stay open; at_limit, the share of frames with a joint at a limit. None where the
-    class has no such frames, or an older file lacks the figure.
-    Measured: measured_mm, rms distance of the lips from the target in n_measured graded poses.
+    openings that are at least half made; at_limit, the share of frames with a joint at a limit.
+    None where the class has no such frames, or an older file lacks the figure. Measured:
+    measured_mm, rms distance of the lips from the target in n_measured graded poses.
     """
 
     reachable: float

@@ -38,6 +38,10 @@ class AlphabetError(UserError):
 
 @cache
 def _tables() -> Mapping[str, Mapping[str, tuple[str, ...]]]:
+    """Return the tables of alphabets.yaml: by alphabet and label, the row of that label.
+
+    A row of a viseme set is (phone, reason); that of a spelling is (IPA,).
+    """
     text = files("lipsync").joinpath("alphabets.yaml").read_text("utf-8")
     return MappingProxyType(
         {
@@ -67,9 +71,9 @@ def alphabets() -> tuple[str, ...]:
 def phones_of(label: str, alphabet: str = ARPABET, *, guesses: bool = True) -> tuple[str, ...]:
     """Return our inventory's phones for one `label` of an `alphabet` ("": ARPAbet, in any case).
 
-    Empty for a label that is only a mark, such as a length mark: the phone before it goes on.
-    guesses: an IPA letter that ipa.yaml lacks becomes the most similar that it has; else it is
-    refused. Raises AlphabetError for an unknown alphabet or label.
+    () for a label that is only a mark, such as a length mark, which prolongs the phone before it.
+    guesses: whether an IPA letter that ipa.yaml lacks becomes the most similar letter in ipa.yaml,
+    or is refused. Raises AlphabetError for an unknown alphabet or label.
     """
     if alphabet in ("", ARPABET):
         if is_pause(label):
@@ -98,11 +102,12 @@ def phones_of(label: str, alphabet: str = ARPABET, *, guesses: bool = True) -> t
 def in_inventory(
     kind: UnitKind, units: Iterable[SpokenUnit], alphabet: str, sample_rate_hz: int
 ) -> SpokenText:
-    """Return `units`, labelled in `alphabet`, as units of phones, which share its time evenly.
+    """Return `units`, labelled in `alphabet`, as units of phones.
 
-    kind: of all units; sample_rate_hz: that of the sound whose samples are their times. A label
-    without a phone, such as a length mark, extends the unit before it. Raises AlphabetError for an
-    unknown label or alphabet, and SpokenTextError for units that are too many or out of order.
+    The phones of a unit share its time evenly. kind: of all units; sample_rate_hz: of the sound,
+    whose sample numbers the units' times are. A label without a phone, such as a length mark,
+    extends the unit before it. Raises AlphabetError for an unknown label or alphabet, and
+    SpokenTextError for units that are too many or out of order.
     """
     found: list[SpokenUnit] = []
     units = tuple(units)
@@ -136,6 +141,10 @@ def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) 
 
 
 def _spelled(label: str, alphabet: str, *, guesses: bool) -> tuple[str, ...]:
+    """Return the phones for a `label` of IPA or of a spelling that stands for IPA; SIL for a pause.
+
+    guesses: as in `phones_of`. Raises AlphabetError for a letter that would have to be guessed.
+    """
     # Vowels of X-SAMPA are punctuation.
     if label.lower() in PAUSES or (alphabet != X_SAMPA and is_pause(label)):
         return (SILENCE,)

@@ -59,6 +59,7 @@ class PointLayout:
     gap_landmarks: tuple[int, int]
 
     def __post_init__(self) -> None:
+        """Raise LayoutError for a landmark listed twice, or a lip gap not between two of them."""
         known = set(self.landmarks)
         if len(known) != len(self.landmarks):
             twice = next(n for n in self.landmarks if self.landmarks.count(n) > 1)
@@ -184,6 +185,7 @@ MARKERS_47 = PointLayout("markers-47", _WITH_INNER_LIPS, (13, 14))
 
 
 def _face_mesh() -> PointLayout:
+    """Return the layout of all 478 points: both lips, the irises, and the rest as `skin`."""
     named = {*OUTER_LIP, *INNER_LIP, *IRISES}
     groups = (
         (OUTER_LIP_GROUP, OUTER_LIP),

@@ -117,6 +117,11 @@ def _check_replaced(
     kind: str,
     inputs: Iterable[Path | None],
 ) -> None:
+    """Raise OutputError unless the existing file may be replaced, as in `check_output`.
+
+    path: as the user wrote it, for messages; place: the same with links resolved; found: its
+    status.
+    """
     if stat.S_ISDIR(found.st_mode):
         raise OutputError(f"{path}: is a folder; name a file in it")
     if not stat.S_ISREG(found.st_mode):

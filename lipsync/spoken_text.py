@@ -73,6 +73,7 @@ class SpokenText:
     sample_rate_hz: int
 
     def __post_init__(self) -> None:
+        """Raise SpokenTextError for units, times or a sample rate that the class does not allow."""
         if self.sample_rate_hz <= 0:
             raise SpokenTextError(f"sample_rate_hz {self.sample_rate_hz} must be above 0")
         if len(self.units) > MOST_UNITS:
@@ -118,7 +119,7 @@ class SpokenText:
         return all(unit.start_sample is not None for unit in self.units)
 
     def revised(self, later: "SpokenText") -> "SpokenText":
-        """Return a copy with the units of `later` appended, or in place of all from its start on.
+        """Return a copy with the units of `later` appended, or in place of all from their start on.
 
         The newest units are kept where there are too many. Raises SpokenTextError for another kind
         or rate, or where the result goes back in time.
@@ -199,8 +200,8 @@ def _start(unit: SpokenUnit) -> int:
 def _before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUnit]:
     """Return the units before `start_sample`; one that lasts beyond it is cut there.
 
-    They end at the first unit known to begin at or after that sample. No unit is before sample 0,
-    whether its time is known or not.
+    The result ends at the first unit known to begin at or after that sample. No unit is before
+    sample 0, whether its time is known or not.
     """
     if start_sample == 0:
         return ()

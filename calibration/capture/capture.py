@@ -75,12 +75,13 @@ def plan_poses(
     rules: Sequence[CouplingRule] = (),
     seed: int = 0,
 ) -> PosePlan:
-    """Return a plan of `n_poses`: neutral, every joint alone from both sides, a Latin hypercube.
+    """Return a plan of `n_poses`: neutral, every joint alone from both sides, then random poses.
 
-    With fewer poses than `usual_poses`, each joint is alone in one pose only, from below. With a
-    hypercube of 16 poses or more, neutral comes again in the middle of the hypercube and at its
-    end. rules: coupling rules; a pose that breaks one is scaled towards neutral. seed: of the
-    hypercube. Raises CalibrationError for fewer poses than `least_poses`.
+    The random poses are a Latin hypercube over all joints. With fewer poses than `usual_poses`,
+    each joint is alone in one pose only, from below. With a hypercube of 16 poses or more, neutral
+    is repeated in its middle and at its end. rules: coupling rules; a pose that breaks one is
+    scaled towards neutral. seed: of the random poses and the sides they are reached from. Raises
+    CalibrationError for fewer poses than `least_poses`.
     """
     least = least_poses(len(joints))
     if n_poses < least:
@@ -306,9 +307,9 @@ class KeptPoses:
     def read(self, plan: PosePlan, marker_names: tuple[str, ...]) -> list[CapturedPose]:
         """Return the poses of `plan` in the file; remove an unfinished last line from the file.
 
-        No file: empty list. The file ends, for this plan, at the first pose beyond it, since a plan
-        is extended by what its poses show. Raises CalibrationError for a file of another plan or a
-        damaged one.
+        Empty if there is no file. Lines from the first pose beyond the plan on are ignored, because
+        a capture extends its plan after the first poses. Raises CalibrationError for a damaged
+        file, or one of another plan.
         """
         poses: dict[int, CapturedPose] = {}
         for number, line in self._lines():
@@ -347,9 +348,10 @@ class KeptPoses:
             raise CalibrationError(f"{self.path}: cannot be written: {error.strerror}") from error
 
     def after(self, n_planned: int, plan: PosePlan) -> "KeptPoses":
-        """Return the place in the file of a plan whose poses are taken after `n_planned` others.
+        """Return the place in the file for a plan whose poses are taken after `n_planned` others.
 
-        Poses of an earlier plan in that place, as of another fit, stay; new ones come after them.
+        Poses of another plan that the file already has there are kept; the place is then after
+        them.
         """
         taken = {int(line["pose"]): line for _, line in self._lines()}
         first = n_planned
@@ -411,6 +413,11 @@ def _has_goals(line: Mapping[str, Any], goals_deg: Array) -> bool:
 def _pose(
     line: Mapping[str, Any], index: int, plan: PosePlan, marker_names: tuple[str, ...]
 ) -> CapturedPose:
+    """Return the captured pose that one parsed JSON line of the file holds.
+
+    index: the pose's row in `plan`. Raises ValueError for a pose of another face or plan, or with
+    another number of markers.
+    """
     if line["servos"] != list(plan.servo_names) or line["markers"] != list(marker_names):
         raise ValueError("the pose is of another face")
     if not _has_goals(line, plan.goals_deg[index]):

@@ -30,10 +30,11 @@ _FOREIGN: Final = (".heic", ".heif", ".dng", ".cr2", ".nef", ".arw", ".webp", ".
 
 
 def pose_pictures(folder: Path, pose: int | None = None) -> list[tuple[int, Path]]:
-    """Return pose number and file of a folder's pictures, sorted by file name.
+    """Return pose number and path of the pictures in a folder, sorted by file name.
 
-    pose: only that one's, [] without any; None: all. Raises CalibrationError for a file name
-    without a number, for a format that no reader reads, and, of all, for no picture.
+    pose: the only pose whose pictures are returned, which may have none; None: all poses. Raises
+    CalibrationError for a picture whose name has no number or whose format is not read, and, for
+    all poses, if there is no picture.
     """
     pictures = []
     for path in sorted(folder.iterdir()):
@@ -145,6 +146,11 @@ def _spot(pixels: Array) -> _Spot:
 
 
 def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
+    """Return the dots among the spots of the dots' colour in a picture.
+
+    size_px: the picture's height and width. Dots are about as large as the usual one; a spot of two
+    touching dots becomes two dots, and any other spot is left out.
+    """
     usual_px, usual_length = _usual(spots)
     middles: list[Array] = []
     n_merged = 0
@@ -291,7 +297,8 @@ class DotsFolder:
         """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in one pose.
 
         pose: None: of all pictures. The origin is the mean of the dots in `dots.csv`. Raises
-        CalibrationError for an unusable picture, one of another size, or, of all, for none.
+        CalibrationError for an unusable picture or one of another size, and, for all pictures, if
+        there is none.
         """
         return [
             each
@@ -300,6 +307,10 @@ class DotsFolder:
         ]
 
     def _look(self, pose: int, picture: Path) -> list[Reading]:
+        """Find the dots in a picture; return a reading for each named dot, NaN for a hidden one.
+
+        Raises CalibrationError for an unreadable picture, or one not as large as the first.
+        """
         names = self._names
         found = find_dots(picture)
         self._check_size(picture.name, found.size_px)
@@ -315,6 +326,10 @@ class DotsFolder:
         return [(pose, name, place_mm) for name, place_mm in places_mm.items()]
 
     def _check_size(self, name: str, size_px: tuple[int, int]) -> None:
+        """Raise CalibrationError if a picture is not as large as the first one checked.
+
+        name: the picture's file name; size_px: height and width.
+        """
         self._first = self._first or (name, size_px)
         first, wanted = self._first
         if size_px != wanted:
@@ -324,6 +339,10 @@ class DotsFolder:
             )
 
     def _tell_of(self, picture: str, found: FoundDots, places_px: Mapping[str, Array]) -> None:
+        """Tell the user of a picture's touching and hidden dots, once per remark and picture.
+
+        places_px: (2,) pixels of each named dot, NaN where hidden.
+        """
         n_lost = sum(bool(np.isnan(place).any()) for place in places_px.values())
         remarks = []
         if found.n_merged:

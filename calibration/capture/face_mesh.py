@@ -139,9 +139,9 @@ class MeshFolder:
     def all_readings(self) -> list[Reading]:
         """Read every photograph in the folder; return a list of (pose, marker, position).
 
-        It has one tuple for each marker in each photograph: the pose's number, the marker's name,
-        its position (3,) in mm. Raises CalibrationError if there is no picture, or naming those
-        that are unreadable or show no face or two.
+        The list has one tuple for each marker in each photograph: pose number, marker name and
+        position, (3,) mm. Raises CalibrationError if there is no picture, or, with the names of the
+        files, if any is unreadable or does not show exactly one face.
         """
         readings, useless = self._read(None)
         if useless:
@@ -166,6 +166,12 @@ class MeshFolder:
         return readings, useless
 
     def _markers(self, path: Path) -> Array | str:
+        """Return a photograph's markers, (47, 3) mm, or the reason why it has none.
+
+        A photograph is read again only after its size or time of change differs. One that is
+        unreadable is read a second time before `tell` is called, as another program may be writing
+        the file.
+        """
         try:
             status = path.stat()
         except FileNotFoundError:
@@ -187,6 +193,10 @@ class MeshFolder:
         return self._seen[path][1]
 
     def _look(self, path: Path) -> Array | str:
+        """Read a photograph; return its markers, (47, 3) mm, or the reason why it has none.
+
+        The first photograph that shows a face defines the coordinate frame of all others.
+        """
         try:
             picture = next((each for _, each in video_pictures(path)), None)
             if picture is None:

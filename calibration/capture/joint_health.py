@@ -240,8 +240,8 @@ def _stops(
     """Return the F value and fault of the joint whose stop from some pose on explains most.
 
     base: (n, k), columns of the fit without a fault; x: (n, n_servos), angles scaled to -1..1; y:
-    (n, m), markers; healthy: residual sum of squares of that fit. The list is empty if the F value
-    is below `sure` or hardly more than another joint's.
+    (n, m), markers; healthy: residual sum of squares of the fit without a fault. None if the F
+    value is not above `sure`, or hardly higher than that of another joint.
     """
     n, n_servos = x.shape
     freedom = n - base.shape[1]

@@ -70,6 +70,11 @@ def by_id(ranges: Mapping[str, RecordedRange]) -> dict[int, RecordedRange]:
 
 
 def _parse(place: str, name: str, entry: object) -> RecordedRange:
+    """Return the recorded range in one joint's `entry` of the JSON file.
+
+    place: file and joint, for messages. Raises CalibrationError for a missing key or a value that
+    is out of range or no whole number.
+    """
     if not isinstance(entry, dict):
         raise CalibrationError(f"{place}: must have the keys {', '.join(_KEYS)}")
     values: dict[str, int] = {}
@@ -99,10 +104,11 @@ def check_within_recorded(
     limits_deg: Mapping[str, tuple[float, float]],
     ticks_per_deg: Mapping[str, float | None],
 ) -> None:
-    """Raise CalibrationError for a joint without a recorded range, or with limits wider than it.
+    """Raise CalibrationError for a joint without a recorded range, or with limits wider than that.
 
-    limits_deg: of the face, by joint. ticks_per_deg: of its servo, None where that has no ticks.
-    Only widths are compared: the face's YAML defines the neutral.
+    limits_deg: least and most angle of each joint, from the face's YAML; ticks_per_deg: of each
+    joint's servo, None (an error) for one that reports no position. Only widths are compared,
+    because the face's YAML defines the neutral.
     """
     for name, (low, high) in limits_deg.items():
         if name not in ranges:

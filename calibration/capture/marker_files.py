@@ -302,6 +302,12 @@ def median_place(places_mm: list[Array]) -> Array:
 
 
 def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Array, Array, Indices]:
+    """Return the pose numbers, goals, sides and ladder numbers in a plan's CSV file.
+
+    Goals: (n, n_servos) degrees; sides: (n, n_servos), 1 from below or -1 from above; ladders:
+    (n,). Without columns for them, sides are 1 and ladders 0. Raises CalibrationError for a
+    malformed file, or a pose that occurs twice.
+    """
     rows = list(csv_rows(path, ("pose", *(f"{name}_deg" for name in servo_names))))
     poses = [_whole(row["pose"], place) for place, row in rows]
     goals = [[number_in(row[f"{n}_deg"], place) for n in servo_names] for place, row in rows]
@@ -377,6 +383,11 @@ def csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[s
 
 
 def _json_rows(path: Path) -> Iterable[tuple[str, Mapping[str, object]]]:
+    """Yield `file, reading n` and the reading, by key, of every reading in a JSON file.
+
+    Missing coordinates are None. Raises CalibrationError for a file that is unreadable or no list,
+    or a reading without pose or marker.
+    """
     try:
         content = json.loads(_text(path))
     except (ValueError, RecursionError) as error:

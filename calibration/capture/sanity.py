@@ -82,7 +82,7 @@ def frame_faults(
     Parameters
     ----------
     marker_names : tuple[str, ...]
-        n_markers.
+        Names of the n_markers markers.
     usual_mm : Array
         (n_markers, 3) mm, the usual position of each.
     model : FaceModel
@@ -149,7 +149,7 @@ def check_frame(
     Parameters
     ----------
     marker_names : tuple[str, ...]
-        n_markers.
+        Names of the n_markers markers.
     usual_mm : Array
         (n_markers, 3) mm, the usual position of each.
     model : FaceModel
@@ -173,6 +173,10 @@ def check_frame(
 def _frame_findings(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel
 ) -> Iterator[Finding]:
+    """Yield a refusal each for wrong axes and for an odd size of the markers.
+
+    usual_mm: (n_markers, 3) mm, the usual position of each.
+    """
     axes, size = frame_faults(marker_names, usual_mm, model)
     if axes is not None:
         yield Finding("", f"{axes}; correct the tracker's axes and capture again")
@@ -293,6 +297,7 @@ def _stalled(capture: Capture) -> Iterator[Finding]:
 
 
 def _lost_points(capture: Capture) -> Iterator[Finding]:
+    """Yield a refusal for a marker lost in over half of the poses, else a warning of lost ones."""
     is_seen = np.isfinite(capture.markers_mm).all(axis=2)
     seen, n_lost = is_seen.mean(axis=0), int((~is_seen).sum())
     worst = int(seen.argmin())
@@ -323,6 +328,11 @@ def _moved_head(record: _Record) -> Iterator[Finding]:
 
 
 def _exchanged_names(record: _Record) -> Iterator[Finding]:
+    """Yield refusals for pairs of markers that swapped names, in every pose or in single poses.
+
+    Swaps in single poses are a judgement: if the refusal is accepted, the names are exchanged back
+    in `record`.
+    """
     everywhere = swapped_everywhere(record.given, record.model)
     in_poses = swapped_in_poses(record.capture, record.lines.expected_mm)
     if in_poses:
@@ -340,9 +350,10 @@ def _far_points(record: _Record) -> Iterator[Finding]:
 
 
 def _faulty_joints(record: _Record) -> Iterator[Finding]:
-    """Find joints that stopped, slipped, are dead, reversed or weak: first what refuses.
+    """Yield findings on joints that stopped, slipped, are dead, reversed or weak; refusals first.
 
     Poses that were captured twice are preferred as evidence of what happened during the capture.
+    Dead joints are added to `record.still`.
     """
     # Lips that press each other are no fault of a joint.
     capture, positive = outside_ladders(record.capture), record.positive
@@ -423,8 +434,8 @@ def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) 
 def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Array | None:
     """Return the direction in which `word` moves each marker, (n_markers, 3); None: unknown word.
 
-    slope_mm: (n_markers, 3), the joint's measured effect: of the mouth's corners only those count
-    that it moves, because words contain no side.
+    slope_mm: (n_markers, 3), the joint's measured effect. Only corners of the mouth that the joint
+    moves get a direction, because words such as `widens` name no side.
     """
     lips = [i for i, name in enumerate(names) if name in MARKERS_47.names and "lip" in name]
     rides = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]

@@ -120,8 +120,8 @@ _MOVES_MM, _TIMES_NOISE = 1.2, 2.0
 def in_head_frame(capture: Capture, lines: StraightLines) -> tuple[Capture, tuple[str, ...]]:
     """Return the capture with each pose laid on the usual rigid markers, and a line for the user.
 
-    Unchanged, with (), where the head is still or fewer than three nose markers are captured,
-    or in less than half of the poses.
+    The capture is unchanged, and there is no line, if the head is still, fewer than three nose
+    markers are captured, or all of them are seen together in less than half of the poses.
     """
     nose = [i for i, name in enumerate(capture.marker_names) if name.startswith("nose")]
     rigid = [i for i, name in enumerate(capture.marker_names) if name.startswith(_RIGID)]

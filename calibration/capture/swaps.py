@@ -94,10 +94,10 @@ def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
 
 
 def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
-    """Return pairs exchanged in every pose: corrected, neutral is more like a person's face.
+    """Return pairs of markers whose names are exchanged in every pose.
 
-    Compared with the speaker's rest after moving and scaling each axis; if that finds no pair,
-    inner lips are examined by how they move.
+    Corrected, the usual positions are more like the speaker's rest, after moving and scaling each
+    axis. If no such pair is found, inner lips are examined by how they move.
     """
     human_mm = model.markers_mm(model.rest[None])[0]
     known = [i for i, name in enumerate(capture.marker_names) if name in MARKERS_47.names]
@@ -169,8 +169,8 @@ def _pairs(
     """Yield pairs of exchanged markers, the clearest first; a marker is in one pair at most.
 
     off_mm: (n, 3), each marker's offset from its expected position; points_mm: (n, 3), its
-    position; pose: that the swaps will name; near_mm: how near each must be to the other's expected
-    position.
+    position; pose: the number stored in the swaps, None: in every pose; near_mm: how near each
+    marker must be to the other's expected position.
     """
     sizes_mm = np.linalg.norm(off_mm, axis=1)
     pairs = []

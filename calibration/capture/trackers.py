@@ -191,6 +191,11 @@ class FileTracker:
         self._say(f"pose {pose} stands: record it in {self._path}")
 
     def _wait_for(self, pose: int) -> Mapping[str, Array]:
+        """Wait until a pose is recorded; return the median place, (3,) mm, of each of its markers.
+
+        pose: from 1; 0 is neutral. A pose is complete once it has all markers of neutral, or some
+        and no new one for 0.5 s. Raises CalibrationError after 300 s.
+        """
         before: Mapping[str, Array] = {}
         waited_s = quiet_s = 0.0
         while waited_s < PATIENCE_S:

@@ -214,6 +214,11 @@ def parse_calibration(text: str, source: str) -> Calibration:
 
 
 def _parse(file: Place) -> Calibration:
+    """Return the calibration in a file's parsed YAML; coupling rules are not in the file.
+
+    Raises CalibrationError, with the keys of the value, for another version, a missing or malformed
+    value, and limits that exclude 0 degrees.
+    """
     version = file.at("version").count()
     if version != CALIBRATION_VERSION:
         raise CalibrationError(
@@ -304,6 +309,11 @@ def _each(servos: list[Place], key: str, unknown: float | None = None) -> Array:
 
 
 def _parse_closure(closure: Place, n_servos: int, n_components: int) -> Closure:
+    """Return the model of the lips' gaps in the mapping `closure`.
+
+    Raises CalibrationError, with the key, for an array whose shape does not fit `n_servos`,
+    `n_components` or the number of gaps.
+    """
     gaps_mm = closure.at("gaps_mm").numbers()
     n_gaps = len(gaps_mm)
     shapes = {
@@ -335,6 +345,11 @@ def _parse_closing(closing: Place) -> Closing:
 
 
 def _parse_origin(file: Place, servos: list[Place]) -> Origin:
+    """Return how, when and from which servos the calibration was made.
+
+    servos: the mapping of each servo. Servo models and memories are () if no servo has any;
+    CalibrationError if only some have them.
+    """
     named = any(servo.has("model") for servo in servos)
     remembered = any(servo.has("memory") for servo in servos)
     keys = [field.name for field in fields(ServoMemory)]
@@ -377,6 +392,10 @@ def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
 
 
 def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
+    """Return the errors on held-out motion, from the mapping `hold_out` and those of all servos.
+
+    Raises CalibrationError unless `each_marker_rms_mm` has `n_markers` values.
+    """
     n_markers = hold_out.at("n_markers").count()
     each: dict[str, float] = {}
     if n_markers:

@@ -150,6 +150,10 @@ def calibration_text(calibration: Calibration) -> str:
 
 
 def _servo_lines(calibration: Calibration, i: int) -> list[str]:
+    """Return the YAML lines of servo number `i`: model, memory, limits, map, following and error.
+
+    Left out is what the calibration lacks, and a speed or bandwidth that is infinite (not known).
+    """
     origin, following = calibration.origin, calibration.following
     model = origin.servo_models[i] if origin.servo_models else ""
     lines = [f"  {calibration.servo_names[i]}:"]
@@ -193,6 +197,7 @@ def _closure_lines(closure: Closure | None) -> list[str]:
 
 
 def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
+    """Return the YAML lines of the errors on held-out motion, except each joint's own error."""
     lines = ["hold_out:"]
     for name, value in _known(errors).items():
         note = _HOLD_OUT_NOTES.get(name)

@@ -185,10 +185,11 @@ def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_m
 
 
 def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, float]:
-    """Return one ladder's kink: position, what it explains, slope left, and 1 / variance of that.
+    """Return one ladder's kink: position in mm, evidence, slope beyond it, and 1 / slope variance.
 
-    x: predicted closing in mm; y: apertures in standard errors, each of noise_mm. Explained are the
-    squared residuals of a straight line that the kink removes.
+    x: predicted closing in mm; y: apertures in standard errors, each of noise_mm. The evidence is
+    by how much the kink reduces the squared residuals of a straight line; the slope is given as a
+    share of the slope before the kink.
     """
     straight = _left(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
     best = (float(x[-1]), 0.0, 1.0, 0.0)

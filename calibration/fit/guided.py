@@ -108,7 +108,7 @@ def fit_guided(
 ) -> Calibration:
     """Fit a calibration to poses that a person set by keys, without a tracker.
 
-    The closed mouth is exact; the rest is ridge regression. Its errors contain only
+    The closed mouth is exact; the rest is ridge regression. The calibration's errors contain only
     `joint_rms_deg`, the rms over poses of the distance from the map made without that pose; nothing
     is known in millimetres, and the errors are of 0 frames.
 

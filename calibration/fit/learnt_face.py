@@ -82,6 +82,11 @@ def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
 def _errors(
     model: FaceWithAnimPhos, mouth: RobotMouth, weights: Array, held_out: Array
 ) -> HoldOutErrors:
+    """Return the errors of a linear map on held-out frames of the simulated face.
+
+    weights: (n_servos, n_components) degrees per mm; held_out: (n, n_components) coefficients.
+    Joint errors are differences from the best imitating angles.
+    """
     human_mm = model.markers_mm(held_out)
     nearest_deg = mouth.nearest_deg(mouth.names.shape_features.of(human_mm))
     free_deg = (held_out - model.rest) @ weights.T

@@ -143,6 +143,11 @@ def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Arra
 
 
 def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
+    """Return the errors of the live map `run` on held-out frames of speech, on the learnt face.
+
+    held_out: (n, n_components) coefficients. Markers are compared with the wanted shapes, angles
+    with the best poses.
+    """
     from_rest = held_out - on.model.rest
     best_deg = on.retargeting.poses_deg(from_rest)
     targets_mm = on.retargeting.targets_mm(from_rest)
@@ -434,9 +439,9 @@ def retargeting_of(
     """Return the retargeting to a learnt face, with the closed gaps that the capture shows.
 
     Closed gaps are those of contact where it was found, else those of the ladder (poses that close
-    the lips in steps) that brings lips nearest, else the narrowest captured. Its scale is by all
-    recorded speech: a fiftieth of a few hundred frames is chance. Raises CalibrationError for lips
-    that hardly part in the capture.
+    the lips in steps) that brings lips nearest, else the narrowest captured. The scale is fitted to
+    all recorded speech, because the widest gaps of a few hundred frames are chance. Raises
+    CalibrationError for lips that hardly part in the capture.
     """
     frames = model.animphos.frames
     heights_mm = gap_heights_mm(capture.markers_mm, mouth.names.shape_features.gaps)

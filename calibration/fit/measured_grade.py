@@ -81,8 +81,8 @@ class GradedPoses:
 def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> GradedPoses:
     """Return ten poses of held-out speech, by which a fit is graded.
 
-    Their goals lead by half the backlash, so that the horns reach the poses. servos: with ranges
-    and rules; seed: of the choice of poses and of the side that each joint comes from.
+    The poses' goals lead by half the backlash, so that the horns reach the poses. servos: with
+    ranges and rules; seed: of the choice of poses and of the side that each joint comes from.
     """
     rows, shares = _chosen(fit, seed)
     frames = fit.held_out[rows]
@@ -204,9 +204,10 @@ def too_bad(calibration: Calibration) -> str | None:
 
 
 def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
-    """Return rows of up to N_GRADED held-out frames, spread over speech, and each one's share.
+    """Return rows of up to N_GRADED held-out frames, spread over speech, and the share of each.
 
-    A frame is drawn by `seed` from each part of speech: frames in the middle of a part are easier.
+    Speech is divided into parts of similar frames, whose shares add up to 1; from each part one
+    frame is drawn by `seed`, because the frame in its middle would be easier than the others.
     """
     rng = np.random.default_rng([seed, 10])
     from_rest = fit.held_out - fit.retargeting.model.rest

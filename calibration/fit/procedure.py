@@ -165,6 +165,11 @@ class Procedure:
             return self._speech_plan(checked.capture, checked.still, n_poses)
 
     def _speech_plan(self, capture: Capture, still: Sequence[int], n_poses: int) -> PosePlan:
+        """Return a plan of `n_poses` poses of speech, in whole degrees, chosen by the learnt face.
+
+        still: numbers of joints that stay at 0. First come poses that close the lips in steps, then
+        the widest opening, then centres of the speaker's other mouth shapes.
+        """
         learnt = self._learnt(capture, still)
         retargeting, from_rest = learnt.retargeting, learnt.from_rest
         mouth, face = retargeting.mouth, learnt.face
@@ -186,6 +191,10 @@ class Procedure:
         return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
 
     def _learnt(self, capture: Capture, still: Sequence[int]) -> "_Learnt":
+        """Learn the face from a capture; return it with some of the speaker's frames of speech.
+
+        still: numbers of joints that stay at 0.
+        """
         names = correspond(capture.marker_names)
         face = fit_robot_face(capture, names.shape_features)
         servos = MouthServos(tuple(self.joints), rules=tuple(self.rules)).holding(still)
@@ -209,12 +218,12 @@ class Procedure:
     ) -> Capture:
         """Capture range, speech and ladders, and repeat the first poses; return the capture.
 
-        Ladders are poses that close the lips step by step. kept: file of poses, from which an
-        interrupted capture is resumed.
-        Axes and size are checked by the first pose. Beyond `n_poses`, a joint that may be dead is
-        captured again alone, and the first part of the plan at the end; a pose in which the tracker
-        exchanged two names is captured again. report is called with a line for each. Once a servo
-        is strained, lips are closed no farther. Raises CalibrationError for a capture with faults.
+        Ladders are poses that close the lips step by step. Axes and size are checked by the first
+        pose. Added to the `n_poses` are: a joint that may be dead, alone once more; the first part
+        of the plan, at the end; each pose in which the tracker exchanged two names, again. kept:
+        file of poses, from which an interrupted capture is resumed; report: called with lines for
+        the user. Once a servo is strained, lips are closed no farther. Raises CalibrationError for
+        a capture with faults.
         """
         poses: list[CapturedPose] = []
 

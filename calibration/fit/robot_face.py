@@ -106,7 +106,8 @@ def closed_gaps_mm(
 ) -> Array:
     """Return the gaps at which lips begin to touch, from poses in contact, (n_gaps,) mm.
 
-    Soft lips yield when pressed: the start of a line through the gaps by overlap, slope 0 to .5.
+    Soft lips yield when pressed, so each gap is the value, at overlap 0, of a line through the
+    captured gaps by overlap; the line falls by 0 to 0.5 mm per mm.
 
     Parameters
     ----------
@@ -396,10 +397,12 @@ def _free_of_contact(
     mouth: ShapeFeatures,
     touching: NDArray[np.bool_] | None,
 ) -> tuple[Array, NDArray[np.bool_], Array] | None:
-    """Return markers as if lips did not stop each other, which are known, and closed gaps in mm.
+    """Return markers as if lips did not stop each other, which are measured, and closed gaps in mm.
 
-    touching: poses in which ladders, which close the lips in steps, showed contact; None: there are
-    no ladders. Returned is None without evidence that lips stop each other.
+    seen_mm, known, filled: captured markers from their centres centre_mm, which of them are known,
+    and the markers with lost ones predicted, (n, n_markers, 3) each. touching: (n,), poses in which
+    ladders, which close the lips in steps, showed contact; None: there are no ladders. Returns None
+    without evidence that lips stop each other.
     """
     gaps = mouth.gaps
     seen_gaps_mm = gap_heights_mm(np.where(known, seen_mm, np.nan) + centre_mm, gaps)

@@ -50,7 +50,7 @@ class RunTimeMap:
     def poses_deg(self, from_rest: Array, mouth: RobotMouth) -> Array:
         """Return the poses that this map gives, within limits and coupling rules.
 
-        They include the correction that makes lips meet, if the map has one.
+        The poses include the correction that makes lips meet, if the map has one.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class RunTimeMap:
         )
 
     def free_deg(self, from_rest: Array) -> Array:
-        """Return the angles of the live map before lips are corrected to meet, limits and rules.
+        """Return the live angles, before the correction that makes lips meet, limits and rules.
 
         Parameters
         ----------
@@ -219,7 +219,8 @@ _TURN_MM_PER_DEG = 0.1
 def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
     """Return the better of two kinds of map: quadratic, or with bends that are not quadratic.
 
-    They are fitted to the first four fifths and compared on the last, by lip gap and shape.
+    Both are fitted to the first four fifths of the frames and compared on the rest, by lip gap and
+    shape.
 
     Parameters
     ----------
@@ -315,6 +316,11 @@ def _centres(from_rest: Array) -> Array | None:
 def _fitted(
     retargeting: Retargeting, from_rest: Array, poses_deg: Array, centres: Array | None
 ) -> RunTimeMap:
+    """Return the live map fitted to poses; frames with closed lips count up to six times.
+
+    from_rest: (n, n_components) mm; poses_deg: (n, n_servos) degrees; centres: as in
+    `fit_run_time_map`.
+    """
     mouth = retargeting.mouth
     counts = 1.0 + (_CLOSURE_COUNTS - 1.0) * retargeting.closing(from_rest)
     return fit_run_time_map(

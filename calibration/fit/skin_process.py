@@ -327,6 +327,11 @@ class _NegativeLogLikelihood:
         self._apart = apart_mm2
 
     def __call__(self, parameters: Array) -> tuple[float, Array]:
+        """Return the negative log likelihood, up to a constant, and its gradient by `parameters`.
+
+        parameters: (2 n_servos + 4,), in the order of `_unpacked`. Included is the prior that the
+        backlashes of one robot are alike.
+        """
         n_servos = self._poses.goals_deg.shape[1]
         hyperparameters = _unpacked(parameters, n_servos)
         x = self._poses.inputs(hyperparameters.backlash_deg)

@@ -61,10 +61,10 @@ def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthS
 
 
 def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibration, float]:
-    """Return the calibration with contact moved to where dots, `seen`, show it, and by how many mm.
+    """Return the calibration with contact moved to where markers show it, and the move in mm.
 
-    Positive: lips have to close farther than before until they meet. Raises CalibrationError where
-    no contact is found.
+    seen: capture of the poses of `touch_plan`. The move is positive if lips have to close farther
+    than before until they meet. Raises CalibrationError where no contact is found.
     """
     closure, lips = _closure_of(calibration), calibration.learnt_lips
     apertures = apertures_of(seen)

@@ -97,7 +97,7 @@ class Pull:
 
 
 def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
-    """Return the pull of each joint of a mouth, by its name and word; it is guessed if these fail.
+    """Return the pull of each joint of a mouth by its name and word, guessed if these do not tell.
 
     positive: one word per joint, or empty. The first joint that opens is the jaw. Two joints may
     pull at one landmark.
@@ -126,6 +126,11 @@ def _by_word(word: str) -> JointMotion | None:
 def _kind_of(
     motion: JointMotion | None, all_read: Sequence[JointMotion | None], taken: list[str]
 ) -> str:
+    """Return the kind of pull, a key of `KINDS`, for a joint's motion; None: not known.
+
+    all_read: the motions of all joints; taken: kinds given to the joints before. A kind not taken
+    is guessed for an unknown motion, and where several joints of one channel name no side.
+    """
     if motion is None:
         free = [kind for kind in _ANY if kind not in taken]
         return free[0] if free else _ANY[len(taken) % len(_ANY)]

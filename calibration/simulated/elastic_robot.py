@@ -275,8 +275,8 @@ def _dots(
 ) -> tuple[Array, Array]:
     """Return the 47 dots in the mesh's plane, (47, 2), and in space, (47, 3), in mm.
 
-    Inner-lip dots lie off_mm, (6,), beside the lips' edges. along: place of each point of edge_mm
-    from corner to corner, 0 to 1; steps: that of the inner-lip landmarks.
+    Inner-lip dots lie off_mm, (6,), beside the lips' edges. along: position of each point of
+    edge_mm from corner to corner, 0 to 1; steps: positions of the inner-lip landmarks, likewise.
     """
     flat, places_mm = rest_mm[:, :2].copy(), rest_mm.copy()
     for side, landmarks in ((1.0, _UPPER_INNER), (-1.0, _LOWER_INNER)):

@@ -198,6 +198,11 @@ class PublishedSynthesizer:
             self._play_animpho(part, start_s + number * share_s, share_s)
 
     def _play_animpho(self, phoneme: str, start_s: float, duration_s: float) -> None:
+        """Append the motion of one AnimPho of `phoneme`, `duration_s` long, from `start_s` on.
+
+        The strategy selects the AnimPho to fit the last one; the motion begins at the mouth's
+        present position.
+        """
         position, velocity = self._state_at(start_s)
         if self._choice is None:
             # Out of silence b_1 = a_1 and d_1[1] = 0 (the paper is silent; live-lip-sync.md).

@@ -137,6 +137,7 @@ def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
     """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> AnimPhoUnits:
+        """Build the AnimPhos from the file's arrays, by name; ValueError if these are damaged."""
         samples = np.asarray(arrays["samples"], dtype=np.float64)
         successors = _lists(arrays["successor_starts"], arrays["successors"])
         phoneme_table = _lists(arrays["phoneme_starts"], arrays["phoneme_animphos"])

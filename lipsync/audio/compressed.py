@@ -36,8 +36,8 @@ def begins_as_mp3(path: Path) -> bool:
 def quiet_decoder(*, is_mp3: bool) -> Iterator[None]:
     """Keep what libmpg123 prints about an MP3 file out of stderr, and nothing else.
 
-    It writes into the file descriptor, past every setting of libsndfile. What other threads write
-    at the same time is written afterwards.
+    libmpg123 writes to the file descriptor, whatever libsndfile is set to. What other threads write
+    to stderr meanwhile is written afterwards.
     """
     if not is_mp3:
         yield
@@ -60,10 +60,10 @@ def quiet_decoder(*, is_mp3: bool) -> Iterator[None]:
 
 
 def share_there(path: Path, sound: soundfile.SoundFile) -> float:
-    """Return the share of its bytes that an MP3 file has of those that its first frame promises.
+    """Return the share of an MP3 file's bytes that is there, of those promised by its first frame.
 
-    1.0 for one that promises nothing (Xing, https://www.codeproject.com/Articles/8295), and for all
-    other formats.
+    1.0 for a file whose first frame promises nothing (Xing,
+    https://www.codeproject.com/Articles/8295), and for all other formats.
     """
     if sound.format not in MP3:
         return 1.0

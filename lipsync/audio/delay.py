@@ -66,8 +66,8 @@ def click_train(sample_rate_hz: int) -> Samples:
 def find_delay(recorded: Samples, expected_s: Seconds) -> Delay:
     """Return how much later than expected the clicks are heard in `recorded`, (n,) at 16 kHz.
 
-    expected_s: (n_clicks,) times at which they would be heard without a delay, in seconds from the
-    first sample. Raises SoundError, in one line, where no delay can be measured.
+    expected_s: (n_clicks,) times at which the clicks would be heard without a delay, in seconds
+    from the first sample. Raises SoundError, in one line, where no delay can be measured.
     """
     if np.max(np.abs(recorded), initial=0.0) < _LEAST_PEAK:
         raise SoundError("the microphone recorded no sound: is it the right one, is either muted?")

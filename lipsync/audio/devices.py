@@ -183,7 +183,7 @@ def opening() -> Iterator[None]:
 def start_stream(stream: OpenStream) -> None:
     """Start a stream that was made within `opening` and count it as open; close it on failure.
 
-    Raises PortAudioError. It lasts as long as the device needs: never call it in the live loop.
+    Raises PortAudioError. The call waits for the device: never make it in the live loop.
     """
     with _STREAMS.lock:
         _STREAMS.n_open += 1

@@ -143,6 +143,7 @@ def reason_of(error: soundfile.LibsndfileError) -> str:
 
 
 def _refuse_other_than_files(path: Path) -> None:
+    """Raise SoundError unless `path` is a readable file with content; open no pipe or device."""
     try:
         kind = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError) as error:
@@ -169,6 +170,7 @@ def _refuse_other_than_files(path: Path) -> None:
 
 
 def _refuse_odd_settings(path: Path, sound: soundfile.SoundFile) -> None:
+    """Raise SoundError for a sample rate outside 4 to 192 kHz, or more than 32 channels."""
     if not SLOWEST_RATE_HZ <= sound.samplerate <= FASTEST_RATE_HZ:
         raise SoundError(
             f"{path}: a sample rate of {sound.samplerate} Hz is not possible here "
@@ -258,8 +260,9 @@ def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
     """Decode and check a file's first 60 s; return its rate, length and warning.
 
     channel: the one to be heard: `left`, `right`, `mix` or a number from 1. The length of a longer
-    file is that of its header, or of what is there of it. Raises SoundError if it is damaged in the
-    first 60 s, empty, silent as a whole, too short or too long, or lacks the channel.
+    file is that in its header, less what an MP3 file lacks of it. Raises SoundError if it is
+    damaged in the first 60 s, empty, silent as a whole, too short or too long, or lacks the
+    channel.
     """
     n_frames, has_sound = 0, False
     levels = _Levels()
@@ -309,7 +312,7 @@ class _Levels:
         self.mean_energy += float((whole.mean(axis=1) ** 2).sum())
 
     def mix(self, is_float: bool) -> tuple[Mix, str]:
-        """Return how to take the samples, and a line on what is odd about them, or ""."""
+        """Return how the samples become mono, and a line on what is odd about them, or ""."""
         remarks: list[str] = []
         channel, gain = None, 1.0
         if is_float and self.peak > _MOST_OVERDRIVEN:
@@ -426,8 +429,8 @@ class FileSource:
     def _played_chunks(self, sound: soundfile.SoundFile, first: int) -> Iterator[Samples]:
         """Yield the file's sound mono (n,) at its own rate, until its end or the first damage.
 
-        It begins at the frame that `_first_frame` gives for `first`, a sample at 16 kHz. Samples
-        that are NaN or infinite become 0; these and all after damage are counted as lost.
+        The sound begins at the frame that `_first_frame` gives for `first`, a sample at 16 kHz.
+        Samples that are NaN or infinite become 0; these and all after damage are counted as lost.
         """
         n_played = _first_frame(sound.samplerate, first)
         try:
@@ -540,6 +543,7 @@ def _numbers(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
 
 
 def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
+    """Return a line for the log if a file of `n_frames` frames is cut short, else ""."""
     holds_s = n_frames / sound.samplerate
     if lacks_its_end(path, sound):
         return f"{path}: cut short: its end is missing; the {holds_s:.2f} s that are there are used"
@@ -555,6 +559,7 @@ def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
 
 
 def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
+    """Raise SoundError for sound that is empty, below 25 ms, or zeros alone (no `has_sound`)."""
     if duration_s == 0.0:
         raise SoundError(f"{path}: has no sound (0 samples); record or export it again")
     if duration_s < SHORTEST_S:

@@ -106,8 +106,8 @@ class SampleRing:
     def silence_rest(self, n_untouched: int) -> int:
         """Replace the samples not taken yet by a fade-out and zeros; the writing thread calls it.
 
-        n_untouched: as many of the next samples stay, because the device may be reading them.
-        Return the number of the timeline's sample from which on it is silent.
+        n_untouched: number of the next samples that stay, because the device may be reading them.
+        Return the number, on the timeline, of the first silent sample.
         """
         oldest = max(self._n_taken, self._n_written - len(self._ring))
         cut = min(oldest + n_untouched, self._n_written)
@@ -300,6 +300,10 @@ class LoudspeakerOutput:
         self.watch.close()
 
     def _open(self) -> OpenStream:
+        """Find the device, open and start a stream at the timeline's rate, and return the stream.
+
+        Called by `watch`, at first and after each loss; waits for the device. Raises SoundError.
+        """
         self._device = find_device(self._wanted, "output")
         # The timeline is counted in samples: another rate would tear it.
         rate_hz, n_channels = self._rate_and_channels((self.rate_hz,))

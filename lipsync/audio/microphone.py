@@ -134,6 +134,7 @@ class MicrophoneSource:
         self.watch.close()
 
     def _start_afresh(self) -> None:
+        """Reset the source to sound time 0, with no capture, no samples and no lost blocks."""
         # One for each time that the device was opened; all but the newest have ended.
         self._captures: deque[_Capture] = deque()
         self._n_pushed = 0  # samples at 16 kHz that went on to the cutter
@@ -145,6 +146,10 @@ class MicrophoneSource:
         self._cutter = BlockCutter()
 
     def _open(self) -> OpenStream:
+        """Find the device, open and start a stream that queues its sound, and return the stream.
+
+        Called by `watch`, at first and after each loss; waits for the device. Raises SoundError.
+        """
         self._device = find_device(self._wanted, "input")
         rate_hz, n_channels = self._rate_and_channels()
         make_stream = partial(
@@ -167,10 +172,11 @@ class MicrophoneSource:
         return capture.stream
 
     def _rate_and_channels(self) -> tuple[int, int]:
-        """Return rate in Hz and channels to open the device with: (16000, 1) if it accepts these.
+        """Return rate in Hz and number of channels to open the device with.
 
-        Else its preferred rate, with one channel if it accepts this, or with all channels; with all
-        where one of them is chosen.
+        The first that the device accepts: 16 kHz with one channel, its own rate with one channel,
+        else its own rate with all channels. All channels are taken in each case if one of them was
+        chosen.
         """
         own_rate_hz, all_channels = self._device.sample_rate_hz, self._device.n_channels
         n_wanted = 1 if self._channel is None else all_channels

@@ -210,7 +210,7 @@ class OwnPlaybackClock:
     def _lag_at(self, now_s: float) -> float:
         """Return how many s the sound is behind the clock at `now_s`, following the last report.
 
-        It changes at a bounded rate and, near the reported value, approaches it exponentially.
+        The lag changes at a bounded rate and, near the reported value, approaches it exponentially.
         """
         elapsed_s = max(0.0, now_s - self._since_s)
         missing_s = self._wanted_s - self._lag_s

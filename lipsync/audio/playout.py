@@ -258,8 +258,8 @@ class Playout:
         """Return the newest report of what is heard: (monotonic seconds, timeline seconds then).
 
         The report comes from the sender that plays the current speech itself, else from the
-        loudspeaker. None: that one has reported nothing (a sender nothing new), or there is no
-        loudspeaker.
+        loudspeaker. None if the sender has reported nothing new, or the loudspeaker nothing so far,
+        or there is no loudspeaker.
         """
         while self.reports:
             now_s, stream, n_samples = self.reports.popleft()
@@ -371,6 +371,7 @@ class Playout:
         """Do nothing: the loudspeaker is closed by the caller that opened it."""
 
     def _commit(self, n_until: int) -> Iterator[tuple[AudioBlock, AudioBlock]]:
+        """Commit blocks up to number `n_until`: write each to the loudspeaker, yield its pair."""
         while self._n_blocks < n_until:
             start_s = self.committed_s
             self._n_blocks += 1
@@ -382,7 +383,7 @@ class Playout:
     def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
         """Return the next 10 ms, from `start_s` on, as three blocks.
 
-        They are for the recogniser, the loudspeaker and the prosody tracker. All three are of the
+        The blocks are for the recogniser, the loudspeaker and the prosody tracker. All are of the
         first stream that has sound, but the recogniser's is silent if the stream's phonemes are
         known, the loudspeaker's if another program plays the stream. Without a stream the
         loudspeaker's is silent, the other two are the microphone's, or silent.
@@ -436,7 +437,7 @@ class Playout:
             self._started_words.append(StartedWords(passed.kind, words, passed.is_new, behind_s))
 
     def _note_timed(self, timed: TimedUnits) -> None:
-        """Queue the units of the sound from `timed.from_s` on, if it differs from before."""
+        """Queue the units of the sound from `timed.from_s` on, if they differ from the last."""
         last = self._timed_last
         if timed.units is not last.units or timed.start_s != last.start_s:
             self._timed_last = timed
@@ -465,6 +466,7 @@ class Playout:
         return _SILENCE if samples is None else samples
 
     def _note_underrun(self, playing: PlayingStream) -> None:
+        """Mark a stream as starved; count an underrun unless its sender waits for a mark."""
         playing.is_starved = True
         if playing.stream.is_marked:  # its sender waits until this was heard
             return

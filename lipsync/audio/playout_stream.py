@@ -45,8 +45,9 @@ class PlayoutTextError(ValueError):
 class StartedWords:
     """Words that come next in speech, with times in seconds: of their stream, or of the timeline.
 
-    A stream gives out the former, the playout the latter. is_new: they replace all earlier words
-    not spoken yet. behind_s: seconds of the sound of these words that have passed already.
+    A stream gives out times of the stream, the playout times of the timeline. is_new: the words
+    replace all earlier ones not spoken yet. behind_s: seconds of the sound of these words that have
+    passed already.
     """
 
     kind: UnitKind
@@ -171,12 +172,12 @@ class PlayoutStream:
         self._cut()
 
     def tell(self, spoken: SpokenText, words: Sequence[PronouncedWord] = ()) -> None:
-        """Add units (words, phonemes, ...) of the speech to those of their kind.
+        """Add units (words, phonemes, ...) of the speech to the earlier units of the same kind.
 
-        If the first has a start, they replace the earlier ones from there on. Phonemes and visemes
-        with times move the mouth; all else is aligned with the sound. words: those of `spoken`,
-        with possible pronunciations, in seconds of the stream. Raises PlayoutTextError and
-        SpokenTextError; then nothing was added. Ignored if the stream is over.
+        If the first unit has a start, the units replace the earlier ones from there on. Phonemes
+        and visemes with times move the mouth; all else is aligned with the sound. words: those of
+        `spoken`, with possible pronunciations, in seconds of the stream. Raises PlayoutTextError
+        and SpokenTextError; then nothing was added. Ignored if the stream is over.
         """
         if self._ended and (self._dropped or not self._blocks):
             return
@@ -209,6 +210,12 @@ class PlayoutStream:
         *,
         is_better: bool,
     ) -> None:
+        """Queue the words of `spoken` in `started_words`, after earlier words or in their place.
+
+        whole: all units of this kind, `spoken` included. All earlier words are replaced if
+        `is_better`, as by words in place of a text; those from the start of `spoken` on, if it
+        corrects earlier units.
+        """
         before = self.spoken.get(spoken.kind)
         n_units = 0 if before is None else len(before.units)
         is_correction = len(whole.units) < n_units + len(spoken.units)

@@ -42,7 +42,7 @@ class BackOff:
     def mixed(
         self, face: Array, phonemes: list[int], times_s: list[float], known_s: float
     ) -> Array:
-        """Return an expected face, moved to the fixed method's by the context's `share`.
+        """Return an expected face, moved by `share` towards the fixed method's face.
 
         Parameters
         ----------

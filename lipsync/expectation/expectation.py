@@ -73,10 +73,10 @@ def context_at(
 ) -> tuple[list[int], list[float]]:
     """Return the five phonemes around `time_s`, and six times in seconds, as far as known.
 
-    Phonemes: indices of the two before, the present one, the two after; UNKNOWN where there is none
-    or none is known. Times: since the starts of the first three, infinite where there is no such
-    phoneme; until the ends of the last three, NaN where that end is not known at sound time
-    `known_until_s`.
+    Phonemes: indices of the two before, the present one, the two after; UNKNOWN where there is no
+    such phoneme or it is not known. Times: since the starts of the first three, infinite where
+    there is no such phoneme; until the ends of the last three, NaN where that end is not known at
+    sound time `known_until_s`.
     """
     limit_s = known_until_s + _ROUNDING_S
     at = bisect_right(track.starts_s, min(time_s + _ROUNDING_S, limit_s)) - 1
@@ -257,7 +257,9 @@ class Stack:
     output: Array
 
     def faces(self, first: Array, timing: Array) -> Array:
-        """Return the networks' part of the mean face: their outputs, already divided, added up.
+        """Return these networks' part of the mean face: the sum of their outputs.
+
+        `output` contains the division by the number of all networks.
 
         Parameters
         ----------
@@ -460,7 +462,7 @@ def expectation_of(arrays: dict[str, Array]) -> Expectation:
 def constant_expectation(faces: Array) -> Expectation:
     """Return an expectation by the present phoneme only, for corpora too small to train networks.
 
-    It returns exactly a row of `faces`: each phoneme has two rectifiers a component.
+    The expectation returns exactly a row of `faces`: each phoneme has two rectifiers a component.
 
     Parameters
     ----------

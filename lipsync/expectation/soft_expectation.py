@@ -60,7 +60,7 @@ class BelievedFrames:
     def push(self, posteriors: FramePosteriors) -> bool:
         """Store new posteriors; return whether all are valid and of our inventory and rate.
 
-        Others are ignored.
+        Posteriors that are not are ignored.
         """
         values = posteriors.values[-_KEPT:]
         is_ours = values.shape[1:] == (len(posteriors.delays), len(PHONEMES))

@@ -105,6 +105,7 @@ def _weights(model: FaceModel, name: str) -> Array:
 
 
 def _points(model: FaceModel, landmarks: Sequence[int]) -> list[int]:
+    """Return the indices of `landmarks` in the model's points; MeasureError if one is missing."""
     missing = [n for n in landmarks if n not in model.layout.landmarks]
     if missing:
         raise MeasureError(

@@ -183,8 +183,8 @@ def rule_cues(
 ) -> list[MouthCue]:
     """Return mouth shapes for phonemes in order, from 0 to the end of the sound, without gaps.
 
-    stops_at_burst: phonemes are labelled as Rhubarb expects of its recogniser, stops from their
-    burst on: their closure is put before the label. Else a stop begins with its closure, as with
+    stops_at_burst: True where stops are labelled from their burst on, as by Rhubarb's recogniser;
+    their closure is then put before the label. False where a stop begins with its closure, as with
     our recogniser, speech synthesisers and labels by hand. Empty for a sound of no length.
     """
     end_cs = centiseconds(duration_s)
@@ -198,6 +198,10 @@ def rule_cues(
 def _mouth_spans(
     events: Iterable[PhonemeEvent], total_cs: int, *, stops_at_burst: bool
 ) -> list[_MouthSpan]:
+    """Return the spans of phonemes and of the silences between, from 0 to `total_cs`, without gaps.
+
+    stops_at_burst: as in `rule_cues`: a stop's closure is then put before its label.
+    """
     spans: list[_MouthSpan] = []
     now_cs = before_cs = 0
     for event in events:
@@ -227,6 +231,7 @@ def _cut_at(spans: Sequence[_MouthSpan], time_cs: int) -> list[_MouthSpan]:
 
 
 def _of_phone(phone: str, start_cs: int, end_cs: int) -> list[_MouthSpan]:
+    """Return the spans of a phone, two for a diphthong; times in hundredths of a second."""
     shapes = _shapes_of(phone, end_cs - start_cs)
     is_vowel = phone in _VOWELS
     if len(shapes) == 1:
@@ -271,7 +276,7 @@ def _nearest(shape: Shape, allowed: str) -> Shape:
 
 
 def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
-    """Return the cues of spans: of a span's shapes the nearest to the last span's, relaxed.
+    """Return cues for spans: each gets that of its shapes nearest to the last shape, relaxed.
 
     A vowel with only one shape begins early: spans up to 0.2 s before it get their shape nearest to
     the vowel's.
@@ -301,7 +306,8 @@ def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
 def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
     """Return the cues with inner pauses X of up to 0.35 s replaced by the shape before.
 
-    A pause of 0.12 s or more gets this shape relaxed, if that differs from the shape after it.
+    A pause of 0.12 s or more gets that shape relaxed, until it differs from the shape after the
+    pause; where it never does, the pause stays X.
     """
     found = list(cues)
     for i in range(1, len(cues) - 1):
@@ -313,6 +319,11 @@ def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
 
 
 def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
+    """Return the shape for a pause inside speech, `duration_cs` hundredths of a second long.
+
+    Below 0.12 s the shape before; up to 0.35 s that shape relaxed, until it differs from the shape
+    after; in longer pauses, or where none differs, X.
+    """
     if duration_cs < _HELD_PAUSE_CS:
         return before
     if duration_cs <= _RELAXED_PAUSE_CS:

@@ -98,6 +98,10 @@ def viseme_weights(events: Iterable[PhonemeEvent], times_s: Array, tightest_s: A
 
 
 def _parts(events: Sequence[PhonemeEvent], tightest_s: Array) -> list[_Part]:
+    """Return the visemes of phonemes in order, `sil` in gaps and after the last phoneme.
+
+    tightest_s: (40,), as in `viseme_weights`. A phoneme without an end lasts for ever.
+    """
     parts: list[_Part] = []
     end_s = 0.0
     for i, event in enumerate(events):

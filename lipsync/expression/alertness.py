@@ -62,6 +62,10 @@ class Alertness:
         self.talking = smoothstep(self._talking_share)
 
     def _notice(self, look_at_deg: tuple[float, float] | None) -> None:
+        """Update by one cue where the partner is, whether it has turned, and how long nobody moved.
+
+        look_at_deg: (yaw, pitch) of the person to look at; None: nobody.
+        """
         target_deg = _seen(look_at_deg)
         noticed_deg = self._noticed_deg
         if target_deg is None or noticed_deg is None:

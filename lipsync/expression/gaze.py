@@ -207,6 +207,7 @@ class Gaze:
         self._left_s = max(at_least_s, self._habit.drawn_mutual_s(self._random))
 
     def _change(self) -> None:
+        """Begin the next fixation, on the partner or away, as drawn by the gaze habit."""
         habit, random = self._habit, self._random
         if not self.is_mutual and random.random() < habit.returning():
             self.look(at_least_s=0.0)
@@ -233,6 +234,10 @@ class Gaze:
         return self._offset_deg[0] / 2.0, self._offset_deg[1] / 2.0
 
     def _move(self, wanted_deg: tuple[float, float]) -> None:
+        """Advance gaze by one cue, 10 ms: begin a saccade to `wanted_deg` if due, and continue it.
+
+        wanted_deg: (yaw, pitch) in the robot's frame.
+        """
         self.saccade_deg = 0.0
         self._since_saccade_s += CUE_PERIOD_S
         if self._saccade is None and self._is_worth_it(wanted_deg):

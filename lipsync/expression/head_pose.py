@@ -153,6 +153,7 @@ class _Axis:
         self.is_moving = goal_deg != self.angle_deg
 
     def step(self) -> float:
+        """Advance by one cue, 10 ms; return the angle in degrees, the goal when it is reached."""
         if self.is_moving:
             self._elapsed_s += CUE_PERIOD_S
             share = smoothstep(self._elapsed_s / self._duration_s)
@@ -219,6 +220,7 @@ class IdlePosture:
         return _SHORTEST_PAUSE_S + self._random.gammavariate(shape, _PAUSE_S / shape)
 
     def _begin_move(self) -> None:
+        """Begin a breath or a small move of a random axis, if the saved travel pays for it."""
         random = self._random
         if random.random() < _BREATHING:
             size_deg = random.uniform(_LEAST_BREATH_DEG, _MOST_BREATH_DEG)

@@ -100,8 +100,8 @@ class LiveExpression:
     def step(self, cue: ExpressionCue) -> Expression:
         """Return the expression at the cue's time; call it once for each cue, every CUE_PERIOD_S.
 
-        After the call `is_resting` is whether the face is at neutral and stays there until a person
-        speaks or moves, so that torque may be released without a jump.
+        After the call `is_resting` tells whether the face is at neutral and stays there until a
+        person speaks or moves, so that torque may be released without a jump.
         """
         alertness = self._alertness
         alertness.hear(cue)

@@ -268,6 +268,7 @@ class Style:
     stage: float = 0.0
 
     def __post_init__(self) -> None:
+        """Raise StyleError for a setting that is negative, above its limit, or NaN."""
         limits = {
             "lookahead_s": LONGEST_LOOKAHEAD_S,
             "strength": STRONGEST,

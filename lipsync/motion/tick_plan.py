@@ -164,10 +164,10 @@ def planned_rest(
 ) -> Amount:
     """Return how far the mouth is at rest from `time_s` on, as an `Amount` from 0 to 1.
 
-    It eases to 1 in a pause, and to 0 once the end of the pause is known; `now`, the Amount so
-    far, is returned if it has that goal already. phonemes, times_s: what `context_at` returns for
-    the end of the tick that begins at `time_s`: five phonemes around it, and their times. known_s:
-    seconds beyond that end for which phonemes are known.
+    The amount eases to 1 in a pause, and to 0 once the end of the pause is known; `now`, the Amount
+    so far, is returned if it has that goal already. phonemes, times_s: what `context_at` returns
+    for the end of the tick that begins at `time_s`: five phonemes around it, and their times.
+    known_s: seconds beyond that end for which phonemes are known.
     """
     is_pause = phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3])
     if is_pause == (now.goal == 1.0):

@@ -230,9 +230,9 @@ class UnitMotion:
         """Return an AnimPho (recorded unit) for the rest of a phone, and its departures.
 
         The departures are from the expected face, from `begin_s` on, where the trajectory `last` is
-        left. Eq. (3) to (5), less the target: the mouth begins at its present position and becomes
-        the AnimPho, moved part of the way to the target's mean. previous: a_{t-1}; kept: a_t,
-        None to choose it.
+        left. As in Wei and Deng, eqs. (3) to (5), the mouth begins at its present position and
+        becomes the AnimPho, here moved part of the way to the mean of the expected faces. previous:
+        the AnimPho before, a_{t-1}; kept: the AnimPho to go on with, a_t, None to choose one.
         """
         assert span.phoneme is not None
         phone_s = max(span.end_s, begin_s + _SHORTEST_S) - span.start_s

@@ -203,7 +203,7 @@ def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
 def model_based_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
     """Return the first `n_frames` faces of a line by the method of Edge, Hilton and Jackson.
 
-    They are coefficients of the speaker's face model at the offline model's frame rate. A note
+    Faces are coefficients of the speaker's face model, at the offline model's frame rate. A note
     gives the number of steps between states that no recording contains, if there are any.
     """
     from lipsync.offline.line_synthesis import model_line  # needs the extra `offline`
@@ -232,8 +232,8 @@ def line_synthesizer(
 ) -> tuple[FinishedSynthesizer, Sequence[str]]:
     """Return a synthesiser that plays a spoken line, rendered by `method`, and notes to the user.
 
-    It adds rest in pauses and lip closures, and scales the motion by `strength`: 0 keeps the mouth
-    at rest, 1 changes nothing.
+    The synthesiser adds rest in pauses and lip closures, and scales the motion by `strength`: 0
+    keeps the mouth at rest, 1 changes nothing.
     """
     duration_s = max((e.end_s or 0.0 for e in line.events), default=0.0)
     if method == "live":

@@ -113,6 +113,10 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
 
 
 def _assembled(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> OfflineModel:
+    """Build the model from a file's arrays and its description `about`; shapes are not checked.
+
+    Raises ValueError for a model of other phonemes, KeyError for a missing array.
+    """
     if about["phonemes"] != list(PHONEMES):
         raise ValueError("its phonemes are not those of this lipservo version")
     wide: dict[str, Any] = {n: _wide(arrays[f"states/{n}"]) for n in _STATES}

@@ -218,7 +218,7 @@ def read_performance(path: Path) -> Performance:
 def sound_file(sound: PerformedSound, path: Path) -> Iterator[Path]:
     """Yield the path of a file with the sound `sound` of the performance that was read from `path`.
 
-    That is the sound file beside the performance, or, for sound included in it, an unnamed
+    The file is the sound file beside the performance, or, for sound included in it, an unnamed
     temporary file that is deleted afterwards in any case; so the sound is never in memory as a
     whole. Raises PerformanceError where the sound cannot be read, or has changed since rendering.
     """

@@ -95,12 +95,15 @@ def tiers_in(text: str, alphabet: str = "") -> tuple[Tier, ...]:
 
 
 def kind_of(name: str) -> Kind | Literal[""]:
-    """Return what a tier holds, as the last word of its `name` says; "": it says nothing."""
+    """Return what a tier holds, by the last word of its `name`; "" if that word does not say."""
     return _KINDS.get((re.findall(r"\w+", name.lower()) or [""])[-1], "")
 
 
 def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Tier, ...]:
-    """Return the tiers of rows, (number of the line, groups by name)."""
+    """Return the tiers in the rows of a file, each (line number, the row's groups by name).
+
+    Raises LabelError, with the line, for a time that is negative or an end before its start.
+    """
     several = len({row.get("speaker") for _, row in rows}) > 1
     tiers: dict[str, list[TimedUnit]] = {}
     for (number, row), (_, after) in pairwise([*rows, (0, {})]):
@@ -120,6 +123,11 @@ def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Ti
 
 
 def _of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
+    """Return the tiers in a parsed JSON document of a speech service.
+
+    alphabet: of phonemes where the document names none. Raises LabelError or VendorError for a
+    document without labels that can be used.
+    """
     if isinstance(document, dict) and "facsNames" in document and "weightMat" in document:
         raise LabelError(
             "the file has weights of face shapes (as Audio2Face exports them), not labels; give "

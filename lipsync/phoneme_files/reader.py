@@ -78,7 +78,11 @@ def has_phones(tiers: Iterable[str]) -> bool:
 
 
 def labels_in(content: bytes | None, file: LabelFile, sound_s: float | None = None) -> Labels:
-    """Return the labels in a file's content, None: to be read from `file`. Raises LabelError."""
+    """Return the labels in a label file. Raises LabelError, with the file's name.
+
+    content: the file's bytes; None: they are read from the path in `file`. sound_s: length of the
+    sound in s, with which the labels' times are compared; None: not known.
+    """
     try:
         text = text_of(file.path) if content is None else decoded(content)
         tiers = tiers_in(text, file.alphabet)
@@ -163,9 +167,9 @@ def _phones(tier: Tier, given: str) -> Labels:
 
 
 def _joined(tier: Tier) -> tuple[list[TimedUnit], int]:
-    """Return a tier's units, edges within 1 ms joined, and how many had no length.
+    """Return a tier's units, edges within 1 ms joined, and the number of labels without length.
 
-    Raises LabelError for an overlap.
+    A unit without an end ends where the next one begins. Raises LabelError for an overlap.
     """
     joined: list[TimedUnit] = []
     n_without = 0
@@ -193,9 +197,10 @@ def _place(tier: Tier, unit: TimedUnit) -> str:
 
 
 def _checked_times(spoken_s: float, reached_s: float, sound_s: float) -> list[str]:
-    """Return notes on labels whose last spoken one ends at `spoken_s`, the last at `reached_s`.
+    """Return a note if labels end long before the sound, else []; times in s.
 
-    Raises LabelError for labels that cannot be those of a sound of `sound_s` seconds.
+    spoken_s: end of the last label that is not silence (start of the last word); reached_s: end of
+    all labels; sound_s: length of the sound. Raises LabelError if `spoken_s` is after the sound.
     """
     if spoken_s > sound_s + _AFTER_SOUND_S:
         raise LabelError(

@@ -283,6 +283,11 @@ class VoiceTracker:
         return self._frame(peak)
 
     def _frame(self, peak: float) -> VoiceFrame:
+        """Return the `VoiceFrame` of the window's newest block; update baselines and arousal.
+
+        peak: the block's greatest amplitude, 0 to 1. Baselines change in voiced speech only, after
+        the frame was compared with them.
+        """
         sound = analyse_window(self._window)
         loud_db = sound.loudness_db
         tilt_db = sound.high_db - sound.low_db

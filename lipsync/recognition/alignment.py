@@ -167,6 +167,11 @@ def _alignment(
     beams: Beams,
     guessed: tuple[str, ...],
 ) -> Alignment:
+    """Return pocketsphinx's segments, in frames of 10 ms, as an alignment in seconds.
+
+    Fillers such as `<sil>` and `[NOISE]` become silence and are left out of the words; successive
+    silences are joined.
+    """
     phones: list[PhonemeEvent] = []
     words: list[tuple[str, float, float]] = []
     for word, parts in segments:

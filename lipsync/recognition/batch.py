@@ -99,6 +99,11 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
     labels = np.empty((n_recordings, n_frames - delay), np.int64)
 
     def step(best: Array32, frame: int, age: int) -> tuple[Array32, NDArray[np.int64]]:
+        """Advance the best paths by the frame numbered `frame`; return their scores and sources.
+
+        best: (n_recordings, n_phonemes); age: frames heard after it, which chooses the head. A
+        source is the phoneme from which a path came.
+        """
         head = heads[age - delays[0]]
         leader = best.argmax(axis=1)
         is_waking = (leader == SILENCE_INDEX) & (n_silent >= PAUSE_FRAMES)

@@ -59,6 +59,10 @@ class EnergyRecognizer:
         return [update]
 
     def _process(self, samples: np.ndarray) -> None:
+        """Append AA (loud), AH (quieter) or silence to `_heard` for each 10 ms that is complete.
+
+        samples: (n,) float32 at 16 kHz; an incomplete rest waits for the next call.
+        """
         self._waiting = np.concatenate((self._waiting, samples))
         n_whole = len(self._waiting) - len(self._waiting) % _FRAME_SAMPLES
         for frame in self._waiting[:n_whole].reshape(-1, _FRAME_SAMPLES):

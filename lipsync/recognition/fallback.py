@@ -1,10 +1,9 @@
 """The ladder of recognisers: one that fails is replaced by the next, and tried again later.
 
-Levels from the best down: network, energy (the jaw only), neutral. A level that raises is left at
-once, one that cannot keep up once there is a backlog (`Pace`); the next one takes over at the first
-block not fed to that level, after the seconds of sound before it. Where a clock is given better
-levels are tried again beside the one in use (`Trial`), and take over in a pause. The neutral level,
-a closed mouth, cannot fail. Why so: docs/decisions/ears.md.
+Levels from the best down: network, energy (the jaw only), neutral (a closed mouth; cannot fail). A
+level that raises is left at once, a slow one once there is a backlog (`Pace`); the next one is fed
+the last seconds of sound, and goes on from there. Where a clock is given, better levels are tried
+beside the one in use (`Trial`), and take over in a pause. Why so: docs/decisions/ears.md.
 
 Whether a level keeps up is decided by its own cost and by what waits, not by one second: a
 computer that is busy for a moment makes any recogniser late, and a fast one catches up afterwards.
@@ -261,6 +260,7 @@ def _fed(
 
 
 def _later(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
+    """Return the update with all its times moved later by `by_s` seconds."""
     return PhonemeUpdate(
         update.replace_from_s + by_s,
         update.heard_until_s + by_s,
@@ -375,8 +375,7 @@ class FallbackRecognizer:
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """Give the recogniser in use the next words of a text. Raises TextError for too many.
 
-        behind_s: seconds of these words' sound that were fed already. A recogniser that raises
-        any other error is replaced.
+        behind_s: seconds of their sound fed already. Any other error replaces the recogniser.
         """
         try:
             self._level.tell(words, behind_s)
@@ -455,6 +454,7 @@ class FallbackRecognizer:
             _LOG.warning("recogniser %s cannot be used: %s", level.name, reason)
 
     def _forget(self) -> None:
+        """Reset all state and begin the best usable recogniser at sound time 0."""
         self._current = self._usable[0]
         self._final_until_s = 0.0
         self._recent.clear()

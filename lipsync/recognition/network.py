@@ -281,6 +281,10 @@ def _check_name(name_or_path: str) -> None:
 
 
 def _weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
+    """Build the weights from a file's arrays; consistency is checked by `_mistake`.
+
+    Raises KeyError, ValueError, TypeError or IndexError for arrays that are missing or unusable.
+    """
     dilations = [int(dilation) for dilation in arrays["dilations"]]
     layers = [
         Layer(_float(arrays[f"kernel_{i}"]), _float(arrays[f"bias_{i}"]), dilation)

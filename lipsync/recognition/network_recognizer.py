@@ -252,6 +252,11 @@ class NetworkRecognizer:
         return _n_frames(self._n_samples) - n_before
 
     def _decode(self, frames: "_Frames") -> None:
+        """Push frames to the decoder, and to the text's decoder until its words are over.
+
+        Settled phonemes are appended; those of newer frames, provisional and found in the text, are
+        replaced.
+        """
         self._believed.extend(frames.posteriors)
         for frame in frames.scores:
             settled, self._provisional = self._decoder.push(frame)

@@ -25,10 +25,11 @@ def make_recognizer(
 ) -> FallbackRecognizer:
     """Return a live recogniser that falls back from `engine` to the built-in recognisers below it.
 
-    Below another package's recogniser are all built-in ones. timer_s: a clock in seconds, to
-    replace one that is slower than its sound, and to try better ones again; None in offline
-    use. weights: name or file. latency_s: in seconds, raised to what the slowest recogniser needs.
-    Raises PluginError if `engine` is unknown or cannot be loaded.
+    A recogniser of another package falls back to all built-in ones. timer_s: a clock in seconds, by
+    which a recogniser that is slower than its sound is replaced and better ones are tried again;
+    None in offline use. weights: name of shipped weights, or path of a file. latency_s: in seconds,
+    raised to what the slowest recogniser needs. Raises PluginError if `engine` is unknown or cannot
+    be loaded.
     """
     ours = list(RECOGNIZERS.built_in)
     names = ours[ours.index(engine) :] if engine in ours else [engine, *ours]

@@ -36,7 +36,10 @@ class ScriptedPhonemes:
         return self._heard_until_s
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Return an update with all that is new until `until_s`; [] if that is no later time."""
+        """Return an update with all that is known at sound time `until_s` and was not before.
+
+        [] if `until_s`, in s, is not later than in an earlier call.
+        """
         self._heard_until_s = max(self._heard_until_s, until_s)
         known_until_s = until_s + self._lookahead_s
         if known_until_s <= self._known_until_s:

@@ -247,7 +247,8 @@ class TextDecoder:
     def _step(self, front: "_Front", frame: int, age: int, *, keep: bool = False) -> "_Front":
         """Return the paths' scores after frame number `frame`, by the head that fits its `age`.
 
-        keep: the step is not searched again: the window of words may move, scores are normalised.
+        keep: whether the step is final: then the window of words may move, and scores are
+        normalised. Steps that are not final are searched again in the next frame.
         """
         settings = self._settings
         window = self._words.window(self.place) if keep else front.window
@@ -462,6 +463,7 @@ class _WordGraph:
         self._lay_out(self._words.part(first, end), _end(end, end_state))
 
     def _lay_out(self, *parts: _Words) -> None:
+        """Join `parts` to the graph's words; the window is cut out anew when next asked for."""
         self._words = _Words(
             *(
                 np.concatenate([getattr(part, name) for part in parts], axis=-1)
@@ -489,6 +491,7 @@ class _WordGraph:
 
 
 def _end(number: int, first_state: int) -> _Words:
+    """Return the silence after the last word: one state, as a word numbered `number`."""
     none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
     return _Words(
         one + SILENCE_INDEX, np.zeros(1, np.float32), np.full(1, _SILENT, np.int8), one + number,
@@ -501,6 +504,11 @@ def _end(number: int, first_state: int) -> _Words:
 def _compiled(
     word: PronouncedWord, number: int, first_state: int, least_frames: int, frames_per_s: int
 ) -> _Words:
+    """Return a word as states: one of silence, then `least_frames` for each phoneme.
+
+    number: the word's; first_state: the number of its first state. A path may stay in silence and
+    in a phoneme's last state only, so a phoneme lasts `least_frames` at least.
+    """
     phonemes, stays, kinds, ends = [SILENCE_INDEX], [np.float32(0.0)], [_SILENT], []
     for pronunciation in word.pronunciations[:MOST_PRONUNCIATIONS]:
         kinds += [_FIRST] + [_WITHIN] * (len(pronunciation) * least_frames - 1)
@@ -519,6 +527,10 @@ def _compiled(
 
 
 def _window_of(words: _Words, place: int, settings: TextSettings) -> _Window:
+    """Return the window on `words`; states and words in it are numbered from its own first.
+
+    place: the index in the window of the word being spoken.
+    """
     first_word, first_state = int(words.words[0]), int(words.silences[0])
     return _Window(
         first_word,

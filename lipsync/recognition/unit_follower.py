@@ -88,12 +88,12 @@ class OffsetSearch:
         self._kept: deque[tuple[Array32, np.float32]] = deque([(self._scores, self._escape)])
 
     def push(self, agreement: Array32) -> None:
-        """Take a frame: how well the unit at each offset agrees with it.
+        """Search one frame further, given how well the unit at each offset agrees with it.
 
         Parameters
         ----------
         agreement : Array32
-            (n_offsets,) <= 0.
+            (n_offsets,), natural logs: 0 for the likeliest viseme class, else negative.
         """
         s, settings = self._scores, self._settings
         best = self._from_within(s)
@@ -117,7 +117,10 @@ class OffsetSearch:
         return np.maximum(down, up)
 
     def path(self) -> list[tuple[int, int]]:
-        """Return (path, offset) of the best path in the last frames, the oldest first."""
+        """Return (path, offset) of the best path in each of the last frames, the oldest first.
+
+        path: 0 rigid, 1 loose, 2 escape. offset: in frames of 10 ms, positive: later than sent.
+        """
         settings = self._settings
         scores, escape = self._kept[-1]
         mode, at = divmod(int(scores.argmax()), scores.shape[1])
@@ -138,7 +141,10 @@ class OffsetSearch:
     def _source(
         self, before: Array32, before_escape: np.float32, mode: int, at: int
     ) -> tuple[int, int]:
-        """Return the path and the offset's index from which the best path came to (mode, at)."""
+        """Return the (path, index of its offset) from which the best path came to (mode, at).
+
+        before, before_escape: scores one frame earlier; mode: the path, 0 rigid or 1 loose.
+        """
         cost, row = self._changes[mode, 0], before[mode]
         down = row[at:] - cost * np.arange(len(row) - at, dtype=np.float32)
         longest = int(down.argmax())
@@ -188,13 +194,17 @@ class UnitFollower:
         return float(np.median(self._offsets)) / _FRAMES_PER_S if self._offsets else 0.0
 
     def tell(self, units: Sequence[PhonemeEvent]) -> None:
-        """Take all units around the present, in place of those sent before; all have ends."""
+        """Store all units around the present, in place of those sent before; all have ends."""
         self._units = tuple(units)
         self._starts_s = [unit.start_s for unit in units]
         self._cells = np.zeros(0, np.int64)
 
     def hear(self, heard: FramePosteriors) -> None:
-        """Take the posteriors of the next frames of the sound."""
+        """Search the units in the next frames of the sound, given by their posteriors.
+
+        Posteriors at another rate than 100 a second, or without the head that is listened to, are
+        ignored.
+        """
         settings = self._settings
         if heard.frames_per_s != _FRAMES_PER_S or settings.delay not in heard.delays:
             return

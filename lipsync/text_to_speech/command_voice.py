@@ -102,6 +102,10 @@ def _timed_words(words: tuple[TimedUnit, ...], sample_rate_hz: int) -> SpokenTex
 
 
 def _check(voice: Voice) -> None:
+    """Raise SynthesisError for a voice without a usable command, or with its own rate or pitch.
+
+    A language other than the default is refused unless the command has `{language}`.
+    """
     if not voice.name.strip():
         raise SynthesisError(
             'the voice has no command; write it as `sound: {synthesizer: command, voice: "my-tts '
@@ -161,6 +165,11 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
 
 
 def _sound_of(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
+    """Return the command's sample rate and words, and its sound, mono int16, as bytes.
+
+    words: the file of times, which may be missing. Raises SynthesisError if there is no sound, its
+    rate is not allowed, or the file of times is larger than 1 MB.
+    """
     try:
         samples, sample_rate_hz = soundfile.read(wav, dtype="int16", always_2d=True)
     except (soundfile.LibsndfileError, RuntimeError, OSError) as error:

@@ -137,7 +137,7 @@ def _release_s(
 ) -> float:
     """Return when the sound rises most between `earliest_s` and a vowel's event at `event_s`.
 
-    The event's time if it does not rise enough. edges: differences of successive samples, which
+    `event_s` if the sound does not rise enough. edges: differences of successive samples, which
     weigh the higher formants, let out by an open mouth, above the murmur of a closed one.
     """
     n_compared = round(_COMPARED_S * sample_rate_hz)
@@ -203,6 +203,7 @@ class Espeak:
         )
 
     def _check_voice(self, voice: Voice) -> None:
+        """Raise SynthesisError for a named voice, and a language, rate or pitch not available."""
         if voice.name:
             raise SynthesisError(f"espeak-ng has no voice {voice.name!r}; give a language")
         known = self._process.languages()
@@ -220,7 +221,7 @@ class Espeak:
 def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]]:
     """Return phones from 0 to the end of the sound without gaps, and the IPA phonemes guessed.
 
-    Those are not in the table of IPA phonemes, and are replaced by similar ones.
+    A guessed phoneme is missing in the table of IPA phonemes and replaced by a similar one.
     """
     duration_s = len(spoken.samples) / spoken.sample_rate_hz
     found = [TimedPhones((SILENCE,), 0.0, duration_s)]
@@ -276,6 +277,11 @@ def _sounds(samples: NDArray[np.float32]) -> bool:
 
 
 def _words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tuple[SpokenWord, ...]:
+    """Return the words of `text` that are spoken, with start and end in seconds.
+
+    timed: the phonemes, with corrected times. Words that espeak-ng counts within one written word
+    (syllables, parts of a number) are joined.
+    """
     marks = [mark for mark in spoken.marks if isinstance(mark, WordMark)]
     found: list[SpokenWord] = []
     until = 0

@@ -30,6 +30,10 @@ def _process() -> VoiceProcess:
 
 
 def _answered(request: Request) -> tuple[dict[str, object], bytes]:
+    """Return the spoken words of a request's text, each with its IPA phonemes, and no bytes.
+
+    Runs in the child process. Raises SynthesisError for a text that gruut cannot read.
+    """
     from gruut import sentences
 
     try:

@@ -111,7 +111,10 @@ def pronounced_units(
 
 
 def _english(text: str) -> Iterator[PronouncedWord]:
-    """Yield an English text's words from the lexicon if it has all, else by the slow gruut."""
+    """Yield an English text's words from the lexicon if it has all of them, else by gruut, slowly.
+
+    Raises PronunciationError for a text that gruut cannot read.
+    """
     plain = _plain_words(text)
     if plain is not None:
         yield from plain
@@ -209,6 +212,7 @@ def pronounce(word: str) -> tuple[str, ...]:
 
 
 def _ipa(word: str) -> list[str]:
+    """Return gruut's IPA phonemes of a word. Raises PronunciationError where gruut is missing."""
     try:
         check_extra("gruut", f"word {word!r} is not in the dictionary; guessing how it sounds")
     except MissingExtraError as error:

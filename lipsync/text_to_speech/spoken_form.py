@@ -111,8 +111,8 @@ _PICTURES: Final = ("So", "Sk", "Cf", "Co")
 def spoken_form(text: str, language: str = "en-us") -> str:
     """Return the words of `text` as a person would read them out; "" where no one would say any.
 
-    A text of plain words and punctuation is returned as it is. What was spoken once is spoken again
-    alike: `spoken_form` of it is the same for texts that the marks above do not make by chance.
+    A text of plain words and punctuation is returned as it is. A result given to the function again
+    is returned unchanged, unless it contains one of the marks above by chance.
     """
     if _PLAIN.match(text):
         return text
@@ -167,6 +167,7 @@ def _blocks(text: str) -> Iterator[str]:
 
 
 def _inline(tokens: Sequence[Any]) -> Iterator[str]:
+    """Yield the text of a paragraph's markdown-it tokens, without what is struck out."""
     struck = 0
     for token in tokens:
         struck += token.nesting if token.type in ("s_open", "s_close") else 0
@@ -187,6 +188,7 @@ def _date(year: str, month: str, day: str) -> str:
 
 
 def _money(found: re.Match[str]) -> str:
+    """Return a matched amount with its currency in words: `$5.50` as `5 dollars 50 cents`."""
     sign, whole, cents, part, scale = found.groups()
     unit = _CURRENCY[sign]
     number = whole.rstrip(",") + (part or "")

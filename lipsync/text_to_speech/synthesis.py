@@ -147,6 +147,11 @@ def pieces(text: str, longest: int) -> Iterator[str]:
 
 
 def _piece_end(text: str, start: int, longest: int) -> int:
+    """Return the index in `text` of the end of the piece that begins at `start`.
+
+    The first that applies: the next end of a sentence, the end of the text, the last comma, the
+    last space, `longest` characters.
+    """
     window = text[start : start + longest + 1]
     for match in _SENTENCE_END.finditer(window):
         if not _ABBREVIATION.search(window[: match.end()]):

@@ -75,6 +75,7 @@ class VoiceProcess:
             self._child.communicate()
 
     def _started(self) -> "subprocess.Popen[bytes]":
+        """Start the child process, in a session of its own, and return it without waiting."""
         # A session of its own: Ctrl-C is for the face.
         return subprocess.Popen(
             [sys.executable, "-P", "-m", self._module],

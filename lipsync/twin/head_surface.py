@@ -222,8 +222,8 @@ def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequ
 def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
     """Return the displacements of all vertices of a shell from given ones of some vertices.
 
-    They have the least elastic energy; each of the k columns is independent of the others. Raises
-    ValueError if a piece of the surface has no given vertex.
+    The displacements have the least elastic energy; each of the k columns is independent of the
+    others. Raises ValueError if a piece of the surface has no given vertex.
 
     Parameters
     ----------

@@ -117,6 +117,11 @@ class Body:
 
 
 def _part(part: Part, amounts: Mapping[str, float], body: Body) -> dict[str, object]:
+    """Return a part's entry in the header; append the part's arrays to `body`.
+
+    amounts: each component's standard deviation, by name, by which its change of the normals is
+    computed; 1 for other morph targets.
+    """
     normals = vertex_normals(part.places_mm, part.triangles)
     return {
         "name": part.name,

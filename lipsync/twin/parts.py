@@ -318,7 +318,7 @@ def _ball(
 ) -> Piece:
     """Return the mesh of a superellipsoid about `middle` with half axes `half_mm`.
 
-    It is an ellipsoid at roundness 1, a box with round edges below.
+    The mesh is an ellipsoid at roundness 1, a box with round edges below.
     """
     up = np.linspace(-np.pi / 2, np.pi / 2, 9)
     about = np.linspace(0, 2 * np.pi, 16, endpoint=False)

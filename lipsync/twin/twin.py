@@ -78,8 +78,8 @@ _SMILING_LID_MM = 0.9
 def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[str, Array]:
     """Return the skin's displacements for 1 of lids, brow, smile and lip_tuck, by name.
 
-    And lid_left_over, lid_right_over, to be applied by lid (1 - lid) of each: a straight path
-    would lead a lid through the eyeball; with this target the lid passes over it.
+    lid_left_over and lid_right_over are further targets, to be applied by lid (1 - lid), where lid
+    is 0 to 1: a straight path would lead a half shut lid through the eyeball.
 
     Parameters
     ----------
@@ -264,8 +264,9 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None =
 
 
 def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
-    """Return the skin V + T_0 and the targets T_k of a face model on a head's surface.
+    """Return the skin V + T_0 and the targets T_k, in mm, of a face model on a head's surface.
 
+    V: the surface's vertices; T_0, T_k: their displacements by the mean face and by coefficient k.
     Raises TwinError if the model has fewer than three points on the 478-point face mesh.
     """
     landmarks = face.layout.landmarks
@@ -315,6 +316,11 @@ def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tu
 def _mouth_frame(
     places: Array, lips: Indices, morphs: dict[str, Array], components: tuple[str, ...]
 ) -> MouthFrame:
+    """Return the frame by which teeth, tongue and inside of the mouth are placed and moved.
+
+    places: (n, 3) mm, the skin's vertices; lips: the vertices of the lips' inner rim, in order;
+    morphs: displacements (n, 3) in mm by morph target; components: the targets of the face model.
+    """
     chin = list(CHIN)
     joint = places[list(JAW_JOINT)].mean(axis=0)
     moves = np.stack([morphs[name][chin] for name in components])

@@ -80,6 +80,10 @@ def detections(regressors: Array, classificators: Array) -> tuple[Detection, ...
 
 
 def _blended(scores: Array, boxes: Array, eyes: Array) -> tuple[Detection, ...]:
+    """Return detections, the surest first; overlapping boxes are averaged by their scores.
+
+    scores: (n,), falling; boxes: (n, 4); eyes: (n, 2, 2).
+    """
     found = []
     left = np.arange(len(scores))
     while len(left):

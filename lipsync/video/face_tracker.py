@@ -112,6 +112,7 @@ class LitertTracker:
         return tuple(found)
 
     def _detect(self, picture: Picture) -> list[tuple[Detection, FaceBox]]:
+        """Return up to three faces, the surest first, each with the square its lengths refer to."""
         height, width = picture.shape[:2]
         square = FaceBox(width / 2, height / 2, float(max(width, height)), 0.0)
         seen = cut_out(picture, square, DETECTOR_PIXELS) * 2 - 1
@@ -155,6 +156,7 @@ class _Network:
 
 
 def _networks(landmarker: Path) -> dict[str, bytes]:
+    """Return the two networks in a landmarker file, by name. Raises TrackerError."""
     try:
         with zipfile.ZipFile(landmarker) as file:
             for name in (_DETECTOR, _LANDMARKS):

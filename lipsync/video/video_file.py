@@ -79,6 +79,10 @@ def video_duration_s(path: Path) -> float:
 
 
 def _own_sound(path: Path) -> VideoSound:
+    """Return a video's sound track, mono at 16 kHz; holes of over 20 ms are filled with silence.
+
+    Raises VideoError for a video without a sound track, or with an empty one.
+    """
     pieces: list[NDArray[np.float32]] = []
     begins_s, n_samples, rate_hz = 0.0, 0, 0
     with _opened(path) as video:
