@@ -298,6 +298,7 @@ def read_baselines(file: ModelFile, n_components: int) -> Baselines:
     """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> Baselines:
+        """Return the baselines in a file's arrays; raise ValueError where `centres` is unusable."""
         found = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
         centres = found["centres"]
         if centres.shape != (len(PHONEMES), n_components):

@@ -65,6 +65,10 @@ class ContextVisemes:
         return np.asarray(self.faces[self.best_for(phones)])
 
     def _best(self, wanted: Indices, duration_s: float) -> int:
+        """Return the index of the recorded phone that suits a wanted one best, as `best_for` ranks.
+
+        wanted: (3,) numbers in PHONEMES of the phone before, of itself, and of the one after.
+        """
         same_class = _CLASS_OF[self.phonemes] == _CLASS_OF[wanted]
         same = self.phonemes == wanted
         around = [_BEFORE, _AFTER]

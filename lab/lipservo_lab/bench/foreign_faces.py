@@ -117,6 +117,10 @@ def pooled_figures(compared: Sequence[ComparedClip]) -> dict[str, object]:
 def _compared(
     clip: VideoClip, tracker: FaceTracker, face: FaceModel, model: Path | None
 ) -> ComparedClip:
+    """Compare our lip gap for a clip's sound with the gap that is tracked in its pictures.
+
+    Raises UserError for unusable sound or pictures; VideoError: too few pictures of one face.
+    """
     sound = video_sound(clip.path)
     track = track_face(clip.path, tracker, lambda _time_s: None)
     usable = usable_pictures(track)

@@ -150,6 +150,7 @@ def cache_folder() -> Path:
 
 
 def _code() -> bytes:
+    """Return a digest of the source of all packages that learn, part of a kept model's name."""
     files = sorted(
         (name, path.name, path.read_bytes())
         for name in _LEARNING

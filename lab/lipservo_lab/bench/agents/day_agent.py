@@ -92,6 +92,10 @@ async def talk(url: str, token: str, period_s: float) -> None:
         print(json.dumps({"error_s": time.monotonic(), "error": frame.error}), flush=True)  # noqa: T201 - for the bench
 
     async def speak() -> None:
+        """Queue a turn every `period_s` and print each, when over, as a line of JSON; never return.
+
+        `hung` is in the line of a turn that the transport did not report as ended in `_PATIENCE_S`.
+        """
         await began.wait()
         number = 0
         while True:

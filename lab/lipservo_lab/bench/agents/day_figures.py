@@ -171,6 +171,10 @@ class _Day:
         return turn["transport_s"] > 0.0 or not counts or counts[-1] <= counts[0]
 
     def _gone_noticed_s(self) -> float | None:
+        """Return the longest time from a pulled cable to the agent's next error, s.
+
+        None: no cable was pulled, or one was plugged in again before the agent reported an error.
+        """
         delays_s = []
         for pulled_s in self._pulled:
             later_s = [at_s - pulled_s for at_s in self._errors if at_s >= pulled_s]
@@ -180,6 +184,10 @@ class _Day:
         return round(max(delays_s), 2) if delays_s else None
 
     def _play(self, name: str) -> None:
+        """Do one of `EVENTS`, wait for the face, and note in which time turns may have been mute.
+
+        Blocks for the event's whole duration.
+        """
         from_s = time.monotonic()
         if name == "load":
             with ExitStack() as burning:
@@ -204,6 +212,7 @@ class _Day:
         self._troubles.append((from_s, time.monotonic() + _GRACE_S))
 
     def _wait_for_face(self) -> None:
+        """Wait until the daemon listens and its face is driven or silent; UserError after 90 s."""
         give_up_s = time.monotonic() + _PATIENCE_S
         while time.monotonic() < give_up_s:
             with contextlib.suppress(OSError):
@@ -214,6 +223,11 @@ class _Day:
         raise UserError("bench day: the face is not driven again")
 
     def _start(self, name: str) -> None:
+        """Start the process "daemon" or "agent"; a thread of its own reads its standard output.
+
+        The daemon listens behind the cable; the agent connects to the cable. Standard error is
+        appended to NAME.log.
+        """
         log = (self._folder / f"{name}.log").open("a")
         if name == "daemon":
             arguments = ["-m", "lipservo", "daemon", "--config", "face_sim", "--play", "--quiet"]
@@ -239,6 +253,10 @@ class _Day:
         end(self._processes[name], _PATIENCE_S)
 
     def _read(self, process: "subprocess.Popen[str]") -> None:
+        """Collect the JSON lines that a process prints, errors and turns, until its output ends.
+
+        Lines that are no JSON are dropped.
+        """
         assert process.stdout is not None
         with process.stdout:
             for line in process.stdout:
@@ -250,6 +268,7 @@ class _Day:
                         self._turns.append(row)
 
     def _watch(self) -> None:
+        """Sample memory and threads of both processes and the face's status until the day ends."""
         while not self._over.wait(_LOOK_S):
             for lives in self._lives.values():
                 lives[-1].look()

@@ -152,6 +152,11 @@ async def pipecat_agent(face: VirtualFace) -> AsyncIterator[_PipecatAgent]:
 
 
 def _frames(turn: Turn) -> list[Frame]:
+    """Return the frames of one turn: each sentence's sound, then its text.
+
+    Turns of odd number carry a text frame a word, with its time in the sound (s) as metadata; the
+    others one text frame a sentence.
+    """
     frames: list[Frame] = [LLMFullResponseStartFrame()]
     number = turn.first
     for n, words in enumerate(turn.words()):

@@ -53,6 +53,10 @@ class CannedServos:
         return answers[self._turn % len(answers)]
 
     def _make(self, frame: Frame) -> tuple[bytes, ...]:
+        """Return the answers to a packet, one for each instant of the motion; keep those of reads.
+
+        Writes, pings and unknown instructions have one answer, which is not kept.
+        """
         instruction, parameters = frame.instruction, frame.parameters
         if instruction in (Instruction.WRITE, Instruction.SYNC_WRITE):
             return (self._write(frame),)
@@ -73,6 +77,10 @@ class CannedServos:
         return answers
 
     def _cut(self, wanted: list[tuple[int, ...]], moment: int, *, fast: bool) -> bytes:
+        """Return the status packets of one instant for triples (servo id, address, size).
+
+        fast: one joint status packet, as for a fast sync read. Unknown servos are left out.
+        """
         blocks = [
             (servo_id, 0, bytes(self._tables[servo_id][moment][address : address + size]))
             for servo_id, address, size in wanted

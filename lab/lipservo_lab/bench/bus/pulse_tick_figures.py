@@ -103,6 +103,7 @@ def moving_deg(n: int) -> np.ndarray:
 
 
 def _wiring(settings: object) -> Wiring:
+    """Return the wiring of `N_SERVOS` equal hobby servos, -40 to 40 degrees, at one board."""
     joints = [
         Joint(f"joint_{n}", n, -40.0, 40.0, 300.0, address_key="channel") for n in range(N_SERVOS)
     ]
@@ -290,6 +291,10 @@ def _canned_maestro() -> Iterator[str]:
     pulses = bytearray(2 * N_SERVOS)
 
     def answer() -> None:
+        """Answer commands at the pseudo-terminal until the byte `_OVER` arrives; runs in a thread.
+
+        Goals are stored, and returned when positions are read; error flags are always zero.
+        """
         waiting = b""
         while data := os.read(master, 4096):
             waiting += data

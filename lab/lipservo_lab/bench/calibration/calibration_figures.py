@@ -226,6 +226,7 @@ class _ShapeScores:
 def _figures(
     shapes: _ShapeScores, sync: SyncErrors, map_us: float, procedure_s: float
 ) -> SeedFigures:
+    """Return a robot's figures: errors (mm) of reachable shapes only, closures of all shapes."""
     closed = shapes.human_gap_mm <= CLOSED_GAP_MM
     reached = shapes.reachable
     return SeedFigures(

@@ -63,6 +63,10 @@ def page_ready_s(address: str, times: int = 3, ready: str = READY) -> float | No
 
 
 async def _measured(program: str, address: str, times: int, ready: str) -> float:
+    """Return the median time from a request of a page until `ready` is true in it, s.
+
+    Each of the `times` loads has a page of its own; raises TimeoutError.
+    """
     taken = []
     for _ in range(times):
         async with _new_page(program) as ask:
@@ -108,6 +112,10 @@ async def _page_url(file: Path) -> str:
 
 
 def _asking(socket: ClientConnection) -> Any:
+    """Return a coroutine function that sends a DevTools command and returns its result.
+
+    Messages with another number, such as events, are dropped meanwhile.
+    """
     numbers = itertools.count(1)
 
     async def ask(method: str, **parameters: object) -> dict[str, Any]:
@@ -147,6 +155,7 @@ def served_head() -> Iterator[str]:
 
 
 def _wait_for(url: str) -> None:
+    """Wait until a URL answers with success; raise TimeoutError after `_SERVED_HEAD_PATIENCE_S`."""
     give_up_s = time.monotonic() + _SERVED_HEAD_PATIENCE_S
     while time.monotonic() < give_up_s:
         try:

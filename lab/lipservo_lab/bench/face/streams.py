@@ -78,6 +78,10 @@ class BenchedFace:
                 self._tick(time_s, late)
 
     def _tick(self, time_s: float, late: int) -> None:
+        """Run one tick: publish a swinging target, write the live board, answer control requests.
+
+        time_s: monotonic. late: ticks missed before this one.
+        """
         swing = float(np.sin(2.0 * np.pi * time_s))
         self._channel.publish(ServoTargets(time_s, np.full(_N_SERVOS, 20.0 * swing)))
         self._tell.tell(self._bridge.tick(time_s, late))

@@ -55,6 +55,7 @@ def _read(text: str | bytes, sound_s: float, tier: str = "") -> tuple[object, Se
 
 
 def _filled(rows: Sequence[Row], end_s: float) -> list[Row]:
+    """Return rows without gaps from 0 to `end_s`: rows with an empty label fill the pauses."""
     full: list[Row] = []
     at_s = 0.0
     for row in rows:
@@ -65,6 +66,7 @@ def _filled(rows: Sequence[Row], end_s: float) -> list[Row]:
 
 
 def _textgrid(tiers: dict[str, Sequence[Row]], end_s: float) -> str:
+    """Return a Praat TextGrid (long form) of interval tiers; pauses are empty intervals."""
     lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0"]
     lines += [f"xmax = {end_s}", "tiers? <exists>", f"size = {len(tiers)}", "item []:"]
     for number, (name, rows) in enumerate(tiers.items(), 1):
@@ -126,6 +128,8 @@ _FORMATS: Final[dict[str, Callable[[Sequence[Row]], str]]] = {
 
 
 def _of_format(name: str) -> Maker:
+    """Return a maker of label files of one of `_FORMATS`, to be read as the same phones, in ms."""
+
     def make(rng: np.random.Generator, _folder: Path) -> OddInput:
         rows = _rows(rng)
         written = _stressed(rng, rows) if name not in ("Gentle", "HTK") else rows
@@ -144,6 +148,7 @@ def _arpabet(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _ipa(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a TextGrid in IPA, AA and IY sometimes with a length mark, beside a tier of words."""
     rows = _rows(rng)
     spelt = [
         (_IPA[x] + "\u02d0" * bool(x in ("AA", "IY") and rng.random() < 0.5), s, e)
@@ -174,6 +179,7 @@ def _nearly(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _overlapping(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a label file in which one phone ends 20 ms after the next begins: to be refused."""
     rows = _rows(rng)
     at = int(rng.integers(len(rows) - 1))
     label, start_s, _ = rows[at]
@@ -218,6 +224,7 @@ def _words(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _rhubarb(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a file of Rhubarb's mouth shapes; each is to be read as the phone that looks alike."""
     rows = _rows(rng)
     shapes = [str(rng.choice(list(_SHAPES)))]
     while len(shapes) < len(rows):

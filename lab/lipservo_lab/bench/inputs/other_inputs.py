@@ -61,6 +61,7 @@ def _range(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 def _board(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a face with a servo at a channel, to be refused where its board has no such channel."""
     board = str(rng.choice([*_BOARDS, "pca9685"]))
     channel = int(rng.integers(0, 30))
     is_maestro = board in _BOARDS
@@ -129,6 +130,8 @@ def _filled(pair: tuple[str, str], fill: Callable[[], Any]) -> Any:
 
 
 def _text(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a text with mark-up; right are the words that are to be spoken, in their order."""
+
     def word() -> tuple[str, str]:
         chosen = str(rng.choice(_WORDS))
         return chosen, chosen
@@ -218,6 +221,7 @@ def _no_file(rng: np.random.Generator, folder: Path) -> OddInput:
     reader = int(rng.integers(4))
 
     def read() -> tuple[object, Sequence[str]]:
+        """Read the path with the drawn reader: labels, sound, C3D or photograph."""
         readers: list[Callable[[], object]] = [
             lambda: read_labels(LabelFile(path)),
             lambda: checked_sound(path),

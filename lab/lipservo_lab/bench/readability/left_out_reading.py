@@ -40,6 +40,10 @@ def pooled(rows: Sequence[Row]) -> list[Row]:
 
 
 def _mean(rows: Sequence[Row]) -> Row:
+    """Return one row for the rows of all folds: means weighted by each fold's number of words.
+
+    Shares of words are joined, sentences added; all else is the first row's.
+    """
     shares = [cast(dict[str, float], row["shares"]) for row in rows]
     # Samples in which a word was not drawn are missing.
     samples = [cast(Array, row["samples"]) for row in rows]

@@ -199,6 +199,7 @@ def headline(rows: Sequence[Row]) -> dict[str, object]:
 
 
 def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
+    """Prepare one part: its recorded motion and its folds, for each kind of reader."""
     sentences = slotted(check_scorable(model, corpus))
     recorded = {kind.name: recorded_motions(model, sentences, kind) for kind in READERS}
     folds = {}
@@ -215,6 +216,11 @@ def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
 def _made_rows(
     split: _Split, reading: ReadingQuestion, phonemes: str, listen: Listen, track: Track
 ) -> Iterator[Row]:
+    """Yield a row for each method, look-ahead and kind of reader, of faces made by the method.
+
+    A method that does not look ahead makes its faces once, for all look-aheads. phonemes: the
+    source's name in the rows, whose phonemes `listen` returns.
+    """
     what = f"{split.part.split}, {phonemes}"
     for method in reading.methods:
         faces: Motions | None = None
