@@ -98,6 +98,11 @@ def _moving_mesh(face: FaceModel, mean: MeanFace, spread: Spread) -> tuple[Array
 def _scanned(
     vertices: Array, triangles: Indices, noise_mm: float, rng: np.random.Generator
 ) -> KnownScan:
+    """Return a scan of a mesh: sampled anew, with holes and noise, turned, and shifted.
+
+    Vertices (n, 3), mm, are turned along, so that each registered point's true place is known.
+    noise_mm: standard deviation of each coordinate.
+    """
     n_points = int(rng.integers(_FEWEST_POINTS, _MOST_POINTS))
     points, corners = _sampled(vertices, triangles, n_points, rng)
     kept = np.ones(len(points), dtype=bool)

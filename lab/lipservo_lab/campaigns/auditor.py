@@ -195,6 +195,7 @@ class Auditor:
                 self._see_torque(servo_id, time_s)
 
     def _see_goal(self, servo_id: int, goal: int) -> None:
+        """Count a goal (pulses), and whether it is out of range or too far from the last."""
         self.goals += 1
         low, high = self._servos[servo_id].pulse_range()
         before = self._last.get(servo_id, goal)
@@ -229,6 +230,7 @@ class Auditor:
         return bool(abs(goal - self._chain.motors.position[index]) <= _PLACE_PULSES)
 
     def _see_torque(self, servo_id: int, time_s: float) -> None:
+        """Count torque that comes on after a stop, without setup, or with its goal elsewhere."""
         if self._stopped_s is not None and time_s > self._stopped_s:
             self.armed_late += 1
         index = self._index(servo_id)
@@ -240,6 +242,11 @@ class Auditor:
         self.armed_wrongly += not (at_place and self._wire.is_set_up(servo, wanted))
 
     def _see_motion(self, time_s: float, position: Array) -> None:
+        """Count forbidden motion of all shafts; called by the simulator at each of its steps.
+
+        position: (n_servos,) pulses. A servo's trajectory counts always; its shaft only where
+        torque holds it and nothing has pushed or held it up.
+        """
         assert self._chain is not None  # it calls
         motors = self._chain.motors
         if self._frozen and not (self._wire.has_watchdog or self._chain.plugged):

@@ -172,6 +172,7 @@ def dynamixel_faults(case: Case) -> list[Fault]:
 
 
 def _dynamixels(case: Case) -> ChainStage:
+    """Return Dynamixels with a case's faults, on a virtual clock, watched by an auditor."""
     servos, clock = face(case.n_servos), ManualClock()
     chain = dynamixel_chain(servos, BAUD_RATE, faults=dynamixel_faults(case), seed=1)
     auditor = Auditor(servos, 1.0 / case.rate_hz)

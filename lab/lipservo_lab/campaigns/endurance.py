@@ -108,6 +108,7 @@ def endure(
     warm, begun_s, n_done = (0.0, 0), time.process_time(), 0
 
     def so_far() -> Endurance:
+        """Return the session's figures so far; virtual time in hours, processor time in s."""
         return Endurance(
             cycles=n_done,
             virtual_hours=clock.now() / 3600.0,
@@ -253,6 +254,10 @@ def _read_sessions(path: Path) -> list[Endurance]:
 
 
 def _session(kept: dict[str, Any]) -> Endurance:
+    """Return a session read from JSON; raise ValueError or TypeError where a field is wrong.
+
+    All fields are finite numbers, 0 or more.
+    """
     session = Endurance(**kept)
     for field in fields(Endurance):
         value = getattr(session, field.name)

@@ -118,6 +118,10 @@ def folder_name(folder: Path) -> str:
 
 
 def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) -> Utterance:
+    """Return a sentence with head motion removed: landmarks (px) laid on the head, markers in mm.
+
+    head_reference_mm: (n_rigid, 3), the points that hardly move when a face speaks.
+    """
     rigid = sentence.landmarks_px[:, rows.rigid]
     similarity = fit_similarity(rigid, head_reference_mm)
     markers_mm = apply_similarity(sentence.landmarks_px[:, rows.markers], *similarity)
@@ -132,6 +136,10 @@ def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) ->
 
 
 def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
+    """Read landmarks.json: frame rate, and the rows in which the needed landmarks are stored.
+
+    Raises CorpusError that says what is missing.
+    """
     path = folder / "landmarks.json"
     try:
         content = json.loads(path.read_text())
@@ -176,6 +184,10 @@ def sentence_names(folder: Path) -> list[str]:
 
 
 def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
+    """Read one sentence; raise CorpusError where a file is missing or they do not match.
+
+    Sound and pictures must be equally long but for `_LENGTH_TOLERANCE_S`. Labels may lack phones.
+    """
     landmarks_px = read_landmarks(folder / "landmarks" / f"{name}.npz", rows.n_landmarks)
     sound_path = folder / "audio" / f"{name}.flac"
     duration_s = len(landmarks_px) / rows.frame_rate_hz

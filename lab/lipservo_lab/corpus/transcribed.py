@@ -93,6 +93,7 @@ def _add_listed(
 
 
 def _read_labelled(folder: Path) -> tuple[TranscribedUtterance, ...]:
+    """Read one speaker's folder with `labels/` and `audio/`; raises TranscriptError."""
     sounds = {sound.stem: sound for sound in sorted((folder / "audio").glob("*"))}
     utterances = []
     for path in sorted((folder / "labels").glob("*.TextGrid")):

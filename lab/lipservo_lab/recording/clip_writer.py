@@ -84,6 +84,7 @@ class ClipWriter:
             return  # what is not kept need not be whole
 
     def _write_sound(self, samples: Samples) -> None:
+        """Write the last pictures, then the whole sound (n,) as 16-bit PCM, and close the file."""
         self._container.mux(self._stream.encode(None))
         pcm = np.rint(np.clip(samples, -1.0, 1.0) * 32767.0).astype(np.int16)[None]
         block = self._av.AudioFrame.from_ndarray(pcm, format="s16", layout="mono")
@@ -99,6 +100,10 @@ class ClipWriter:
             self._thread.join()
 
     def _compress(self) -> None:
+        """Compress queued pictures until None is queued; after a failure drop the rest.
+
+        Runs in a thread of its own.
+        """
         while (item := self._waiting.get()) is not None:
             if self._failure:
                 continue  # the queue must not fill
@@ -108,6 +113,7 @@ class ClipWriter:
                 self._failure = error.strerror or str(error)
 
     def _write_frame(self, tick: int, frame: Any) -> None:
+        """Encode one picture at a tick of the clip's clock; the first one sets size and streams."""
         if self._stream is None:
             self._make_streams(frame)
         picture = frame.reformat(self._stream.width, self._stream.height, format="yuv420p")

@@ -65,6 +65,10 @@ def recorded_names(folder: Path, sentences: Sequence[Sentence]) -> set[str]:
 
 
 def _sentences(text: str, where: str) -> tuple[Sentence, ...]:
+    """Return the sentences of a text, one a line, named s001, s002, ...; skip lines with `#`.
+
+    where: file name for error messages. Raises SentenceError: no words, too many, no sentence.
+    """
     found: list[Sentence] = []
     for number, line in enumerate(text.splitlines(), start=1):
         sentence_text = " ".join(line.split())

@@ -316,6 +316,7 @@ class Session:
         return key, blocks, frames
 
     def _wait_for_sound(self) -> None:
+        """Wait until the sound's time is known, or a stop; SoundError after `_PATIENCE_S`."""
         until_s = self._devices.clock() + _PATIENCE_S
         while not self._clock.is_ready:
             self._tick(reads_keys=False)

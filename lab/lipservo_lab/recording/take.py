@@ -77,6 +77,7 @@ def warnings_of(
 
 
 def _of_sound(samples: Samples) -> list[str]:
+    """Return what is wrong with a sound (n,): clipped, quiet, or noisy; at most one line."""
     n_clipped = int((np.abs(samples) >= _FULL_SCALE).sum())
     if n_clipped >= _FEWEST_CLIPPED:
         return [f"{n_clipped} samples clipped: turn the microphone down or sit farther away"]
@@ -97,6 +98,10 @@ def _of_sound(samples: Samples) -> list[str]:
 
 
 def _of_pictures(frames_s: NDArray[np.float64], duration_s: float, rate_hz: float) -> list[str]:
+    """Return what is wrong with the pictures: none, too few a second, or a gap; at most one line.
+
+    frames_s: (n,), time of each picture from the first one on. rate_hz: what the camera promised.
+    """
     if len(frames_s) < 2:
         return ["no pictures: does the camera work?"]
     found_hz = (len(frames_s) - 1) / float(frames_s[-1] - frames_s[0])
@@ -177,6 +182,7 @@ class Take:
         self._ends_s = sound_s
 
     def _write_frames(self, until_s: float) -> None:
+        """Write the waiting pictures up to a sound time, s; drop those before the take."""
         while self._pending and self._pending[0][0] < until_s:
             sound_s, picture = self._pending.popleft()
             if sound_s < self._begins_s:

@@ -55,6 +55,7 @@ def lines_of(folder: Path, output: Path) -> list[BatchLine]:
 
 
 def _script_beside(sound: Path) -> Script:
+    """Return the phones of the file beside a sound, else its text, else an empty script."""
     for suffix in _PHONES:
         phones = sound.with_suffix(suffix)
         if phones.is_file():
@@ -107,6 +108,10 @@ _Made = tuple[bytes, Rendered] | UserError
 def _made_here(
     lines: Sequence[BatchLine], how: Rendering, n_processes: int
 ) -> Iterator[tuple[int, _Made]]:
+    """Yield lines as they are rendered on this computer, numbered, in any order.
+
+    Raises UserError where a process of the pool has died.
+    """
     work = joblib.Parallel(n_jobs=n_processes, return_as="generator_unordered")
     numbered = joblib.delayed(_made_of)
     try:

@@ -133,6 +133,10 @@ class Cluster:
         return self._n_cores
 
     def _count_cores(self) -> int:
+        """Return how many cores the cluster has now; 0 while its scheduler cannot be reached.
+
+        Connects anew where the connection has been given up; may block for `_ANSWER_S`.
+        """
         try:
             if self._client.status == "closed":  # it has tried to connect again for long enough
                 self._client = self._connected()

@@ -293,6 +293,10 @@ def _fault(turn: Array) -> str:
 
 
 def _icp(sample: Array, targets: Array, start: Pose, n_rounds: int, *, scaled: bool) -> Pose:
+    """Return the pose that lays points of a face (n, 3) on those of a scan (m, 3), by ICP.
+
+    start: first guess. scaled: whether the size is fitted too, else it stays 1.
+    """
     from trimesh.registration import icp
 
     align: Callable[..., tuple[Array, Array, float]] = icp

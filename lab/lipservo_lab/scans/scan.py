@@ -232,6 +232,10 @@ def vertex_normals(vertices: Array, triangles: Indices) -> Array:
 
 
 def _read(path: Path) -> tuple[Array, Indices]:
+    """Read all meshes of a PLY or OBJ file as one: points (n, 3) as stored, triangles (m, 3).
+
+    Raises ScanError for a file that is empty, damaged, or cannot be read.
+    """
     check_extra("trimesh", "reading scans")
     import trimesh
 

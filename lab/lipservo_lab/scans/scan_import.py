@@ -108,6 +108,7 @@ def read_markers(path: Path, template: Template, frame: ScanFrame) -> Mapping[st
 
 
 def _place(line: Mapping[str, str | None], where: str) -> list[float]:
+    """Return x, y and z of a line of a CSV file; raise ScanError where one is no finite number."""
     try:
         place: Array = np.array([float(line[axis] or "") for axis in "xyz"])
     except (TypeError, ValueError):
@@ -225,6 +226,10 @@ def begin_import(
 
 
 def _neutral(takes: Sequence[Take], frame: ScanFrame, neutral: Path | None) -> tuple[Path, Scan]:
+    """Return the given neutral scan, or else the first scan of all takes that can be read.
+
+    Raises ScanError where none can.
+    """
     if neutral is not None:
         return neutral, read_scan(neutral, frame)
     first: ScanError | None = None
@@ -244,6 +249,7 @@ def _register(
     frame: ScanFrame,
     markers: Markers | None,
 ) -> tuple[RegisteredScan | None, ScanReport]:
+    """Register one scan; return it with its report, or None and the reason why it is left out."""
     report = ScanReport(
         take.name, path.stem, markers=0 if markers is None else len(markers.seen_mm)
     )

@@ -59,6 +59,10 @@ def find_takes(folder: Path, template: Path | None = None) -> tuple[Take, ...]:
 
 
 def _take(scans: Path, beside: Path, name: str, template: Path | None) -> Take:
+    """Return a take: its scans in numerical order, and the files NAME.* that lie in `beside`.
+
+    template: a scan that is not part of the take. Raises ScanError for a text that is not UTF-8.
+    """
     found = [
         path
         for path in scans.iterdir()

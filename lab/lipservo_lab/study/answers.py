@@ -104,6 +104,7 @@ def now() -> str:
 
 
 def _add(raters: dict[str, RaterRecord], record: Record) -> None:
+    """Apply one line of the answer file to the raters, by name; KeyError for an unknown rater."""
     match record["kind"]:
         case "join":
             raters[record["rater"]] = RaterRecord(int(record["sheet"]))

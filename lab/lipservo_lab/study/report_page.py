@@ -90,6 +90,7 @@ def _left_out(reasons: Mapping[str, str]) -> str:
 
 
 def _ratings(figures: Row) -> list[str]:
+    """Return the HTML of the ratings: heading, picture, table, and the mixed model's spread."""
     rows = _ordered(figures["ratings"], "mean")
     cells = [
         [
@@ -114,6 +115,7 @@ def _ratings(figures: Row) -> list[str]:
 
 
 def _pairs(figures: Row) -> list[str]:
+    """Return the HTML of the comparisons of two: heading, picture, table, and who won over whom."""
     rows = _ordered(figures["pairs"], "strength")
     cells = [
         [
@@ -135,6 +137,7 @@ def _pairs(figures: Row) -> list[str]:
 
 
 def _won_table(won_over: Mapping[str, Mapping[str, int]], rows: Sequence[Row]) -> str:
+    """Return an HTML table: how often the row's method was chosen over the column's."""
     names = [row["method"] for row in rows]
     cells = [
         [
@@ -147,6 +150,10 @@ def _won_table(won_over: Mapping[str, Mapping[str, int]], rows: Sequence[Row]) -
 
 
 def _reading(figures: Row) -> list[str]:
+    """Return the HTML of what was read without sound, by people and by machines, best method first.
+
+    The order is that of people's answers, or of the first machine's where no person has read.
+    """
     reading = figures["reading"]
     people = _ordered(reading[PEOPLE], "words_right")
     if not any(row["answers"] for row in people):
@@ -204,6 +211,7 @@ def _picture(draw: Any, n_rows: int) -> str:
 
 
 def _draw_ratings(axes: "Axes", rows: Sequence[Row]) -> None:
+    """Draw each method's mean rating with its 95 % interval, and the mixed model's below it."""
     _dots(axes, rows, "mean")
     if any(row["mixed"] is not None for row in rows):
         at = np.arange(len(rows)) + 0.26
@@ -223,6 +231,7 @@ def _draw_pairs(axes: "Axes", rows: Sequence[Row]) -> None:
 
 
 def _draw_reading(axes: "Axes", by_reader: Mapping[str, Sequence[Row]]) -> None:
+    """Draw the share of words read right, with 95 % intervals and chance, of each reader."""
     places = np.linspace(-0.22, 0.22, len(by_reader)) if len(by_reader) > 1 else [0.0]
     for place, mark, (name, rows) in zip(places, "o^s", by_reader.items(), strict=False):
         is_human = name == PEOPLE
@@ -246,6 +255,7 @@ def _values(rows: Sequence[Row], name: str) -> list[float]:
 
 
 def _dots(axes: "Axes", rows: Sequence[Row], name: str) -> None:
+    """Draw a value a row, if it has one, with its 95 % interval; label rows by their methods."""
     for at, row in enumerate(rows):
         if row[name] is None:
             continue

@@ -116,6 +116,10 @@ class StudyDesk:
         return {"left": True}
 
     def _next(self, rater: RaterRecord) -> Mapping[str, Any]:
+        """Return the first item that a rater has not answered; number None: there is none.
+
+        A rater who has left has none.
+        """
         items = self.study.sheets[rater.sheet]
         number = next((n for n in range(len(items)) if n not in rater.answers), None)
         if number is None or rater.has_left:
@@ -188,6 +192,7 @@ def study_app(desk: StudyDesk, folder: Path, token: str) -> App:
 
 
 def _file_of_page(name: str) -> Callable[[Request], Awaitable[Response]]:
+    """Return an endpoint that serves a file of the page; the file is read once, at the start."""
     content = (_PAGE / name).read_bytes()
 
     async def served(_request: Request) -> Response:
@@ -239,6 +244,11 @@ class _TokenLayer:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on if it has the token; else refuse it, on the first page in words.
+
+        A page that is opened with the token in its address is redirected, and gets a cookie
+        instead. What is no HTTP request is passed on unchecked.
+        """
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return

@@ -171,6 +171,10 @@ def make_study(
     pairs = _Pairs(numbers, n, size.pairs)
 
     def sheet(rater: int) -> tuple[Item, ...]:
+        """Return the items of a rater, in their order: reading, sound check, ratings, pairs.
+
+        Attention checks are mixed in. The same rater and secret always give the same sheet.
+        """
         own = np.random.default_rng([*secret, rater])
         # The same for the raters of one square, or it were none.
         square = np.random.default_rng([*secret, 0, rater // n])
@@ -276,6 +280,7 @@ def read_key(folder: Path) -> Key:
 
 
 def _read(path: Path, adapter: "TypeAdapter[T]") -> T:
+    """Read and check a JSON file of a study; raise StudyError that says what is wrong with it."""
     try:
         return adapter.validate_json(path.read_bytes())
     except OSError as error:

@@ -97,6 +97,10 @@ class RhubarbMethod:
 
 
 def _shape_face(shape: Shape, model: TrainedModel) -> Array:
+    """Return the face of a mouth shape, (n_components,): the mean of the phonemes it is drawn for.
+
+    Phonemes are weighted by how often the corpus has them. X is the rest face.
+    """
     if shape == "X":
         return model.rest
     baselines: Baselines = model.baselines

@@ -54,6 +54,10 @@ def study_figures(
 
 
 def _ratings(counted: Counted, mixed: MixedModel | None, reference: int) -> list[Row]:
+    """Return a row a method: mean rating, difference from the reference, the same by mixed model.
+
+    reference: index of the method that the others are compared with. mixed: None: not fitted.
+    """
     tables = counted.tables
     found = rated(tables, reference)
     everybody = rated(counted.all_tables, reference)
@@ -84,6 +88,7 @@ def _won_over(tables: Tables) -> dict[str, dict[str, int]]:
 
 
 def _readings(tables: Tables, reference: int) -> list[Row]:
+    """Return a row a method: share of words read right, that share above chance, and chance."""
     right, above = words_read(tables, reference)
     rows = _rows(tables, tables.readings[:, 2], right, "words_right")
     for n, row in enumerate(rows):
@@ -94,6 +99,10 @@ def _readings(tables: Tables, reference: int) -> list[Row]:
 
 
 def _rows(tables: Tables, shown: Indices, found: Estimates, name: str) -> list[Row]:
+    """Return a row a method with its name, number of answers, estimate, and difference.
+
+    shown: method index of each answer. name: of the estimate in the row.
+    """
     counts = np.bincount(shown, minlength=len(tables.methods))
     return [
         {
@@ -146,6 +155,10 @@ def machine_tables(path: Path, study: Study, key: Key) -> dict[str, Tables]:
 def _tables_of_reader(
     study: Study, key: Key, clips_of: Mapping[str, Sequence[Mapping[str, str]]]
 ) -> Tables:
+    """Return the answers of one machine reader as tables, as if each sheet were a rater's.
+
+    clips_of: for each of its sheets the clips read, with keys `clip` and `answer`.
+    """
     sheets = [tuple(Item("reading", (r["clip"],)) for r in each) for each in clips_of.values()]
     raters = {
         name: RaterRecord(n, {i: {"answer": r["answer"]} for i, r in enumerate(each)})

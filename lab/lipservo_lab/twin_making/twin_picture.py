@@ -72,6 +72,7 @@ def _meshes(twin: Twin) -> list[tuple[Array, Indices, Array]]:
 
 
 def _eye_mesh(eye: Eyeball) -> tuple[Array, Indices, Array]:
+    """Return an eyeball as vertices (n, 3) in mm, triangles, and colours (n, 3): iris in front."""
     from trimesh.creation import icosphere
 
     ball = icosphere(subdivisions=5, radius=eye.radius_mm)

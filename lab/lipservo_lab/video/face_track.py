@@ -92,6 +92,10 @@ def track_face(path: Path, tracker: FaceTracker, advance: Callable[[float], None
 
 
 def _sample(time_s: float, picture: Picture, face: Array) -> FaceSample:
+    """Return a picture cut out around a face, 8-bit, and the face's points in its pixels.
+
+    face: (n, 2 or more), columns x and y in pixels of the whole picture.
+    """
     low, high = face[:, :2].min(axis=0), face[:, :2].max(axis=0)
     x_px, y_px = (low + high) / 2
     size_px = float((high - low).max()) * _SAMPLE_MARGIN

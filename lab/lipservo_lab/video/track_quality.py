@@ -136,6 +136,10 @@ def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
 
 
 def _hole(times_s: Array, seen_s: Array) -> str | None:
+    """Describe the longest time without a face, if it is too long for interpolation; else None.
+
+    times_s: of all pictures; seen_s: of those with a face.
+    """
     known_s = np.concatenate(([times_s[0]], seen_s, [times_s[-1]]))
     steps_s = np.diff(known_s)
     longest = int(steps_s.argmax())

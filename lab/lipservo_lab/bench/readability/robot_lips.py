@@ -155,6 +155,11 @@ def shown_markers_mm(
 
 
 def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
+    """Return all sentences one after the other, with pauses between, as knots 10 ms apart.
+
+    Faces, (n, n_components) at `rate_hz`, are joined by cubic splines; each sentence begins and
+    ends at its own first and last face.
+    """
     knots_s, knots = [np.zeros(1)], [robot.model.rest[None]]
     begins_s: dict[str, float] = {}
     now_s = _LEAD_IN_S

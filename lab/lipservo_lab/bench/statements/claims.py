@@ -303,6 +303,11 @@ class Judge:
         return tally
 
     def _judge(self, made: Statement, text: str, where: str, tally: Tally) -> None:
+        """Add to `tally` what the first matching rule makes of one sentence.
+
+        Without a rule the sentence counts as `Verdict.UNJUDGED`. For an untrue one, the torque that
+        was logged meanwhile is appended to the example.
+        """
         short = template(text, self._names)
         found = ((rule, rule.pattern.fullmatch(text)) for rule in self._rules)
         rule, match = next(((r, m) for r, m in found if m is not None), (None, None))

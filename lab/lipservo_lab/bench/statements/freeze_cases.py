@@ -182,6 +182,11 @@ def _play_run(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None
 def _play(
     face: HeardFace, daemon: subprocess.Popen[bytes], case: FreezeCase, outcome: FreezeOutcome
 ) -> None:
+    """Bring a driven face into the state of a case, freeze it there, and judge what happened.
+
+    What was answered and is not so is added to `outcome`. Raises RuntimeError where a stop or
+    torque that the state needs does not come.
+    """
     device = face.robot.device
     with contextlib.ExitStack() as undo:
         match case.state:
@@ -217,6 +222,7 @@ def _play(
 
 
 def _freeze(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
+    """Request a freeze after the case's delay, watch the servos, and judge the answer."""
     face.wait(case.delay_s)
     requested_s = time.monotonic()
     answer = outcome.answer = face.word("freeze")
@@ -278,6 +284,7 @@ def _until_stopped(face: HeardFace) -> None:
 
 
 def _start(face: HeardFace) -> None:
+    """Request a start until it is accepted, the face is driven, or `_STARTS_S` are over."""
     give_up_s = time.monotonic() + _STARTS_S
     while "error" in (answer := face.word("start")) or not answer:
         if "the next stop ends it" in answer.get("error", ""):

@@ -158,6 +158,10 @@ class HeardFace:
             reader.join(1.0)
 
     def _poll(self) -> None:
+        """Request the status every `_POLL_S` in a thread and note each as statements, until closed.
+
+        While no status is answered, `last_status` is empty.
+        """
         while not self._is_over.wait(_POLL_S):
             requested_s = time.monotonic()
             with contextlib.suppress(OSError, ValueError):

@@ -212,6 +212,7 @@ class LoggedDevice:
         return np.asarray(np.ptp(np.array(places), axis=0))
 
     def _note(self) -> None:
+        """Log torque and pulses if they have changed, and shafts every `_SHAFTS_EVERY_S`."""
         now_s, truth = time.monotonic(), self.truth
         on, pulses_us, last = truth.on, truth.pulses_us, self.records[-1]
         if on != last.on or pulses_us != last.pulses_us:

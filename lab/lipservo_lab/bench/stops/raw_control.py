@@ -35,6 +35,11 @@ def request_stop(path: Path, word: str, timeout_s: float) -> tuple[Answer, Answe
 def _exchanged(
     path: Path, word: str, timeout_s: float, *, waits_for_end: bool
 ) -> tuple[Answer, Answer | None]:
+    """Send a word until it is answered; return the answer and, if waited for, the end's report.
+
+    The report is None where the connection ends, or time is over, before it comes. Raises OSError
+    where no answer comes in time.
+    """
     give_up_s = time.monotonic() + timeout_s
     while True:
         with contextlib.suppress(ConnectionError), connected(path, give_up_s) as client:

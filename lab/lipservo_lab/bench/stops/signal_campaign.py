@@ -276,6 +276,10 @@ def _signals_heard() -> Iterator[None]:
 
 
 def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
+    """Start a case's command, end it at the case's moment, and judge servos, words and exit status.
+
+    What was not kept is added to `outcome`. Raises RuntimeError where the moment does not come.
+    """
     command = COMMANDS[case.command]
     command.prepare(robot)
     process = _start(case, command, robot)
@@ -310,6 +314,10 @@ def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
 
 
 def _start(case: SignalCase, command: Command, robot: RobotAtPort) -> subprocess.Popen[bytes]:
+    """Start a case's command at the robot's port, with its answers already on standard input.
+
+    For the moment OPENING_SOUND its sound is a minute of noise, so that opening takes a while.
+    """
     arguments = command.arguments(robot)
     if case.moment is Moment.OPENING_SOUND:
         sound = long_sound(robot)
@@ -371,6 +379,10 @@ def _has_open(pid: int, path: Path) -> bool:
 def _judge_limp(
     case: SignalCase, robot: RobotAtPort, ended_s: float, outcome: SignalOutcome
 ) -> None:
+    """Note how long servos had torque after the end, and each way in which that broke the rules.
+
+    ended_s: monotonic time of the last signal or stop.
+    """
     outcome.limp_s = robot.stiff_until_s(ended_s)
     if case.moment is Moment.UNPLUGGED:
         return  # nobody can reach them
@@ -415,6 +427,7 @@ def _judge_words(
 
 
 def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
+    """Return the exit statuses that are right for a case; -N: ended by signal N."""
     if case.ending is Ending.STOP:
         # What was being measured, set up or held still is not done; speech has no more to do.
         speaks = command.name in ("run", "daemon", "say", "perform", "run-sim")

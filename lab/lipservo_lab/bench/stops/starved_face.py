@@ -118,6 +118,11 @@ class StarvedFace:
         return self._kinds.get(pid, "")
 
     def _read(self, line: str) -> None:
+        """Count what a line of the log reports: processes killed as hung, servos called jammed.
+
+        A kill is right while a process is held by SIGSTOP, a report of a jam for a servo that is
+        jammed.
+        """
         if _HUNG in line and self._held_now:
             self._held_now = False
         elif _HUNG in line:

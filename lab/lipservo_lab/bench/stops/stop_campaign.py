@@ -178,6 +178,7 @@ def judge_others(
 
 
 def _kill_children(face: RunningFace, case: StopCase) -> None:
+    """Kill the bridge of a stopped face, and for `FIRST_TROUBLES` its speech process, too."""
     names = ["bridge"]
     if case.trouble in FIRST_TROUBLES and not case.agents:
         names.append("speech")  # loading it again takes the most of a core
@@ -188,6 +189,7 @@ def _kill_children(face: RunningFace, case: StopCase) -> None:
 
 
 def _fault_shown(face: RunningFace) -> bool:
+    """Give the first servo a hardware error; return whether the status shows it in time."""
     face.robot.chain.servos[0].latch(_HARDWARE_SHOCK)
     give_up_s = time.monotonic() + _SHOWN_S
     while time.monotonic() < give_up_s:
@@ -241,6 +243,11 @@ def _face_for(case: StopCase) -> Iterator[RunningFace]:
 
 
 def _played(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcome:
+    """Return the outcome of one case; an exception becomes its `error`.
+
+    Where the stop was not kept, or the daemon has ended, the face is marked as spent: no further
+    case is played at it. has_start: the program under test knows the request `start`.
+    """
     outcome = StopOutcome(case)
     face.robot.seen.clear()
     try:
@@ -256,6 +263,10 @@ def _played(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcom
 
 
 def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start: bool) -> None:
+    """Begin the case's trouble, request its stop, and add to `outcome` what servos did afterwards.
+
+    At the end the face is started again where that is due, else marked as spent.
+    """
     robot = face.robot
     if case.trouble is Trouble.EVERYBODY_KILLED:
         robot.look(case.moment_s)

@@ -189,6 +189,7 @@ class StopOutcome:
         return not (failed or any(self.counts.values()))
 
     def __str__(self) -> str:
+        """Describe case and outcome in one line; answers only where something was not kept."""
         found = [f"{name} {count}" for name, count in self.counts.items() if count]
         if self.limp_after_s is not None and self.late:
             found.append(f"torque until {self.limp_after_s:.1f} s after it")
@@ -220,6 +221,11 @@ def stop_figures(outcomes: Sequence[StopOutcome]) -> dict[str, Any]:
 
 
 def _counts(outcomes: Sequence[StopOutcome]) -> dict[str, int]:
+    """Return how many outcomes there are, and how often each fault occurred in them.
+
+    `undone` counts how often a servo got torque, `torque_left_on` and `moved_frozen` count servos,
+    the others cases.
+    """
     return {
         "cases": len(outcomes),
         "kept": sum(o.kept for o in outcomes),

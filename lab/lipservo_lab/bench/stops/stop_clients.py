@@ -197,6 +197,8 @@ def _signal(daemon: subprocess.Popen[bytes], *, twice: bool) -> None:
 
 
 def _in_thread(work: Callable[[], object], answers: list[str] | None = None) -> threading.Thread:
+    """Start `work` in a daemon thread; append its result or exception as text to `answers`."""
+
     def run() -> None:
         try:
             answer = str(work())

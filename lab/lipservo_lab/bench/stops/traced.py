@@ -129,6 +129,10 @@ class StopTracer:
             self._end(walk)
 
     def _follow_tick(self, frame: FrameType) -> None:
+        """Add a call to its thread's walk of this tick; report the walk when torque is cleared.
+
+        `sleep_until` begins a new walk. Reported is only the first one after a stop was queued.
+        """
         code = frame.f_code
         if code.co_name == "sleep_until":
             self._ticks.walk = Walk()

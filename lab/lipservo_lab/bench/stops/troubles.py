@@ -99,6 +99,10 @@ def gone_wrong(trouble: Trouble, face: RunningFace) -> Iterator[float]:
 
 
 def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
+    """Begin a trouble at a running face; put what ends it again, if anything, on `undo`.
+
+    Blocks until the trouble is there. Raises RuntimeError where it cannot be made.
+    """
     robot = face.robot
     if trouble in _INJECTED:
         _switch_on(face, _INJECTED[trouble], undo)
@@ -165,6 +169,7 @@ def _upload(face: RunningFace) -> None:
     seen.unlink(missing_ok=True)
 
     def upload() -> None:
+        """Upload a sound to the page's `/api/lines` and ignore all errors; runs in a thread."""
         connection = http.client.HTTPConnection(urlsplit(face.at.page).netloc, timeout=_UPLOAD_S)
         with contextlib.closing(connection), contextlib.suppress(OSError):
             name = urlencode({"name": "upload.wav", "replace": "true"})

@@ -208,6 +208,7 @@ def declared_delay_s(motion: MotionOptions) -> float:
 def _closures(
     recordings: Sequence[Recording], face: TrainedModel, motion: MotionOptions
 ) -> list[Closure]:
+    """Return each closure in all recordings, in the motion that a live recogniser led to."""
     recognizer = NetworkRecognizer(find_weights(motion.weights), motion.recognizer_latency_s)
     lookahead_s = motion.style.lookahead_s
     return [

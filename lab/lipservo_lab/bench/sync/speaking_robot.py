@@ -136,6 +136,11 @@ class SimulatedLoudspeaker:
         return due_s
 
     def _take(self, requested_s: float) -> None:
+        """Take 10 ms of samples, as a sound card's callback does; note when they leave.
+
+        requested_s: monotonic time at which the callback was due. The times of `played` are exact,
+        those that `position` reports are in error by the jitter.
+        """
         position_s = self._ring.n_taken / self.rate_hz
         n = self._ring.take_into(self._frames)
         leaves_s = requested_s + self._latency_s
@@ -269,6 +274,10 @@ def spoken_stream(
 
 
 def _spoken_text(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
+    """Return a synthesised text as units of one kind: all of it, its words, or its phonemes.
+
+    Words and phonemes carry the sample at which each begins; the text carries none.
+    """
     rate_hz = text.sample_rate_hz
     if kind == "text":
         joined = " ".join(word.text for word in text.words)

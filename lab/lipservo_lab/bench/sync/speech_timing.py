@@ -70,6 +70,10 @@ def sounding_closures(text: SynthesizedSpeech) -> Crossings:
 
 
 def _release_s(text: SynthesizedSpeech, start_s: float, end_s: float) -> float:
+    """Return the second at which a closure's longest silence within a phoneme ends: the burst.
+
+    The phoneme's end where it has no silence of `_LEAST_CLOSURE_S`.
+    """
     first = round(start_s * text.sample_rate_hz)
     sounds = np.abs(text.samples[first : round(end_s * text.sample_rate_hz)]) >= _SILENT
     # The longest stretch without sound: from one sample that sounds to the next.
@@ -143,6 +147,7 @@ def performed_stream(
 
 
 def _performance(text: SynthesizedSpeech) -> Performance:
+    """Return a text rendered with the shipped models as a performance, its phonemes known."""
     speaker = load_speaker(None, None)
     samples = soxr.resample(text.samples, text.sample_rate_hz, SAMPLE_RATE_HZ)
     faces, _ = rendered_faces(speaker, Line(text.phonemes, samples), DEFAULT_METHOD)
@@ -256,6 +261,10 @@ def first_sample_s(text: SynthesizedSpeech, loudspeaker: SimulatedLoudspeaker) -
 
 
 def _closure_hits(phonemes: Sequence[PhonemeEvent], times_s: Array, gap_mm: Array) -> list[bool]:
+    """Return for each P, B and M whether lips closed during it or `_WINDOW_S` beside it.
+
+    times_s, gap_mm: (n,), lip gap over the sound's time.
+    """
     hits = []
     for event in phonemes:
         if event.phoneme not in BILABIALS or event.end_s is None:

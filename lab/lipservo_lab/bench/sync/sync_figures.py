@@ -141,6 +141,7 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
 
 
 def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
+    """Return one way of playing as figures in ms and shares, under names that begin with `name`."""
     error_s = np.abs(timing.errors_s)
     return {
         f"{name}_median_ms": _ms(np.median(error_s)),

@@ -338,6 +338,7 @@ def adapt(
 
 
 def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:
+    """Print what a voice was learned from, what was left out, and the grades before and after."""
     for name, reason in voice.left_out.items():
         MESSAGES.print(f"left out: {name}: {reason}", soft_wrap=True)
     RESULTS.print(

@@ -120,6 +120,7 @@ def make(
 
 
 def _consent_text(path: Path | None) -> str:
+    """Return the consent text that raters read: of a file, or the shipped one for None."""
     from lipservo_lab.study.sheets import StudyError
 
     if path is None:
@@ -305,6 +306,7 @@ _RATING_HEADINGS = {
 
 
 def _print_figures(figures: dict[str, object]) -> None:
+    """Print who was counted and the table of ratings; the other parts are on the report's page."""
     raters = figures["raters"]
     assert isinstance(raters, dict)
     left = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"

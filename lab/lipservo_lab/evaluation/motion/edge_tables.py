@@ -71,6 +71,11 @@ def edge_tables(face: FaceModel, learned: Sequence[Utterance]) -> dict[str, list
 
 
 def _jaw_rows(face: FaceModel, frames_mm: Array, gaps_mm: Array) -> list[Row]:
+    """Return how well jaw and chin are placed by a blend of open and closed, and by components.
+
+    `rms_mm` is over points and frames. Empty for a face without these points. frames_mm: (n,
+    n_points, 3); gaps_mm: (n,), the lip gap, whose extremes define open and closed.
+    """
     points = [*face.layout.group("jaw"), *face.layout.group("chin")]
     if not points:
         return []

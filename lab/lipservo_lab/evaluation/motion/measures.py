@@ -204,6 +204,10 @@ def closes(phone: PhonemeEvent, times_s: Array, gap_mm: Array) -> bool:
 
 
 def _far_from_closure(utterance: Utterance, times_s: Array) -> Mask:
+    """Return which frames lie farther than `_FALSE_WINDOW_S` from any P, B, M or silence, (n,).
+
+    False after the last label.
+    """
     far = np.ones(len(times_s), dtype=bool)
     for phone in utterance.phones:
         if phone.phoneme in (*_BILABIALS, SILENCE) and phone.end_s is not None:

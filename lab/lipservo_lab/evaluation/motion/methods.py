@@ -334,6 +334,10 @@ class _Replayed:
         self._n_passed = 0
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """Return the updates that are known at `until_s` and were not returned before.
+
+        An update is known early by the look-ahead and the recogniser's latency.
+        """
         due = []
         while self._n_passed < len(self._updates):
             update = self._updates[self._n_passed]

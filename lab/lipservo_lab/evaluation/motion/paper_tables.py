@@ -254,6 +254,7 @@ def paper_tables(
 
 
 def _data_rows(model: TrainedModel) -> list[Row]:
+    """Return size figures of the paper's data beside the model's, a row each."""
     units = model.animphos
     ours = {
         "sentences": len(model.training_sentences),
@@ -337,6 +338,10 @@ def _ratios(
     listen: Listen,
     printed: PrintedMethod | None,
 ) -> Row:
+    """Return a row of Table 2: a clip's error over the baseline's, by method and case.
+
+    case_1: true phonemes; case_2: as `listen` hears them. printed: the paper's method, or None.
+    """
     row: Row = {
         "clip": clip.name,
         "printed_case_1": PRINTED_CASE_1[number],
@@ -354,6 +359,7 @@ def _ratios(
 
 
 def _misses(model: TrainedModel, phrase: Utterance, printed: PrintedMethod | None) -> Row:
+    """Return a row of Figure 6: shares of phonemes for which each strategy finds no AnimPho."""
     rates = {
         name: miss_rate(model.animphos, strategy, [phrase.phones])
         for name, strategy in STRATEGIES.items()

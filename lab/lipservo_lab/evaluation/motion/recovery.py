@@ -153,6 +153,10 @@ def _shares(squares: Array, unit: Array) -> Array:
 
 
 def _row(case: str, strategy: str, lookahead_ms: int | None, found: Persistence | None) -> Row:
+    """Return a row of the table; `left`: shares of a difference that remain, phoneme by phoneme.
+
+    found: None where nothing could be counted.
+    """
     return {
         "case": case,
         "strategy": strategy,

@@ -82,6 +82,10 @@ def _add_times(
     phoneme_ms: list[float],
     frame_ms: list[float],
 ) -> None:
+    """Synthesise a sentence and append the milliseconds of each 10 ms tick to one of two lists.
+
+    Ticks in which a phoneme was planned go to `phoneme_ms`, all others to `frame_ms`.
+    """
     for tick in range(int((heard.events[-1].end_s or 0.0) / TICK_S)):
         time_s = tick * TICK_S
         updates, n_planned = script.updates(time_s), synthesizer.phonemes_planned

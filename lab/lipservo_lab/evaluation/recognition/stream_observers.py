@@ -49,6 +49,10 @@ class FrameLabels:
             self._take(update)
 
     def _take(self, update: PhonemeUpdate) -> None:
+        """Write an update's events over the frame labels; count frames whose viseme class changed.
+
+        Frames without a label before do not count as changed.
+        """
         for event in update.events:
             first = round(max(event.start_s, update.replace_from_s) / BLOCK_S)
             end_s = update.heard_until_s if event.end_s is None else event.end_s
@@ -273,6 +277,7 @@ class _Watch:
         self._n_seen = 0
 
     def observe(self, step: StreamStep) -> None:
+        """Note the cost of one block of 10 ms; report progress, and memory once, at `SETTLED_S`."""
         number, self._n_seen = self._n_seen, self._n_seen + 1
         self.costs_s[number] = step.cost_s
         if step.updates:

@@ -204,6 +204,10 @@ def _refuse_bad_labels(
 
 
 def _refuse_other_texts(n_all: int, left_out: Mapping[str, str]) -> None:
+    """Raise VoiceError if more than a share of `MOST_LEFT_OUT` of all sentences was left out.
+
+    left_out: reason by sentence.
+    """
     if len(left_out) > MOST_LEFT_OUT * n_all:
         name, reason = next(iter(left_out.items()))
         raise VoiceError(

@@ -104,6 +104,10 @@ def articulatory_features() -> Array:
 
 
 def _features(phoneme: str) -> list[float]:
+    """Return a phoneme's features: silence, vowel or consonant, shape, place, manner, voice.
+
+    Of the six numbers of shape a vowel has all, a consonant only the two of rounding.
+    """
     kind = [0.0, 0.0, 0.0]
     shape = [0.0] * 6
     place, manner, voiced = [0.0] * len(_PLACES), [0.0] * len(_MANNERS), 0.0

@@ -259,6 +259,10 @@ def _moved(
 
 
 def _phoneme_faces(corpus: Corpus) -> PhonemeFaces:
+    """Return a corpus's closed mouth and its mean face in the middle of each phoneme.
+
+    Raises CorpusError for a sentence with markers that are not finite.
+    """
     spoken = corpus.labelled().utterances
     for utterance in spoken:
         if not np.isfinite(utterance.markers_mm).all():

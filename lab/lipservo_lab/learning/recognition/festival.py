@@ -103,6 +103,10 @@ class Festival:
         )
 
     def _run(self, program: str) -> str:
+        """Run a Scheme program in festival and return what it prints, whatever its exit status.
+
+        Raises SynthesisError where festival cannot be run or takes longer than `_TIMEOUT_S`.
+        """
         try:
             done = subprocess.run(
                 [self._command, "--pipe"],

@@ -50,6 +50,7 @@ def laughter_of(voices: Sequence[tuple[Array32, NDArray[np.int64]]]) -> Noise:
     vowels = [found for samples, labels in voices if (found := _vowels(samples, labels))]
 
     def laugh(rng: np.random.Generator, n: int) -> Array32:
+        """Return `n` samples of one voice's laughter, of unit power; zeros without vowels."""
         total = 0.002 * rng.standard_normal(n)
         if not vowels:
             return np.zeros(n, np.float32)
@@ -317,6 +318,11 @@ def any_sound(rng: np.random.Generator, n: int) -> Array32:
 def _burst(
     rng: np.random.Generator, resonances_hz: Samples, decay_s: float, brightness: float
 ) -> Samples:
+    """Return a click or knock, (n,): noise that fades and resonances that ring.
+
+    resonances_hz: (n_resonances,), each detuned by up to 3 %. decay_s: their time constant.
+    brightness: amplitude of the noise.
+    """
     length = max(32, int(6 * decay_s * SAMPLE_RATE_HZ))
     time_s = np.arange(length) / SAMPLE_RATE_HZ
     burst = brightness * rng.standard_normal(length) * np.exp(-time_s / (0.4 * decay_s))

@@ -97,6 +97,10 @@ def write_voice(
 
 
 def _speak(synthesizer: Synthesizer, voice: Voice, text: str, corpus: Path, name: str) -> None:
+    """Write a text's sound and labels into a corpus; write nothing if the voice cannot speak it.
+
+    Raises SynthesisError for a voice that reports no times of phonemes.
+    """
     try:
         spoken = synthesizer.speak(text.lower(), voice)
     except UnspeakableTextError:

@@ -147,6 +147,11 @@ def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
     rng = np.random.default_rng(plan.seed)
 
     def widened(layer: Layer, n_in: int) -> Layer:
+        """Return a layer of `plan.channels` outputs that computes the old ones as before.
+
+        Old outputs ignore the new inputs; new outputs begin with random weights. n_in: inputs of
+        the new layer.
+        """
         old_in = len(layer.kernel) // 3
         kernel = np.zeros((3, n_in, plan.channels), np.float32)
         kernel[:, :old_in, :channels] = layer.kernel.reshape(3, old_in, channels)

@@ -197,6 +197,11 @@ def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingA
 
 
 def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterable[LabelledSamples]:
+    """Return one augmented copy of the corpus, for training.
+
+    With a teacher, labels are no phonemes but numbers of the teacher's frames, from `len(PHONEMES)`
+    on.
+    """
     around = surroundings(clean, _FOUND)
     if _TAUGHT_ENDS:
         clean = [
