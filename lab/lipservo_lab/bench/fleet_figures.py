@@ -146,7 +146,7 @@ def _endpoint(answers: _Answers, certificate: tuple[Path, Path], stack: ExitStac
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            """Answer with the recorded JSON of this path, after as long as the real daemon took."""
+            """Answer with the recorded JSON of this path, after the real daemon's delay."""
             answer, seconds = answers.of[self.path]
             time.sleep(seconds)
             body = json.dumps(answer).encode()

@@ -193,7 +193,7 @@ def _row(face: RunningFace, server: str, n_peers: int) -> dict[str, Any]:
 
 
 def _stopped_after_s(face: RunningFace, server: str) -> float:
-    """Return how long a server took to accept a freeze, s; `_LOST_S` where it did not."""
+    """Return how long a server needs to accept a freeze, s; `_LOST_S` where it does not."""
     began_s = time.monotonic()
     try:
         if server == "page":

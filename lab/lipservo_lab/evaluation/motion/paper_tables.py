@@ -340,7 +340,7 @@ def _ratios(
 ) -> Row:
     """Return a row of Table 2: a clip's error over the baseline's, by method and case.
 
-    case_1: true phonemes; case_2: as `listen` hears them. printed: the paper's method, or None.
+    case_1: true phonemes; case_2: those of `listen`. printed: the paper's method, or None.
     """
     row: Row = {
         "clip": clip.name,
