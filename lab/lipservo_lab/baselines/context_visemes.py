@@ -32,12 +32,12 @@ class ContextVisemes:
     faces: Array
 
     def best_for(self, phones: Sequence[PhonemeEvent]) -> Indices:
-        """The recorded phone for each of a line's, (n_phones,).
+        """Return the index of a recorded phone for each phone of a line, (n_phones,).
 
-        Its viseme class is the same; as many of its two neighbours as possible are of the same
-        classes. Among equals it is the same phoneme rather than another of the class, then has more
-        neighbours that are the same phonemes, then lasts most nearly as long, then came first. In
-        place of a class that was never recorded stands the first stand-in of the phoneme.
+        The recorded phone has the same viseme class, and as many of its two neighbours as possible
+        have the classes of the line's. Of several such: the same phoneme goes before another of its
+        class, then more equal neighbours, then the closest duration, then the earlier recording. A
+        class that was never recorded is replaced by that of the phoneme's first stand-in.
         """
         recorded = np.unique(self.phonemes[:, _ITSELF])
         known = frozenset(PHONEMES[i] for i in recorded)

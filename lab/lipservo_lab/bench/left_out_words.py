@@ -226,12 +226,14 @@ def left_out_figures(
     limit: int,
     track: Callable[[str, list[Utterance]], Iterable[Utterance]],
 ) -> dict[str, list[Row]]:
-    """Rows over all words for each look-ahead; by class and by word for the last but one, or one.
+    """Return rows over all words for each look-ahead; rows by class and word for one look-ahead.
 
-    corpus: labelled. differences: over all words, what every further method has more than the
-    first, paired. limit: at most so many sentences of each word are played, spread evenly over
-    their names. classes: words that begin or end with such a sound. words: those of `LEAST_FRAMES`
-    frames, the worst first. Raises CorpusError.
+    That one is the last but one, if there are several. `differences`: how much more each further
+    method has than the first, paired, over all words. `classes`: words that begin or end with such
+    a sound. `words`: those of `LEAST_FRAMES` frames, the worst first.
+
+    corpus: labelled. limit: at most so many sentences of each word are played, spread evenly over
+    their names. Raises CorpusError.
     """
     scores, folds = _Scores(), word_folds(corpus)
     for part in folds:
@@ -291,7 +293,7 @@ def _add(
     lookaheads_ms: Sequence[int],
     heard: Heard,
 ) -> None:
-    """Play a sentence tick by tick, by every method, and add what some of its words come to."""
+    """Play a sentence by every method and look-ahead, and add the sums of some of its words."""
     times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
     ticks_s = np.arange(int(times_s[-1] / TICK_S) + 1, dtype=np.float64) * TICK_S
     recorded = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))

@@ -89,11 +89,10 @@ def question(
     published_derivatives: bool = False,
     random_units: bool = False,
 ) -> Question:
-    """From the command line's texts; raises BenchError for what is not known here.
+    """Parse the command line's texts; raise BenchError for an unknown name.
 
-    strategies: names with commas; None: all. published_derivatives: of the paper's two strategies,
-    as the paper prints equation (5).
-    random_units: with the methods that draw AnimPhos by lot.
+    strategies: names with commas; None: all. published_derivatives: the paper's two strategies use
+    equation (5) as it is printed. random_units: add the methods that draw AnimPhos at random.
     """
     methods = all_methods()
     for name, method in methods.items():
@@ -187,7 +186,7 @@ class CrossValidation:
 def cross_validate(
     folder: Path, corpus: Corpus, question: Question, train: Train, track: Track
 ) -> CrossValidation:
-    """Models trained on the training part of each split, scored on the rest."""
+    """Train a model on the training part of each split, and score it on the rest."""
     labelled = corpus.labelled()
     if question.words is not None:
         parts = [words_part("words", labelled, question.words)]
@@ -229,7 +228,10 @@ class _RememberingListener:
 def _rows(
     trained: Sequence[tuple[TrainedModel, Part]], corpus: Corpus, question: Question, track: Track
 ) -> list[Row]:
-    """One split: the sums of all its parts together; misses and times of the phonemes heard."""
+    """Return the rows of one split, whose parts are scored together.
+
+    Misses and times are of the phonemes that were recognised, or known.
+    """
     scores = Scores()
     listen: Listen = true_phonemes
     if question.phonemes != PHONEMES_TRUE:
@@ -289,9 +291,10 @@ def _miss_rate(
 def live_listener(
     *, with_text: bool = False, weights: str = DEFAULT_WEIGHTS
 ) -> Callable[[Utterance], Heard]:
-    """What the live recogniser finds in a sentence's sound; made at the first call.
+    """Return a function that runs the live recogniser on a sentence's sound.
 
-    with_text: it gets the words beforehand, without their times. weights: a name or a file.
+    The recogniser is made at the first call. with_text: it gets the words beforehand, without their
+    times. weights: a name or a file.
     """
 
     def listen(utterance: Utterance) -> Heard:

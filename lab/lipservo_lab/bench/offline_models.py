@@ -24,11 +24,11 @@ from lipsync.offline.offline_model_file import load_offline_model
 
 
 def models_of(sentences: Corpus, purpose: str) -> OfflineModels:
-    """Offline models of the sentences of a corpus that trained a face model.
+    """Return a source of offline models, trained on the sentences that trained a face model.
 
-    For the shipped face model it is the shipped one, which nothing has to be learnt for; for one of
-    other sentences too: OfflineModelError where it does not go with the face. purpose: what asks
-    for them. Raises MissingExtraError.
+    The shipped face model gets the shipped offline model, and so does one whose sentences
+    `sentences` lacks; OfflineModelError where the two do not match. purpose: named in the error.
+    Raises MissingExtraError.
     """
     check_extra("dtaidistance", purpose)
 

@@ -70,7 +70,7 @@ class DynamixelWire:
         self._parser = FrameParser()
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
-        """Parse the orders in one write of the computer."""
+        """Parse the orders in one write of the master."""
         if _GOAL_BYTES not in data and _TORQUE_BYTES not in data and not self._parser.pending:
             return  # the address is in no packet of it
         for frame in self._parser.feed(data):

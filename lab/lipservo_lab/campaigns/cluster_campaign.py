@@ -184,10 +184,10 @@ def _kill_while(
     kill_every_s: float,
     advance: Advance,
 ) -> None:
-    """Kill a worker that computes so often, and at half of the lines the scheduler.
+    """Kill a computing worker every `kill_every_s`, and the scheduler once half the lines are done.
 
-    Until the command ends; the first once a line is done. Raises UserError where nothing is done
-    for long.
+    Runs until the command ends; the first kill follows the first line. Raises UserError where
+    nothing is rendered for `_PATIENCE_S`.
     """
     n_done, moved_s = 0, time.monotonic()
     due_s = float("inf")

@@ -35,7 +35,7 @@ _LAST_PULSE_S: Final = 0.045
 
 
 def wiring_of(case: Case) -> Wiring:
-    """Joints of hobby servos, every other one turned round."""
+    """Return the wiring of hobby servos for a case; every other servo is mounted reversed."""
     joints = tuple(
         Joint(f"joint_{n}", n, -30.0, 40.0, MAX_SPEED_DEG_S, address_key="channel")
         for n in range(case.n_servos)
@@ -91,7 +91,10 @@ class PulseAuditor:
         self._is_frozen = False
 
     def see(self, time_s: float, channel: int, pulse_us: float, *, comes_again: bool) -> None:
-        """One pulse, 0: none. comes_again: every pulse is seen, and not only what changes."""
+        """Check one pulse of a channel, us (0: none), against range, speed and stop.
+
+        comes_again: every pulse is seen, and not only those that change.
+        """
         if channel not in self._range:
             self.goals_outside += pulse_us > 0.0
             return
@@ -158,10 +161,10 @@ class PulseStage:
         """Check nothing: hobby servos report nothing."""
 
     def counts(self, report: StopReport | None) -> Mapping[str, int]:
-        """Of the pulses, a second after the end as well.
+        """Return counts of the pulses, including those in the second after the end.
 
-        claims: places, loads, heats, voltages or words of torque that no hobby servo can know.
-        pulses_left_on: channels that go on at the end though they can be switched off.
+        claims: positions, loads, temperatures, voltages or words of torque that no hobby servo can
+        know. pulses_left_on: channels that go on although they can be switched off.
         """
         ended_s, is_reachable = self.clock.now(), self._watched.is_reachable()
         self.clock.advance(1.0)

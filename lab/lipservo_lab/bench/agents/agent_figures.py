@@ -104,7 +104,10 @@ class _Conversation:
     async def hold(
         self, speaks: Speaks, given: list[Turn], progress: Callable[[int, int], None]
     ) -> dict[str, Any]:
-        """Say the turns and return what was wrong."""
+        """Let an agent speak the turns; return words remembered wrongly, sound doubled, turns mute.
+
+        During the turn at one third of them the face restarts, at two thirds it is absent.
+        """
         unheard, forgotten, mute, at_end = 0, 0, 0, []
         restarts_at, absent_at = len(given) // 3, 2 * len(given) // 3
         async with speaks(self._face) as agent:

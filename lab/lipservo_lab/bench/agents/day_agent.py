@@ -60,7 +60,7 @@ class _Transport(FrameProcessor):
 
 
 def _turns() -> list[list[Frame]]:
-    """The clip in pieces, each as the frames of a turn."""
+    """Return the bundled clip cut into turns of `_TURN_S`, each as a list of Pipecat frames."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples, rate_hz = soundfile.read(clip, dtype="int16")
     size, chunk = round(_TURN_S * rate_hz), round(_CHUNK_S * rate_hz)
@@ -77,7 +77,7 @@ def _turns() -> list[list[Frame]]:
 
 
 async def talk(url: str, token: str, period_s: float) -> None:
-    """Take turns until the process is ended."""
+    """Run the agent at a face's WebSocket, a turn every `period_s`, until the process is killed."""
     transport = _Transport()
     pipeline = Pipeline([PipecatFace(url, token), transport])
     worker = PipelineWorker(pipeline, cancel_on_idle_timeout=False, enable_rtvi=False)

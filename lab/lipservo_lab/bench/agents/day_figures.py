@@ -75,10 +75,11 @@ class _Life:
 def day_figures(
     minutes: float, events: Mapping[str, int], progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """`mute_turns`, `rss_growth_mb`, `threads_growth`, `gone_noticed_s`, and what happened.
+    """Run an agent and a face for `minutes`; return what went wrong.
 
-    events: how often each of `EVENTS` happens. gone_noticed_s: the longest until the agent knew
-    that the cable was pulled; None: it was not, or it never did.
+    `mute_turns`: turns that did not move the mouth; `rss_growth_mb` and `threads_growth`: the worst
+    process; `gone_noticed_s`: the longest time until the agent noticed a pulled cable, None if none
+    was pulled or one went unnoticed. events: how often each of `EVENTS` happens.
 
     Raises UserError where PulseAudio or what it needs is missing.
     """
@@ -134,7 +135,7 @@ class _Day:
     def run(
         self, minutes: float, events: Mapping[str, int], progress: Callable[[int, int], None]
     ) -> dict[str, Any]:
-        """Run the day to its end."""
+        """Play all events in a fixed random order, spread evenly over `minutes`; return figures."""
         self._wait_for_face()
         began_s = time.monotonic()
         self._troubles.append((0.0, began_s + _GRACE_S))
@@ -280,7 +281,10 @@ class _Day:
 
 @contextlib.contextmanager
 def _sink(folder: Path) -> Iterator[dict[str, str]]:
-    """A PulseAudio server with one sink that no card is behind; the environment that uses it."""
+    """Run a PulseAudio server whose only sink has no sound card; yield the environment to use it.
+
+    Raises UserError where PulseAudio is not installed or does not start.
+    """
     (folder / "asound.conf").write_text(_ALSA)
     address = folder / "native"
     (folder / "server.pa").write_text(

@@ -26,7 +26,7 @@ class _LiveKitAgent:
         self.elsewhere: Counter[int] = Counter()
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Let the session say it; return what its history holds of it."""
+        """Let the session speak a turn; return the text that its history holds of the turn."""
         words = [word for sentence in turn.words() for word in sentence]
         n_before = len(self._session.history.items)
 

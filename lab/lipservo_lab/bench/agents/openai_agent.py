@@ -33,7 +33,7 @@ class _OpenAiAgent:
         self.elsewhere: Counter[int] = Counter()
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Let an item be spoken; return what the conversation holds of it."""
+        """Let the agent speak a turn as one item; return the words that the conversation keeps."""
         words = [word for sentence in turn.words() for word in sentence]
         answers = []
         for event in _events(turn, words):

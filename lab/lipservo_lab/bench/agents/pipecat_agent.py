@@ -57,7 +57,7 @@ class _Service(FrameProcessor):
         self._tracker = WordTimestampTracker()
 
     async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
-        """Stamp it and hand it on."""
+        """Give each frame the time stamp that a TTS service would, then pass it on."""
         await super().process_frame(frame, direction)
         tracker = self._tracker
         if isinstance(frame, TTSAudioRawFrame):
@@ -110,7 +110,7 @@ class _PipecatAgent:
         self.elsewhere = self._transport.heard
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Let the pipeline say it; return what its context holds of it."""
+        """Let the pipeline speak a turn; return the text that its context holds of the turn."""
         messages = self._context.messages
         self._behind.interrupted.clear()
         n_before, loop = len(messages), asyncio.get_running_loop()

@@ -95,7 +95,10 @@ class CannedServos:
         return codec.status(servo_id, 0, bytes((table[0], table[1], table[6])))
 
     def _write(self, frame: Frame) -> bytes:
-        """Put bytes into every moment of a servo; if they are news, old answers count no more."""
+        """Write into a servo's tables of all instants; forget prepared answers if anything changed.
+
+        Returns the status packet, empty for sync writes, broadcasts and unknown servos.
+        """
         if frame.instruction == Instruction.SYNC_WRITE:
             blocks = sync_write(frame.parameters)
         else:
@@ -115,7 +118,7 @@ class CannedServos:
 
 
 def _recorded_motion(n_servos: int) -> dict[int, list[bytearray]]:
-    """Simulated servos that follow goals of their own: the tables of each id at each moment."""
+    """Simulate servos with goals of their own; return each id's control table at each instant."""
     model = servo_models()["XL330-M288"]
     ids = range(1, n_servos + 1)
     chain = SimulatedChain([model] * n_servos, ids, baud_rate=_BAUD_RATE)

@@ -77,9 +77,10 @@ class MeasuredProcess:
     lifeline: LifelineWatch | None = None
 
     def take_turn(self, witness: HostWitness) -> float:
-        """Run for a while, then stand still again: CPU a round in us, but for the beginning.
+        """Run the loop for a while, then pause it; return processor time a round, us.
 
-        NaN: its servos were not driven, or the computer stood still meanwhile.
+        The beginning of the run does not count. NaN: servos were not driven, or the computer
+        stalled.
         """
         clock, turn_s = _cpu_clock(self.pid), time.monotonic()
         self.run(_SETTLES_S, stop=False)
@@ -161,9 +162,9 @@ def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredPro
 
 @contextmanager
 def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """A `bridge-process` as a daemon starts it, its servos at full strength and at rest.
+    """Run a `bridge-process` as a daemon would; yield it with servos at full strength and at rest.
 
-    folder: empty; for its face, its socket, and what it writes.
+    folder: empty; gets the face's YAML, its socket and logs.
     """
     face = folder / "face.yaml"
     face.write_text(_face_yaml(baud_rate))
@@ -318,7 +319,10 @@ def _quartiles(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def _turns_us(comparison: Comparison, witness: HostWitness) -> dict[str, np.ndarray]:
-    """CPU a tick of every turn, (n_turns,), by loop, ours called `own`; as `take_turn`."""
+    """Return the processor time of a tick in every turn, us, (n_turns,), by loop; ours is `own`.
+
+    NaN for turns that do not count: see `take_turn`.
+    """
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-bench-"))
         port, rate = stack.enter_context(comparison.peer()), comparison.baud_rate

@@ -44,7 +44,7 @@ def _joints(n: int = _N_SERVOS) -> list[Joint]:
 
 
 def stall_figures() -> dict[str, float]:
-    """One bus stalls for two seconds at 100 Hz: ticks that came late meanwhile."""
+    """Return how many ticks come late, at 100 Hz, while one of two buses stalls for two seconds."""
     clock, joints = MonotonicClock(), _joints()
     halves = (joints[: _N_SERVOS // 2], joints[_N_SERVOS // 2 :])
     stalling = _StallingBus(halves[0], clock, capabilities=IN_MEMORY)

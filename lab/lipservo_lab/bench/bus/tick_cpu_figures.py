@@ -71,7 +71,7 @@ def tick_ratios() -> dict[str, float]:
 
 
 def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:
-    """CPU time of every call that got its answers, by client, in microseconds."""
+    """Return the processor time of every answered call, in microseconds, by client."""
     spent_us: dict[str, list[float]] = {name: [] for name in clients}
     n = 0
     for block in range(_WARM_UP_BLOCKS + _BLOCKS):

@@ -61,7 +61,10 @@ def sync_errors(
     servos: SimulatedServos,
     seed: int,
 ) -> SyncErrors:
-    """Twenty seconds of AnimPhos, through map, compensation, late servos and backlash."""
+    """Return how late lips are, with and without compensation, over 20 s of AnimPhos.
+
+    The robot has late servos and backlash.
+    """
     motion = spoken_frames(model, np.random.default_rng([seed, 3]))
     wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
     poses_deg = calibration.poses_deg(motion)
@@ -127,7 +130,7 @@ class SeedFigures:
 
 
 def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
-    """Calibrate one simulated robot from capture to lags, and score it."""
+    """Calibrate the simulated robot of a seed, from capture to lags; return its scores."""
     servos = _servos(settings)
     joints = servos.joints
     rest_mm = model.markers_mm(model.rest[None])[0]
@@ -181,7 +184,7 @@ def own_robot(model: FaceWithAnimPhos, seed: int) -> OwnRobot:
 
 
 def own_figures(robots: Sequence[OwnRobot]) -> dict[str, object]:
-    """Medians over the robots under the names of the table; `worst_` and the worst for each.
+    """Return medians over the robots, and under `worst_...` the worst of each figure.
 
     A healthy robot that is refused counts in `refused`, and in no median.
     """
@@ -245,7 +248,10 @@ def _figures(
 def _score_shapes(
     model: FaceWithAnimPhos, fit: MeasuredFit, draw: RobotDraw, servos: MouthServos, seed: int
 ) -> _ShapeScores:
-    """On the held-out frames, sent one after another with backlash made up for as live."""
+    """Return how far the calibrated robot's lips are from their targets on held-out frames.
+
+    Frames are sent one after another, with backlash compensated as in a running face.
+    """
 
     def truth(output_deg: Array) -> Array:
         return true_markers_mm(draw, output_deg)
@@ -279,9 +285,10 @@ def _guided_apart_mm(
     targets_mm: Array,
     seed: int,
 ) -> Array:
-    """A person makes the landmark poses by eye; the score's targets are the measured ones.
+    """Return lip errors, mm, of a robot calibrated by a person's eye, (n_frames,).
 
-    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual.
+    The person sees the speaker's mouth, as large as the robot's and exaggerated as usual; targets
+    are those of the measured fit.
     """
 
     def truth(output_deg: Array) -> Array:

@@ -118,7 +118,7 @@ class TriedMouth:
 
 
 def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
-    """Calibrate the mouth of a seed, from the first pose to the grade."""
+    """Calibrate the mouth of a seed, which cannot close, from the first pose to the grade."""
     mouth = open_mouth(model.markers_mm(model.rest[None])[0], seed)
     robot = SimulatedRobot(ElasticFace(mouth.draw), noise_seed=seed)
     servos = mouth.servos
@@ -135,11 +135,11 @@ def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
 
 
 def closing_figures(mouths: Sequence[TriedMouth]) -> dict[str, object]:
-    """Of mouths that cannot close.
+    """Return how well calibration reports that mouths cannot close.
 
-    cannot_close_reported: the share that is refused for it, or reported with the joint;
-    bound_broken: how many of these were reported nearer by more than .3 mm than they come;
-    limits_called_contact: how many were reported to close.
+    cannot_close_reported: share of mouths refused for it, or reported as kept open by the joints'
+    limits; bound_broken: mouths whose reported gap is smaller than the true one by more than .3 mm;
+    limits_called_contact: mouths reported to close.
     """
     limits = [m for m in mouths if m.closing is not None and m.closing.evidence == LIMITS]
     nearer = [m for m in limits if m.closing and m.closing.apart_mm < m.stay_mm - _BELOW_MM]

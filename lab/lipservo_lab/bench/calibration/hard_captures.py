@@ -69,7 +69,10 @@ _COUNTED = fields(FaultCount)
 def count_faults(
     model: FaceWithAnimPhos, face: Skin, servos: MouthServos, seed: int
 ) -> dict[str, FaultCount]:
-    """Every fault once on one robot; the servo to blame is drawn by the seed, or its jaw."""
+    """Put every fault once into one robot; return whether each was named.
+
+    The servo with the fault is drawn by the seed; a reversed jaw is the robot's first jaw.
+    """
     rng = np.random.default_rng([seed, 23])
     drawn = int(rng.integers(len(servos.joints)))
     jaws = [joint for joint, word in enumerate(servos.positive) if word in _JAW]
@@ -86,7 +89,7 @@ def count_faults(
 def count_measured_faults(
     model: FaceWithAnimPhos, face: Skin, servos: MouthServos, seed: int
 ) -> dict[str, FaultCount]:
-    """What may happen to a drawn servo in `measure`, whose poses go on to ladders and repeats."""
+    """Put the faults of `_IN_MEASURE` into a drawn servo in `measure`; return what was named."""
     joint = int(np.random.default_rng([seed, 23]).integers(len(servos.joints)))
     counts = {}
     for kind in _IN_MEASURE:

@@ -116,7 +116,7 @@ class _Task:
 def way_figures(
     model: FaceWithAnimPhos, seed: int, sizes: Iterable[int] = N_SERVOS
 ) -> dict[str, dict[str, float | str]]:
-    """For each way and number of servos the true lip error, mm rms, or why it was refused."""
+    """Return each way's true lip error, mm rms, or why it was refused, by number of servos."""
     found: dict[str, dict[str, float | str]] = {way: {} for way in WAYS}
     frames = split_frames(model, 0)[1][:_N_FRAMES]
     for n_servos in sizes:
@@ -203,7 +203,7 @@ def _hobby(task: _Task) -> Calibration:
 
 
 def _on_maestro(settings: FaceSettings) -> FaceSettings:
-    """Return a face of Dynamixels with hobby servos in their place."""
+    """Return the settings of the same face with hobby servos on a Maestro."""
     servos = {
         name: {
             "channel": channel,

@@ -51,7 +51,7 @@ _LIPS_MEET = ("P", "B", "M")
 
 
 def film_sync_ms() -> float:
-    """How far the sound of a film is from its pictures at the most: flashes with clicks."""
+    """Return how far flashes in a film are from clicks in its sound, ms: the greatest distance."""
     rate_hz = 48_000
     clicks = np.zeros(_SYNC_PICTURES * rate_hz // _RATE_HZ, dtype=np.float32)
     for n in _FLASHES:
@@ -70,7 +70,10 @@ def film_sync_ms() -> float:
 
 
 def film_times() -> dict[str, float]:
-    """How long a film of 60 s takes, listening included; of the bundled clip again and again."""
+    """Return seconds, and seconds of processor time, to make a film of 60 s, recognition included.
+
+    The sound is the bundled clip, repeated.
+    """
     with tempfile.TemporaryDirectory() as folder:
         sound = Path(folder) / "minute.wav"
         with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:

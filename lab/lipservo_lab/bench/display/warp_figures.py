@@ -112,10 +112,10 @@ def _rest_error_px(display: PhotoDisplay, landmarks: Landmarks) -> float:
 
 
 def _marker_error_px(display: PhotoDisplay, face: FaceModel, coefficients: Array) -> float:
-    """The mean distance of the warp's markers from the model's, laid on this face, of one frame.
+    """Return how far, on average in pixels, a warped photograph's markers are from the model's.
 
-    The model's: as far from where the photograph has them as the model moves them from its own
-    pose, in the size and turn of this head.
+    The model's markers are the photograph's, moved as the model moves them from its own pose, in
+    this head's size and turn. coefficients: (n_components,), one frame.
     """
     wanted, drawn = [], []
     moved = display.warp.moved(Frame(0.0, coefficients))[0]

@@ -136,9 +136,9 @@ _SETTLE_S: Final = 3.0
 
 @contextmanager
 def served_head() -> Iterator[str]:
-    """`face_head` with a dashboard that has settled; the address.
+    """Run a daemon of `face_head` with a dashboard; yield the address once the dashboard settled.
 
-    Raises TimeoutError where none comes.
+    Raises TimeoutError where no dashboard answers.
     """
     with tempfile.TemporaryDirectory() as folder, socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

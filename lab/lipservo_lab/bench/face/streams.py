@@ -115,7 +115,10 @@ def stream_figures(seconds: float) -> dict[str, float]:
 
 @contextmanager
 def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
-    """The face, the address of its dashboard, and which process that is."""
+    """Run a simulated face with a dashboard; yield the face, the dashboard's URL, and its process.
+
+    The third value returns the process id. Raises RuntimeError where the dashboard does not start.
+    """
     model = servo_models()["XL330-M288"]
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, _N_SERVOS + 1)]
     servos = [MountedServo(joint, model) for joint in joints]
@@ -170,7 +173,10 @@ sys.exit(1)
 
 @contextmanager
 def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
-    """So many clients of a stream in a process of their own; afterwards: bytes a second of one."""
+    """Run `n` clients of a stream in a process; yield a function: the bytes/s of one client.
+
+    The function returns NaN until the block has ended.
+    """
     command = [
         sys.executable,
         "-P",

@@ -54,7 +54,7 @@ class Followed:
     n_phones: int = 0
 
     def add(self, found: Sequence[PhonemeEvent], spoken: Sequence[PhonemeEvent]) -> None:
-        """Count one sentence."""
+        """Count one sentence: labels of its frames, and starts of phones that match, in ms."""
         n_frames = round((spoken[-1].end_s or 0.0) / BLOCK_S)
         self.score.add(_labels(found, n_frames), _labels(spoken, n_frames))
         ours, theirs = (
@@ -95,9 +95,10 @@ def followed_voice(
     tells: bool = True,
     progress: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """Each text spoken by a voice. tells: whether the recogniser gets it, or the sound alone.
+    """Recognise texts spoken by a synthesiser's voice; return how well their phones are found.
 
-    Raises SynthesisError where the voice is not there or tells no times, PronunciationError.
+    tells: whether the recogniser gets the text beforehand, or the sound alone. Raises
+    SynthesisError where the voice is missing or reports no times; PronunciationError.
     """
     speaker, counted = synthesizer_for(synthesizer), Followed()
     for text in texts:
@@ -120,7 +121,7 @@ def followed_language(
     tells: bool = True,
     progress: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """The sentences of a language by espeak-ng, as above."""
+    """Recognise a language's sentences, spoken by espeak-ng; as `followed_voice`."""
     speaker, counted = synthesizer_for("espeak"), Followed()
     language = VOICE_OF.get(tag, tag)
     for number, text in enumerate(language_sentences()[tag]):

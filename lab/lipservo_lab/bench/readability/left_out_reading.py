@@ -1,6 +1,7 @@
-"""Reading of words by models that never met them: the ten folds of words, and one row of them all.
+"""Reading of words that the model has not learned: the ten folds of words, and one row of them all.
 
-Readers learn every word off recorded faces; only what they read is of a model without the word.
+Readers learn every word from recorded faces; what they read is the motion of a model that has not
+learned the word.
 """
 
 from collections import defaultdict

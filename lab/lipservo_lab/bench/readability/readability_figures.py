@@ -138,9 +138,10 @@ def reading_rows(
     *,
     is_pooled: bool = False,
 ) -> list[Row]:
-    """The rows of all parts. model_of: one that has learned no sentence of the part's test.
+    """Return the rows of all parts, each read by a model that has not learned its test sentences.
 
-    is_pooled: the parts are folds of one question, whose mean is told.
+    model_of: returns that model. is_pooled: the parts are folds of one question, and the rows are
+    their means.
     """
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
@@ -176,10 +177,10 @@ def _pair(rows: Sequence[Row]) -> None:
 
 
 def headline(rows: Sequence[Row]) -> dict[str, object]:
-    """Scores of the first reader on recorded motion and on the default's at 100 ms, by split.
+    """Return the main scores, by split: recorded motion, and the default strategy at 100 ms.
 
-    robot_...: of the lips that the robot shows, by the reader that sees lips only. gap_r_...: of
-    the sentences with known words.
+    Own face: by `COMPONENT_READER`. robot_...: the robot's lips, by `LIP_READER`. gap_r_...: of the
+    sentences with known words.
     """
     found: dict[str, object] = {}
     for row in rows:
@@ -257,7 +258,10 @@ def _robot_rows(
     track: Track,
     advance: Advance,
 ) -> Iterator[Row]:
-    """Default strategy, if it is among the methods, and recorded motion, played by the robot."""
+    """Yield rows of motion played by the robot: recorded, and by the default strategy.
+
+    The latter only if it is among the methods.
+    """
     robot = calibrated_robot(split.model)
     play = partial(_robot_seen, split, robot, advance)
     rate_hz = split.read[0].frame_rate_hz
@@ -300,7 +304,10 @@ def _row(
     face: str = OWN_FACE,
     gap_r: float | None = None,
 ) -> Row:
-    """What one reader reads; phonemes, lookahead_ms, gap_r: None for recorded motion."""
+    """Return a row of what one kind of reader reads.
+
+    phonemes, lookahead_ms, gap_r: None for recorded motion.
+    """
     scored = split.score(kind, seen)
     return {
         "split": split.part.split,
@@ -340,7 +347,7 @@ _COLOURS = {"true": "tab:blue", "recognized": "tab:orange", "text": "tab:green",
 
 
 def draw_readability(folder: Path, rows: Sequence[Row]) -> None:
-    """A bar for each motion at 100 ms with its interval, a panel for each split and reader."""
+    """Draw a bar with its interval for each motion at 100 ms, a panel for each split and reader."""
     without_screen()
     from matplotlib import pyplot as plt
 

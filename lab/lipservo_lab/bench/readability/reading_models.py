@@ -18,9 +18,10 @@ _NEW = "new_"
 
 
 def requested_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Part]:
-    """Known words and the sets of the folder's splits.json; or `words`, with commas, alone.
+    """Return the parts of a folder's splits.json, or one part with `words` (commas between).
 
-    corpus: labelled. Raises BenchError or CorpusError for what cannot be held out.
+    The former are known words and the sets of new words. corpus: labelled. Raises BenchError or
+    CorpusError for what cannot be held out.
     """
     if words is None:
         return reading_parts(folder, corpus)
@@ -42,10 +43,10 @@ def model_file(part: Part) -> str:
 
 
 def given_models(folder: Path, parts: Sequence[Part]) -> ModelOf:
-    """Models of a folder, all read at once.
+    """Read the models of a folder; return a function from a part to its model.
 
-    Raises ModelError for one that cannot be read, BenchError for one that was trained on a sentence
-    that is read of it.
+    Raises ModelError for a file that cannot be read, BenchError for a model that was trained on a
+    sentence that it is tested on.
     """
     models = {}
     for part in parts:

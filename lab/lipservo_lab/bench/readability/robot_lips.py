@@ -175,7 +175,10 @@ def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
 
 
 def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Array, Array]:
-    """Sound times (n,), ascending, and the mouth's encoders then, (n, n_servos)."""
+    """Play motion on the simulated robot; return sound times (n,) and encoders (n, n_servos), deg.
+
+    Times ascend; encoders are those of the mouth's servos.
+    """
     bus, clock = simulated_wire(robot.settings)
     motion = PlayedMotion(programme.times_s, programme.faces, robot.model)
     names, channel = list(robot.settings.servos), MemoryTargetChannel()

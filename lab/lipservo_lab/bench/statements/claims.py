@@ -261,10 +261,10 @@ class Tally:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """How many claimed something, how many different ones, and how many were untrue.
+        """Return how many statements claimed something, how many were different, how many untrue.
 
-        unjudged: no rule knows them. unknown_share: of all claims, how many claimed
-        only that it is not known. says_nothing: of torque, by a rule.
+        unjudged: no rule matches them. unknown_share: share of the claims that torque is not known.
+        says_nothing: statements that by a rule claim nothing about torque.
         """
         n_claims = sum(self.verdicts[each] for each in _CLAIMS)
         return {

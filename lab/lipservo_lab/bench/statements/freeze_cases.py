@@ -155,9 +155,10 @@ def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
 
 
 def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
-    """freeze_cases; untrue_answers: answers that were not so; the others count servos.
+    """Return the number of cases and of untrue answers, and what servos did after a freeze.
 
-    freeze_unknown_share: of servos, of those of which an answer says only that it is not known.
+    armed_after_freeze and moved_after_freeze count servos. freeze_unknown_share: share of servos of
+    which an answer says only that their state is not known.
     """
     named = [each.answer.get(key, ()) for each in outcomes for key in ("holds", "limp", "unknown")]
     n_named = sum(map(len, named))
@@ -236,7 +237,10 @@ def _freeze(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
 def judge_freeze(
     face: HeardFace, outcome: FreezeOutcome, requested_s: float, answered_s: float
 ) -> None:
-    """Hold the answer against the log, from the answer on until now."""
+    """Compare a freeze's answer with the servos' log, from the answer on until now.
+
+    What is not so is added to `outcome`.
+    """
     device, answer = face.robot.device, outcome.answer
     names = list(face.robot.settings.servos)
     settled_s, now_s = answered_s + _ON_THE_WIRE_S, time.monotonic()

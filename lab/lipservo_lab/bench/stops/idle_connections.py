@@ -83,7 +83,7 @@ class IdleCrowd:
         self._n = n
 
     def run(self, is_over: Callable[[], bool]) -> None:
-        """Come, stay, and come again, until it is over."""
+        """Connect, and connect again whatever is dropped, until `is_over` returns True."""
         absent = list(range(self._n))
         drips_s = time.monotonic() + _DRIP_S
         with selectors.DefaultSelector() as selector:

@@ -120,7 +120,7 @@ class PatchingFinder(importlib.abc.MetaPathFinder):
 
 
 def install(folder: str) -> None:
-    """Put the troubles into this process."""
+    """Patch name look-ups, disk, clock and status of this process, to fail while a flag exists."""
     troubles = Troubles(folder)
     for module, names in LOOK_UPS:
         for name in names:

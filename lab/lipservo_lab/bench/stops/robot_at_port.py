@@ -171,9 +171,9 @@ class RobotAtPort:
     def start_python(
         self, *arguments: str, stdin: int = subprocess.DEVNULL, output: int | None = None
     ) -> subprocess.Popen[bytes]:
-        """A process of this interpreter in the same surroundings; the kernel ends it with us.
+        """Start a Python process in this robot's environment; the kernel ends it with this process.
 
-        output: what it writes goes there; None: to the log.
+        output: file descriptor for its output; None: the log.
         """
         with self.log.open("ab") as file:
             process = started_alone(
@@ -219,10 +219,11 @@ def robot_at_port(
     critical: bool = False,
     face: str = FACE,
 ) -> Iterator[RobotAtPort]:
-    """The servos of a shipped face, limp in neutral; what was started is gone afterwards.
+    """Yield the simulated servos of a shipped face at a port, limp in neutral.
 
-    bus: which kind of servos it has. session: of another robot, beside which this one stands; None:
-    its own. critical: its first servo is; nothing goes on without it. face: which shipped one.
+    Processes started at the robot are ended afterwards. bus: kind of bus. session: folder of
+    another robot's session to share; None: an own one. critical: the first servo is critical. face:
+    name of the shipped face.
     """
     with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as name:
         folder = Path(name)

@@ -127,12 +127,11 @@ def running_face(
     face: str = FACE,
     sound: Path = CLIP,
 ) -> Iterator[RunningFace]:
-    """A face that speaks and drives all its servos, in folders of its own.
+    """Yield a face that speaks and drives all its servos, in folders of its own.
 
-    bus: of its servos. page, agents: with these doors. n_others: faces beside it that rest, started
-    before it, so that they come first where faces are listed. tracer: a module in place of the
-    troubles, put into its processes. face: shipped; sound: what it speaks. Raises RuntimeError
-    where one does not start.
+    page, agents: it serves a dashboard, voice agents. n_others: faces that rest beside it, started
+    first, so that they are listed first. tracer: module that replaces the troubles in its
+    processes. face: shipped; sound: what it speaks. Raises RuntimeError where one does not start.
     """
     with ExitStack() as stack:
         robot = stack.enter_context(robot_at_port(bus, face=face))

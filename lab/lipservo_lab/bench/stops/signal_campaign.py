@@ -407,7 +407,7 @@ def _judge_words(
     process: subprocess.Popen[bytes],
     outcome: SignalOutcome,
 ) -> None:
-    """Exit status, and what it says of the servos."""
+    """Judge a command's exit status, and whether its output says who confirmed the stop."""
     output, status = robot.output, process.poll()
     if "Traceback" in output or "Fatal Python error" in output:
         outcome.broken.append(f"traceback: {robot.last_output}")
@@ -452,7 +452,7 @@ def _judge_killed(
     process: subprocess.Popen[bytes],
     outcome: SignalOutcome,
 ) -> None:
-    """No process is left that could act: the servos stop by themselves, then a person comes."""
+    """Kill all processes; judge that servos stop by themselves and a command releases them."""
     kill_all(process)
     robot.look(_WATCHDOG_S)
     watched_s = time.monotonic()

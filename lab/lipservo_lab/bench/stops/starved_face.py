@@ -148,7 +148,7 @@ class StarvedFace:
         return bool(state == "driven")
 
     def jam(self, number: int) -> None:
-        """Jam one servo of the mouth until it is named, and wait until it is driven again."""
+        """Jam one servo of the mouth until a log line names it; wait until it is driven again."""
         motors = self.face.robot.chain.motors
         index = number % _N_MOUTH
         name = self._names[index]
@@ -175,7 +175,7 @@ class StarvedFace:
             self._excused.discard(name)
 
     def hold(self, kind: str) -> None:
-        """Hold a process by SIGSTOP, once it has sent a heartbeat, until it is killed."""
+        """Hold a process by SIGSTOP, after a heartbeat of it, until the supervisor kills it."""
         if not self.step_until(lambda: self._beats(kind)):
             self.outcome.held += 1
             self.outcome.failures.append(f"{kind} did not begin, and could not be held")

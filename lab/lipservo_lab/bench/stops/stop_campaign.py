@@ -103,7 +103,7 @@ def count_undone(face: RunningFace, case: StopCase, requested: Requested) -> int
 def judge_waiting(
     face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome
 ) -> None:
-    """After a plain stop: it waits, limp, whatever is killed or unplugged, until it is started."""
+    """Judge that after a plain stop the face waits, limp, whatever is killed or unplugged."""
     robot = face.robot
     if not face.look_until_state("stopped", _WAITS_S):
         ended = face.daemon.poll() is not None
@@ -138,7 +138,7 @@ def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
 
 
 def _watch(face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome) -> None:
-    """Long enough that whatever undoes a stop shows; shorter where it has, or nothing is left."""
+    """Watch until whatever undoes a stop would have shown; less once it has, or all has ended."""
     began_s = time.monotonic()
     slow = case.trouble is Trouble.NAME_SERVICE or not case.is_plain
     while (watched_s := time.monotonic() - began_s) < (_WATCH_SLOW_S if slow else _WATCH_S):
@@ -226,7 +226,7 @@ def play_batch(cases: Sequence[StopCase]) -> list[StopOutcome]:
 
 @contextlib.contextmanager
 def _face_for(case: StopCase) -> Iterator[RunningFace]:
-    """A face as the case needs it: driven, or just launched."""
+    """Yield a face for a case: driven, or for `Trouble.STARTING` just launched."""
     if case.trouble is not Trouble.STARTING:
         with running_face(
             bus=case.bus, page=case.page, agents=case.agents, n_others=n_others(case.trouble)
@@ -310,10 +310,11 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
 
 
 def _meet(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Requested | None:
-    """A stop and a start that meet; None: the start came after the confirmed stop, and counts.
+    """Send a stop and a start that overlap; return the stop, or None if the start came after it.
 
-    START_AGAIN: a stopped face is started, then stopped. The others: stopped, then started; the
-    face may be driven only where the stop was confirmed before the start was accepted.
+    After None the face has to be driven. START_AGAIN: a stopped face is started, then stopped.
+    Other troubles: the face is stopped, then started; it may be driven only where the stop was
+    confirmed before the start was accepted.
     """
     robot, path = face.robot, face.at.control
     give_up_s = time.monotonic() + _MEETS_S

@@ -131,9 +131,9 @@ def _exists(level: StopLevel, client: StopClient) -> bool:
 
 
 def batches(cases: Sequence[StopCase]) -> list[list[StopCase]]:
-    """The same cases in batches that one face can serve, what ends a face last in each.
+    """Return the cases in batches that one face can serve; what ends a face comes last in each.
 
-    A face that serves a batch has the same doors throughout, the same trouble, and the same bus.
+    A batch has one trouble, one kind of bus, and one set of servers (page, agents).
     """
 
     def shared(case: StopCase) -> tuple[str, str, bool, bool]:
@@ -200,11 +200,11 @@ class StopOutcome:
 
 
 def stop_figures(outcomes: Sequence[StopOutcome]) -> dict[str, Any]:
-    """The figures of the campaign.
+    """Return the figures of the campaign.
 
-    late counts cases; torque_left_on, undone and moved_frozen count servos. starts: faces that were
-    started again; starts_unavailable: that could not, since the program has no start. by_client,
-    by_trouble, by_bus: the counts of each.
+    late counts cases; torque_left_on and moved_frozen count servos, undone how often a servo got
+    torque. starts: faces that were started again; starts_unavailable: faces that could not be,
+    since the program has no start. by_client, by_trouble, by_bus: the counts of each.
     """
     limp_s = [o.limp_after_s for o in outcomes if o.limp_after_s is not None]
     return {

@@ -96,7 +96,7 @@ def request_stop_by(
     daemon: subprocess.Popen[bytes],
     at: Addresses,
 ) -> Requested:
-    """Begin to request a stop; returns at once."""
+    """Begin to request a stop as a client does, and return without waiting for the answer."""
     work: Callable[[], object]
     requested = Requested(time.monotonic())
     match client:

@@ -190,7 +190,7 @@ def _is_unix_send(function: Any) -> bool:
 
 
 def install(folder: str, root: str) -> None:
-    """Look at this process's calls from now on."""
+    """Trace this process's calls from now on, while the flag file exists."""
     numbers = itertools.count()
     role = next((each for each in _ROLES if each in sys.orig_argv), "daemon")
 

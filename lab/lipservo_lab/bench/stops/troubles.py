@@ -191,7 +191,10 @@ def _wav() -> bytes:
 
 
 def _begin_foreign(face: RunningFace, kind: str, undo: ExitStack) -> None:
-    """From standard input, so that no command line has a name of ours in it."""
+    """Run a program that is not ours and listens where our faces' sockets are.
+
+    The program is given by standard input, so that no command line has a name of ours in it.
+    """
     robot = face.robot
     before = set(robot.controls)
     robot.environment[foreign_socket.FOLDER_VARIABLE] = str(robot.runtime)

@@ -132,7 +132,7 @@ def microphone_to_bus_s(
 
 
 def _goals_deg(samples: NDArray[np.float32], motion: MotionOptions) -> Array:
-    """(n_ticks, n_servos): what was sent in each tick from the first sample on."""
+    """Return the goals sent in each tick from the first sample on, (n_ticks, n_servos) degrees."""
     face = assemble_face(FACE, None)
     clock = ManualClock()
     recognizer = make_recognizer(motion.engine, None, motion.weights, motion.recognizer_latency_s)
@@ -168,11 +168,11 @@ def microphone_table(
     *,
     n_times: int = _N_TIMES,
 ) -> list[dict[str, object]]:
-    """A row for each look-ahead and each recogniser.
+    """Return a row for each look-ahead and each recogniser latency.
 
-    `declared_delay_ms` is what `run` says at its start; `microphone_to_bus_p95_ms` is measured on
-    the bundled clip at `n_times` instants; the closures are those of the recordings. accuracy: more
-    figures of a recogniser, by its latency in seconds, which no look-ahead changes.
+    `declared_delay_ms` is what `run` prints at its start; `microphone_to_bus_p95_ms` is measured on
+    the bundled clip at `n_times` instants; closures are those of the recordings. accuracy: returns
+    further figures of a recogniser by its latency in seconds.
     """
     n_rows = len(LATENCIES_S) * len(LOOKAHEADS_S)
     rows: list[dict[str, object]] = []

@@ -225,7 +225,7 @@ class SpeakingRobot:
         self.street = make_street(face, self.playout, self._bus, rate_hz, recognizer, synthesizer)
 
     def run(self, until_s: float, act: Callable[[float], None] | None = None) -> Watched:
-        """From the first torque until so many seconds after the timeline began.
+        """Run from the first torque until `until_s` seconds after the timeline began.
 
         act: called in each tick with the seconds since then.
         """
@@ -259,9 +259,10 @@ class SpeakingRobot:
 def spoken_stream(
     text: SynthesizedSpeech, playout: Playout, *, knows: bool, kind: UnitKind | None = None
 ) -> PlayoutStream:
-    """A whole text as a stream that has ended. knows: with its phonemes.
+    """Return a whole text as a stream that has ended.
 
-    kind: of the units that its sender gives before it sounds, as a voice agent does.
+    knows: the stream brings the text's phonemes. kind: of the units that a sender gives beforehand,
+    as a voice agent does; None: none.
     """
     known = text.phonemes if knows else ()
     stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)

@@ -190,13 +190,13 @@ def speech_timing(
     performances: Sequence[Performance] | None = None,
     loudspeaker_seed: int = 0,
 ) -> SpeechTiming:
-    """Say each by a robot of its own. knows: the phonemes come with the sound; else it listens.
+    """Return how late lips close and part, each text spoken by a robot of its own.
 
-    kind: of a voice that listens, the units given beside the stream. performances: of the texts,
-    which are performed then.
+    knows: phonemes come with the sound; else the robot recognises them. kind: of the units sent
+    beside the stream, None: none. performances: of the texts; they are performed.
 
-    Every loudspeaker is another: its latency 20 to 120 ms, its clock up to 200 parts in a million
-    off, its reports up to 5 ms.
+    Each loudspeaker differs: latency 20 to 120 ms, a clock up to 200 parts in a million off,
+    reports up to 5 ms off.
     """
     rendered = [None] * len(texts) if performances is None else performances
     rng = np.random.default_rng(loudspeaker_seed)
@@ -237,7 +237,7 @@ def _spoken(
     knows: bool,
     kind: UnitKind | None,
 ) -> tuple[Watched, float]:
-    """What was seen, and when the first sample of the text left the loudspeaker."""
+    """Let a robot speak a text; return what was seen, and when its first sample left, s."""
     robot = SpeakingRobot(loudspeaker, is_listening=not knows, performance=performance)
     if performance is None:
         stream = spoken_stream(text, robot.playout, knows=knows, kind=kind)

@@ -60,7 +60,10 @@ def first_seen(text: SynthesizedSpeech) -> FirstSeen:
 
 
 def barge_in(text: SynthesizedSpeech, after_s: float, rate_hz: float) -> BargeIn:
-    """Interrupted so long after its first sound was heard, with the lips open."""
+    """Interrupt a robot `after_s` after its first sound was heard; return how soon lips close.
+
+    The lips should be open then. rate_hz: of the servo loop.
+    """
     robot = SpeakingRobot(is_listening=True, rate_hz=rate_hz)
     samples = text.samples
     feed = _Feed(robot, samples, text.sample_rate_hz, _even(len(samples), text.sample_rate_hz))
@@ -88,9 +91,10 @@ def barge_in(text: SynthesizedSpeech, after_s: float, rate_hz: float) -> BargeIn
 def stuck_open_s(
     texts: Sequence[SynthesizedSpeech], rng: np.random.Generator
 ) -> tuple[float, float, int]:
-    """Over jittery streams: seconds of lips that stay open with nothing to say, s.
+    """Return seconds of open lips in pauses, seconds of lips that open early, and underruns.
 
-    Then seconds of those that open for the next sound, which are no part of them, and underruns.
+    Over jittery streams. The first are lips that stay open with nothing to say; the second open for
+    the sound that follows, and are no fault.
     """
     stuck_s, opening_s, n_underruns = 0.0, 0.0, 0
     for text in texts:
