@@ -93,10 +93,10 @@ _LARGEST_TERM = 1200
 
 
 def at_frame_rate(utterance: Utterance, frame_rate_hz: float) -> Utterance:
-    """The same sentence with a frame at every i / frame_rate_hz, as long as the recording goes.
+    """Return a sentence resampled to a frame at every i / frame_rate_hz, for its whole duration.
 
-    By a polyphase filter, which holds back what fewer frames cannot show; edges go on as the line
-    between them does.
+    The polyphase filter removes what fewer frames cannot show; beyond its ends motion goes on as
+    the line between its first and last frame.
     """
     ratio = Fraction(frame_rate_hz / utterance.frame_rate_hz).limit_denominator(_LARGEST_TERM)
     if ratio == 1:

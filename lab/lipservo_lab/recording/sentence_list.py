@@ -45,7 +45,7 @@ def read_sentences(path: Path) -> tuple[Sentence, ...]:
 
 
 def recorded_names(folder: Path, sentences: Sequence[Sentence]) -> set[str]:
-    """Which sentences the folder holds whole.
+    """Return the names of sentences that the folder holds whole.
 
     Raises SentenceError where a file of that name holds another sentence.
     """

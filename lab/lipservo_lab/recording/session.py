@@ -187,9 +187,9 @@ class Session:
         self._outcome = Outcome()
 
     def run(self, sentences: Sequence[Sentence], recorded: set[str]) -> Outcome:
-        """Run until all are read, or the person stops; the devices are open.
+        """Record until all sentences are read, or the person stops; the devices are open.
 
-        Raises SoundError, CameraError or OutputError where one fails; what was kept stays.
+        Raises SoundError, CameraError or OutputError where one fails; recordings so far are kept.
         """
         self._wait_for_sound()
         number = 0
@@ -225,7 +225,7 @@ class Session:
                 return self._record(sentence)
 
     def _record(self, sentence: Sentence) -> _NextStep:
-        """One take, kept or not."""
+        """Record one take of a sentence; return whether to go on, repeat it or stop."""
         step = _NextStep.AGAIN
         warnings: tuple[str, ...] = ()
         with take_files(self._folder, sentence) as (clip, sound):
@@ -255,7 +255,7 @@ class Session:
         return step
 
     def _take_in(self, take: Take) -> _NextStep:
-        """Record until the person ends the sentence."""
+        """Record until a key ends the sentence or `_LONGEST_S` are over; return what to do next."""
         begun_s = self._heard_s
         while True:
             key, blocks, frames = self._tick()
@@ -276,7 +276,7 @@ class Session:
                 return _NextStep.NEXT
 
     def _step_after(self, warnings: tuple[str, ...]) -> _NextStep:
-        """Keep a good take; for another one let the person decide."""
+        """Keep a good take; for one with warnings let the person decide by key."""
         if not warnings:
             return _NextStep.NEXT
         for line in warnings:
@@ -292,7 +292,10 @@ class Session:
                 return _NextStep.AGAIN
 
     def _tick(self, *, reads_keys: bool = True) -> tuple[str | None, list[AudioBlock], list[Frame]]:
-        """What has come in the next 20 ms: a key, sound, pictures."""
+        """Wait 20 ms; return the key pressed, and the sound and pictures that came.
+
+        Raises SoundError when the microphone is gone.
+        """
         key = None
         if reads_keys:
             key = self._devices.next_key(_TICK_S)

@@ -55,10 +55,10 @@ def warnings_of(
     rate_hz: float,
     lost_blocks: int = 0,
 ) -> tuple[str, ...]:
-    """One line for each thing that is wrong; none for a good take.
+    """Return one line for each thing that is wrong with a take; none for a good one.
 
-    samples: (n,) at 16 kHz; frames_s: times of the pictures; brightness: means of some of them,
-    0 to 255; rate_hz: pictures a second that the camera promised; lost_blocks: blocks of 10 ms of
+    samples: (n,) at 16 kHz; frames_s: times of the pictures; brightness: means of some of them, 0
+    to 255; rate_hz: pictures a second that the camera promised; lost_blocks: blocks of 10 ms of
     sound that were lost.
     """
     duration_s = len(samples) / SAMPLE_RATE_HZ
@@ -129,10 +129,10 @@ class TakeDiscarded(Exception):  # noqa: N818 - a wish of a person, not an error
 
 @contextmanager
 def take_files(folder: Path, sentence: Sentence) -> Iterator[tuple[Path, Path]]:
-    """Where to write the clip and its sound; with the text they take their names at the end.
+    """Yield where to write a clip and its sound; they and the text take their names at the end.
 
-    The text is last: where it is, the others are. Whatever is raised inside leaves the folder as
-    it was; TakeDiscarded goes no farther.
+    The text is written last: where it exists, the others do. If anything is raised the folder stays
+    as it was; TakeDiscarded is not raised further.
     """
     place = folder / sentence.name
     text = place.with_suffix(".txt")

@@ -34,7 +34,7 @@ class BatchLine:
 
 
 def lines_of(folder: Path, output: Path) -> list[BatchLine]:
-    """Every sound of a folder, in order of their names, each to `output`/NAME.perf.
+    """Return a line for every sound of a folder, in order of names, written to `output`/NAME.perf.
 
     The phonemes come from NAME.TextGrid or NAME.json beside it, else from NAME.txt, else from the
     recogniser. Raises LineError for a folder without sounds, for two sounds of one name, and for a
@@ -78,10 +78,10 @@ def render_all(
     advance: Callable[[], None] = lambda: None,
     cluster: Cluster | None = None,
 ) -> tuple[list[Rendered], dict[str, str]]:
-    """What was rendered, in order, and of each sound that was not the reason, in one line.
+    """Render lines; return those rendered, in order, and a reason for each sound that failed.
 
-    cluster: works in place of our processes. Each file is written here, so that a worker that dies
-    leaves nothing behind. Raises ClusterError, and UserError where one of our processes dies.
+    cluster: renders in place of processes here. Files are written by this process, so that a worker
+    that dies leaves nothing behind. Raises ClusterError, and UserError where a process here dies.
     """
     rendered: dict[int, Rendered] = {}
     failed: dict[int, str] = {}
@@ -126,7 +126,10 @@ def _made_here(
 def _made_there(
     cluster: Cluster, lines: Sequence[BatchLine], how: Rendering
 ) -> Iterator[tuple[int, _Made]]:
-    """Workers have working folders of their own: every path is whole."""
+    """Yield lines as they are rendered on the cluster, numbered, in any order.
+
+    Paths are made absolute, since workers have other working folders.
+    """
     how = replace(
         how,
         model=_absolute(how.model),

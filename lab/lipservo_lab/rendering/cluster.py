@@ -49,7 +49,7 @@ class ClusterError(UserError):
 
 @contextmanager
 def cluster_at(address: str) -> Iterator["Cluster"]:
-    """A connection to the scheduler at HOST:PORT. Raises ClusterError."""
+    """Yield a connection to the scheduler at HOST:PORT. Raises ClusterError."""
     if not _ADDRESS.fullmatch(address):
         raise ClusterError(f"--dask {address}: is no HOST:PORT, as `dask scheduler` prints it")
     import distributed  # noqa: F401 (which sets the levels of its loggers)

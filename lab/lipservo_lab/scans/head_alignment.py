@@ -59,7 +59,10 @@ class Template:
 
 
 def shipped_template(mean: MeanFace | None = None) -> Template:
-    """The face of the twin up to its rim: 7,134 vertices."""
+    """Return the face of the twin up to its rim as a template: 7,134 vertices.
+
+    mean: None: the shipped mean face.
+    """
     mean = mean or load_mean_face()
     inside = mean.behind <= _RIM
     chosen = np.flatnonzero(inside)

@@ -72,11 +72,11 @@ _COLUMNS = ("scan", "name", "x", "y", "z")
 
 
 def read_markers(path: Path, template: Template, frame: ScanFrame) -> Mapping[str, Markers]:
-    """By the name of the scan, without its ending.
+    """Read named points of scans, by the name of the scan without its ending.
 
     A CSV file with the columns scan, name, x, y, z, in units and axes of the scans. A name is that
     of a layout's point, such as `outer_lip_61`, or the number of a landmark. Raises ScanError for a
-    file that cannot be read so, and for a name that the template has not.
+    file that cannot be read so, and for a name that the template lacks.
     """
     row_of = {int(number): row for row, number in enumerate(template.landmarks)}
     known = {str(number): row for number, row in row_of.items()}
@@ -159,7 +159,7 @@ class ScanImport:
     samples: list[SampleScan] = field(default_factory=list)
 
     def registered(self, advance: Advance) -> Iterator[RegisteredTake]:
-        """Every take that could be used, as it is made."""
+        """Register all takes; yield every take that could be used as soon as it is made."""
         n_all = sum(len(take.scans) for take in self.given)
         every = max(1, n_all // _SAMPLES)
         registration = Registration(self.template)
@@ -271,7 +271,10 @@ def _register(
 def _joined(
     take: Take, found: Sequence[RegisteredScan | None], rate_hz: float
 ) -> tuple[RegisteredTake | None, TakeReport]:
-    """One array of all scans, short holes bridged by straight lines."""
+    """Join a take's scans into one array, with short gaps interpolated; return it and a report.
+
+    None for a take with too few scans, or a gap longer than `_LONGEST_HOLE_S`.
+    """
     report = TakeReport(take.name, len(found), seconds=round(len(found) / rate_hz, 3))
     there = np.array([scan is not None for scan in found])
     if there.sum() < 2:

@@ -118,7 +118,10 @@ class AnswerFile:
     """The file of the one server of a study; its methods may be called from any thread."""
 
     def __init__(self, path: Path, identity: str) -> None:
-        """Open or make it. Raises StudyError: another server has it, or it cannot be used."""
+        """Open or make the answer file and lock it.
+
+        Raises StudyError: another server has it, or it cannot be used.
+        """
         self.path = path
         self._lock = threading.Lock()
         try:

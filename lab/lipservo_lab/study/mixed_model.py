@@ -29,7 +29,10 @@ class MixedModel:
 
 
 def mixed_model(tables: Tables, reference: int) -> MixedModel | None:
-    """None where there is too little to fit one: a rater, a sentence, or a method without ratings.
+    """Fit a mixed model to the ratings; None where there are too few of them.
+
+    That is: fewer than two raters or sentences, a method without ratings, or fewer than two ratings
+    a method.
 
     Raises MissingExtraError.
     """

@@ -84,7 +84,7 @@ def simulated_study(
 def coverage_figures(
     n_studies: int, crew: Crew, size: Size, advance: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """How often intervals hold the truth, and who is left out, over many simulated studies.
+    """Simulate many studies; return how often intervals hold the truth, and who is left out.
 
     Every study has other raters, sentences and instants of the same population. advance: called
     with the studies done and all of them.
@@ -162,10 +162,10 @@ def _left_share(out: Counter[tuple[Character, bool]], kinds: Sequence[Character]
 def power_rows(
     raters: Sequence[int], n_methods: int, size: Size, n_studies: int, track: Track
 ) -> list[dict[str, Any]]:
-    """For each number of raters, how often a difference from the reference is seen.
+    """Return for each number of raters how often a difference from the reference is found.
 
-    A difference is seen where its interval leaves out 0. smallest_seen: in points of the scale,
-    what is seen in four of five studies; None where none of those tried is.
+    A difference is found where its interval leaves out 0. smallest_seen: in points of the scale,
+    the difference found in four of five studies; None where none of those tried is.
     """
     methods = tuple(f"method {n}" for n in range(n_methods))
     gaps = np.array([0.0, *_DIFFERENCES, *[_DIFFERENCES[-1]] * n_methods][:n_methods])

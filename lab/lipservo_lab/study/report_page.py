@@ -24,7 +24,10 @@ _STYLE: Final = (files("lipservo_lab.study.page") / "report.css").read_text("utf
 
 
 def report_page(figures: Row, *, about: str, is_rehearsal: bool) -> str:
-    """figures: of `study_figures`. about: where and when, in a line."""
+    """Return the report as one HTML page.
+
+    figures: of `study_figures`. about: where and when, in a line.
+    """
     raters = figures["raters"]
     parts = [
         f"<h1>{escape(figures['title'])}</h1>",
@@ -63,7 +66,7 @@ raters</em> shows the means with everybody who did at least half.</p>
 
 
 def _headline(figures: Row) -> str:
-    """What the ratings say of each of ours, in a sentence each."""
+    """Return as HTML how each of our methods is rated beside the reference, in a sentence each."""
     lines = []
     for row in figures["ratings"]:
         ends = row["less_reference_95"]
@@ -188,7 +191,7 @@ def _reading(figures: Row) -> list[str]:
 
 
 def _picture(draw: Any, n_rows: int) -> str:
-    """A figure element with an SVG in it."""
+    """Return an HTML figure with an SVG that `draw` draws on matplotlib axes."""
     without_screen()
     import matplotlib as mpl
     from matplotlib import pyplot as plt
@@ -290,7 +293,10 @@ def _table(
     n_texts: int = 1,
     reference: int | None = None,
 ) -> str:
-    """n_texts: columns from the left that hold text. reference: the row that is set apart."""
+    """Return an HTML table.
+
+    n_texts: columns from the left that hold text. reference: index of the row that is set apart.
+    """
     kinds = ["" if n < n_texts else ' class="n"' for n in range(len(heads))]
     head = "".join(f"<th{kind}>{text}</th>" for kind, text in zip(kinds, heads, strict=True))
     body = ""

@@ -134,7 +134,7 @@ def _is_whole(value: object, low: int, high: int) -> bool:
 
 
 def _checked(item: Item, given: Any) -> Record:
-    """The fields of an answer that are kept. Raises RequestError."""
+    """Check an answer to an item; return the fields to keep. Raises RequestError."""
     answer, seconds, plays = (given.get(key) for key in ("answer", "seconds", "plays"))
     is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
     if not is_number or not 0 <= seconds < _MOST_S or not _is_whole(plays, 0, _MOST_PLAYS):
@@ -154,7 +154,10 @@ def _checked(item: Item, given: Any) -> Record:
 
 
 def study_app(desk: StudyDesk, folder: Path, token: str) -> App:
-    """The whole server as an ASGI application."""
+    """Return the whole server as an ASGI application.
+
+    folder: of the clips. token: required of every request.
+    """
 
     async def about(_request: Request) -> Response:
         return JSONResponse(desk.about())
@@ -217,7 +220,7 @@ async def _body(request: Request) -> Any:
 
 
 async def _answered(call: Callable[..., Mapping[str, Any]], *given: Any) -> Response:
-    """What a call returns, or its error as one line with a status."""
+    """Run a call in a thread; return its result as JSON, or its error as one line with a status."""
     status = HTTPStatus.OK
     try:
         if given[-1] is None:
@@ -283,7 +286,7 @@ def _with_headers(send: Send) -> Send:
 
 
 def study_token(folder: Path) -> str:
-    """The token of a study, made with the first server; only its owner reads the file.
+    """Return the token of a study, made at the first start; only its owner can read the file.
 
     Raises StudyError.
     """

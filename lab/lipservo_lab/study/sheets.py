@@ -104,7 +104,7 @@ class Size:
     sheets: int = 60
 
     def rounds(self, n_methods: int) -> tuple[int, int, int]:
-        """Rounds of ratings, of readings, and how many sets of sentences are rated.
+        """Return the number of rounds of ratings, rounds of readings, and sets of rated sentences.
 
         Raises StudyError for what no square can balance.
         """
@@ -146,7 +146,7 @@ def make_study(
     consent: str = "",
     vocabulary: tuple[tuple[str, ...], ...] = (),
 ) -> tuple[Study, Key]:
-    """A study of the first sentences that it needs; the same seed gives the same.
+    """Plan a study of the first sentences that it needs; the same seed gives the same study.
 
     Raises StudyError for too few sentences, or a size that no square can balance.
     """

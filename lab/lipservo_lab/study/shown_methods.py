@@ -144,10 +144,10 @@ def chosen_methods(text: str) -> tuple[str, ...]:
 
 
 def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
-    """The faces (n_frames, n_components) of a sentence by the name of a method.
+    """Return a function from a method's name and a sentence to faces, (n_frames, n_components).
 
-    model: one that has not learned the test sentences. corpus: labelled, what it has learned.
-    Raises MissingExtraError, before the work, where the offline method's library is missing.
+    model: has not learned the test sentences. corpus: labelled, the sentences it has learned.
+    Raises MissingExtraError at once where the offline method's library is missing.
     """
     offline = models_of(corpus, "a study with `edge` or `scripted`")
     ours = all_methods()[DEFAULT_STRATEGY]

@@ -72,7 +72,7 @@ def simulated_records(
     characters: Sequence[Character],
     numbers: np.random.Generator,
 ) -> Iterator[Record]:
-    """The records of a file of answers, as `AnswerFile` writes them; a rater a character."""
+    """Yield the records of simulated raters, one a character, as `AnswerFile` writes them."""
     at = now()
     yield {**first_record(study.identity), "simulated": True}
     population = _Population(study, key, taste, numbers)
@@ -160,7 +160,7 @@ class _Rater:
 
 
 def strengths_of(taste: Taste, methods: Sequence[str]) -> Array:
-    """Return how often the method of the row is chosen over that of the column; 0 for itself.
+    """Return how often the row's method is chosen over the column's, 0 to 1; 0 for itself.
 
     Parameters
     ----------

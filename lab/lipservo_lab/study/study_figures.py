@@ -28,7 +28,10 @@ def study_figures(
     mixed: MixedModel | None,
     machines: Mapping[str, Tables],
 ) -> Row:
-    """mixed: None where it was not fitted. machines: what each reader read, by its name."""
+    """Return all figures of a study, for JSON and for the report's page.
+
+    mixed: None where it was not fitted. machines: what each machine reader read, by its name.
+    """
     reference = key.methods.index(RECORDED) if RECORDED in key.methods else 0
     tables = counted.tables
     reasons = Counter(counted.left_out.values())
@@ -129,10 +132,10 @@ def _number(value: float) -> float | None:
 
 
 def machine_tables(path: Path, study: Study, key: Key) -> dict[str, Tables]:
-    """What each reader read, as the answers of people; nothing where no file lies.
+    """Return what each machine reader read as tables, by reader; empty if the file is missing.
 
-    A reader is one, whatever sentence it reads: so each sentence stands for a rater of its own, and
-    the interval is over sentences alone. Raises StudyError.
+    Each sentence counts as a rater of its own, since a machine reads always alike: so intervals are
+    over sentences alone. Raises StudyError.
     """
     if not path.exists():
         return {}

@@ -35,7 +35,7 @@ _EYE = ((0.04, 0.04, 0.05), (0.40, 0.52, 0.52), (0.16, 0.22, 0.26), (0.92, 0.90,
 
 
 def twin_picture() -> Array:
-    """(height, width, 3), sRGB, 0 to 1."""
+    """Return the picture of the shipped twin, (height, width, 3), sRGB, 0 to 1."""
     twin = make_twin(load_face())
     width, height = (_FINE * each for each in TWIN_SIZE)
     share = np.linspace(0.0, 1.0, height)[:, None, None]

@@ -165,10 +165,10 @@ def picture_rate_hz(times_s: Array) -> float:
 
 
 def steady_clip(track: FaceTrack, sound: VideoSound, rate_hz: float) -> SteadyClip:
-    """What pictures and sound have in common, at a constant rate.
+    """Return the pictures and sound that overlap, with pictures at a constant rate.
 
-    It begins with a picture, and ends with one. Pictures without a face are bridged by those around
-    them. track: with a face in some picture. The clip may be empty (0 frames).
+    The clip begins and ends with a picture. Pictures without a face are interpolated from those
+    around them. track: has a face in some picture. The clip may be empty (0 frames).
     """
     seen = track.n_faces > 0
     times_s, points = track.times_s[seen], track.points[seen]

@@ -102,10 +102,10 @@ def correlation(one: Array, other: Array) -> float:
 
 
 def corrections_s(curves: Sequence[ShiftCurve]) -> list[float]:
-    """By how much to take the sound of each clip earlier: what all have in common, or its own.
+    """Return by how much to take each clip's sound earlier, s: what all share, or its own shift.
 
-    What all have in common is the median of those that say something: cameras and microphones are
-    late by the same every time. 0 where it is less than `LEAST_CORRECTED_S`.
+    What all share is the median of the clips whose curve is clear: cameras and microphones are late
+    by the same every time. 0 where it is less than `LEAST_CORRECTED_S`.
     """
     telling = [curve.best_s for curve in curves if curve.correlations.max() >= _LEAST_R]
     common_s = float(np.median(telling)) if telling else 0.0

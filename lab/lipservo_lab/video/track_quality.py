@@ -104,7 +104,7 @@ def track_fault(track: FaceTrack, median_step_s: float) -> str | None:
 
 
 def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
-    """As `track_fault`, for pictures that need not follow one another without a hole."""
+    """Return what is wrong with the pictures, as `track_fault`, but gaps in them are allowed."""
     n, seen = len(track.times_s), track.n_faces > 0
     if n < 2:
         return "holds fewer than two pictures; film longer"

@@ -76,9 +76,10 @@ class _Part:
 def import_videos(
     clips: Sequence[VideoClip], tracker: FaceTracker, advance: Advance
 ) -> VideoImport:
-    """Track, hear, and put picture and sound in time. Raises VideoError where nothing is usable.
+    """Track and recognise clips, and align picture and sound.
 
-    Raises MissingExtraError where there are texts and the extra `align` is not installed.
+    Raises VideoError where nothing is usable; MissingExtraError where there are texts and the extra
+    `align` is not installed.
     """
     if any(clip.text is not None for clip in clips):
         check_aligner()
@@ -191,7 +192,10 @@ def _seen(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
 
 
 def _finished(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]:
-    """The part with its sound taken `shift_s` earlier, and its report."""
+    """Return a part as a sentence with its sound taken `shift_s` earlier, and its report.
+
+    The sentence is None where the part cannot be learned from.
+    """
     take = part.take
     sound = replace(take.sound, begins_s=take.sound.begins_s - shift_s)
     begins_s = take.sound.begins_s
@@ -274,9 +278,9 @@ def write_corpus(
     advance: Advance,
     draw: Callable[[Path], None],
 ) -> None:
-    """All of it or nothing. about: for import.json, beside the reports; draw: the picture sheet.
+    """Write the whole corpus or nothing. Raises OutputError.
 
-    Raises OutputError.
+    about: for import.json, beside the reports; draw: called to draw the picture sheet.
     """
     with folder_written_whole(folder) as place:
         for name in ("audio", "landmarks", "labels"):

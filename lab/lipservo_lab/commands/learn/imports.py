@@ -176,7 +176,7 @@ def import_scans(
 def _sounds(
     takes: "tuple[Take, ...]", rate_hz: float, advance: Advance
 ) -> "dict[str, TakeSound | str]":
-    """Sound and labels of each take, or why there are none. Raises ScanError where none has."""
+    """Return sound and labels of each take, or why it has none. Raises ScanError where none has."""
     from lipservo_lab.scans.scan import ScanError
     from lipservo_lab.scans.takes import take_sound
 
@@ -244,7 +244,7 @@ def _write_motion(
 def _about(
     imported: "ScanImport", takes: "tuple[Take, ...]", sounds: "dict[str, TakeSound | str]"
 ) -> dict[str, Any]:
-    """Figures of all, then the reports of takes and of scans."""
+    """Return figures of the whole import, then the reports of takes and of scans."""
     done = {report.take: report for report in imported.takes}
     of_takes = []
     for take in takes:

@@ -374,7 +374,7 @@ def read_log(path: Path) -> list[Record]:
 
 
 def draw_log(records: Sequence[Record], picture: Path) -> None:
-    """Loss on the left, accuracies of visemes by condition on the right, over the steps."""
+    """Draw the loss, and accuracies of visemes by condition, over the training steps."""
     without_screen()
     from matplotlib import pyplot as plt
 

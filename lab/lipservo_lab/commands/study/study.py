@@ -140,7 +140,10 @@ def _test_of(folder: Path, recordings: "Corpus") -> frozenset[str]:
 def _model_for(
     recordings: "Corpus", test: frozenset[str], path: Path | None, bars: WorkBars
 ) -> "TrainedModel":
-    """One that has not learned what is shown: a mouth that is recited is no synthesis."""
+    """Return the given model, or one trained now, that has not learned the shown sentences.
+
+    A model that has learned a sentence would recite it.
+    """
     from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipservo_lab.learning.motion.trained_model import load_trained_model
     from lipservo_lab.study.sheets import StudyError
@@ -160,7 +163,7 @@ def _model_for(
 
 
 def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film":
-    """One head for all clips."""
+    """Return a film with the same head for all clips."""
     from lipservo.display.film import film
     from lipservo.display.filmed_faces import photograph
     from lipservo.display.photo_display import PhotoDisplay

@@ -142,7 +142,9 @@ class MeanFaceMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
-        """Return the phones' centres, weighted by how often they were heard in training.
+        """Return the same face for all times: the mean of phone centres, without silence.
+
+        Phones are weighted by how often they occur in training.
 
         Parameters
         ----------

@@ -57,9 +57,10 @@ class Pairs:
 
 
 def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
-    """All pairs from different sentences, where a place has minimal pairs and repetitions both.
+    """Find pairs of stretches from different sentences with the same surrounding phonemes.
 
-    Silence stands nowhere in them.
+    Kept are surroundings that have both minimal pairs (one phoneme differs) and repetitions.
+    Stretches hold no silence.
     """
     places: dict[tuple[str, ...], list[tuple[int, int]]] = defaultdict(list)
     for sentence, utterance in enumerate(utterances):
@@ -115,7 +116,10 @@ def made_persistence(
     lookahead_s: float,
     seed: int = 0,
 ) -> Persistence | None:
-    """Return the persistence in a method's motion for the same sentences."""
+    """Return the persistence of a differing phoneme in a method's motion for the same sentences.
+
+    None without any pair.
+    """
     used = set(pairs.sentences.ravel().tolist())
     motions = []
     for sentence, utterance in enumerate(utterances):
@@ -133,7 +137,10 @@ def _times_s(phones: Sequence[PhonemeEvent]) -> Array:
 
 
 def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persistence | None:
-    """motions: (n_phones, _SAMPLES, n_components) of each sentence; None without any pair."""
+    """Return the persistence of a differing phoneme in motion; None without any pair.
+
+    motions: (n_phones, _SAMPLES, n_components) of each sentence.
+    """
     if not len(pairs.differ):
         return None
     # All sentences end to end; then phones (n_pairs, 2) number into one array.

@@ -110,9 +110,10 @@ class OfflineMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - hears all
-        """Return faces from the whole line.
+        """Return the faces that a method for whole lines makes of a sentence.
 
-        Of `model-based` they are linear between recorded frames.
+        Those of `model-based` are interpolated linearly between its frames. Raises ValueError for a
+        sentence without sound.
 
         Parameters
         ----------

@@ -27,7 +27,7 @@ KNOWN = "known"
 
 
 def reading_parts(folder: Path, corpus: Corpus) -> list[Part]:
-    """`known`, the sentences of `random_test`, and `new_a`, `new_b`, ...: the sets of new words.
+    """Return part `known`, the sentences of `random_test`, and `new_a`, ...: sets of new words.
 
     corpus: labelled. Raises CorpusError for a missing or damaged splits.json, one whose
     `random_test` holds none or all of the sentences, and a set that leaves none to train on.
@@ -73,7 +73,7 @@ class ReadingScore:
 
 
 def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
-    """Of words that the model has learned; every sentence has every slot."""
+    """Return the score of words that the model has learned; every sentence has every slot."""
     names = sorted({r.sentence for r in readings})
     slots = sorted({r.slot for r in readings})
     right = np.zeros((len(names), len(slots)))
@@ -166,9 +166,9 @@ def made_faces(
     listen: Listen,
     rate_hz: float | None = None,
 ) -> Motions:
-    """(n_frames, n_components) of each sentence; rate_hz: None for the recording's frames.
+    """Return a method's motion, (n_frames, n_components), of each sentence.
 
-    What comes after the last word is not played and not read.
+    Motion ends after the last word. rate_hz: None for the recording's frames.
     """
     made = {}
     for utterance in sentences:

@@ -142,9 +142,9 @@ def closing_figures(
     recordings: Iterable[tuple[Samples, Phones]],
     rng: np.random.Generator,
 ) -> dict[str, float]:
-    """Watch the mouth over recordings with their phones; figures by name.
+    """Return how fast and how often the mouth closes where speech breaks off, by name.
 
-    Every recording is cut in some of its vowels and gets gaps before some of its stops, once with
+    Each recording is cut in some of its vowels and gets gaps before some of its stops, once with
     digital silence there and once with room noise 40 dB below the speech all over.
     """
     cuts: list[tuple[float, float]] = []
@@ -271,7 +271,7 @@ _PAUSE_S, _PLAYED_S = 0.6, 1.5
 def waking_figures(
     bench: ClosingBench, recordings: Iterable[tuple[Samples, Phones]], rng: np.random.Generator
 ) -> dict[str, float]:
-    """From the onset of the first phone until the mouth leaves rest, ms: median, 95th percentile.
+    """Return how long after the first phone's onset the mouth leaves rest: median and p95, ms.
 
     A mouth that has not left rest when the sound ends counts as infinitely late.
     """

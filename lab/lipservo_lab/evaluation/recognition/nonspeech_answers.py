@@ -38,10 +38,10 @@ class MouthDuringSound:
 def mouth_during(
     sound: Path, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float
 ) -> MouthDuringSound:
-    """Play a sound to a recogniser, which is reset, and the live method by what it says.
+    """Run a recogniser, which is reset, and the live motion on a sound; return how the mouth moved.
 
-    Open lips and speech count until the sound ends; openings and the widest also in the half second
-    of silence after it. Raises SoundError for a file that is no sound.
+    Open lips and speech count until the sound ends; openings and the widest gap also in the half
+    second of silence after it. Raises SoundError for a file that is no sound.
     """
     motion = heard_motion(sound, recognizer, model, lookahead_s)
     gaps_mm = model.lip_gaps_mm(model.markers_mm(motion.faces))

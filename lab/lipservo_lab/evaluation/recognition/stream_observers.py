@@ -95,11 +95,11 @@ def label_frames(
     servos_deg: Array | None = None,
     text: str = "",
 ) -> tuple[FrameLabels, StepCosts]:
-    """Feed samples as a live stream, and silence until all is settled.
+    """Run a recogniser on samples as a live stream, and on silence until all labels are final.
 
     The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start
-    of the frame. So frame t is scored by what was settled when the sound to 10 t ms + latency was
-    heard, and nothing later. The costs are those of the blocks.
+    of the frame. So frame t is scored by what was final when the sound up to 10 t ms + latency had
+    come, and nothing later. The costs are those of the blocks.
 
     Parameters
     ----------
@@ -237,10 +237,10 @@ def endure(
     resident_mb: Callable[[], float],
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Endurance:
-    """Play speech (n,) over and over for `duration_s` of sound time, as fast as it goes.
+    """Run a recogniser on speech (n,), repeated for `duration_s` of sound, as fast as possible.
 
-    resident_mb: the memory of the process now. What is kept for the figures is laid out before the
-    stream begins.
+    resident_mb: returns the memory of the process now. Memory for the figures is allocated before
+    the stream begins.
     """
     recognizer.reset()
     n_blocks = round(duration_s / BLOCK_S)

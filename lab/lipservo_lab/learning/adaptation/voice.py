@@ -159,10 +159,10 @@ def why_left_out(aligned: AlignedUtterance, samples: Array32) -> str:
 def split_sentences(
     sentences: Sequence[Sentence],
 ) -> tuple[tuple[Sentence, ...], tuple[Sentence, ...]]:
-    """What adapts and what grades; no text is in both.
+    """Split sentences into those to learn from and those to grade on; no text is in both.
 
-    Every fifth text is held out, and more where these are shorter than 20 s. Raises VoiceError
-    where 20 s cannot be had, or would be more than is left to learn from.
+    Every fifth text is held out, and more if these are shorter than 20 s. Raises VoiceError where
+    20 s cannot be had, or would be more than is left to learn from.
     """
     texts = list(dict.fromkeys(_same(each.text) for each in sentences if each.is_reference))
     # The fifth, the tenth and so on first; the others in case these are short.

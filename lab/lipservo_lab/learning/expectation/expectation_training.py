@@ -409,7 +409,7 @@ def _fit_family(
     seed: Sequence[int],
     progress: Progress,
 ) -> tuple[Array, Stack]:
-    """Train the networks of a family; its tables and the rest of it."""
+    """Train the networks of one family; return the tables of their first layer, and the rest."""
     mean = inputs.mean(axis=0)
     spread = inputs.std(axis=0) + _SMALLEST_SPREAD
     inputs = (inputs - mean) / spread
@@ -471,7 +471,10 @@ def _exported(
     spread: Array32,
     unit: float,
 ) -> tuple[Array, Stack]:
-    """The first layer folded into tables, scaling undone, networks side by side."""
+    """Fold the first layer into a table for each dictionary entry, and put networks side by side.
+
+    Scaling of inputs and outputs is undone.
+    """
     first = np.concatenate([n[0] for n in networks], axis=1) / spread[:, None].astype(np.float64)
     bias = np.concatenate([n[1] for n in networks]) - mean @ first
     pieces = np.split(first, np.cumsum([table.shape[1] for table in dictionary]))

@@ -79,11 +79,10 @@ def train(
     """Learn a model from every labelled sentence; the same corpus and seed give the same model.
 
     corpus: of one speaker, or of several on one face (`several_speakers.on_one_face`).
-    n_components: principal components of the face, from 1 on.
-    heard: what the recogniser makes of the sentences, by name (`hearing.hear_sentences`); from it
-    the expectation learns beside the labels what to do with a recogniser's errors.
-    Raises TrainingError for a corpus without labelled motion, or with too little of it for so many
-    components.
+    n_components: principal components of the face, from 1 on. heard: recognised phonemes by
+    sentence (`hear_sentences`), from which the expectation learns the errors of a recogniser,
+    beside the labels. Raises TrainingError for a corpus without labelled motion, or with too little
+    of it for so many components.
     """
     check_components(n_components, corpus.layout)
     labelled = corpus.labelled()
@@ -176,7 +175,7 @@ def _face(
     utterances: Sequence[Utterance],
     coefficients: list[Array],
 ) -> FaceModel:
-    """Basis, rest pose, and how the lips close."""
+    """Make the face model: basis, rest pose, covariance in speech, and how the lips close."""
     in_speech = [speech_frames(u) for u in utterances]
     if sum(map(np.count_nonzero, in_speech)) < 2:
         in_speech = [np.ones(len(m), dtype=bool) for m in coefficients]

@@ -91,7 +91,7 @@ class FaceMap:
 
 
 def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFaces:
-    """Return the mean of every phone's middle, interpolated between frames.
+    """Return the mean face in the middle of each phoneme, interpolated between frames.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFac
 
 
 def fit_face_map(speaker: PhonemeFaces, target: PhonemeFaces) -> FaceMap:
-    """How the speaker's motion is done by the target's face.
+    """Fit the map from a speaker's motion to a target's face.
 
     Raises FaceMapError where they have too few phonemes in common, or move too differently.
     """
@@ -176,15 +176,15 @@ def on_one_face(
     face_of: str | None = None,
     weights: Mapping[str, float] | None = None,
 ) -> tuple[Corpus, dict[str, FaceMap]]:
-    """One corpus of all labelled sentences, each speaker's motion on one speaker's face.
+    """Join labelled sentences of several speakers, with all motion on one speaker's face.
 
-    And how the others' motion came to that face, by their names.
+    Returns the corpus, and the map of each other speaker to that face, by name.
 
-    corpora: of one layout, each of one speaker, who is called as the corpus is. face_of: whose face
-    it is, None for the first's; its head and its frame rate are taken too. weights: how often a
-    frame of a speaker counts, 1 where none is given. A sentence is called SPEAKER/NAME; a single
-    corpus keeps its names. Raises CorpusError for a name that is there twice or not at all, a
-    weight that is none, and a speaker whose face cannot be compared.
+    corpora: of one layout, each of one speaker, named as the corpus. face_of: speaker whose face,
+    head and frame rate are used; None: the first. weights: how often a frame of a speaker counts;
+    default 1. A sentence is named SPEAKER/NAME; a single corpus keeps its names. Raises CorpusError
+    for a name that is given twice or missing, a weight out of range, and a speaker whose face
+    cannot be compared.
     """
     of_speaker = {corpus.name: corpus for corpus in corpora}
     check_speakers([corpus.name for corpus in corpora], face_of, weights or {})
@@ -227,7 +227,7 @@ def sentence_name(name: str) -> str:
 
 
 def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[str, float]) -> None:
-    """Raises CorpusError for a name that is there twice or not at all, a weight that is none.
+    """Raise CorpusError for a corpus name that is there twice or unknown, or a weight out of range.
 
     names: of the corpora.
     """

@@ -194,14 +194,16 @@ def train_offline(
     progress: Callable[[str], None] = lambda _: None,
     listening: Track = iter,
 ) -> OfflineModel:
-    """An offline model for a face, of every labelled sentence; the same input gives the same.
+    """Learn an offline model for a face from every labelled sentence of a corpus.
 
-    The corpus may have more points than the face, dense scans for one: the states are found in all
-    of them, and what they say of the face's own points is kept, so that lines are projected on the
-    face's components whatever the states were made of.
+    The same input gives the same model.
 
-    listening: goes through the sentences while their sound is read. Raises BuildingError for a
-    corpus without labels, too small for the number of states, or without a point of the face's;
+    The corpus may have more points than the face (dense scans): states are found in all of them,
+    and what they say of the face's own points is kept, so that lines are projected on the face's
+    components whatever the states were made of.
+
+    listening: wraps the sentences while their sound is read, for progress. Raises BuildingError for
+    a corpus without labels, too small for the number of states, or without a point of the face's;
     SoundError for a sound that cannot be read.
     """
     recipe = recipe or Recipe()

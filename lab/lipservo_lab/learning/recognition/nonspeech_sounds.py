@@ -35,7 +35,7 @@ _SHORTEST_FRAMES = 6
 def laughter_of(voices: Sequence[tuple[Array32, NDArray[np.int64]]]) -> Noise:
     """Return a noise of laughter made of the vowels of recordings.
 
-    Silence without a vowel of 60 ms.
+    The noise is silence if they hold no vowel of 60 ms.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def _vowels(samples: Array32, labels: NDArray[np.int64]) -> list[Samples]:
 
 
 def _bout(rng: np.random.Generator, total: Samples, at: int, vowel: Samples) -> int:
-    """A few bursts of the vowel into `total` from `at` on; where they end."""
+    """Add a few bursts of the vowel to `total` from sample `at` on; return where they end."""
     period_s, strength = rng.uniform(0.14, 0.26), 1.0
     # Laughter is higher than speech of the same person.
     pitch = rng.uniform(1.0, 1.6)

@@ -73,11 +73,11 @@ def write_voice(
     seed: int | None,
     progress: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Speak the texts into a corpus below `folder`; its own folder.
+    """Speak texts into a corpus below `folder`; return the corpus's own folder.
 
-    What is there already stays. seed: of the rate and pitch of each text, None for those that the
-    voice was made with. A text that the voice cannot speak is left out. Raises SynthesisError where
-    the synthesiser or the voice is not there, or tells no times.
+    What is there already stays. seed: draws rate and pitch of each text; None: those of the voice.
+    A text that the voice cannot speak is left out. Raises SynthesisError where synthesiser or voice
+    are missing, or report no times.
     """
     corpus = folder / voice.folder_name
     for part in ("audio", "labels"):
