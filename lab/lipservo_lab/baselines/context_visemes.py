@@ -114,12 +114,12 @@ def recorded_visemes(
 
 
 def _contexts(phones: Sequence[PhonemeEvent]) -> Indices:
-    """(n_phones, 3), as `ContextVisemes.phonemes`."""
+    """Return the phoneme before each phone, its own, and that after it, (n_phones, 3) numbers."""
     silence = PHONEMES.index(SILENCE)
     names = [silence, *(PHONEMES.index(p.phoneme) for p in phones), silence]
     return np.array([names[i : i + 3] for i in range(len(phones))], dtype=np.int64)
 
 
 def _durations_s(phones: Sequence[PhonemeEvent]) -> Array:
-    """(n_phones,); 0 for one whose end is not known."""
+    """Return durations, (n_phones,) s; 0 for a phone whose end is not known."""
     return np.array([0.0 if p.end_s is None else p.end_s - p.start_s for p in phones])

@@ -125,7 +125,7 @@ def _daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
 
 
 def _recorded(url: str, folder: Path) -> _Answers:
-    """Request a real face's status and a stop; return its answers and how long each took."""
+    """Request a real face's status and a stop; return its answers, with seconds until each."""
     kiosk = {"it": Kiosk(url=url, token_file=str(folder / "runtime" / "token"))}
     stop = {"level": "soft", "wait_s": 10.0, "end": False}
     requests = (

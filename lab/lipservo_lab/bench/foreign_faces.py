@@ -139,7 +139,7 @@ def _compared(
 
 
 def _our_gaps_mm(spoken: SpokenSound, face: FaceModel) -> Array:
-    """(n,) every 10 ms of the sound."""
+    """Return our lip gap, (n,) mm, every 10 ms of the sound."""
     times_s = TICK_S * np.arange(max(1, int(spoken.duration_s / TICK_S)), dtype=np.float64)
     faces = np.array([frame.coefficients for frame in spoken.frames(times_s)])
     return face.lip_gaps_mm(face.markers_mm(faces))

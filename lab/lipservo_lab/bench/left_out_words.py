@@ -273,7 +273,7 @@ def left_out_figures(
 
 
 def chosen_places(corpus: Corpus, part: Part, limit: int) -> set[tuple[str, str]]:
-    """(sentence, word) of a fold: at most `limit` sentences for each of its words."""
+    """Return pairs (sentence, word) of a fold, with at most `limit` sentences for each word."""
     chosen: set[tuple[str, str]] = set()
     for text in part.words or ():
         holding = sorted(

@@ -103,7 +103,7 @@ class FeetechWire:
     has_watchdog = False
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
-        """Of one write of the computer, which holds whole packets."""
+        """Parse the orders in one write of the master, which holds whole packets."""
         for packet in feetech_codec.statuses_in(data):
             servo_id, instruction, parameters = packet
             if instruction == feetech_codec.Instruction.WRITE and parameters[0] == _FEETECH_GOAL:
@@ -140,7 +140,10 @@ class Auditor:
     def __init__(
         self, servos: Sequence[MountedServo[Any]], period_s: float, wire: AuditedWire | None = None
     ) -> None:
-        """wire: None: of Dynamixels."""
+        """Prepare to watch servos. wire: how to read their packets; None: as Dynamixels.
+
+        period_s: of the servo loop.
+        """
         ranges = np.array([servo.pulse_range() for servo in servos], dtype=np.float64)
         self._servos = {servo.joint.servo_id: servo for servo in servos}
         self._low, self._high = ranges[:, 0], ranges[:, 1]

@@ -124,14 +124,14 @@ class Outcome:
 
 @cache
 def trials_of(bus: str) -> Trials:
-    """Of a kind of bus. Raises KeyError where there are none."""
+    """Return the trials for a kind of bus. Raises KeyError where there are none."""
     module, _, name = _TRIALS[bus].partition(":")
     trials: Trials = getattr(import_module(f"lipservo_lab.campaigns.{module}"), name)
     return trials
 
 
 def cases(bus: str, *, whole: bool = False) -> Iterator[Case]:
-    """Every kind, intensity, size and rate, with arming and stop in turns.
+    """Yield cases of every kind, intensity, size and rate, with arming and stop in turns.
 
     whole: every way of arming and every stop for each of them, eight times as many.
     """

@@ -174,7 +174,7 @@ def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
 
 
 def sentence_names(folder: Path) -> list[str]:
-    """Every sentence that any of the three folders knows, so that a missing file is noticed."""
+    """Return all names in any of the three folders, sorted, so that a missing file is noticed."""
     files = [
         *(folder / "landmarks").glob("*.npz"),
         *(folder / "labels").glob("*.TextGrid"),

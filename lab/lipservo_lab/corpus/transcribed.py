@@ -168,7 +168,7 @@ def of_names(
 def without_names(
     utterances: tuple[TranscribedUtterance, ...], names: frozenset[str]
 ) -> tuple[TranscribedUtterance, ...]:
-    """All the other utterances; TranscriptError for a name that is not there."""
+    """Return the utterances without those named; TranscriptError for an unknown name."""
     _refuse_unknown(names, utterances)
     return tuple(utterance for utterance in utterances if utterance.name not in names)
 

@@ -65,7 +65,7 @@ class Corpus:
     skipped: tuple[str, ...] = ()
 
     def labelled(self) -> "Corpus":
-        """Only the sentences that have phones."""
+        """Return the corpus with only the sentences that have phones."""
         return self.keep({u.name for u in self.utterances if u.phones})
 
     def keep(self, names: set[str]) -> "Corpus":
@@ -74,7 +74,7 @@ class Corpus:
         return Corpus(self.name, self.layout, chosen, self.head_reference_mm, self.skipped)
 
     def without(self, words: frozenset[str], names: frozenset[str]) -> "Corpus":
-        """Only the sentences that hold none of the words and are none of those named.
+        """Return the corpus without sentences that hold one of `words` or are named in `names`.
 
         Raises CorpusError for a word that no sentence holds, and where no sentence is left.
         """

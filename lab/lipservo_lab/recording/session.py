@@ -56,7 +56,7 @@ class Screen:
         self._line(f"! {line}", "yellow")
 
     def meter(self, level_db: float, brightness: float) -> None:
-        """level_db: of the sound; brightness: of the picture, 0 to 255."""
+        """Draw a bar of the sound's level, dB, and the picture's brightness, 0 to 255."""
         if not self._has_meter:
             return
         full = min(_BAR, max(0, round((1.0 - level_db / _EMPTY_DB) * _BAR)))
@@ -91,7 +91,7 @@ class SoundClock:
         self._last: tuple[float, float] | None = None
 
     def observe(self, captured: tuple[float, float] | None) -> None:
-        """(monotonic seconds, sound time captured then), `MicrophoneSource.captured`."""
+        """Note when sound was captured: (monotonic seconds, sound time captured then), or None."""
         if captured is not None and captured != self._last:
             self._last = captured
             self._zeros_s.append(captured[0] - captured[1])
@@ -122,7 +122,7 @@ class Microphone(Protocol):
 
     @property
     def captured(self) -> tuple[float, float] | None:
-        """(monotonic seconds, sound time captured then)."""
+        """Monotonic seconds, and the sound time captured then."""
 
     @property
     def lost_blocks(self) -> int:

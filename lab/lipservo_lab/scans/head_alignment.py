@@ -46,7 +46,7 @@ class Template:
 
     @property
     def layout(self) -> PointLayout:
-        """All vertices, with the lips in their groups."""
+        """The layout of all vertices, with the lips in their groups."""
         known = {*OUTER_LIP, *INNER_LIP}
         skin = tuple(int(n) for n in self.landmarks if int(n) not in known)
         groups = ((OUTER_LIP_GROUP, OUTER_LIP), (INNER_LIP_GROUP, INNER_LIP), ("skin", skin))
@@ -265,7 +265,7 @@ def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
 
 
 def _all_turns() -> list[Array]:
-    """All 48 ways to name and sign three axes."""
+    """Return all 48 ways to name and sign three axes, (3, 3) each."""
     return [
         np.eye(3)[list(order)] * np.array(signs)[:, None]
         for order in permutations(range(3))
@@ -318,6 +318,9 @@ def _sample(points: Array, n: int) -> Array:
 
 
 def _middle(points: Array) -> Array:
-    """Of the box around all but stray points: scans are denser here than there."""
+    """Return the middle of the box around all points but stray ones, (3,).
+
+    Not their mean: scans are denser here than there.
+    """
     low, high = np.percentile(points, (2, 98), axis=0)
     return np.asarray((low + high) / 2)

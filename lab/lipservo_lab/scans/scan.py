@@ -264,7 +264,7 @@ def _read(path: Path) -> tuple[Array, Indices]:
 
 
 def _without_strays(points: Array, triangles: Indices) -> tuple[Array, Indices]:
-    """Only the points that a triangle has."""
+    """Return the points that are in a triangle, and the triangles renumbered."""
     used, renumbered = np.unique(triangles, return_inverse=True)
     return points[used], np.asarray(renumbered.reshape(-1, 3), dtype=np.int64)
 

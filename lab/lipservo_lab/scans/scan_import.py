@@ -48,7 +48,7 @@ class ScanReport:
     markers: int = 0
 
     def as_json(self) -> dict[str, object]:
-        """By name."""
+        """Return the fields by name."""
         return asdict(self)
 
 
@@ -64,7 +64,7 @@ class TakeReport:
     phonemes: str | None = None
 
     def as_json(self) -> dict[str, object]:
-        """By name."""
+        """Return the fields by name."""
         return asdict(self)
 
 

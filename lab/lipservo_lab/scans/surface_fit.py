@@ -100,7 +100,7 @@ class SurfaceFit:
             self._factors = [self._factorised(level.length_mm) for level in levels]
 
     def _factorised(self, length_mm: float) -> Any:
-        """Of the shell whose every vertex is held in all three directions: the preconditioner."""
+        """Factorise the shell with every vertex held in all directions: the preconditioner."""
         held = length_mm**4 * self._shell + sparse.diags_array(self._areas)
         return splu(
             sparse.csc_array(held),

@@ -193,7 +193,7 @@ class AnswerFile:
             self._keep({"kind": "answer", "rater": name, "number": number, **given, "at": now()})
 
     def leave(self, name: str) -> None:
-        """Nothing of what a rater answered shall count. Raises as `answer`."""
+        """Note that a rater leaves: none of their answers shall count. Raises as `answer`."""
         with self._lock:
             if not self.rater(name).has_left:
                 self._keep({"kind": "leave", "rater": name, "at": now()})
@@ -203,7 +203,7 @@ class AnswerFile:
         _add(self.raters, record)
 
     def _append(self, record: Record) -> None:
-        """On the disk whole, or not in the file."""
+        """Append a record: on the disk whole, or not in the file. Raises StudyError."""
         line = line_of(record)
         size = os.fstat(self._file).st_size
         try:

@@ -76,7 +76,7 @@ def words_read(tables: Tables, reference: int, seed: int = 0) -> tuple[Estimates
 
 
 def _quotient(sums: Array) -> Array:
-    """(..., 2, n) -> (..., n); NaN where nothing was counted."""
+    """Return quotients, (..., n), of sums (..., 2, n); NaN where nothing was counted."""
     over, under = sums[..., 0, :], sums[..., 1, :]
     return np.divide(over, under, out=np.full_like(over, np.nan), where=under > 0)
 

@@ -68,7 +68,7 @@ def mixed_model(tables: Tables, reference: int) -> MixedModel | None:
 
 
 def _indicators(numbers: Indices) -> Array:
-    """(n, k): a column for each number that there is."""
+    """Return a column of 0 and 1 for each number that occurs, (n, k)."""
     found = np.unique(numbers, return_inverse=True)[1]
     return np.eye(found.max() + 1)[found]
 

@@ -130,7 +130,10 @@ def coverage_figures(
 
 
 def _truth(study: Study, key: Key, taste: Taste) -> dict[str, Array]:
-    """Of methods that differ; words by a crowd, since a wrong one may be right by chance."""
+    """Return the true figures of methods for a taste.
+
+    Those of words are a large crowd's, since a wrong word may be right by chance.
+    """
     means = np.array([taste.mean_rating(method) for method in key.methods])
     odds = strengths(1e6 * strengths_of(taste, key.methods))
     crowd = simulated_study(study, key, taste, Crew(_MANY_READERS).characters, 0)

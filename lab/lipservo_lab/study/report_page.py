@@ -278,7 +278,7 @@ def _colour(method: str) -> str:
 
 
 def _ordered(rows: Sequence[Row], name: str) -> list[Row]:
-    """From the highest down; what was not measured last."""
+    """Return rows from the highest value of `name` down; rows without a value last."""
     return sorted(rows, key=lambda row: np.inf if row[name] is None else -row[name])
 
 

@@ -111,7 +111,7 @@ class StudyDesk:
         return self._next(rater)
 
     def leave(self, name: str, _given: Any) -> Mapping[str, Any]:
-        """Nothing of theirs shall count."""
+        """Note that a rater leaves: none of their answers shall count."""
         self._answers.leave(name)
         return {"left": True}
 

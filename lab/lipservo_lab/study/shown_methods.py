@@ -135,7 +135,7 @@ class StillMethod:
 
 
 def chosen_methods(text: str) -> tuple[str, ...]:
-    """From the command line, with commas. Raises StudyError."""
+    """Parse method names with commas between. Raises StudyError."""
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     unknown = [name for name in names if name not in METHODS]
     if unknown:

@@ -168,7 +168,7 @@ def ring_of(n_rim: int) -> Array:
 
 
 def _skin_heading(skin_mm: Array, rim: Indices, triangles: Indices) -> Array:
-    """(n, 3): which way the skin runs where it ends, smoothed along the rim."""
+    """Return the direction in which the skin ends at each rim vertex, (n, 3), smoothed."""
     place_on_rim = {int(vertex): at for at, vertex in enumerate(rim)}
     heading = np.zeros((len(rim), 3))
     for triangle in triangles:

@@ -119,7 +119,10 @@ _TO_FACE_AXES = np.array([1.0, -1.0, -1.0])
 
 
 def tracked_gaps_mm(points: Array32) -> Array:
-    """(n, 478, 3) in pixels -> (n,), between the inner lips, eye corners being 90 mm apart."""
+    """Return the gap between the inner lips, (n,) mm, of points (n, 478, 3) in pixels.
+
+    The outer eye corners count as 90 mm apart.
+    """
     face = points.astype(np.float64) * _TO_FACE_AXES
     rigid = face[:, RIGID]
     similarity = fit_similarity(rigid, refine_mean(rigid, (*_EYES, _EYE_DISTANCE_MM)))

@@ -31,7 +31,7 @@ class ExpectedLips:
             self._expectation = read_expectation(file, self._face.n_components)
 
     def gaps_mm(self, phones: Sequence[PhonemeEvent], duration_s: float) -> Array:
-        """(n,) every `TICK_S` from 0 s on."""
+        """Return the expected lip gap, (n,) mm, every `TICK_S` from 0 s on."""
         style = Style(lookahead_s=USED_LOOKAHEAD_S)
         synthesizer = LiveSynthesizer(self._face, self._expectation, style)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, tuple(phones)))
@@ -78,7 +78,10 @@ class ShiftCurve:
 
 
 def shift_curve(seen: Array, times_s: Array, expected: Array) -> ShiftCurve:
-    """seen: (n,) at sound times (n,) by the time stamps; expected: (m,) every 10 ms from 0 on."""
+    """Correlate a tracked lip gap with the expected one, at every shift of the sound.
+
+    seen: (n,) at sound times (n,) by the time stamps; expected: (m,) every 10 ms from 0 on.
+    """
     shifts_s = np.arange(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + _STEP_S / 2, _STEP_S)
     heard_s = np.arange(len(expected)) * TICK_S
     correlations = []

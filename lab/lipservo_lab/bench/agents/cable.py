@@ -20,7 +20,7 @@ class Cable:
         self.port = 0
 
     def pull(self) -> None:
-        """Nothing passes from now on."""
+        """Let nothing pass from now on, until `plug`."""
         self._loop.call_soon_threadsafe(self._plugged.clear)
 
     def plug(self) -> None:

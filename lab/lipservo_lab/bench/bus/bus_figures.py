@@ -96,7 +96,7 @@ def _own_calls(port: str) -> dict[str, Callable[[], object]]:
 
 
 def decode(answers: Sequence[Status]) -> list[list[int]]:
-    """Currents, velocities and positions of those who answered."""
+    """Return currents, velocities and positions of the servos that answered."""
     if isinstance(answers, CommonFrame):
         values = CommonFrame.blocks(answers.stream, _MOTION_BLOCK)
     else:

@@ -53,7 +53,7 @@ class Restart:
 
 
 def restarts() -> Iterator[Restart]:
-    """All that are tried."""
+    """Yield all restarts that are tried."""
     times_s = _FROM_S + np.arange(_N_TIMES) / _N_TIMES / _MOTION_HZ
     for model, at_s, lasts_s, stiff in product(
         _MODELS, times_s.tolist(), RESTARTS_S, (False, True)

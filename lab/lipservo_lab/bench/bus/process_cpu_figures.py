@@ -135,7 +135,7 @@ class _BridgeTicks:
 
     @property
     def n(self) -> int:
-        """So far; looks whether servos were driven in all ticks since the last look."""
+        """Return the number of ticks so far; note whether servos were driven in all new ticks."""
         driven = FACE_STATES.index(FaceState.DRIVEN.value)
         for number, record in self._board.servos_since(self._number):
             self._number, self._n = number, int(record["n_ticks"])

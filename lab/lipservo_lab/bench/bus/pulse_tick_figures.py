@@ -239,7 +239,10 @@ def _maestro_by_hand(stack: ExitStack) -> Callable[[list[float]], None]:
 
 
 def _pca9685_by_hand() -> Callable[[list[float]], None]:
-    """All channels by auto-increment, each begun at a time of its own, by smbus2."""
+    """Return a function that sends pulses, us, to a fake PCA9685 by plain smbus2: the baseline.
+
+    All channels are written by auto-increment; each pulse begins at a time of its own.
+    """
     bus, count_us = CannedI2c(), Pca9685Settings().timing.count_us
 
     def send(pulses_us: list[float]) -> None:

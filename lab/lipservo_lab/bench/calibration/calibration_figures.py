@@ -79,7 +79,7 @@ def sync_errors(
 
 
 def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:
-    """(n,): the robot's lip gap, shafts late and horns with backlash."""
+    """Return the robot's lip gap, (n,) mm, for goals, with late shafts and backlash."""
     shafts_deg = servos.shafts_deg(goals_deg, _RATE_HZ)
     horns_deg = np.empty_like(shafts_deg)
     horn, half_deg = shafts_deg[0], draw.backlash_deg / 2
@@ -93,7 +93,7 @@ def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array
 
 
 def _lags_s(wanted: Array, seen: Array) -> Array:
-    """(n_windows,): how much later `seen` is, window by window."""
+    """Return how much later `seen` is than `wanted`, s, window by window, (n_windows,)."""
     length = round(_WINDOW_S * _RATE_HZ)
     starts = range(0, len(wanted) - length, length // 2)
     return np.array(

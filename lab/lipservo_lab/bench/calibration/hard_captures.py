@@ -104,7 +104,7 @@ def count_measured_faults(
 
 
 def fault_figures(counts: Sequence[Mapping[str, FaultCount]]) -> dict[str, object]:
-    """Of the faults on all robots: `faults_named` and `faults_misnamed`, shares; each kind's."""
+    """Return shares of all faults that were named and misnamed, and the counts of each fault."""
     every = [count for robot in counts for count in robot.values()]
     tried = max(1, sum(count.tried for count in every))
     each: dict[str, dict[str, int]] = {}
@@ -260,7 +260,7 @@ _TRACKERS: Mapping[str, _Tracker] = {
 def refusals(
     model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, seed: int
 ) -> dict[str, str | None]:
-    """For each tracker why the robot is refused, if it is: from the first pose to the last."""
+    """Return for each tracker why a healthy robot is refused; None: it is not."""
     return {
         name: _refusal(model, face, servos, tracker, seed) for name, tracker in _TRACKERS.items()
     }

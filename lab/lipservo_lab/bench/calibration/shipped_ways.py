@@ -189,7 +189,7 @@ def _port(task: _Task) -> Calibration:
 
 
 def _hobby(task: _Task) -> Calibration:
-    """As `_port`, but servos report no position: goals count as positions."""
+    """Calibrate a robot with hobby servos, which report no position: goals count as positions."""
     robot, settings = task.robot(), _on_maestro(task.setup.settings)
     on = watched_servos(settings.wiring)
     with HeldFace(settings, on.clock, bus=on.bus, speed_deg_s=_PORT_SPEED_DEG_S) as held:

@@ -189,7 +189,10 @@ def wanted_shapes(
 
 
 def widest_gap_mm(face: ElasticFace, servos: MouthServos) -> float:
-    """Of the lips' own edges, each joint in turn at its better end, twice round."""
+    """Return the widest gap between the lips' edges, mm.
+
+    Each joint in turn is moved to its better end, twice round.
+    """
     limits_deg, middle = servos.limits_deg, N_PAIRS // 2
     pose_deg = np.zeros((1, len(servos.joints)))
     for joint in (*range(len(servos.joints)), *range(len(servos.joints))):

@@ -51,10 +51,10 @@ def browser() -> str | None:
 
 
 def page_ready_s(address: str, times: int = 3, ready: str = READY) -> float | None:
-    """From asking for the page until it is ready, the median; None without a Chromium.
+    """Return the median time from a page's request until it is ready, s; None without a Chromium.
 
-    ready: what is true in the page once it is. The browser runs already; nothing is in its cache
-    the first time. Raises TimeoutError.
+    ready: JavaScript that is true once the page is ready. The browser runs already; its cache is
+    empty the first time. Raises TimeoutError.
     """
     program = browser()
     if program is None:

@@ -201,7 +201,7 @@ def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
 
 
 def _settle(face: BenchedFace, pid: int) -> None:
-    """Until a dashboard that has just started has made what it makes once."""
+    """Run the face until a dashboard that has just started uses little processor time."""
     for _ in range(_MOST_SETTLING):
         began_s, spent_s = time.monotonic(), processor_s(pid)
         face.run(_SETTLE_S)

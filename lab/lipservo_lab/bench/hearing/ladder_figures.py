@@ -67,7 +67,7 @@ class Ticks:
     late: NDArray[np.int64]
 
     def until(self, sound_s: float) -> "Ticks":
-        """Those in which the sound before `sound_s` was heard; afterwards the face is let go."""
+        """Return the ticks in which the sound before `sound_s` was processed."""
         kept = self.heard_s < sound_s
         return Ticks(*(getattr(self, each.name)[kept] for each in fields(self)))
 
@@ -186,7 +186,7 @@ def ladder_figures(
 
 
 def slow_the_network(times: float) -> None:
-    """In this process the network takes `times` as long as its sound lasts, busy all the while."""
+    """Patch this process so that the network takes `times` as long as its sound lasts, busy."""
     prepare = NetworkRecognizer.prepare
 
     def slowly(self: NetworkRecognizer, blocks: Sequence[AudioBlock]) -> None:
@@ -248,7 +248,7 @@ def _under_load(
 
 
 def _slowed(folder: Path, sound: Path, is_over: Callable[[], bool]) -> float | None:
-    """After how long energy takes over from a recogniser that is too slow; None: it did not."""
+    """Return after how long the loudness recogniser replaces a slow one, s; None: it did not."""
     short = folder / "short.wav"
     samples = soundfile.read(sound, frames=round(_SLOWED_S * SAMPLE_RATE_HZ), dtype="float32")[0]
     soundfile.write(short, samples, SAMPLE_RATE_HZ)

@@ -74,7 +74,10 @@ class Followed:
                     self.closing_errors_ms.append(error_ms)
 
     def figures(self) -> dict[str, float]:
-        """By name; `boundary_ms`: of all phones that were found, `found` their share."""
+        """Return the figures by name.
+
+        `found`: share of phones that were found; `boundary_ms_...`: error of their beginnings.
+        """
         sizes_ms, scored = np.abs(self.errors_ms or [np.nan]), self.score.figures()
         return {
             **self.score.bilabials.figures("closure"),
@@ -148,7 +151,7 @@ def _settled(
 
 
 def _labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
-    """(n_frames,) numbers of the phonemes; what nothing covers is silence."""
+    """Return phoneme numbers of frames, (n_frames,); frames without an event are silence."""
     labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
     ends_s = [after.start_s for _, after in pairwise(events)] + [n_frames * BLOCK_S]
     for event, next_s in zip(events, ends_s, strict=True):

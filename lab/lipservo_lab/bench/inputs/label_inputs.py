@@ -159,7 +159,7 @@ def _ipa(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _speakers(rng: np.random.Generator, _folder: Path) -> OddInput:
-    """Two speakers: the tier is in doubt, unless someone names it."""
+    """Write a TextGrid of two speakers; to be refused unless the tier is named."""
     rows, other = _rows(rng), _rows(rng)
     end_s = max(_sound_s(rows), _sound_s(other))
     text = _textgrid({"ann - phones": other, "bob - phones": rows}, end_s)

@@ -86,7 +86,7 @@ class ReadingQuestion:
 def reading_question(
     strategies: str, lookaheads: str, phonemes: str, *, robot: bool
 ) -> ReadingQuestion:
-    """From the command line's texts, each a list with commas; raises BenchError, as `question`."""
+    """Parse the command line's texts, lists with commas; raise BenchError for an unknown name."""
     named = list(dict.fromkeys(text.strip() for text in strategies.split(",")))
     line_methods = tuple(name for name in PLANNED_METHODS if name in named)
     kinds = tuple(dict.fromkeys(text.strip() for text in phonemes.split(",")))

@@ -74,7 +74,7 @@ class PlayedMotion:
         return FaceWindow(_AHEAD_S, faces, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:  # noqa: ARG002 - knows no phonemes
-        """None: phonemes are not known."""
+        """Return None: the phonemes of the motion are not known."""
         return None
 
 

@@ -11,7 +11,7 @@ from lipservo_lab.bench.stops.faces_on_buses import BUSES
 
 
 def scenes() -> list[tuple[str, str]]:
-    """All (bus, scene)."""
+    """Return all pairs (bus, scene)."""
     return [(bus, scene) for scene, bus in product(SCENES, BUSES)]
 
 

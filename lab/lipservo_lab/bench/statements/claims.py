@@ -91,12 +91,12 @@ def _verdict(*, holds: bool) -> Verdict:
 
 
 def nothing(_heard: Heard) -> Verdict:
-    """It says nothing of torque."""
+    """Claim nothing about torque."""
     return Verdict.SILENT
 
 
 def unknown(_heard: Heard) -> Verdict:
-    """It says that this is unknown, or that it may be either."""
+    """Claim that torque is unknown, or that it may be on or off."""
     return Verdict.UNKNOWN
 
 

@@ -78,7 +78,7 @@ class FreezeCase:
 
 
 def freeze_cases() -> Iterator[FreezeCase]:
-    """All of them."""
+    """Yield all freezes: every bus, state and delay."""
     for bus in BUSES:
         for state, delays_s in _DELAYS_S.items():
             for delay_s in delays_s:

@@ -172,7 +172,7 @@ class LoggedDevice:
         self._is_out.set()
 
     def plug_in(self) -> None:
-        """Put it in again: the port has a new name, to which the link leads."""
+        """Plug the device in again: the port has a new name, to which the link leads."""
         self._is_out.clear()
 
     def advance(self, now_s: float) -> None:

@@ -52,8 +52,8 @@ class RobotAtPort:
     """The servos, the port that leads to them, and the processes started here; see `robot_at_port`.
 
     device: the servos and their log; chain: the simulator itself. config: the face, as processes
-    are told it. session: the folder in which its processes look for running
-    faces. environment: variables that its processes get besides.
+    get it with `--config`. session: the folder in which its processes look for running faces.
+    environment: variables that its processes get besides.
     """
 
     device: LoggedDevice

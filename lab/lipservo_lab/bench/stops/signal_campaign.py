@@ -110,7 +110,7 @@ def _new_face(robot: RobotAtPort) -> list[str]:
 
 
 def _stand_away(robot: RobotAtPort) -> None:
-    """So far from neutral that the way there takes a second."""
+    """Move all servos but the first so far from neutral that the way back takes a second."""
     for simulated, servo in zip(robot.chain.servos[1:], robot.servos[1:], strict=True):
         simulated.stand_at(servo.pulse(30.0))
 
@@ -123,7 +123,7 @@ def _forget_limits(robot: RobotAtPort) -> None:
 
 
 def _without_current_limits(robot: RobotAtPort) -> None:
-    """As from the factory, which is what new servos are like."""
+    """Set all servos to the operating mode that new servos have."""
     for servo in robot.chain.servos:
         servo["operating_mode"] = 3
 
@@ -186,7 +186,7 @@ def long_sound(robot: RobotAtPort) -> Path:
 
 
 def signal_cases() -> Iterator[SignalCase]:
-    """Every command x every ending, once and twice, at every moment that makes a difference."""
+    """Yield every command with every ending, once and twice, at every moment that matters."""
     arming = [each.name for each in COMMANDS.values() if each.arms and not each.own_servos]
     at_port = [*arming, "setup-servos"]
     for name, ending, twice in itertools.product(COMMANDS, SIGNALS, (False, True)):

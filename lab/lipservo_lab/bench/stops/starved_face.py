@@ -108,7 +108,7 @@ class StarvedFace:
         return False
 
     def _kind_of(self, pid: int) -> str:
-        """Of bridge and speech, which a process is; empty: not known yet."""
+        """Return whether a process is the bridge or the speech process; empty: not known yet."""
         if pid not in self._kinds:
             with contextlib.suppress(OSError):
                 words = Path(f"/proc/{pid}/cmdline").read_text(errors="replace")

@@ -80,7 +80,7 @@ class StopCase:
 
 
 def stop_cases() -> Iterator[StopCase]:
-    """Every stop of the campaign; no signal freezes a face."""
+    """Yield every stop of the campaign; no signal freezes a face."""
     for level, trouble, moment_s, client in product(
         StopLevel, FIRST_TROUBLES, TIMES_S, (StopClient.SOCKET, StopClient.SIGNAL)
     ):

@@ -90,14 +90,14 @@ class _ClockOfAll(ManualClock):
         self._clocks = tuple(clocks)
 
     def sleep_until(self, time_s: float) -> None:
-        """All are there; a bus that spoke for longer stays."""
+        """Advance all clocks to a time; a clock that is later already stays."""
         super().sleep_until(time_s)
         for clock in self._clocks:
             clock.sleep_until(time_s)
 
 
 def _own_servos(settings: FaceSettings) -> WatchedServos:
-    """Those of the face's YAML, on all of its buses."""
+    """Return the simulated servos of the face's YAML, on all of its buses."""
     if settings.buses:
         return _on_several_buses(settings)
     watch = getattr(settings.bus_kind.simulator(), "watched_servos", None)
@@ -163,7 +163,7 @@ def _shown(face: Face, servos: WatchedServos, clip: Path) -> Shown:
 
 
 def _gap_mm(markers_mm: Array) -> Array:
-    """(n, 47, 3) -> (n,): between the inner lips."""
+    """Return the gap of the inner lips' middle points, (n,) mm, of markers (n, 47, 3)."""
     upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
     return np.asarray(upper[:, 1] - lower[:, 1])
 

@@ -55,7 +55,7 @@ class SimulatedMicrophone:
         self._n_given = 0
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """All that has passed the driver, whatever `until_s`."""
+        """Return the blocks that have passed the driver by now, whatever `until_s`."""
         del until_s
         n_ready = math.floor((self._clock.now() - _DRIVER_S) / BLOCK_S + 1e-6)
         n_ready = min(n_ready, len(self._samples) // BLOCK_SAMPLES)
@@ -200,7 +200,7 @@ def microphone_table(
 
 
 def declared_delay_s(motion: MotionOptions) -> float:
-    """From sound to face, as a face says it whose servos are not made up for."""
+    """Return the delay from sound to face, s, without the servos' lag."""
     recognizer = make_recognizer(latency_s=motion.recognizer_latency_s, weights=motion.weights)
     return Delay(recognizer.latency_s, motion.style.lookahead_s).total_s
 

@@ -98,11 +98,11 @@ class SimulatedLoudspeaker:
         return self._ring.silence_rest(self.rate_hz // 100) / self.rate_hz
 
     def position(self) -> tuple[float, float] | None:
-        """(monotonic seconds, timeline seconds that leave it then): in error by the jitter."""
+        """Return a monotonic time, with jitter, and the second of the timeline that leaves then."""
         return None if self._report is None else self._report.at(self._now_s)
 
     def stall(self, from_s: float, until_s: float) -> None:
-        """From one moment to the other it takes nothing and plays nothing."""
+        """Take nothing and play nothing between two monotonic times."""
         self._stalls.append((from_s, until_s))
 
     def advance(self, now_s: float) -> None:
@@ -249,7 +249,7 @@ class SpeakingRobot:
         return Watched(np.array(times_s), seen_deg, self._gap_mm(seen_deg), zero_s)
 
     def _gap_mm(self, positions_deg: Array) -> Array:
-        """(n, n_servos) -> (n,): how far the inner lips are apart, by the face's geometry."""
+        """Return the lip gap, (n,) mm, by the face's geometry, of positions (n, n_servos)."""
         face = simulated_face(self._neutral_mm, self._names)
         markers_mm = marker_positions_mm(face, positions_deg)
         upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]

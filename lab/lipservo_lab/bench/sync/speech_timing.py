@@ -130,7 +130,7 @@ def matched_errors_s(wanted_s: Array, seen_s: Array) -> tuple[Array, int]:
 
 
 def performances_of(texts: Sequence[SynthesizedSpeech]) -> list[Performance]:
-    """Of each text, by the shipped models and the default method, its phonemes known."""
+    """Render each text with the shipped models and the default method, its phonemes known."""
     return [_performance(text) for text in texts]
 
 

@@ -59,7 +59,7 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """As it is called on the command line and in results."""
+        """The method's name on the command line and in results."""
 
     @property
     def looks_ahead(self) -> bool:
@@ -313,7 +313,7 @@ RANDOM_UNITS: Final = tuple(
 
 
 def all_methods() -> dict[str, Method]:
-    """Every method by its name, the fixed reference first and ours last."""
+    """Return every method by its name, the fixed reference first and ours last."""
     methods: Sequence[Method] = (
         DominanceMethod(REFERENCE, tuned=False),
         DominanceMethod("cohen-massaro-tuned", tuned=True),

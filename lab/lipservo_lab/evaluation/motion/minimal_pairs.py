@@ -97,7 +97,10 @@ def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
 def recorded_persistence(
     model: TrainedModel, utterances: Sequence[Utterance], pairs: Pairs, *, seed: int = 0
 ) -> Persistence | None:
-    """In the recordings. Two repetitions differ as well: their mean square is subtracted."""
+    """Return the persistence of a differing phoneme in the recordings.
+
+    Two repetitions differ as well: their mean square is subtracted.
+    """
     motions = []
     for utterance in utterances:
         faces = model.coefficients(utterance.markers_mm)
@@ -132,7 +135,7 @@ def made_persistence(
 
 
 def _times_s(phones: Sequence[PhonemeEvent]) -> Array:
-    """(n_phones, _SAMPLES), ascending."""
+    """Return evenly spaced times within each phone, (n_phones, _SAMPLES) s."""
     return np.array([np.linspace(p.start_s, p.end_s or p.start_s, _SAMPLES) for p in phones])
 
 
@@ -182,13 +185,13 @@ def persistence_of(shares: Array, samples: Sequence[Array], counted: int) -> Per
 
 
 def _distance2(one: Array, other: Array) -> Array:
-    """(n_pairs,): squared distance in one phoneme of each pair, the mean over its instants."""
+    """Return squared distances in one phoneme of each pair, means over its instants, (n_pairs,)."""
     squares: Array = ((one - other) ** 2).sum(axis=2).mean(axis=1)
     return squares
 
 
 def _weights(draw: Indices, pairs: Pairs) -> Array:
-    """Of a bootstrap sample that holds each sentence so many times."""
+    """Return the pairs' weights in a bootstrap sample that holds each sentence `draw` times."""
     weights: Array = draw[pairs.sentences].prod(axis=1) * pairs.weights
     return weights
 

@@ -54,7 +54,7 @@ class OfflineModels:
         self._line_s.setdefault(name, []).append(seconds)
 
     def seconds_per_sentence(self) -> dict[str, float]:
-        """By method, the median: of processor time, model loaded."""
+        """Return the median processor time of a sentence, s, by method, with the model loaded."""
         return {name: float(np.median(seconds)) for name, seconds in self._line_s.items()}
 
 

@@ -196,7 +196,10 @@ def _ours() -> list[LiveMethod]:
 
 
 def _live_ms(method: LiveMethod, model: TrainedModel, heard: Heard) -> float:
-    """All that a method of ours computes for a sentence at 30 Hz, with the default look-ahead."""
+    """Return the processor time, ms, of one of our methods for a sentence at 30 Hz.
+
+    With the default look-ahead.
+    """
     synthesizer = method.synthesizer(model, DEFAULT_LOOKAHEAD_S)
     script = script_of(heard, DEFAULT_LOOKAHEAD_S)
     end_s = heard.events[-1].end_s or 0.0

@@ -138,7 +138,7 @@ def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: 
 
 
 def _squares(phones: Sequence[PhonemeEvent], times_s: Array, distance: Array) -> Array:
-    """(n_phones, 2): the sum of squares inside each phone, and over how many instants."""
+    """Return the sum of squares inside each phone, and the number of instants, (n_phones, 2)."""
     found = []
     for phone in phones:
         inside = (times_s >= phone.start_s) & (times_s < (phone.end_s or 0.0))

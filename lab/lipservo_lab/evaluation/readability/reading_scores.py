@@ -129,14 +129,17 @@ def gain(readings: Sequence[Reading]) -> float:
 
 
 def _recall_less_false_alarms(counts: Array) -> Array:
-    """(..., 4) -> (...); NaN where a drawn sample does not hold the word."""
+    """Return recall less false alarms, (...), of counts (..., 4).
+
+    NaN where a drawn sample does not hold the word.
+    """
     n_spoken, hits, others, alarms = np.moveaxis(counts, -1, 0)
     recall = np.divide(hits, n_spoken, out=np.full_like(hits, np.nan), where=n_spoken > 0)
     return np.asarray(recall - alarms / np.maximum(others, 1.0))
 
 
 def _draws(n_sentences: int, seed: int) -> Array:
-    """(_N_SAMPLES, n_sentences): how often each is drawn."""
+    """Return how often each sentence is drawn in bootstrap samples, (_N_SAMPLES, n_sentences)."""
     even = np.full(n_sentences, 1.0 / n_sentences)
     draws = np.random.default_rng(seed).multinomial(n_sentences, even, size=_N_SAMPLES)
     return draws.astype(np.float64)

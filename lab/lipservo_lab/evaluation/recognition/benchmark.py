@@ -260,10 +260,7 @@ KINDS = ("true", "other", "half_other", "half_missing")
 def texts_of(
     utterance: TranscribedUtterance, pool: Sequence[TranscribedUtterance], rng: np.random.Generator
 ) -> dict[str, str]:
-    """By kind: the spoken text; that of another utterance; half of each.
-
-    Half of the spoken text.
-    """
+    """Return a text of each kind: the spoken one, another's, half of each, half of the spoken."""
     others = [u.text for u in pool if u.text != utterance.text]
     nearest = sorted(others, key=lambda text: abs(len(text) - len(utterance.text)))[:_NEAREST]
     own, other = utterance.text.split(), str(rng.choice(nearest)).split()

@@ -185,7 +185,7 @@ def _share(flags: list[bool]) -> float:
 
 
 def _some(rng: np.random.Generator, instants_s: list[float], n: int) -> list[float]:
-    """At most n of the instants that have enough sound before them."""
+    """Draw at most n of the instants that have enough sound before them."""
     late = [instant_s for instant_s in instants_s if instant_s >= _LEAST_BEFORE_S]
     return [float(x) for x in rng.choice(late, min(n, len(late)), replace=False)] if late else []
 
@@ -228,7 +228,7 @@ def cut_dead(samples: Samples, cut_s: float) -> tuple[Samples, float]:
 
 
 def with_gap(samples: Samples, at_s: float, gap_s: float) -> tuple[Samples, float]:
-    """Two seconds around an instant with silence put in there; and where the gap begins, s."""
+    """Return sound around an instant with silence inserted there, and when the gap begins, s."""
     at, reach = round(at_s * SAMPLE_RATE_HZ), round(_BEFORE_S * SAMPLE_RATE_HZ)
     before, after = samples[max(0, at - reach) : at], samples[at : at + reach // 2]
     silence = np.zeros(round(gap_s * SAMPLE_RATE_HZ), np.float32)

@@ -166,7 +166,7 @@ def encoder_readings_deg(speeds_deg_s: Array) -> Array:
 
 
 def _talks(rng: np.random.Generator, n_frames: int) -> Array:
-    """(n_frames,): 1 while the robot talks, 0 in its pauses."""
+    """Draw when the robot talks, (n_frames,): 1 while it talks, 0 in its pauses."""
     talks = np.zeros(n_frames)
     at, is_talking = 0, bool(rng.random() < 0.5)
     while at < n_frames:
@@ -177,7 +177,7 @@ def _talks(rng: np.random.Generator, n_frames: int) -> Array:
 
 
 def _speeds_deg_s(rng: np.random.Generator, talks: Array) -> Array:
-    """(n_frames,): minimum-jerk moves of 80 to 250 ms from target to target while it talks."""
+    """Return speeds, (n_frames,) deg/s, of minimum-jerk moves of 80 to 250 ms while it talks."""
     speeds = np.zeros(len(talks))
     widest_deg, place_deg, at = rng.uniform(0.3, 1.0) * _WIDEST_DEG, 0.0, 0
     while at < len(talks):

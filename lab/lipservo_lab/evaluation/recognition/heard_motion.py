@@ -106,7 +106,7 @@ class Closure:
 def closure_hits(
     motion: HeardMotion, phones: Iterable[PhonemeEvent], model: FaceModel
 ) -> list[Closure]:
-    """Every closure among the phones spoken in a recording, in order, in the motion it gave.
+    """Return every closure among the phones spoken in a recording, in order.
 
     A closure is reached as in `bench motion` (docs/motion.md): lips at most 1 mm apart, or for F V
     4.6 mm, at some instant from 40 ms before the phone to 40 ms after it.

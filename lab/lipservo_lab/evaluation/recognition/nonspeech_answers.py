@@ -87,7 +87,7 @@ class NonspeechFolder:
         return nonspeech_figures(self.mouths.values())
 
     def figures_by_folder(self) -> dict[str, dict[str, float]]:
-        """Of the sounds of each folder below; what lies beside the folders is in none."""
+        """Return the figures of each subfolder; files beside the subfolders are in none."""
         grouped: dict[str, list[MouthDuringSound]] = defaultdict(list)
         for name, mouth in self.mouths.items():
             below = Path(name).parent.as_posix()
@@ -96,7 +96,7 @@ class NonspeechFolder:
         return {below: nonspeech_figures(mouths) for below, mouths in sorted(grouped.items())}
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Return all figures for JSON."""
         return {
             **self.figures(),
             "folders": self.figures_by_folder(),
@@ -106,7 +106,7 @@ class NonspeechFolder:
 
 
 def sound_files(folder: Path) -> list[Path]:
-    """Every file in a folder and below it, hidden ones apart. Raises NonspeechError for none."""
+    """Return all files in and below a folder but hidden ones. Raises NonspeechError for none."""
     if not folder.is_dir():
         raise NonspeechError(f"{folder}: no such folder; give one that holds sound files")
     files = sorted(

@@ -210,7 +210,10 @@ class Endurance:
     clock_error_s: float
 
     def as_dict(self) -> dict[str, float]:
-        """For JSON. `clock_error_ms`: sound fed less sound reported on, at the end."""
+        """Return the figures for JSON.
+
+        `clock_error_ms`: sound fed less sound reported on, at the end.
+        """
         return {
             "endurance_hours": self.sound_s / 3600.0,
             "endurance_rss_mb_after_10_min": self.settled_mb,

@@ -96,7 +96,7 @@ def gain_and_mean(
 
 
 def _deviation(sentences: Sequence[Array]) -> Array:
-    """Of each component from the mean of its sentence: (n_components,)."""
+    """Return the rms deviation of each component from the mean of its sentence, (n_components,)."""
     squares = [(faces - faces.mean(axis=0)) ** 2 for faces in sentences]
     return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0)))
 

@@ -456,7 +456,7 @@ def phoneme_features() -> list[Array32]:
 
 
 def _window_inputs(training_set: TrainingSet, table: Array32) -> Array32:
-    """(n, N_WINDOWS * 22): what the phonemes are, window by window."""
+    """Return the mean phoneme features in each window of a context, (n, N_WINDOWS * 22)."""
     shares = window_shares(training_set.times_s, training_set.lookahead_s).astype(np.float32)
     inputs = np.zeros((len(shares), N_WINDOWS, table.shape[1]), dtype=np.float32)
     for slot in range(SLOTS):

@@ -125,7 +125,7 @@ def _tail() -> int:
 
 
 def _disturbed(rng: np.random.Generator, samples: Array32, factor: float) -> Array32:
-    """As another voice in another room at another level; as long as it was."""
+    """Return samples as another voice in another room at another level, of the same length."""
     spread = rng.uniform(1.0 - _VOICE_SPREAD, 1.0 + _VOICE_SPREAD)
     samples = warped(samples, factor * spread)
     if rng.random() < 0.4:

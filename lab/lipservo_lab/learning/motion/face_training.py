@@ -157,7 +157,7 @@ def check_components(n_components: int, layout: PointLayout) -> None:
 
 
 def _check_length(corpus: Corpus, utterances: Sequence[Utterance], n_components: int) -> None:
-    """Every speaker has frames enough for a face of so many components. Raises TrainingError."""
+    """Raise TrainingError where a speaker has too few frames for so many components."""
     n_frames: dict[str, int] = {}
     for utterance in utterances:
         speaker = speaker_name(utterance.name) or corpus.name
@@ -280,7 +280,7 @@ def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> 
 
 
 def _five_samples(phone: PhonemeEvent, motion: Array, frame_rate_hz: float) -> Array:
-    """(5, n_components) at even times from the start of the phone to its end."""
+    """Return five frames of a phone, evenly spaced from start to end, (5, n_components)."""
     if phone.end_s is None:
         raise TrainingError(f"phone {phone.phoneme} at {phone.start_s:.2f} s has no end")
     frame = np.linspace(phone.start_s, phone.end_s, SAMPLES_PER_ANIMPHO) * frame_rate_hz
@@ -364,7 +364,10 @@ def _units(
     segments: Segments,
     rest: Array,
 ) -> AnimPhoUnits:
-    """centres: (m, 5 n_components); phonemes: (m,), the label of each; cluster: of each segment."""
+    """Make AnimPhos of clusters.
+
+    centres: (m, 5 n_components); phonemes: (m,), the label of each; cluster: of each segment.
+    """
     m = len(centres)
     same_sentence = segments.sentence[:-1] == segments.sentence[1:]
     successors = IndexLists.from_pairs(cluster[:-1][same_sentence], cluster[1:][same_sentence], m)
@@ -378,5 +381,5 @@ def _units(
 
 
 def _flat(utterance: Utterance) -> Array:
-    """(n_frames, 3 n_points)."""
+    """Return the markers as float64, (n_frames, 3 n_points)."""
     return utterance.markers_mm.reshape(len(utterance.markers_mm), -1).astype(np.float64)

@@ -76,7 +76,10 @@ def with_soft_expectation(
 
 
 def taught_sentences(model: TrainedModel, corpus: Corpus) -> tuple[Utterance, ...]:
-    """Those of a corpus that a model has learned; TrainingError where some are missing."""
+    """Return the sentences of a corpus that a model has learned.
+
+    Raises TrainingError where some are missing.
+    """
     known = set(model.training_sentences)
     utterances = corpus.labelled().keep(known).utterances
     if len(utterances) != len(known):

@@ -70,7 +70,7 @@ class FaceMap:
 
     @property
     def angle_deg(self) -> float:
-        """By how much the speaker's head is turned against the target's."""
+        """The angle by which the speaker's head is turned against the target's, degrees."""
         return float(np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1.0) / 2.0, -1, 1))))
 
     def on_target(self, markers_mm: NDArray[np.floating]) -> Array:
@@ -148,13 +148,16 @@ def fit_face_map(speaker: PhonemeFaces, target: PhonemeFaces) -> FaceMap:
 
 
 def _differences(means_mm: Array, weights: Array) -> Array:
-    """(3,) mm^2: how much phonemes (n, n_points, 3) differ along each axis."""
+    """Return how much phonemes, (n, n_points, 3), differ along each axis, (3,) mm^2."""
     apart = means_mm - np.tensordot(weights, means_mm, axes=1)
     return np.asarray(np.tensordot(weights, apart**2, axes=1).sum(axis=0))
 
 
 def _rotation(source: Array, target: Array) -> Array:
-    """(3, 3), of `target ~ b R source` between centred faces (n_points, 3), b a scale an axis."""
+    """Return the rotation, (3, 3), of `target ~ b R source`, with a scale b for each axis.
+
+    source, target: (n_points, 3) faces, which are centred here.
+    """
     source, target = source - source.mean(axis=0), target - target.mean(axis=0)
     stretch = np.ones(3)
     for _ in range(_ROUNDS):

@@ -451,5 +451,5 @@ def _check_numbers(recipe: Recipe, n_frames: int, n_coordinates: int) -> None:
 
 
 def _flat(utterance: Utterance) -> NDArray[np.float32]:
-    """(n_frames, 3 n_points), without a copy: dense scans take a gigabyte."""
+    """Return the markers as (n_frames, 3 n_points) without a copy: dense scans take a gigabyte."""
     return utterance.markers_mm.reshape(len(utterance.markers_mm), -1)

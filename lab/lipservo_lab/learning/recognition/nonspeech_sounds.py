@@ -355,7 +355,10 @@ def _formants(source: Samples, hz: tuple[float, ...]) -> Samples:
 def _switched(
     rng: np.random.Generator, n: int, lengths_s: tuple[float, float], edge_s: float = 0.01
 ) -> Samples:
-    """(n,): 1 while it is on and 0 while it is off, each for a while, with soft edges."""
+    """Return an envelope, (n,): 1 while it is on, 0 while it is off, with soft edges.
+
+    lengths_s: shortest and longest time in one state.
+    """
     states, is_on = np.zeros(n), bool(rng.random() < 0.5)
     at = 0
     while at < n:

@@ -141,7 +141,7 @@ def retimed(phones: Sequence[int], logs: Array32) -> NDArray[np.int64] | None:
 
 
 def _posteriors(teacher: NetworkWeights, recording: LabelledSamples) -> Array32:
-    """(n_frames, n_phonemes) of the head that waits longest."""
+    """Return the posteriors of the head with the longest delay, (n_frames, n_phonemes)."""
     n_frames, delay = len(recording.labels), teacher.delays[-1]
     return recording_posteriors(teacher, recording.samples, n_frames + delay)[delay:, -1]
 

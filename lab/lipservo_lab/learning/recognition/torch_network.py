@@ -34,7 +34,7 @@ class _Residual(nn.Module):
         self.padding = 2 * dilation
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """(b, channels, n) to the same."""
+        """Add the block's output to its input, (b, channels, n)."""
         return x + torch.relu(self.norm(self.conv(nn.functional.pad(x, (self.padding, 0)))))
 
 
@@ -181,12 +181,12 @@ def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
 
 
 def _kernel(weight: torch.Tensor) -> NDArray[np.float32]:
-    """(out, in, 3 taps) as (3 taps x in, out): a frame's past and present times one matrix."""
+    """Return a kernel (out, in, 3 taps) as (3 taps x in, out), for NumPy."""
     return _numpy(weight.permute(2, 1, 0).flatten(0, 1))
 
 
 def _torch_kernel(kernel: NDArray[np.float32]) -> torch.Tensor:
-    """(3 taps x in, out) as (out, in, 3 taps): the inverse of `_kernel`."""
+    """Return a kernel (3 taps x in, out) as (out, in, 3 taps): the inverse of `_kernel`."""
     taps = torch.from_numpy(kernel).unflatten(0, (3, -1))
     return taps.permute(2, 1, 0)
 

@@ -244,7 +244,10 @@ def _aligned(
 
 
 def _is_spoken(aligned: AlignedUtterance) -> bool:
-    """Learners and children say other words than their text; labels of those would be wrong."""
+    """Return whether the text was spoken; labels of another text would be wrong.
+
+    Learners and children often say other words than their text.
+    """
     return not aligned.error and (aligned.score is None or aligned.score >= LEAST_SCORE)
 
 
