@@ -83,7 +83,7 @@ def _freezes(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str
 def _statements(
     every: int, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, Any], list[str]]:
-    """What was unjudged fails as well: a new sentence needs a rule."""
+    """Play scenes and judge all statements; a statement without a rule is a failure as well."""
     tally, errors = Tally(), list[str]()
     chosen = scenes()[::every]
     with worker_pool(2) as pool:

@@ -62,9 +62,9 @@ _LEAST_SHIFTED = 100
 
 
 def word_folds(corpus: Corpus) -> list[Part]:
-    """`N_FOLDS` parts of words, each scored by a model of the sentences that hold none of them.
+    """Divide words into `N_FOLDS` parts, each for a model of the sentences that hold none of them.
 
-    corpus: labelled. Words are dealt by turns, the most frequent first, so that every fold leaves
+    corpus: labelled. Words are dealt in turn, the most frequent first, so that every fold leaves
     about as much to train on. Raises CorpusError for a corpus that leaves a fold nothing.
     """
     counts = Counter(w.text for u in corpus.utterances for w in spoken_words(u))
@@ -144,7 +144,7 @@ class KeptModels:
 
 
 def cache_folder() -> Path:
-    """Where models are kept: in the user's cache (XDG Base Directory Specification)."""
+    """Return where models are kept: in the user's cache (XDG Base Directory Specification)."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "lipservo" / "left-out-words"
 

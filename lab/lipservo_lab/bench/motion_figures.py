@@ -140,7 +140,7 @@ def _class_means_named(method: Method) -> Method:
 
 
 def score_model(model: TrainedModel, corpus: Corpus, question: Question, track: Track) -> list[Row]:
-    """A given model on a folder that it was not trained on."""
+    """Score a given model on a folder that it was not trained on."""
     utterances = check_scorable(model, corpus)
     if question.words is not None and not any(
         speech_frames(u, question.words).any() for u in utterances
@@ -163,7 +163,7 @@ def paper_rows(model: TrainedModel, unseen: Corpus, corpus: Corpus) -> dict[str,
 
 
 def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, question: Question) -> list[Row]:
-    """What a wrong phoneme leaves behind, in sentences that the model has not seen.
+    """Return what a wrong phoneme leaves behind, in sentences that the model has not learned.
 
     corpus: all recordings, for what real coarticulation leaves behind.
     """
@@ -277,7 +277,10 @@ def _rows(
 def _miss_rate(
     method: Method, models: Sequence[TrainedModel], listeners: Sequence[_RememberingListener]
 ) -> float | None:
-    """Over all parts of a split, each by its own model; None for methods that choose nothing."""
+    """Return the miss rate over all parts of a split, each by its own model.
+
+    None for methods without a selection.
+    """
     strategy = STRATEGIES.get(method.name)
     if strategy is None:
         return None

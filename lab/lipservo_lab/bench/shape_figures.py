@@ -207,7 +207,7 @@ def _blocks(cues: Sequence[MouthCue]) -> Iterable[Block]:
 
 
 def _draw_blocks(axis: "Axes", blocks: Iterable[Block]) -> None:
-    """Boxes with a word in each; those that the picture cuts off keep theirs inside it."""
+    """Draw boxes with a word in each; a box that the picture cuts off keeps its word inside."""
     axis.set_ylim(0.0, 1.0)
     for start_s, end_s, word, colour in blocks:
         start_s, end_s = max(start_s, SHOWN_S[0]), min(end_s, SHOWN_S[1])

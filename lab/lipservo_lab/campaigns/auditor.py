@@ -86,7 +86,7 @@ class DynamixelWire:
                     yield SeenOrder("goal", servo_id, goal)
 
     def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
-        """Its settings are the face's, and its watchdog runs."""
+        """Return whether a servo's settings are the face's, and its watchdog runs."""
         low, high = wanted.pulse_range()
         return bool(
             servo["drive_mode"] == 0
@@ -118,7 +118,7 @@ class FeetechWire:
                         yield SeenOrder("torque", blocks[at])
 
     def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
-        """Its limits are the face's, and its speed is bounded."""
+        """Return whether a servo's limits are the face's, and its speed is bounded."""
         low, high = wanted.pulse_range()
         in_order = servo["min_position_limit"] <= low <= high <= servo["max_position_limit"]
         return bool(in_order and servo["operating_mode"] == 0 and servo["goal_speed"] > 0)
@@ -179,7 +179,7 @@ class Auditor:
         chain.motors.motion = self._see_motion
 
     def note_stop(self, time_s: float, level: StopLevel) -> None:
-        """A person stopped the face then; a frozen one must not move until it is let go."""
+        """Note a person's stop; after a freeze no shaft may move until `let_go`."""
         self._stopped_s = time_s
         self._frozen = level is StopLevel.FREEZE
 
@@ -211,7 +211,7 @@ class Auditor:
             self.steps_too_long += 1
 
     def _see_first_goal(self, servo_id: int, goal: int) -> None:
-        """A goal to one servo alone comes before torque: it must be where the servo stands."""
+        """Count the goal before torque, which must be where the servo stands."""
         self._last[servo_id] = goal
         self.goals += 1
         if not self._is_place(servo_id, goal):
@@ -282,7 +282,7 @@ class Auditor:
         self.moved_outside += int((own & outwards).sum())
 
     def _index(self, servo_id: int) -> int | None:
-        """Which simulated servo answers to this id now."""
+        """Return the index of the simulated servo that has this id now; None: none, or several."""
         if self._chain is None:
             return None
         found = [s.index for s in self._chain.servos if s["id"] == servo_id]

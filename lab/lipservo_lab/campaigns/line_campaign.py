@@ -242,7 +242,7 @@ class QuestionedChain:
 
 
 def ask_many(disturbance: Disturbance, n_questions: int, seed: int = 1) -> Answered:
-    """Ask drawn questions one after another, in virtual time; what came of all of them."""
+    """Send randomly drawn requests in virtual time; return answers and wrong values of all."""
     rng = random.Random(seed)
     chain = QuestionedChain(disturbance, seed)
     n_values = n_wrong = 0

@@ -82,7 +82,7 @@ class PulseAuditor:
         self.armed_late = self.moved_frozen = 0
 
     def note_stop(self, time_s: float, level: StopLevel) -> None:
-        """A person stopped the face then; a frozen one must not move until it is let go."""
+        """Note a person's stop; after a freeze no shaft may move until the face is let go."""
         self._stopped_s = time_s
         self._is_frozen = level is StopLevel.FREEZE
 
@@ -183,7 +183,7 @@ class PulseStage:
 
 
 def _seeing(auditor: PulseAuditor, bus: str) -> tuple[Callable[[Any], None], bool]:
-    """What the simulator of a bus calls, and whether it does so for every pulse."""
+    """Return the callback for a bus's simulator, and whether it is called for every pulse."""
     if bus == "maestro":
         return lambda p: auditor.see(p.time_s, p.channel, p.pulse_us, comes_again=False), False
 

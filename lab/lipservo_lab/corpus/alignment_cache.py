@@ -167,7 +167,7 @@ def align_corpus(
 
 
 def unfinished_of(path: Path) -> Path:
-    """Where the alignments are until all are made."""
+    """Return the file that holds alignments until all are made."""
     return path.with_name(path.name + ".unfinished")
 
 
@@ -177,7 +177,7 @@ def is_alignments(head: bytes) -> bool:
 
 
 def _known(path: Path | None) -> dict[str, AlignedUtterance]:
-    """What the file and its unfinished twin hold."""
+    """Read what the file and its unfinished twin hold."""
     if path is None:
         return {}
     known = read_alignments(path) if path.exists() else {}

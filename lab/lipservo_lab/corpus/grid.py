@@ -113,7 +113,7 @@ def read_grid(
 
 
 def folder_name(folder: Path) -> str:
-    """What a corpus is called; `.` has a name, too."""
+    """Return a corpus's name, its folder's; also for `.`."""
     return Path(os.path.abspath(folder)).name
 
 
@@ -249,7 +249,7 @@ def read_landmarks(path: Path, n_landmarks: int) -> Array:
 
 
 def _refuse_lost_frames(landmarks_px: Array, path: Path) -> None:
-    """Where a tracker lost the face it writes one and the same point everywhere."""
+    """Raise CorpusError for a frame whose points are all equal: there the face was lost."""
     lost = np.flatnonzero((landmarks_px == landmarks_px[:, :1]).all(axis=(1, 2)))
     if len(lost):
         raise CorpusError(f"{path}: frame {lost[0]} is not tracked ({len(lost)} such frames)")

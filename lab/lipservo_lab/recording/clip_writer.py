@@ -47,9 +47,10 @@ class ClipWriter:
         self._thread.start()
 
     def add_frame(self, time_s: float, frame: Any) -> bool:
-        """The next picture (av.VideoFrame); whether it is taken.
+        """Queue the next picture (av.VideoFrame) at a time from the first one, s.
 
-        It is not where it comes no later than the last, or compression is two seconds behind.
+        Returns False, without queueing, where it comes no later than the last one, or compression
+        is two seconds behind.
         """
         tick = round(time_s * _TICKS_HZ)
         if tick <= self._last_tick:
@@ -123,7 +124,7 @@ class ClipWriter:
         self._container.mux(self._stream.encode(picture))
 
     def _make_streams(self, frame: Any) -> None:
-        """Both before anything is written: a Matroska file says first what it holds."""
+        """Make the streams of pictures and sound: a Matroska file first lists what it holds."""
         has_x264 = "libx264" in self._av.codecs_available
         name, options = ("libx264", _X264) if has_x264 else ("mpeg4", _MPEG4)
         stream = self._container.add_stream(name, rate=self._rate, options=options)

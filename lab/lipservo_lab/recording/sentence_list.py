@@ -27,15 +27,15 @@ class Sentence:
 
 
 def shipped_sentences() -> tuple[Sentence, ...]:
-    """Sixty of our own: every phoneme of English, and most of what follows what in it."""
+    """Return sixty sentences with every phoneme of English and most successions of two."""
     text = (files("lipservo.config") / "sentences.txt").read_text(encoding="utf-8")
     return _sentences(text, "sentences.txt")
 
 
 def read_sentences(path: Path) -> tuple[Sentence, ...]:
-    """One sentence a line; empty lines and those that begin with # are none. Raises SentenceError.
+    """Read sentences, one a line; skip empty lines and those with #. Raises SentenceError.
 
-    Sentences are called s001, s002 and so on, in their order.
+    Sentences are named s001, s002 and so on, in their order.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

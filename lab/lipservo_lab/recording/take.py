@@ -224,9 +224,9 @@ class Take:
 
 
 def brightness(picture: Any) -> float:
-    """Mean of an av.VideoFrame's luma, 0 to 255; of its colours where it has no luma.
+    """Return the mean of an av.VideoFrame's luma, 0 to 255; of its colours if it has no luma.
 
-    Read off the first plane: FFmpeg's converter must not be in two threads with one picture.
+    Read from the first plane: FFmpeg's converter must not be in two threads with one picture.
     """
     plane, packed = picture.planes[0], picture.format.name
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)

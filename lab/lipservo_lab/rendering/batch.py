@@ -67,7 +67,7 @@ def _script_beside(sound: Path) -> Script:
 
 
 def unrendered(lines: Sequence[BatchLine], how: Rendering) -> list[BatchLine]:
-    """The lines of which the output is not already what rendering them would give."""
+    """Return the lines whose output is not already what rendering them would give."""
     return [each for each in lines if not is_rendered(each.output, each.sound, each.script, how)]
 
 

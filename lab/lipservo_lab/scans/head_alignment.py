@@ -53,7 +53,7 @@ class Template:
         return PointLayout(f"scans-{len(self.landmarks)}", groups, (13, 14))
 
     def rows_of(self, landmarks: tuple[int, ...]) -> Indices:
-        """Which vertices have these numbers; KeyError for one that none has."""
+        """Return the vertices with these landmark numbers; KeyError for one that none has."""
         row_of = {int(number): row for row, number in enumerate(self.landmarks)}
         return np.array([row_of[number] for number in landmarks], dtype=np.int64)
 
@@ -274,7 +274,10 @@ def _all_turns() -> list[Array]:
 
 
 def _fits(face_mm: Array, scan: Scan, turns: Sequence[Array]) -> dict[tuple[float, ...], float]:
-    """How far a face is off a scan that is turned so, mm; without those that shrink it."""
+    """Return how far a face is off a scan that is turned, mm, by turn.
+
+    Turns whose fit changes the size too much are left out.
+    """
     fits: dict[tuple[float, ...], float] = {}
     sample = _sample(face_mm, _FIRST_SAMPLE)
     few = scan.points_mm[:: max(1, len(scan.points_mm) // _FIRST_TARGETS)]

@@ -270,7 +270,7 @@ def _without_strays(points: Array, triangles: Indices) -> tuple[Array, Indices]:
 
 
 def _refined(points: Array, triangles: Indices) -> tuple[Array, Indices]:
-    """A coarse mesh with points put on its triangles, until its edges are short."""
+    """Subdivide the triangles of a coarse mesh until its edges are short."""
     from trimesh.remesh import subdivide
 
     split: Callable[[Array, Indices], tuple[Array, Indices]] = subdivide

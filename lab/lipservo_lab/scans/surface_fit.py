@@ -241,7 +241,7 @@ class RegisteredScan:
 
     @property
     def in_scan_mm(self) -> Array:
-        """Where the same points are in the scan, head motion and all.
+        """The places of the same points in the scan, with head motion.
 
         Returns
         -------
@@ -252,7 +252,7 @@ class RegisteredScan:
 
     @property
     def matched(self) -> float:
-        """Share of the mesh that found its surface."""
+        """The share of the mesh that found a matching surface."""
         return float(self.fit.matched.mean())
 
     @property

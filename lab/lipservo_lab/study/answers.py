@@ -94,7 +94,7 @@ def first_record(identity: str) -> Record:
 
 
 def line_of(record: Record) -> bytes:
-    """A record as it is written."""
+    """Return a record as a line of the file."""
     return json.dumps(record, ensure_ascii=False).encode() + b"\n"
 
 

@@ -207,7 +207,7 @@ def _words_read(
 
 
 def words_in(text: str) -> list[str]:
-    """The words of a text as they are compared: lower case, no punctuation, digits by name."""
+    """Return the words of a text for comparison: lower case, no punctuation, digits by name."""
     return [_DIGITS.get(word, word) for word in re.findall(r"[\w']+", text.lower())]
 
 

@@ -74,7 +74,7 @@ def trial_study(methods: Sequence[str], size: Size, seed: int = 0) -> tuple[Stud
 def simulated_study(
     study: Study, key: Key, taste: Taste, characters: Sequence[Character], seed: int
 ) -> Counted:
-    """What counts of the answers of simulated raters, written and read as a file's lines."""
+    """Simulate raters' answers, as lines of a file, and return which of them count."""
     numbers = np.random.default_rng(seed)
     records = simulated_records(study, key, taste, characters, numbers)
     content = b"".join(map(line_of, records))

@@ -88,7 +88,10 @@ class StudyDesk:
         }
 
     def join(self, given: Any) -> Mapping[str, Any]:
-        """A rater who agrees; the first item that they have not answered."""
+        """Let a rater who agrees join; return the first item that they have not answered.
+
+        Raises RequestError.
+        """
         name = given.get("rater")
         if given.get("agrees") is not True:
             raise RequestError("a rater must agree before taking part")
@@ -97,7 +100,7 @@ class StudyDesk:
         return self._next(self._answers.join(name, len(self.study.sheets)))
 
     def next_item(self, name: str) -> Mapping[str, Any]:
-        """The first item that a rater has not answered; its number is None when all are."""
+        """Return the first item that a rater has not answered; its number is None when all are."""
         return self._next(self._answers.rater(name))
 
     def answer(self, name: str, given: Any) -> Mapping[str, Any]:
@@ -305,7 +308,7 @@ def study_token(folder: Path) -> str:
 
 
 def minutes_of(study: Study) -> int:
-    """How long a rater takes, about: what is played, and so long for each answer."""
+    """Estimate how many minutes a rater takes: the clips, and a time for each answer."""
     thinking_s = {"reading": 15.0, "sound": 15.0, "rating": 5.0, "pair": 6.0, "check": 3.0}
     seconds = sum(
         thinking_s[item.kind] + sum(study.duration_s[clip] for clip in item.clips)

@@ -261,7 +261,7 @@ def _edges(triangle: Indices) -> list[tuple[int, int]]:
 
 
 def _turned(triangle: Indices) -> tuple[int, ...]:
-    """The same for every corner that it may begin with, but not for the other side."""
+    """Return the triangle with its least corner first, so that only its orientation matters."""
     first = int(np.argmin(triangle))
     return tuple(int(each) for each in np.roll(triangle, -first))
 

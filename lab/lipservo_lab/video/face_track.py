@@ -161,7 +161,7 @@ def usual_step_s(times_s: Array) -> float:
 
 
 def picture_rate_hz(times_s: Array) -> float:
-    """The constant rate that time stamps (n,) are nearest to; a usual one where it is that."""
+    """Return the constant rate nearest to time stamps (n,), Hz: a usual one if close enough."""
     rate_hz = 1.0 / usual_step_s(times_s)
     nearest = min(_USUAL_HZ, key=lambda usual: abs(usual - rate_hz))
     return nearest if abs(nearest / rate_hz - 1) < _SAME_RATE else round(rate_hz, 2)

@@ -67,7 +67,7 @@ class ShiftCurve:
 
     @property
     def best_s(self) -> float:
-        """Where it is greatest, between the steps by the parabola through the three highest."""
+        """The shift of the greatest correlation, s, by the parabola through the three highest."""
         peak = int(self.correlations.argmax())
         if not 0 < peak < len(self.correlations) - 1:
             return float(self.shifts_s[peak])
@@ -97,7 +97,7 @@ def shift_curve(seen: Array, times_s: Array, expected: Array) -> ShiftCurve:
 
 
 def correlation(one: Array, other: Array) -> float:
-    """Pearson's of (n,) and (n,); 0 where one of them does not move."""
+    """Return Pearson's correlation of (n,) and (n,); 0 where one of them does not move."""
     spread = float(one.std() * other.std())
     if spread < 1e-9:
         return 0.0

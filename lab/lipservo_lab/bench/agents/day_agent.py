@@ -50,7 +50,7 @@ class _Transport(FrameProcessor):
         self.ended = asyncio.Event()
 
     async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
-        """Note it and hand it on."""
+        """Count a frame's sound, or note the end of a turn; pass the frame on."""
         await super().process_frame(frame, direction)
         if isinstance(frame, TTSAudioRawFrame):
             self.sound_s += len(frame.audio) / (2 * frame.sample_rate)

@@ -65,7 +65,7 @@ class _Life:
             self.seen.append((time.monotonic() - self.began_s, rss_mb, n_threads))
 
     def growth(self) -> tuple[float, float, int]:
-        """How long it was watched after it was warm, and by how much both grew."""
+        """Return how long the warm process was watched, and how memory (MB) and threads grew."""
         warm = [each for each in self.seen if each[0] >= _WARM_S]
         if not warm:
             return 0.0, 0.0, 0
@@ -164,7 +164,7 @@ class _Day:
         }
 
     def _is_mute(self, turn: dict[str, float]) -> bool:
-        """Whether its sound moved no lips though the face had long been back."""
+        """Return whether a turn moved no lips, though no event excuses that."""
         began_s, ended_s = turn["began_s"], turn["ended_s"]
         if any(from_s <= ended_s and began_s <= to_s for from_s, to_s in self._troubles):
             return False

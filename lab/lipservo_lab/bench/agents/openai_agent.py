@@ -58,7 +58,7 @@ class _OpenAiAgent:
 
 @asynccontextmanager
 async def openai_agent(face: VirtualFace) -> AsyncIterator[_OpenAiAgent]:
-    """An agent that speaks through the face while it is entered."""
+    """Yield an agent that speaks through the face."""
     async with lipservo.connect_async(face.url) as connection:
         yield _OpenAiAgent(_example().RealtimeVoice(connection))
 

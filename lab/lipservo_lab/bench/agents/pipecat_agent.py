@@ -86,7 +86,7 @@ class _Listener(FrameProcessor):
         self.interrupted = asyncio.Event()
 
     async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
-        """Note it and hand it on."""
+        """Count a frame's samples, or note an interruption; pass the frame on."""
         await super().process_frame(frame, direction)
         if isinstance(frame, TTSAudioRawFrame):
             self.heard.update(np.frombuffer(frame.audio, "<i2").tolist())
@@ -134,7 +134,7 @@ class _PipecatAgent:
 
 @asynccontextmanager
 async def pipecat_agent(face: VirtualFace) -> AsyncIterator[_PipecatAgent]:
-    """An agent that speaks through the face while it is entered."""
+    """Yield an agent that speaks through the face."""
     logger.disable("pipecat")
     agent, began = _PipecatAgent(face), asyncio.Event()
 

@@ -51,7 +51,7 @@ class CountingLoudspeaker:
         self._waiting.append(samples)
 
     def position(self) -> tuple[float, float] | None:
-        """The caller's clock drives, not this one's."""
+        """Return None: the caller's clock counts, not the loudspeaker's."""
         return None
 
     def silence_rest(self) -> float:

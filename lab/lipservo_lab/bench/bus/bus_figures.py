@@ -164,7 +164,7 @@ _REPLUG_RATE_HZ = 50.0
 
 
 def scheduling() -> str:
-    """The class that wire and fault figures are measured in, as `chrt` names it."""
+    """Return the scheduling class of wire and fault figures, as `chrt` names it."""
     with on_time() as granted:
         return "SCHED_FIFO" if granted else "SCHED_OTHER"
 

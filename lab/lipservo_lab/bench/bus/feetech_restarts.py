@@ -67,10 +67,7 @@ def over_bound(case: Restart) -> float:
 
 
 def fastest_deg_s(case: Restart) -> float:
-    """How fast the shaft of the servo that restarted went within a second of it, degrees a second.
-
-    From its restart on, so that a motion before it does not count.
-    """
+    """Return the top speed of the restarted servo's shaft within a second of its restart, deg/s."""
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 260.0) for n in range(1, _N_SERVOS + 1)]
     model = servo_models()[case.model]
     servos = [MountedServo(joint, model, 1) for joint in joints]

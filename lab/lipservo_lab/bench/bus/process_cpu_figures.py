@@ -51,7 +51,7 @@ _COUNT: Final = struct.Struct("<Q")
 
 
 def moving_deg(time_s: float) -> np.ndarray:
-    """Where the joints are wanted: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    """Return the joints' targets: 4 degrees to and fro at 2 Hz, (n_servos,)."""
     return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * time_s + 0.3 * np.arange(N_SERVOS)))
 
 
@@ -60,11 +60,11 @@ class Rounds(Protocol):
 
     @property
     def n(self) -> int:
-        """Rounds of its loop."""
+        """Rounds of the process's loop so far."""
 
     @property
     def is_driven(self) -> bool:
-        """Whether it drives its servos."""
+        """Whether the process drives its servos."""
 
 
 @dataclass(slots=True)
@@ -145,7 +145,10 @@ class _BridgeTicks:
 
 @contextmanager
 def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """A loop with dynamixel-sdk or rustypot, its servos at rest; kind: of `CLIENTS`."""
+    """Run a loop with dynamixel-sdk or rustypot in a process; yield it with servos at rest.
+
+    kind: of `CLIENTS`.
+    """
     with ExitStack() as stack:
         writer, reader = (stack.enter_context(end) for end in channel_pair())
         count = os.memfd_create("rounds")
@@ -215,7 +218,7 @@ def _face_yaml(baud_rate: int) -> str:
 def _running(
     command: Sequence[str], fds: Sequence[int], folder: Path | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A process; gone afterwards. folder: where it keeps what it writes."""
+    """Run a process until the block ends. folder: for its state; None: the user's own."""
     environment = dict(os.environ)
     if folder is not None:
         environment |= {"XDG_STATE_HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}

@@ -97,7 +97,7 @@ def timed(work: Callable[[Any], object], argument: object) -> int:
 
 
 def moving_deg(n: int) -> np.ndarray:
-    """Where the joints are wanted in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    """Return the joints' targets in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
     phase = 0.3 * np.arange(N_SERVOS)
     return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + phase))
 

@@ -112,7 +112,7 @@ class RustypotClient:
         return [motion["current"].tolist(), motion["position"].tolist(), self._next_health()]
 
     def _next_health(self) -> list[int]:
-        """Torque, hardware error and watchdog of a servo; the next time its voltage and heat."""
+        """Read torque, hardware error and watchdog of a servo; in turns, its voltage and heat."""
         turn, kind = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
         if kind:

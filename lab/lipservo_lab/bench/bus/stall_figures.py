@@ -32,7 +32,7 @@ class _StallingBus(SimulatedBus):
         self.stalls_s = time_s
 
     def feedback(self) -> Feedback:
-        """What is known of the servos, once the wire has gone on."""
+        """Return the feedback, once the stalled wire goes on."""
         if time.monotonic() >= self.stalls_s:
             self.stalls_s = float("inf")
             time.sleep(_STALL_S)

@@ -96,7 +96,10 @@ def _mounted(draw: ElasticDraw, jaw_deg: float) -> ElasticDraw:
 
 
 def _nearest_mm(draw: ElasticDraw, limits_deg: Array) -> float:
-    """How near the middles of the lips come, each joint in turn at its better end, twice round."""
+    """Return the least gap between the middles of the lips, mm.
+
+    Each joint in turn is moved to its better end, twice round.
+    """
     face, n = ElasticFace(draw), len(limits_deg)
     pose_deg = np.zeros((1, n))
     for joint in (*range(n), *range(n)):

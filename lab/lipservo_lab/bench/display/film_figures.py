@@ -159,10 +159,7 @@ def seen_figures(
     motions: Mapping[str, Array],
     sentences: Sequence[Utterance],
 ) -> dict[str, object]:
-    """Lip gaps, closures and words of tracks against those of the wanted frames.
-
-    tracks: of `tracked_film`. sentences: of the corpus, those of `motions` held out; the reader
-    learns from the others as they were recorded.
+    """Compare lip gaps, closures and read words of tracks with those of the wanted frames.
 
     The reader of words learns from the other sentences as they were recorded.
 
@@ -228,7 +225,7 @@ def seen_figures(
 
 
 def _markers_mm(face: FaceModel, tracks: Mapping[str, Array]) -> dict[str, Array]:
-    """The model's points of tracks, as they move from the film's own rest, laid at the model's."""
+    """Return the tracked points of the model, moved from the model's rest as from the film's."""
     rigid = np.concatenate([each[:, RIGID] for each in tracks.values()]) * _TO_FACE_AXES
     mean = refine_mean(rigid, (*_EYES, _EYE_DISTANCE_MM))
     chosen = list(face.layout.landmarks)

@@ -87,7 +87,7 @@ async def _is_true(ask: Any, expression: str) -> bool:
 
 @asynccontextmanager
 async def _new_page(program: str) -> AsyncIterator[Any]:
-    """A browser with nothing in its cache; asks it by the Chrome DevTools Protocol."""
+    """Run a browser with an empty cache; yield a function for Chrome DevTools commands."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         quiet = subprocess.DEVNULL
         command = [program, *_FLAGS, f"--user-data-dir={folder}", "about:blank"]
@@ -99,7 +99,10 @@ async def _new_page(program: str) -> AsyncIterator[Any]:
 
 
 async def _page_url(file: Path) -> str:
-    """The debugger's URL of its first page."""
+    """Return the debugger's URL of the browser's first page.
+
+    file: where the browser writes its port.
+    """
     while not file.exists() or len(file.read_text().splitlines()) < 2:
         await asyncio.sleep(_LOOK_S)
     port = file.read_text().splitlines()[0]
@@ -182,7 +185,7 @@ def face_figures(voices: Sequence[Path], seconds: float, advance: Advance) -> di
 
 
 def heard(voices: Sequence[Path]) -> list[VoiceFrame]:
-    """What a tracker says of sound files, one after the other; without one, of the bundled clip.
+    """Return the voice tracker's frames of sound files; without files, of the bundled clip.
 
     Raises SoundError.
     """

@@ -149,7 +149,7 @@ def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
 
 
 def _dashboard() -> int:
-    """The process of the dashboard. Raises RuntimeError where it has ended."""
+    """Return the process id of the dashboard. Raises RuntimeError where it has ended."""
     if (pid := child_of(os.getpid(), "dashboard")) is None:
         raise RuntimeError("the dashboard has ended")
     return pid

@@ -140,7 +140,7 @@ def followed_language(
 def _settled(
     recognizer: NetworkRecognizer, spoken: SynthesizedSpeech, words: Sequence[PronouncedWord]
 ) -> list[PhonemeEvent]:
-    """The settled phonemes of a sound as it comes live, the words given before it."""
+    """Return the final phonemes of a sound played live, with its words given beforehand."""
     samples = soxr.resample(spoken.samples, spoken.sample_rate_hz, SAMPLE_RATE_HZ)
     n_tail = round((recognizer.latency_s + _TAIL_S) * SAMPLE_RATE_HZ)
     whole = np.concatenate((samples, np.zeros(n_tail, np.float32))).astype(np.float32)

@@ -25,7 +25,7 @@ Row = tuple[str, float, float]
 
 
 def _rows(rng: np.random.Generator) -> list[Row]:
-    """Phones with times to a hundredth, some pauses between them; neighbours are never equal."""
+    """Draw phones with times in hundredths of a second and some pauses; no neighbours are equal."""
     at_s = 0.1
     rows: list[Row] = []
     names = list(_IPA)
@@ -81,7 +81,7 @@ def _textgrid(tiers: dict[str, Sequence[Row]], end_s: float) -> str:
 
 
 def _stressed(rng: np.random.Generator, rows: Sequence[Row]) -> list[Row]:
-    """ARPAbet as people have it: one case for all, stress on vowels or none."""
+    """Return ARPAbet in one case, with stress on all vowels or on none."""
     case = (str.upper, str.lower, str.title)[int(rng.integers(3))]
     digit = str(rng.choice(["", "0", "1", "2"]))
     return [(case(x) + digit * (x in _VOWELS), s, e) for x, s, e in rows]
@@ -199,7 +199,7 @@ def _milliseconds(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _cut(rng: np.random.Generator, _folder: Path) -> OddInput:
-    """Cut in its first three quarters: refused, or reported."""
+    """Cut a label file in its first three quarters: to be refused, or reported."""
     rows = _rows(rng)
     sound_s = _sound_s(rows)
     formats = {

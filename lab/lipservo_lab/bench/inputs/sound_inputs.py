@@ -88,7 +88,7 @@ def _channels(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 def _cut(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Cut anywhere in its middle: refused or reported."""
+    """Cut a sound file anywhere in its middle: to be refused, or reported."""
     kind, subtype = (("wav", "PCM_16"), ("mp3", "MPEG_LAYER_III"), ("ogg", "VORBIS"))[
         int(rng.integers(3))
     ]

@@ -102,7 +102,10 @@ def reading_question(
 def with_line_methods(
     reading: ReadingQuestion, models_of: Callable[[], OfflineModels]
 ) -> ReadingQuestion:
-    """The same with its line methods made ready; models_of: called only where there are any."""
+    """Return the question with its methods for whole lines made ready.
+
+    models_of: called only where there are any.
+    """
     if not reading.line_methods:
         return reading
     models = models_of()
@@ -283,7 +286,7 @@ def _robot_rows(
 def _robot_seen(
     split: _Split, robot: Face, advance: Advance, faces: Motions, rate_hz: float
 ) -> dict[ReaderKind, Motions]:
-    """What each kind of reader sees of the robot while it plays the sentences."""
+    """Return what each kind of reader sees of the robot while it plays the sentences."""
     shown = shown_markers_mm(
         robot, faces, rate_hz, split.read[0].frame_rate_hz, partial(advance, f"{ROBOT} plays")
     )

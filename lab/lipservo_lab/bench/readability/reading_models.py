@@ -38,7 +38,7 @@ def requested_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Par
 
 
 def model_file(part: Part) -> str:
-    """What the file of a part's model is called: `known.npz`, `a.npz`, `words.npz`."""
+    """Return the file name of a part's model: `known.npz`, `a.npz`, `words.npz`."""
     return f"{part.split.removeprefix(_NEW)}.npz"
 
 
@@ -74,9 +74,10 @@ def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) ->
 def kept_models(
     corpus: Corpus, track: Track, tell: Callable[[str], None], others: Sequence[Path]
 ) -> ModelOf:
-    """The same, kept from one run to the next; `bench motion --leave-words-out` uses them too.
+    """Train models, kept from one run to the next; return a function from a part to its model.
 
-    others: files of weights that hear the sentences too.
+    `bench motion --leave-words-out` uses the same models. others: files of weights that recognise
+    the sentences too.
     """
     weights = [load_weights(path) for path in others]
     digests = tuple(weights_digest(str(path)) for path in others)

@@ -61,12 +61,12 @@ class PlayedMotion:
         """Ignore phonemes."""
 
     def frame_at(self, time_s: float) -> Frame:
-        """The face at a sound time; before and after all of them the first and the last."""
+        """Return the face at a sound time, s; the first or last face outside their times."""
         columns = [np.interp(time_s, self._times_s, column) for column in self._faces.T]
         return Frame(time_s, np.array(columns))
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """The faces of the next 200 ms; where their lips begin to touch, they must."""
+        """Return the faces of the next 200 ms, and where their lips begin to touch."""
         times_s = frame.time_s + _AHEAD_S
         columns = [np.interp(times_s, self._times_s, column) for column in self._faces.T]
         faces = np.stack(columns, axis=1)
@@ -92,10 +92,10 @@ Progress = Callable[[int, int], None]
 
 
 def calibrated_robot(model: FaceWithAnimPhos) -> Face:
-    """`face_sim`, calibrated for the model as `lipservo calibrate fit` does it.
+    """Return `face_sim`, calibrated for the model as `lipservo calibrate fit` does it.
 
-    Its servos are those of the shipped calibration, so how late they are is taken from there.
-    Raises UserError for a model of other points than the robot is measured at.
+    The servos' lags are those of the shipped calibration. Raises UserError for a model of other
+    points than the robot is measured at.
     """
     if model.layout.names != MARKERS_47.names:
         raise UserError(f"{ROBOT} shows the 47 markers, this model has {model.layout.name}")

@@ -103,7 +103,7 @@ class FreezeOutcome:
 
     @property
     def kept(self) -> bool:
-        """Whether all was as it was answered."""
+        """Whether everything was as the answer says."""
         return not (self.untrue or self.armed or self.moved or self.error)
 
     def __str__(self) -> str:
@@ -115,7 +115,7 @@ class FreezeOutcome:
 
 
 def freeze_batches(cases: Sequence[FreezeCase]) -> list[list[FreezeCase]]:
-    """The same cases in batches that share a face; of programs that are started, each its own."""
+    """Return the cases in batches that share a face; a case that starts a program has its own."""
 
     def shared(case: FreezeCase) -> tuple[str, bool]:
         return case.bus, case.state is Frozen.RUN_STARTING
@@ -174,7 +174,7 @@ def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
 
 
 def _play_run(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
-    """A program's freeze comes while it arms its servos."""
+    """Freeze a program while it switches torque on."""
     face.begin_face("run", "--wav", str(CLIP))
     _until_armed(face)
     _freeze(face, case, outcome)

@@ -165,7 +165,7 @@ class RobotAtPort:
     def start(
         self, *arguments: str, stdin: int = subprocess.DEVNULL, output: int | None = None
     ) -> subprocess.Popen[bytes]:
-        """A `lipservo` process, whose faces are found by none but those of this session."""
+        """Start a `lipservo` process, whose faces are found only by programs of this session."""
         return self.start_python("-m", "lipservo", *arguments, stdin=stdin, output=output)
 
     def start_python(
@@ -188,7 +188,7 @@ class RobotAtPort:
         return process
 
     def _surroundings(self) -> dict[str, str]:
-        """No place in it is one of this user's or of another job's."""
+        """Return an environment without any folder of this user or of another job."""
         left_out = ("NOTIFY_SOCKET", "RUNTIME_DIRECTORY", "STATE_DIRECTORY")
         environment = {key: value for key, value in os.environ.items() if key not in left_out}
         environment["XDG_RUNTIME_DIR"] = str(self.session)
@@ -201,7 +201,7 @@ class RobotAtPort:
 
 
 def kill_all(process: subprocess.Popen[bytes]) -> None:
-    """A process and its children at once, as `killall -9` does; nothing where it has ended."""
+    """Kill a process and its children at once, as `killall -9` does; ignore an ended one."""
     if process.poll() is None:
         children = children_of(process.pid)
         process.kill()

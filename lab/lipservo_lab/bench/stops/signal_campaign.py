@@ -181,7 +181,7 @@ COMMANDS: Final = {
 
 
 def long_sound(robot: RobotAtPort) -> Path:
-    """Where the campaign puts a sound file that takes a while to examine."""
+    """Return where the campaign puts a sound file that takes a while to examine."""
     return robot.folder / "long.wav"
 
 

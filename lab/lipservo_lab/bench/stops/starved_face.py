@@ -234,7 +234,7 @@ def play_starved(minutes: float, advance: Callable[[int, int], None]) -> Starved
 
 @contextlib.contextmanager
 def _starved_face(minutes: float) -> Iterator[StarvedFace]:
-    """The face, once it speaks and starves."""
+    """Yield a face once it speaks and starves."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         shares = {each: stack.enter_context(processor_share(each, _SHARE)) for each in _HUNG_S}

@@ -80,7 +80,7 @@ def judge_limp(
 
 
 def judge_frozen(face: RunningFace, case: StopCase, since_s: float, outcome: StopOutcome) -> None:
-    """Held or limp, but where it was; none gets torque; a servo's fault is in the status."""
+    """Judge a freeze: no shaft moves, no servo gets torque, the status shows a servo's fault."""
     robot = face.robot
     brakes_s = BRAKES_S + (0.0 if case.client is StopClient.SOCKET else _THROUGH_OTHERS_S)
     robot.look(max(0.0, since_s + brakes_s - time.monotonic()))
@@ -125,7 +125,7 @@ def judge_waiting(
 
 
 def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
-    """A start drives it again."""
+    """Judge that a start drives the face again."""
     is_driven = face.status().get("state") == "driven"
     answer = {} if is_driven else face.start_again()
     outcome.came_back = face.robot.look_until(
@@ -155,7 +155,10 @@ def _watch(face: RunningFace, case: StopCase, requested: Requested, outcome: Sto
 
 
 def _others_late(face: RunningFace, case: StopCase) -> int:
-    """Servos of the faces beside it that can be reached: only the command line stops these."""
+    """Return how many servos of the other faces still hold though they can be reached.
+
+    Only a stop from the command line stops these.
+    """
     if case.client is not StopClient.COMMAND or case.trouble is not Trouble.OTHER_DEAF:
         return 0
     return sum(int(other.robot.torque[1:].sum()) for other in face.others)
@@ -164,7 +167,7 @@ def _others_late(face: RunningFace, case: StopCase) -> int:
 def judge_others(
     face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome
 ) -> None:
-    """`lipservo stop` lets go of a face that hangs, too, by force, before it ends."""
+    """Judge that `lipservo stop` releases a hung face by force, too, before the command ends."""
     process = requested.process
     if process is None or case.client is not StopClient.COMMAND or not face.others:
         return
@@ -362,7 +365,7 @@ def _receive_until(
     answers: dict[str, Answer | None],
     give_up_s: float,
 ) -> None:
-    """The answer; of a stop its end, too. came_s: when each came."""
+    """Receive the answer, and of a stop also the report of its end. came_s: when each came."""
     for each in (name, "ended") if name == "accepted" else (name,):
         with contextlib.suppress(OSError):
             answers[each] = receive(end, give_up_s)

@@ -119,7 +119,7 @@ def _meetings() -> Iterator[StopCase]:
 
 
 def _on_buses() -> Iterator[StopCase]:
-    """Stops of a face that starts, and the death of all its processes, on every kind of bus."""
+    """Yield stops of a starting face, and the death of all processes, on every kind of bus."""
     for bus, level, moment_s in product(BUSES, StopLevel, _ARMING_S):
         yield StopCase(level, Trouble.START_AGAIN, moment_s, bus=bus)
     for bus, moment_s in product(BUSES, _KILLED_S):

@@ -53,7 +53,7 @@ class StopClient(StrEnum):
 
     @property
     def loads_s(self) -> float:
-        """How long it may take before it can request anything."""
+        """Seconds that a client may take before it can request anything."""
         is_loaded = (StopClient.COMMAND, StopClient.CONNECT, StopClient.NO_ONE)
         return LOADS_S if self in is_loaded else 0.0
 

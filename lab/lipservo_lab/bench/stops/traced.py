@@ -116,7 +116,7 @@ class StopTracer:
             self._add(walk, frame)
 
     def submitted(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """What a thread of an executor runs, within the walk of who gives it."""
+        """Wrap what a thread of an executor runs, so that it belongs to the submitter's walk."""
         if self._walk.get() is None:
             return function
         return partial(contextvars.copy_context().run, function)

@@ -81,12 +81,12 @@ class SimulatedLoudspeaker:
 
     @property
     def latency_s(self) -> float:
-        """The lead must be at least this: its latency, a block of 10 ms, and its jitter."""
+        """The least lead: the loudspeaker's latency, a block of 10 ms, and its jitter, s."""
         return self._latency_s + 0.01 + self._jitter_s
 
     @property
     def n_underruns(self) -> int:
-        """How often nothing was written in time while it needed more."""
+        """How often samples were not written in time."""
         return self._ring.n_underruns
 
     def write(self, samples: Samples) -> None:
@@ -119,9 +119,9 @@ class SimulatedLoudspeaker:
             self._late_s = self._jitter_s * float(self._rng.random())
 
     def played(self) -> tuple[Samples, Seconds]:
-        """The samples (n,) of the timeline that it has taken, and when each leaves it (n,).
+        """Return the samples (n,) taken from the timeline, and when each leaves, (n,) s.
 
-        Zeros that it played for want of samples are not among them.
+        Zeros that were played for want of samples are not among them.
         """
         if not self._played:
             return np.zeros(0, dtype=np.float32), np.zeros(0)

@@ -48,11 +48,11 @@ class Crossings:
 
 
 def sounding_closures(text: SynthesizedSpeech) -> Crossings:
-    """What the sound asks for: closed from the onset of each P, B, M to its release.
+    """Return when lips should close and part: from the onset of each P, B, M to its release.
 
     The release is where the closure's silence ends, at the burst; without silence the end of the
-    phoneme. Neighbours among them are one closure. Beside a silence lips may rest closed: there
-    there is no wanted closure.
+    phoneme. Neighbouring P, B, M are one closure. Beside a silence lips may rest closed: there no
+    closing or parting is wanted.
     """
     phonemes = text.phonemes
     closing_s: list[float] = []
@@ -249,9 +249,9 @@ def _spoken(
 
 
 def first_sample_s(text: SynthesizedSpeech, loudspeaker: SimulatedLoudspeaker) -> float:
-    """When a text's first sample left the loudspeaker.
+    """Return when a text's first sample left the loudspeaker, s.
 
-    The loudspeaker's samples are counted, not its reports believed. The first loud one tells:
+    Samples are counted, since the loudspeaker's reports have errors. The first loud sample decides:
     quieter ones may be a resampler's ringing.
     """
     samples, times_s = loudspeaker.played()

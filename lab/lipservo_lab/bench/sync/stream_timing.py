@@ -45,7 +45,7 @@ class BargeIn:
 
 
 def first_seen(text: SynthesizedSpeech) -> FirstSeen:
-    """A stream that begins with sound at its first byte, sent at the pace of speech."""
+    """Play a stream whose first byte is sound, at the pace of speech; return when it is shown."""
     voiced = _from_first_sound(text)
     robot = SpeakingRobot(is_listening=True)
     feed = _Feed(robot, voiced, text.sample_rate_hz, _even(len(voiced), text.sample_rate_hz))
@@ -170,7 +170,7 @@ def _ends(n_samples: int, rate_hz: int) -> Iterator[int]:
 
 
 def _jittery(n_samples: int, rate_hz: int, rng: np.random.Generator) -> list[tuple[float, int]]:
-    """The same in bursts: one in twenty comes 100 to 400 ms late, and all behind it wait for it."""
+    """Return a schedule in bursts: one chunk in twenty is 100 to 400 ms late, the rest wait."""
     at_s, schedule = 0.0, []
     for n, end in enumerate(_ends(n_samples, rate_hz)):
         late_s = float(rng.uniform(0.1, 0.4)) if rng.random() < 0.05 else 0.0

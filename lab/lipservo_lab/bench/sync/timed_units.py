@@ -126,7 +126,7 @@ def _at(
 
 
 def _one_after_the_other(events: Sequence[PhonemeEvent]) -> tuple[PhonemeEvent, ...]:
-    """The events in this order, each as long as it was, from 0 on."""
+    """Return the events one after the other from 0 on, each as long as before."""
     at_s, moved = 0.0, []
     for event in events:
         duration_s = (event.end_s or event.start_s) - event.start_s

@@ -360,7 +360,7 @@ def rehearse(
 
 
 def _is_rehearsal(head: bytes) -> bool:
-    """What people answered is never written over."""
+    """Return whether a file is of simulated answers; those of people are never overwritten."""
     return b'"simulated"' in head.partition(b"\n")[0]
 
 

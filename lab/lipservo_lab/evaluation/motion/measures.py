@@ -177,7 +177,7 @@ def _closure_hits(
 
 
 def is_bilabial(phoneme: str) -> bool:
-    """Whether the lips must touch for it: P, B, M."""
+    """Return whether the lips must touch for a phoneme: P, B, M."""
     return phoneme in _BILABIALS
 
 

@@ -175,7 +175,7 @@ class PublishedMethod:
 
     @property
     def name(self) -> str:
-        """The name of its selection."""
+        """The name of the method's selection."""
         return self.strategy.name
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole

@@ -85,7 +85,7 @@ def held_out_parts(
 
 
 def words_part(split: str, corpus: Corpus, words: frozenset[str]) -> Part:
-    """Trained without every sentence that holds any of the words, scored on those words alone."""
+    """Return a part trained without sentences that hold the words, scored on the words alone."""
     words_of = {u.name: {w.text for w in u.words} for u in corpus.utterances}
     test = frozenset(name for name, texts in words_of.items() if texts & words)
     missing = sorted(words - set().union(*words_of.values()))
@@ -179,7 +179,7 @@ def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
 
 
 def seen_in_training(model: TrainedModel, utterances: Iterable[Utterance]) -> list[str]:
-    """Names of sentences that the model was trained on: their figures flatter it."""
+    """Return the names of sentences that the model was trained on: their figures flatter it."""
     trained = set(model.training_sentences)
     return [u.name for u in utterances if u.name in trained]
 

@@ -322,7 +322,7 @@ def animpho_use(model: TrainedModel, sentences: Sequence[Utterance]) -> Row:
 
 
 def _agreement(sentence: Utterance, listen: Listen) -> Row:
-    """The share of a sentence's speech that the recogniser labels as its labels have it."""
+    """Return the share of a sentence's speech that the recogniser labels as its labels do."""
     times_s = np.arange(0.0, sentence.phones[-1].start_s, _COMPARED_S)
     spoken = _phonemes_at(sentence.phones, times_s)
     heard = _phonemes_at(listen(sentence).events, times_s)

@@ -38,12 +38,12 @@ _PAUSES = ("sp", "sil")
 
 
 def spoken_words(utterance: Utterance) -> tuple[Word, ...]:
-    """The words of a sentence without its pauses; the n-th stands in slot n."""
+    """Return the words of a sentence without its pauses; the n-th is in slot n."""
     return tuple(word for word in utterance.words if word.text not in _PAUSES)
 
 
 def slotted(utterances: Sequence[Utterance]) -> list[Utterance]:
-    """The labelled sentences with as many words as most have: those whose slots are the same.
+    """Return the labelled sentences with the most frequent number of words, thus equal slots.
 
     Raises CorpusError where no sentence has words.
     """
@@ -135,7 +135,7 @@ def _discriminant() -> Classifier:
 
 
 def _lips_from_rest(model: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
-    """Gap, width and protrusion in mm, less those of the mouth at rest."""
+    """Return gap, width and protrusion, mm, less those of the mouth at rest."""
     rest_mm = model.markers_mm(model.rest[None])
     return lip_shapes_mm(model, markers_mm) - lip_shapes_mm(model, rest_mm)
 
@@ -240,9 +240,10 @@ class Fold:
 def known_fold(
     kind: ReaderKind, sentences: Sequence[Utterance], test: frozenset[str], recorded: Motions
 ) -> tuple[Fold, ...]:
-    """The one fold of known words; sentences: those of `slotted`, the test among them.
+    """Return the one fold of known words.
 
-    Raises CorpusError where the test holds none of them, or all.
+    sentences: from `slotted`, the test among them. Raises CorpusError where the test holds none of
+    them, or all.
     """
     read = tuple(u for u in sentences if u.name in test)
     fitted = [u for u in sentences if u.name not in test]

@@ -152,12 +152,12 @@ def percentiles(samples: Array) -> tuple[float, float]:
 
 
 def recorded_motions(model: FaceModel, sentences: Iterable[Utterance], kind: ReaderKind) -> Motions:
-    """Recorded faces as a reader sees them, at the recording's frames."""
+    """Return recorded faces as a reader sees them, at the recording's frames."""
     return {u.name: kind.view(model, u.markers_mm) for u in sentences}
 
 
 def seen_motions(model: FaceModel, faces: Motions, kind: ReaderKind) -> Motions:
-    """Faces (n_frames, n_components) of sentences as a reader sees them."""
+    """Return faces, (n_frames, n_components) by sentence, as a reader sees them."""
     return {name: kind.view(model, model.markers_mm(each)) for name, each in faces.items()}
 
 
@@ -184,5 +184,5 @@ def made_faces(
 
 
 def seen_until_s(utterance: Utterance) -> float:
-    """When a reader has seen the last word, and the frame after it."""
+    """Return when a reader has seen the last word, and the frame after it, s."""
     return spoken_words(utterance)[-1].end_s + MARGIN_S + 1.0 / utterance.frame_rate_hz

@@ -80,7 +80,7 @@ class ClosingBench:
 
     @property
     def delay_s(self) -> float:
-        """How much later than its sound a face is known: the constant part, servos apart."""
+        """The constant delay from sound to face, without servos, s."""
         return self._recognizer.latency_s + self._synthesizer.lookahead_s + BLOCK_S
 
     def watch(self, samples: Samples, from_s: float) -> Mouth:
@@ -211,7 +211,7 @@ def vowel_cuts(phones: Phones) -> list[float]:
 
 
 def stop_onsets(phones: Phones) -> list[float]:
-    """Where a stop consonant follows a vowel, s."""
+    """Return where a stop consonant follows a vowel, s."""
     return [
         onset * BLOCK_S
         for (before, _, _), (phone, onset, _) in pairwise(phones)
@@ -220,7 +220,7 @@ def stop_onsets(phones: Phones) -> list[float]:
 
 
 def cut_dead(samples: Samples, cut_s: float) -> tuple[Samples, float]:
-    """The last two seconds before the cut, then digital silence; and where in it the cut is, s."""
+    """Return two seconds before a cut, then digital silence, and when the cut comes in them."""
     cut = round(cut_s * SAMPLE_RATE_HZ)
     spoken = samples[max(0, cut - round(_BEFORE_S * SAMPLE_RATE_HZ)) : cut]
     silence = np.zeros(round(_AFTER_S * SAMPLE_RATE_HZ), np.float32)

@@ -58,7 +58,7 @@ def mouth_during(
 
 
 def nonspeech_figures(mouths: Iterable[MouthDuringSound]) -> dict[str, float]:
-    """Shares of the time of all sounds together, openings a minute of it, the widest of all."""
+    """Return shares of all sounds' time, openings a minute, and the widest opening of all."""
     found = list(mouths)
     seconds = sum(mouth.seconds for mouth in found)
     return {

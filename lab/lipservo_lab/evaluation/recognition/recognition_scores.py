@@ -76,13 +76,13 @@ def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _touches(run: tuple[int, int], flags: NDArray[np.bool_]) -> bool:
-    """Whether a True of `flags` lies in the run or within the slack of it."""
+    """Return whether `flags` has a True in the run or within the slack around it."""
     first, end = run
     return bool(flags[max(0, first - SLACK_FRAMES) : end + SLACK_FRAMES].any())
 
 
 def _apart(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, int]:
-    """Frames between two runs, 0 where they overlap; and between their onsets."""
+    """Return the frames between two runs, 0 where they overlap, and between their onsets."""
     return max(0, one[0] - other[1], other[0] - one[1]), abs(one[0] - other[0])
 
 

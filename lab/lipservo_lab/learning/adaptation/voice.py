@@ -73,7 +73,7 @@ class Voice:
 def only_speaker(
     utterances: tuple[TranscribedUtterance, ...], speaker: str | None
 ) -> tuple[TranscribedUtterance, ...]:
-    """The utterances of one speaker; VoiceError where it is not clear which."""
+    """Return the utterances of one speaker; VoiceError where it is not clear which."""
     names = sorted({each.speaker for each in utterances})
     if speaker is None and len(names) > 1:
         raise VoiceError(f"{len(names)} speakers; choose one with --speaker: {', '.join(names)}")

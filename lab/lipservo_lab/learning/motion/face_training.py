@@ -350,7 +350,7 @@ def clustered_alike(segments: Segments, rest: Array, component: int, seed: int) 
 
 
 def _clustered(vectors: Array, weights: Array, seed: int) -> tuple[Array, NDArray[np.int64]]:
-    """k-means: centres (m, d), and of each vector its cluster."""
+    """Cluster vectors by k-means; return centres (m, d), and the cluster of each vector."""
     m = min(len(np.unique(vectors, axis=0)), math.ceil(_ANIMPHOS_PER_SEGMENT * len(vectors)))
     kmeans = KMeans(m, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=seed)
     cluster = kmeans.fit_predict(vectors, None, weights)

@@ -148,7 +148,7 @@ def counted_training_set(
 
 
 def counted_sentences(utterances: Sequence[Utterance]) -> list[int]:
-    """Numbers of the utterances, each there as often as its speaker counts."""
+    """Return the utterances' numbers, each as often as its speaker counts."""
     chosen: list[int] = []
     for weight in dict.fromkeys(u.weight for u in utterances):
         of_weight = [i for i, u in enumerate(utterances) if u.weight == weight]

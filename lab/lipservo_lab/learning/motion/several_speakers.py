@@ -220,12 +220,12 @@ def on_one_face(
 
 
 def speaker_name(name: str) -> str:
-    """Whose sentence of several speakers' it is; "" where it is of one speaker's corpus."""
+    """Return the speaker in a name SPEAKER/NAME; "" in a single speaker's corpus."""
     return name.rpartition(SEPARATOR)[0]
 
 
 def sentence_name(name: str) -> str:
-    """The name of a sentence in its own speaker's folder."""
+    """Return the name of a sentence in its own speaker's folder."""
     return name.rpartition(SEPARATOR)[2]
 
 
@@ -254,7 +254,7 @@ def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[s
 def _moved(
     spoken: Sequence[Utterance], face_map: FaceMap, frame_rate_hz: float
 ) -> tuple[Utterance, ...]:
-    """A speaker's sentences on the target's face, at its frame rate."""
+    """Map a speaker's sentences to the target's face, at the target's frame rate."""
     on_target = [
         replace(u, markers_mm=face_map.on_target(u.markers_mm).astype(np.float32)) for u in spoken
     ]

@@ -250,7 +250,10 @@ def train_offline(
 
 
 def _rows_of_face(corpus: Corpus, face: FaceModel) -> Indices:
-    """Which points of the corpus are those of the face, (n_points,), by their landmarks."""
+    """Return which points of the corpus are the face's, (n_points,), by their landmarks.
+
+    Raises BuildingError where one is missing.
+    """
     row_of = {landmark: row for row, landmark in enumerate(corpus.layout.landmarks)}
     missing = [n for n in face.layout.landmarks if n not in row_of]
     if missing:

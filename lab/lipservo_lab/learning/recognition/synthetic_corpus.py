@@ -41,11 +41,11 @@ class SyntheticVoice:
 
     @property
     def folder_name(self) -> str:
-        """What its corpus, and so its speaker, is called."""
+        """The name of the voice's corpus, and so of its speaker."""
         return f"{self.synthesizer}-{self.voice}"
 
     def at(self, rate_wpm: int, pitch: int) -> Voice:
-        """The voice as the synthesiser wants it; only espeak-ng has a choice of pitch."""
+        """Return the voice as the synthesiser wants it; only espeak-ng has a choice of pitch."""
         if self.synthesizer == "espeak":
             return Voice(self.voice, "", rate_wpm, pitch)
         return replace(Voice(name=self.voice), rate_wpm=rate_wpm)

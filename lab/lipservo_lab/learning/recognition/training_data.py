@@ -78,7 +78,7 @@ def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) ->
 
 
 def feature_scale(recordings: Iterable[LabelledSamples]) -> FeatureScale:
-    """What is typical of these recordings."""
+    """Return the mean and scale of features over all recordings."""
     return FeatureScale.of(LogMelStream().push(each.samples) for each in recordings)
 
 
