@@ -123,7 +123,10 @@ class PatchingFinder(importlib.abc.MetaPathFinder):
 
 
 def install(folder: str) -> None:
-    """Patch name look-ups, disk, clock and status of this process, to fail while a flag exists."""
+    """Patch this process: name look-ups and disk get slow, clocks jump, status fails, by flags.
+
+    Each trouble is on while its flag file exists in `folder`.
+    """
     troubles = Troubles(folder)
     for module, names in LOOK_UPS:
         for name in names:

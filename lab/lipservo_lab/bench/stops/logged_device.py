@@ -168,7 +168,7 @@ class LoggedDevice:
         return _FOREVER if self._is_out.is_set() else self.device.next_delivery_s
 
     def unplug(self) -> None:
-        """Pull the plug: servos keep their power and their state."""
+        """Pull the plug: servos keep their power, and go on as before."""
         self._is_out.set()
 
     def plug_in(self) -> None:
