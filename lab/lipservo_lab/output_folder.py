@@ -22,7 +22,10 @@ def check_output_folder(folder: Path, what: str) -> None:
 
 @contextmanager
 def folder_written_whole(folder: Path) -> Iterator[Path]:
-    """A folder to write into; it takes its name at the end, or vanishes when anything is raised."""
+    """Yield a folder to write into, which takes the name `folder` at the end.
+
+    If anything is raised the folder is removed. `folder` may exist if empty. Raises OutputError.
+    """
     partial = folder.with_name(folder.name + PARTIAL_SUFFIX)
     try:
         shutil.rmtree(partial, ignore_errors=True)

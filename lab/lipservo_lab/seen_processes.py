@@ -9,19 +9,19 @@ _TICKS_S: Final = os.sysconf("SC_CLK_TCK")
 
 
 def processor_s(pid: int) -> float:
-    """How long a process has run so far; 0 where it has ended."""
+    """Return a process's processor time so far, s; 0 where it has ended."""
     fields = _stat(pid)
     return (int(fields[11]) + int(fields[12])) / _TICKS_S if fields else 0.0
 
 
 def state_of(pid: int) -> str:
-    """One letter: R, S, T and so on; empty where it has ended."""
+    """Return a process's state as one letter: R, S, T and so on; empty where it has ended."""
     fields = _stat(pid)
     return "" if not fields or fields[0] in "ZX" else fields[0]
 
 
 def children_of(pid: int) -> list[int]:
-    """The processes that it started, by whichever of its threads."""
+    """Return the processes that a process started, by whichever of its threads."""
     found: list[int] = []
     for children in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):
@@ -30,7 +30,7 @@ def children_of(pid: int) -> list[int]:
 
 
 def child_of(pid: int, word: str) -> int | None:
-    """The process that it started with that word on its command line; None: there is none."""
+    """Return the child process with `word` as an argument of its command line; None: no such."""
     for child in children_of(pid):
         with contextlib.suppress(OSError):
             if word in Path(f"/proc/{child}/cmdline").read_text(errors="replace").split("\0"):
@@ -39,7 +39,7 @@ def child_of(pid: int, word: str) -> int | None:
 
 
 def descendants_of(pid: int) -> list[int]:
-    """What a process has started, and what that has."""
+    """Return all processes that a process started, and those that these started."""
     return [each for child in children_of(pid) for each in (child, *descendants_of(child))]
 
 

@@ -88,7 +88,7 @@ class Dominance:
 
 
 def distances_s(phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
-    """Return tau: negative before a phone's centre, positive after it.
+    """Return tau, the time of each frame relative to the centre of each phone: negative before it.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class PlainRegression:
     weights: Array
 
     def faces(self, phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
-        """Return faces in contexts.
+        """Return the faces that the regression predicts in n contexts.
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class PlainRegression:
 def fit_regression(
     phonemes: Indices, times_s: Array, lookahead_s: Array, faces: Array
 ) -> PlainRegression:
-    """Fit by least squares with a little ridge.
+    """Fit a linear regression from phoneme contexts to faces by least squares with a little ridge.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def _inputs(phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
 
 
 def viseme_centres(centres: Array, counts: Array) -> Array:
-    """Return each phoneme's centre replaced by the mean of its class.
+    """Return the centres with each phoneme's replaced by the mean of its viseme class.
 
     Parameters
     ----------
@@ -292,12 +292,13 @@ class Baselines:
 
 
 def read_baselines(file: ModelFile, n_components: int) -> Baselines:
-    """The baselines of an open model file, for a face with so many components.
+    """Read the baselines of an open model file, for a face with `n_components` components.
 
     Raises ModelError.
     """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> Baselines:
+        """Return the baselines in a file's arrays; raise ValueError where `centres` is unusable."""
         found = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
         centres = found["centres"]
         if centres.shape != (len(PHONEMES), n_components):

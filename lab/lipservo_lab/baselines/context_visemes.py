@@ -32,12 +32,12 @@ class ContextVisemes:
     faces: Array
 
     def best_for(self, phones: Sequence[PhonemeEvent]) -> Indices:
-        """The recorded phone for each of a line's, (n_phones,).
+        """Return the index of a recorded phone for each phone of a line, (n_phones,).
 
-        Its viseme class is the same; as many of its two neighbours as possible are of the same
-        classes. Among equals it is the same phoneme rather than another of the class, then has more
-        neighbours that are the same phonemes, then lasts most nearly as long, then came first. In
-        place of a class that was never recorded stands the first stand-in of the phoneme.
+        The recorded phone has the same viseme class, and as many of its two neighbours as possible
+        have the classes of the line's. Of several such: the same phoneme goes before another of its
+        class, then more equal neighbours, then the closest duration, then the earlier recording. A
+        class that was never recorded is replaced by that of the phoneme's first stand-in.
         """
         recorded = np.unique(self.phonemes[:, _ITSELF])
         known = frozenset(PHONEMES[i] for i in recorded)
@@ -65,6 +65,10 @@ class ContextVisemes:
         return np.asarray(self.faces[self.best_for(phones)])
 
     def _best(self, wanted: Indices, duration_s: float) -> int:
+        """Return the index of the recorded phone that suits a wanted one best, as `best_for` ranks.
+
+        wanted: (3,) numbers in PHONEMES of the phone before, of itself, and of the one after.
+        """
         same_class = _CLASS_OF[self.phonemes] == _CLASS_OF[wanted]
         same = self.phonemes == wanted
         around = [_BEFORE, _AFTER]
@@ -110,12 +114,12 @@ def recorded_visemes(
 
 
 def _contexts(phones: Sequence[PhonemeEvent]) -> Indices:
-    """(n_phones, 3), as `ContextVisemes.phonemes`."""
+    """Return the phoneme before each phone, its own, and that after it, (n_phones, 3) numbers."""
     silence = PHONEMES.index(SILENCE)
     names = [silence, *(PHONEMES.index(p.phoneme) for p in phones), silence]
     return np.array([names[i : i + 3] for i in range(len(phones))], dtype=np.int64)
 
 
 def _durations_s(phones: Sequence[PhonemeEvent]) -> Array:
-    """(n_phones,); 0 for one whose end is not known."""
+    """Return durations, (n_phones,) s; 0 for a phone whose end is not known."""
     return np.array([0.0 if p.end_s is None else p.end_s - p.start_s for p in phones])

@@ -93,7 +93,10 @@ def _add_sentence(
     targets: Array,
     faces: Array,
 ) -> float:
-    """The squared error of one sentence; its gradient by log rate and power is added to `slope`."""
+    """Return the squared error of one sentence; add its gradient to `slope`.
+
+    The gradient is by the logarithms of rates and powers.
+    """
     after = (tau_s > 0.0).astype(np.intp)
     each = np.broadcast_to(classes, tau_s.shape)
     rate, power = rates[each, after], powers[each, after]

@@ -19,9 +19,9 @@ from lipsync.phonemes import PHONEMES, VISEME_CLASSES
 
 @cache
 def visible_distances_mm() -> Array:
-    """Return the distance of the lips' shapes of two classes.
+    """Return how far the lip shapes of each two viseme classes are apart, in mm.
 
-    Classes that the face's sentences lack look like what stands in for them there.
+    A class that the face's sentences lack has the shape of the class that replaces it there.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def visible_distances_mm() -> Array:
 
 
 def visible_error_mm(confusion: NDArray[np.int64]) -> float:
-    """Return the mean error over all frames.
+    """Return how far, on average over frames, the shown lip shape is from the spoken one.
 
     Parameters
     ----------

@@ -31,7 +31,10 @@ _Outcome = TypeVar("_Outcome")
 def campaign_figures(
     every: int, progress: Callable[[int, int], None], *, bus: str, whole: bool = False
 ) -> tuple[dict[str, float], list[str]]:
-    """Play one case in `every`; what was survived, and a line for each case that was not."""
+    """Play one fault case in `every`; return the figures, and a line for each case not survived.
+
+    whole: every fault with every arming and stop.
+    """
     trials = trials_of(bus)
     chosen = list(cases(bus, whole=whole))[::every]
     outcomes = _in_turn(play, chosen, progress, chunksize=4)
@@ -51,9 +54,9 @@ def campaign_figures(
 def stop_campaign_figures(
     every: int, progress: Callable[[int, int], None], part: str = ""
 ) -> tuple[dict[str, Any], list[str]]:
-    """Play one case in `every` of each part, two faces at a time; figures, and a line a failure.
+    """Play one stop case in `every`, of each part; return the figures, and a line for each failure.
 
-    part: only this one of `STOP_PARTS`; empty: all.
+    Two faces are played at a time. part: only this one of `STOP_PARTS`; empty: all.
     """
     figures: dict[str, Any] = {}
     failed: list[str] = []
@@ -80,7 +83,7 @@ def _freezes(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str
 def _statements(
     every: int, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, Any], list[str]]:
-    """What was unjudged fails as well: a new sentence needs a rule."""
+    """Play scenes and judge all statements; a statement without a rule is a failure as well."""
     tally, errors = Tally(), list[str]()
     chosen = scenes()[::every]
     with worker_pool(2) as pool:
@@ -168,10 +171,10 @@ _STARTS, _STARTS_BATCH = 40, 10
 def starved_figures(
     minutes: float, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, float], list[str]]:
-    """Starve a face for so many minutes, then start faces with servos that failed; the figures.
+    """Starve a face for `minutes`, then start faces with failed servos; return figures, failures.
 
-    20 minutes have 20 jams, 20 held processes and 40 starts, fewer minutes fewer in proportion. A
-    line for each thing that must not be.
+    20 minutes have 20 jams, 20 held processes and 40 starts; fewer minutes have fewer in
+    proportion. A failure is a line of text.
     """
     outcome = play_starved(minutes, progress)
     n_starts = max(len(LEVELS), round(_STARTS * min(minutes, 20.0) / 20.0))

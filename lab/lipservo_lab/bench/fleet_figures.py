@@ -125,7 +125,7 @@ def _daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
 
 
 def _recorded(url: str, folder: Path) -> _Answers:
-    """Ask a real face for its status and stop it; return what it answered."""
+    """Request a real face's status and a stop; return its answers, with seconds until each."""
     kiosk = {"it": Kiosk(url=url, token_file=str(folder / "runtime" / "token"))}
     stop = {"level": "soft", "wait_s": 10.0, "end": False}
     requests = (
@@ -142,10 +142,11 @@ def _recorded(url: str, folder: Path) -> _Answers:
 
 
 def _endpoint(answers: _Answers, certificate: tuple[Path, Path], stack: ExitStack) -> str:
-    """Serve these answers over TLS until the stack ends; return the URL."""
+    """Serve recorded answers over TLS until the stack ends; return the URL."""
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
+            """Answer with the recorded JSON of this path, after the real daemon's delay."""
             answer, seconds = answers.of[self.path]
             time.sleep(seconds)
             body = json.dumps(answer).encode()

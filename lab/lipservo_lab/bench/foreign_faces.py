@@ -54,7 +54,7 @@ class ComparedClip:
     left_out: str | None = None
 
     def as_json(self) -> dict[str, object]:
-        """By the names of docs/own-face.md; null where it was left out."""
+        """Return the figures by the names of docs/own-face.md; null where the clip was left out."""
         if self.curve is None:
             return {"clip": self.name, "seconds": 0.0, "left_out": self.left_out} | dict.fromkeys(
                 ("gap_r", "loudness_r", "best_shift_ms", "gap_r_at_best")
@@ -73,7 +73,10 @@ class ComparedClip:
 def foreign_figures(
     clips: Sequence[VideoClip], tracker: FaceTracker, model: Path | None, advance: Advance
 ) -> dict[str, object]:
-    """Every clip and all together. model: None for the shipped one. Raises VideoError."""
+    """Compare our mouth with every clip; return the figures of all clips together and of each.
+
+    model: None for the shipped one. Raises VideoError where no clip can be used.
+    """
     face = load_face(model)
     compared = []
     for number, clip in enumerate(clips, start=1):
@@ -94,10 +97,10 @@ def foreign_figures(
 
 
 def pooled_figures(compared: Sequence[ComparedClip]) -> dict[str, object]:
-    """Of all pictures of speech together, both gaps brought to mean 0 and deviation 1 in each clip.
+    """Return the figures of all clips together: means weighted by their pictures of speech.
 
-    That is the mean of the clips' correlations, weighted by their pictures. The shift is the one
-    that is best for all.
+    In each clip both gaps have mean 0 and deviation 1. `best_shift_ms` is the one shift that is
+    best for all clips.
     """
     weights = np.array([each.n_pictures for each in compared], dtype=float)
     weights /= weights.sum()
@@ -117,6 +120,10 @@ def pooled_figures(compared: Sequence[ComparedClip]) -> dict[str, object]:
 def _compared(
     clip: VideoClip, tracker: FaceTracker, face: FaceModel, model: Path | None
 ) -> ComparedClip:
+    """Compare our lip gap for a clip's sound with the gap that is tracked in its pictures.
+
+    Raises UserError for unusable sound or pictures; VideoError: too few pictures of one face.
+    """
     sound = video_sound(clip.path)
     track = track_face(clip.path, tracker, lambda _time_s: None)
     usable = usable_pictures(track)
@@ -132,7 +139,7 @@ def _compared(
 
 
 def _our_gaps_mm(spoken: SpokenSound, face: FaceModel) -> Array:
-    """(n,) every 10 ms of the sound."""
+    """Return our lip gap, (n,) mm, every 10 ms of the sound."""
     times_s = TICK_S * np.arange(max(1, int(spoken.duration_s / TICK_S)), dtype=np.float64)
     faces = np.array([frame.coefficients for frame in spoken.frames(times_s)])
     return face.lip_gaps_mm(face.markers_mm(faces))

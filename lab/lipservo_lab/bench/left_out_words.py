@@ -62,9 +62,9 @@ _LEAST_SHIFTED = 100
 
 
 def word_folds(corpus: Corpus) -> list[Part]:
-    """`N_FOLDS` parts of words, each scored by a model of the sentences that hold none of them.
+    """Divide words into `N_FOLDS` parts, each for a model of the sentences that hold none of them.
 
-    corpus: labelled. Words are dealt by turns, the most frequent first, so that every fold leaves
+    corpus: labelled. Words are dealt in turn, the most frequent first, so that every fold leaves
     about as much to train on. Raises CorpusError for a corpus that leaves a fold nothing.
     """
     counts = Counter(w.text for u in corpus.utterances for w in spoken_words(u))
@@ -144,12 +144,13 @@ class KeptModels:
 
 
 def cache_folder() -> Path:
-    """Where models are kept: in the user's cache (XDG Base Directory Specification)."""
+    """Return where models are kept: in the user's cache (XDG Base Directory Specification)."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "lipservo" / "left-out-words"
 
 
 def _code() -> bytes:
+    """Return a digest of the source of all packages that learn, part of a kept model's name."""
     files = sorted(
         (name, path.name, path.read_bytes())
         for name in _LEARNING
@@ -225,12 +226,14 @@ def left_out_figures(
     limit: int,
     track: Callable[[str, list[Utterance]], Iterable[Utterance]],
 ) -> dict[str, list[Row]]:
-    """Rows over all words for each look-ahead; by class and by word for the last but one, or one.
+    """Return rows over all words for each look-ahead; rows by class and word for one look-ahead.
 
-    corpus: labelled. differences: over all words, what every further method has more than the
-    first, paired. limit: at most so many sentences of each word are played, spread evenly over
-    their names. classes: words that begin or end with such a sound. words: those of `LEAST_FRAMES`
-    frames, the worst first. Raises CorpusError.
+    That one is the last but one, if there are several. `differences`: how much more each further
+    method has than the first, paired, over all words. `classes`: words that begin or end with such
+    a sound. `words`: those of `LEAST_FRAMES` frames, the worst first.
+
+    corpus: labelled. limit: at most so many sentences of each word are played, spread evenly over
+    their names. Raises CorpusError.
     """
     scores, folds = _Scores(), word_folds(corpus)
     for part in folds:
@@ -270,7 +273,7 @@ def left_out_figures(
 
 
 def chosen_places(corpus: Corpus, part: Part, limit: int) -> set[tuple[str, str]]:
-    """(sentence, word) of a fold: at most `limit` sentences for each of its words."""
+    """Return pairs (sentence, word) of a fold, with at most `limit` sentences for each word."""
     chosen: set[tuple[str, str]] = set()
     for text in part.words or ():
         holding = sorted(
@@ -290,7 +293,7 @@ def _add(
     lookaheads_ms: Sequence[int],
     heard: Heard,
 ) -> None:
-    """Play a sentence tick by tick, by every method, and add what some of its words come to."""
+    """Play a sentence by every method and look-ahead, and add the sums of some of its words."""
     times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
     ticks_s = np.arange(int(times_s[-1] / TICK_S) + 1, dtype=np.float64) * TICK_S
     recorded = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))

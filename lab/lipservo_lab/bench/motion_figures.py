@@ -89,11 +89,10 @@ def question(
     published_derivatives: bool = False,
     random_units: bool = False,
 ) -> Question:
-    """From the command line's texts; raises BenchError for what is not known here.
+    """Parse the command line's texts; raise BenchError for an unknown name.
 
-    strategies: names with commas; None: all. published_derivatives: of the paper's two strategies,
-    as the paper prints equation (5).
-    random_units: with the methods that draw AnimPhos by lot.
+    strategies: names with commas; None: all. published_derivatives: the paper's two strategies use
+    equation (5) as it is printed. random_units: add the methods that draw AnimPhos at random.
     """
     methods = all_methods()
     for name, method in methods.items():
@@ -141,7 +140,7 @@ def _class_means_named(method: Method) -> Method:
 
 
 def score_model(model: TrainedModel, corpus: Corpus, question: Question, track: Track) -> list[Row]:
-    """A given model on a folder that it was not trained on."""
+    """Score a given model on a folder that it was not trained on."""
     utterances = check_scorable(model, corpus)
     if question.words is not None and not any(
         speech_frames(u, question.words).any() for u in utterances
@@ -164,7 +163,7 @@ def paper_rows(model: TrainedModel, unseen: Corpus, corpus: Corpus) -> dict[str,
 
 
 def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, question: Question) -> list[Row]:
-    """What a wrong phoneme leaves behind, in sentences that the model has not seen.
+    """Return what a wrong phoneme leaves behind, in sentences that the model has not learned.
 
     corpus: all recordings, for what real coarticulation leaves behind.
     """
@@ -187,7 +186,7 @@ class CrossValidation:
 def cross_validate(
     folder: Path, corpus: Corpus, question: Question, train: Train, track: Track
 ) -> CrossValidation:
-    """Models trained on the training part of each split, scored on the rest."""
+    """Train a model on the training part of each split, and score it on the rest."""
     labelled = corpus.labelled()
     if question.words is not None:
         parts = [words_part("words", labelled, question.words)]
@@ -229,7 +228,10 @@ class _RememberingListener:
 def _rows(
     trained: Sequence[tuple[TrainedModel, Part]], corpus: Corpus, question: Question, track: Track
 ) -> list[Row]:
-    """One split: the sums of all its parts together; misses and times of the phonemes heard."""
+    """Return the rows of one split, whose parts are scored together.
+
+    Misses and times are of the phonemes that were recognised, or known.
+    """
     scores = Scores()
     listen: Listen = true_phonemes
     if question.phonemes != PHONEMES_TRUE:
@@ -275,7 +277,10 @@ def _rows(
 def _miss_rate(
     method: Method, models: Sequence[TrainedModel], listeners: Sequence[_RememberingListener]
 ) -> float | None:
-    """Over all parts of a split, each by its own model; None for methods that choose nothing."""
+    """Return the miss rate over all parts of a split, each by its own model.
+
+    None for methods without a selection.
+    """
     strategy = STRATEGIES.get(method.name)
     if strategy is None:
         return None
@@ -289,9 +294,10 @@ def _miss_rate(
 def live_listener(
     *, with_text: bool = False, weights: str = DEFAULT_WEIGHTS
 ) -> Callable[[Utterance], Heard]:
-    """What the live recogniser finds in a sentence's sound; made at the first call.
+    """Return a function that runs the live recogniser on a sentence's sound.
 
-    with_text: it gets the words beforehand, without their times. weights: a name or a file.
+    The recogniser is made at the first call. with_text: it gets the words beforehand, without their
+    times. weights: a name or a file.
     """
 
     def listen(utterance: Utterance) -> Heard:

@@ -24,11 +24,11 @@ from lipsync.offline.offline_model_file import load_offline_model
 
 
 def models_of(sentences: Corpus, purpose: str) -> OfflineModels:
-    """Offline models of the sentences of a corpus that trained a face model.
+    """Return a source of offline models, trained on the sentences that trained a face model.
 
-    For the shipped face model it is the shipped one, which nothing has to be learnt for; for one of
-    other sentences too: OfflineModelError where it does not go with the face. purpose: what asks
-    for them. Raises MissingExtraError.
+    The shipped face model gets the shipped offline model, and so does one whose sentences
+    `sentences` lacks; OfflineModelError where the two do not match. purpose: named in the error.
+    Raises MissingExtraError.
     """
     check_extra("dtaidistance", purpose)
 
@@ -81,9 +81,9 @@ class Cost:
 
 
 def building_cost(folder: Path, model: TrainedModel, *, skip_bad: bool) -> Cost:
-    """Of an offline model for this face of every labelled sentence of a folder.
+    """Return what it costs to train an offline model for this face from a folder's sentences.
 
-    Raises BenchError, with what `train-offline` says, where it makes none.
+    Raises BenchError, with what `learn offline` prints, where it makes none.
     """
     with tempfile.TemporaryDirectory() as place:
         face, made = Path(place) / "face.npz", Path(place) / "offline.npz"
@@ -94,7 +94,10 @@ def building_cost(folder: Path, model: TrainedModel, *, skip_bad: bool) -> Cost:
 
 
 def cost_of(command: Sequence[str]) -> Cost:
-    """Of a command in a process of its own. Raises BenchError with its last word if it fails."""
+    """Run a command in a process of its own; return what it costs.
+
+    Raises BenchError with the last line of standard error if the command fails.
+    """
     began_s = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-I", "-S", "-c", _MEASURE, *command],

@@ -63,7 +63,10 @@ def known_scans(
     spread: Spread = "shepard",
     noise_mm: float = 0.2,
 ) -> Iterator[KnownScan]:
-    """The first at rest; the others as likely as in speech, each far from the one before."""
+    """Yield scans of a mean face: the first at rest, the others as likely as in speech.
+
+    Each is far from the one before. noise_mm: standard deviation of each coordinate.
+    """
     rng = np.random.default_rng(seed)
     places, targets = _moving_mesh(face, mean, spread)
     sampled = mean.triangles[(mean.behind[mean.triangles] <= _RINGS).all(axis=1)]
@@ -77,7 +80,10 @@ def known_scans(
 
 
 def _moving_mesh(face: FaceModel, mean: MeanFace, spread: Spread) -> tuple[Array, Array]:
-    """(n, 3) of the mean, (n_components, n, 3) of one of each component."""
+    """Return the mean's vertices, (n, 3) mm, and the displacement by a component each.
+
+    The latter has shape (n_components, n, 3).
+    """
     surface = head_surface(mean)
     if spread == "shell":
         skin = skin_morphs(face, surface)
@@ -98,6 +104,11 @@ def _moving_mesh(face: FaceModel, mean: MeanFace, spread: Spread) -> tuple[Array
 def _scanned(
     vertices: Array, triangles: Indices, noise_mm: float, rng: np.random.Generator
 ) -> KnownScan:
+    """Return a scan of a mesh: sampled anew, with holes and noise, turned, and shifted.
+
+    Vertices (n, 3), mm, are turned along, so that each registered point's true place is known.
+    noise_mm: standard deviation of each coordinate.
+    """
     n_points = int(rng.integers(_FEWEST_POINTS, _MOST_POINTS))
     points, corners = _sampled(vertices, triangles, n_points, rng)
     kept = np.ones(len(points), dtype=bool)
@@ -118,7 +129,7 @@ def _scanned(
 def _sampled(
     vertices: Array, triangles: Indices, n_points: int, rng: np.random.Generator
 ) -> tuple[Array, Indices]:
-    """Random points of a surface, denser here than there, in triangles of their own.
+    """Draw random points of a surface, unevenly dense, and join them to triangles of their own.
 
     Two points are neighbours where the parts of the surface that are nearest to them touch.
     """
@@ -187,9 +198,10 @@ class ScanFigures:
 
 
 def scan_figures(face: FaceModel, n_scans: int, seed: int, advance: Advance) -> dict[str, object]:
-    """By how truth is spread and whether 47 named points are seen; the first at the top too.
+    """Return registration errors by kind of truth, with and without 47 named points.
 
-    Closest points alone, truth by Shepard's weights: what is hardest.
+    The figures of the first and hardest case, Shepard's weights without named points, are also at
+    the top level.
     """
     rows: dict[str, dict[str, object]] = {}
     cases = [(spread, seen) for spread in get_args(Spread) for seen in (False, True)]
@@ -214,7 +226,10 @@ def registered_figures(
     with_markers: bool,
     advance: Callable[[int], None] = lambda _: None,
 ) -> ScanFigures:
-    """Of one kind of truth. The first scan, at rest, gives the template its shape, as in use."""
+    """Return registration errors for one kind of truth.
+
+    The template takes its shape from the first scan, at rest, as in use.
+    """
     rng = np.random.default_rng([seed, 1])
     mean = load_mean_face()
     shipped = shipped_template(mean)

@@ -55,7 +55,10 @@ class ComparedShapes:
 
 
 def compared_shapes(from_text: SpokenSound, heard: SpokenSound) -> ComparedShapes:
-    """The methods on one sound. from_text: with its true phones; heard: by the recogniser."""
+    """Compare Rhubarb's rules and our motion on one sound.
+
+    from_text: the sound with its true phones; heard: with those of the recogniser.
+    """
     phones, duration_s = tuple(from_text.events()), from_text.duration_s
     rules = rule_cues(phones, duration_s)
     at_burst = rule_cues(phones, duration_s, stops_at_burst=True)
@@ -76,10 +79,10 @@ def compared_shapes(from_text: SpokenSound, heard: SpokenSound) -> ComparedShape
 def closing_figures(
     phones: Sequence[PhonemeEvent], closed: Sequence[Interval]
 ) -> dict[str, float | int | None]:
-    """When a mouth closes for P B M against the beginning of the phone; ms, late is positive.
+    """Return how much later than the phone a mouth closes for P, B and M, in ms.
 
-    phones: how many; closed: in how many the mouth is closed, 40 ms around; from an open mouth
-    alone: median and 10th and 90th percentile of closings within 200 ms. None where there are none.
+    phones: their number; closed: in how many the mouth is closed, 40 ms around. Median and 10th and
+    90th percentile are of closings from an open mouth within 200 ms; None where there are none.
     """
     bilabials = [phone for phone in phones if phone.phoneme in BILABIALS]
     n_closed = sum(any(_overlap(phone, interval) for interval in closed) for phone in bilabials)
@@ -156,7 +159,7 @@ Block = tuple[float, float, str, str]
 
 
 def draw_shapes(compared: ComparedShapes, sound: Path, output: Path) -> None:
-    """Waveform, true phones, Rhubarb's shapes, our shapes, our lip gap, one below the other."""
+    """Draw waveform, true phones, Rhubarb's shapes, our shapes and lip gap, one below the other."""
     without_screen()
     from matplotlib import pyplot as plt
 
@@ -204,7 +207,7 @@ def _blocks(cues: Sequence[MouthCue]) -> Iterable[Block]:
 
 
 def _draw_blocks(axis: "Axes", blocks: Iterable[Block]) -> None:
-    """Boxes with a word in each; those that the picture cuts off keep theirs inside it."""
+    """Draw boxes with a word in each; a box that the picture cuts off keeps its word inside."""
     axis.set_ylim(0.0, 1.0)
     for start_s, end_s, word, colour in blocks:
         start_s, end_s = max(start_s, SHOWN_S[0]), min(end_s, SHOWN_S[1])

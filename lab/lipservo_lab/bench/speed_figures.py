@@ -19,7 +19,10 @@ from lipsync.animpho.selection import STRATEGIES
 
 
 def replay_speed(recordings: Sequence[Path], n_times: int = 3) -> float:
-    """Sound seconds in a second, loading included: the slowest recording's median of so many."""
+    """Return seconds of sound replayed in a second, loading included.
+
+    The result is the slowest recording's median of `n_times` replays.
+    """
 
     def speed(recording: Path) -> float:
         request = RunRequest(DEFAULT_FACE, Sound("file", str(recording)), quiet=True)
@@ -30,7 +33,7 @@ def replay_speed(recordings: Sequence[Path], n_times: int = 3) -> float:
 
 
 def live_figures() -> dict[str, float]:
-    """Start-up and memory of a whole `lipservo run`, in a process of its own."""
+    """Return start-up time and memory of a whole `lipservo run` in a process of its own."""
     command = [sys.executable, "-P", "-m", "lipservo", "run", "--json"]
     finished = subprocess.run(command, check=True, capture_output=True, text=True)
     summary = json.loads(finished.stdout)
@@ -41,7 +44,10 @@ def live_figures() -> dict[str, float]:
 
 
 def miss_rates(corpus_folder: Path) -> dict[str, float]:
-    """Both published strategies on `random_test`, by a model that never saw those sentences."""
+    """Return the miss rates of both published strategies on `random_test`.
+
+    The model is trained without those sentences.
+    """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.paper_tables import miss_rate
     from lipservo_lab.learning.motion.face_training import train

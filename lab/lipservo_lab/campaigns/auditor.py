@@ -70,7 +70,7 @@ class DynamixelWire:
         self._parser = FrameParser()
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
-        """Parse the orders in one write of the computer."""
+        """Parse the orders in one write of the master."""
         if _GOAL_BYTES not in data and _TORQUE_BYTES not in data and not self._parser.pending:
             return  # the address is in no packet of it
         for frame in self._parser.feed(data):
@@ -86,7 +86,7 @@ class DynamixelWire:
                     yield SeenOrder("goal", servo_id, goal)
 
     def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
-        """Its settings are the face's, and its watchdog runs."""
+        """Return whether a servo's settings are the face's, and its watchdog runs."""
         low, high = wanted.pulse_range()
         return bool(
             servo["drive_mode"] == 0
@@ -103,7 +103,7 @@ class FeetechWire:
     has_watchdog = False
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
-        """Of one write of the computer, which holds whole packets."""
+        """Parse the orders in one write of the master, which holds whole packets."""
         for packet in feetech_codec.statuses_in(data):
             servo_id, instruction, parameters = packet
             if instruction == feetech_codec.Instruction.WRITE and parameters[0] == _FEETECH_GOAL:
@@ -118,7 +118,7 @@ class FeetechWire:
                         yield SeenOrder("torque", blocks[at])
 
     def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
-        """Its limits are the face's, and its speed is bounded."""
+        """Return whether a servo's limits are the face's, and its speed is bounded."""
         low, high = wanted.pulse_range()
         in_order = servo["min_position_limit"] <= low <= high <= servo["max_position_limit"]
         return bool(in_order and servo["operating_mode"] == 0 and servo["goal_speed"] > 0)
@@ -140,7 +140,10 @@ class Auditor:
     def __init__(
         self, servos: Sequence[MountedServo[Any]], period_s: float, wire: AuditedWire | None = None
     ) -> None:
-        """wire: None: of Dynamixels."""
+        """Prepare to watch servos. wire: how to read their packets; None: as Dynamixels.
+
+        period_s: of the servo loop.
+        """
         ranges = np.array([servo.pulse_range() for servo in servos], dtype=np.float64)
         self._servos = {servo.joint.servo_id: servo for servo in servos}
         self._low, self._high = ranges[:, 0], ranges[:, 1]
@@ -176,7 +179,7 @@ class Auditor:
         chain.motors.motion = self._see_motion
 
     def note_stop(self, time_s: float, level: StopLevel) -> None:
-        """A person stopped the face then; a frozen one must not move until it is let go."""
+        """Note a person's stop; after a freeze no shaft may move until `let_go`."""
         self._stopped_s = time_s
         self._frozen = level is StopLevel.FREEZE
 
@@ -195,6 +198,7 @@ class Auditor:
                 self._see_torque(servo_id, time_s)
 
     def _see_goal(self, servo_id: int, goal: int) -> None:
+        """Count a goal (pulses), and whether it is out of range or too far from the last."""
         self.goals += 1
         low, high = self._servos[servo_id].pulse_range()
         before = self._last.get(servo_id, goal)
@@ -207,7 +211,7 @@ class Auditor:
             self.steps_too_long += 1
 
     def _see_first_goal(self, servo_id: int, goal: int) -> None:
-        """A goal to one servo alone comes before torque: it must be where the servo stands."""
+        """Count the goal before torque, which must be where the servo stands."""
         self._last[servo_id] = goal
         self.goals += 1
         if not self._is_place(servo_id, goal):
@@ -229,6 +233,7 @@ class Auditor:
         return bool(abs(goal - self._chain.motors.position[index]) <= _PLACE_PULSES)
 
     def _see_torque(self, servo_id: int, time_s: float) -> None:
+        """Count torque that comes on after a stop, without setup, or with its goal elsewhere."""
         if self._stopped_s is not None and time_s > self._stopped_s:
             self.armed_late += 1
         index = self._index(servo_id)
@@ -240,6 +245,11 @@ class Auditor:
         self.armed_wrongly += not (at_place and self._wire.is_set_up(servo, wanted))
 
     def _see_motion(self, time_s: float, position: Array) -> None:
+        """Count forbidden motion of all shafts; called by the simulator at each of its steps.
+
+        position: (n_servos,) pulses. A servo's trajectory counts always; its shaft only where
+        torque holds it and nothing has pushed or held it up.
+        """
         assert self._chain is not None  # it calls
         motors = self._chain.motors
         if self._frozen and not (self._wire.has_watchdog or self._chain.plugged):
@@ -272,7 +282,7 @@ class Auditor:
         self.moved_outside += int((own & outwards).sum())
 
     def _index(self, servo_id: int) -> int | None:
-        """Which simulated servo answers to this id now."""
+        """Return the index of the simulated servo that has this id now; None: none, or several."""
         if self._chain is None:
             return None
         found = [s.index for s in self._chain.servos if s["id"] == servo_id]

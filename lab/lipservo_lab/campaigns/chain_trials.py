@@ -86,7 +86,7 @@ class ChainStage:
         return [servo.joint for servo in self.servos]
 
     def look(self, bridge: Bridge) -> None:
-        """Places that were read just now are compared with the shafts."""
+        """Count positions in fresh feedback that differ from the simulated shafts."""
         feedback = bridge.feedback
         if feedback is None or self.clock.now() - feedback.time_s > _JUST_NOW_S:
             return
@@ -110,7 +110,11 @@ class ChainStage:
                 self.n_unknown += reachable and self.holds(servo) != belief
 
     def counts(self, report: StopReport | None) -> Mapping[str, int]:
-        """Of auditor, wire, and servos that can be reached and hold at the end."""
+        """Return counts of the auditor, of the wire, and of what servos do at the end.
+
+        torque_left_on: servos that still hold and can be reached. claims: false positions, and
+        servos that were confirmed as limp but hold. report: of the stop; None: there was none.
+        """
         auditor, chain = self.auditor, self.chain
         stiff = sum(self.holds(s) for s in chain.servos if self.is_reachable(s, float("inf")))
         confirmed = () if report is None else report.confirmed
@@ -131,7 +135,11 @@ class ChainStage:
 
 
 def dynamixel_faults(case: Case) -> list[Fault]:
-    """Packets: 1, 10, 50 % of them. Servos: one once, one again and again, all at once."""
+    """Return the faults of a case, by its intensity.
+
+    Faults of packets hit 1, 10 or 50 % of them; faults of servos hit one servo once, one again and
+    again, or all at once.
+    """
     kind, hard = case.kind, case.intensity
     amount = {
         "late_reply": (0.0005, 0.003, 0.010)[hard],
@@ -172,6 +180,7 @@ def dynamixel_faults(case: Case) -> list[Fault]:
 
 
 def _dynamixels(case: Case) -> ChainStage:
+    """Return Dynamixels with a case's faults, on a virtual clock, watched by an auditor."""
     servos, clock = face(case.n_servos), ManualClock()
     chain = dynamixel_chain(servos, BAUD_RATE, faults=dynamixel_faults(case), seed=1)
     auditor = Auditor(servos, 1.0 / case.rate_hz)
@@ -202,7 +211,10 @@ def _dynamixels(case: Case) -> ChainStage:
 
 
 def _feetechs(case: Case) -> ChainStage:
-    """STS3215, whose steps are those of the simulated shafts."""
+    """Return a chain of STS3215 with a case's faults, as `_dynamixels` does.
+
+    Their encoder steps are those of the simulated shafts.
+    """
     servos, clock = face(case.n_servos, feetech_models()["STS3215"]), ManualClock()
     one = None if case.intensity == 2 or case.kind == "unplug" else case.n_servos // 2
     faults = [

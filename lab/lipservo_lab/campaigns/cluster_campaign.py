@@ -113,6 +113,7 @@ class _Cluster:
     n_schedulers_killed: int = 0
 
     def start_what_has_ended(self) -> None:
+        """Start the scheduler and each worker that does not run; a thread calls this often."""
         at = ["--host", "127.0.0.1"]
         programs = {"scheduler": ["scheduler", *at, "--port", str(self.port), "--no-dashboard"]}
         for n in range(self.n_workers):
@@ -150,6 +151,10 @@ class _Cluster:
 
 @contextlib.contextmanager
 def _cluster(log: Path) -> Iterator[_Cluster]:
+    """Run a scheduler and workers on a free port; restart those that end, until the body is left.
+
+    log: file to which workers append the tasks that they begin and have done.
+    """
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     cluster = _Cluster(port, log, max(2, os.cpu_count() or 1))
@@ -179,10 +184,10 @@ def _kill_while(
     kill_every_s: float,
     advance: Advance,
 ) -> None:
-    """Kill a worker that computes so often, and at half of the lines the scheduler.
+    """Kill a computing worker every `kill_every_s`, and the scheduler once half the lines are done.
 
-    Until the command ends; the first once a line is done. Raises UserError where nothing is done
-    for long.
+    Runs until the command ends; the first kill follows the first line. Raises UserError where
+    nothing is rendered for `_PATIENCE_S`.
     """
     n_done, moved_s = 0, time.monotonic()
     due_s = float("inf")
@@ -212,6 +217,7 @@ def dask_setup(worker: Any) -> None:
 
     class Telling(WorkerPlugin):  # type: ignore[misc]
         def transition(self, key: object, start: str, finish: str, **_more: Any) -> None:
+            """Append a line to the log when a numbered task begins or is done; Dask calls this."""
             number = _NUMBER.match(str(key))
             event = _BEGUN if finish == "executing" else _DONE if finish == "memory" else None
             if number is not None and event is not None and start != finish:

@@ -108,6 +108,7 @@ def endure(
     warm, begun_s, n_done = (0.0, 0), time.process_time(), 0
 
     def so_far() -> Endurance:
+        """Return the session's figures so far; virtual time in hours, processor time in s."""
         return Endurance(
             cycles=n_done,
             virtual_hours=clock.now() / 3600.0,
@@ -167,12 +168,12 @@ def endurance_figures(
     stopped: Callable[[], bool],
     resume: Path | None = None,
 ) -> dict[str, float]:
-    """Run `n_cycles` and say what grew, what went wrong on the wire, and how fast it went.
+    """Run `n_cycles`; return what grew, what went wrong on the wire, and how fast it went.
 
-    resume: where the sessions so far are kept, written whole at every hundredth and at the end.
-    What it holds counts, and only the cycles that are left are run, with other random faults.
-    progress: called with the cycles done, those of earlier sessions included.
-    Raises UserError for a file that holds something else or cannot be written.
+    resume: file that keeps the sessions so far, written at every hundredth and at the end; only the
+    cycles that it lacks are run, with other random faults. progress: called with the cycles done,
+    those of earlier sessions included. Raises UserError for a file that holds something else or
+    cannot be written.
     """
     past = [] if resume is None else _read_sessions(resume)
     n_past = sum(session.cycles for session in past)
@@ -197,10 +198,10 @@ def endurance_figures(
 
 
 def totals(sessions: Sequence[Endurance]) -> dict[str, float]:
-    """The sums of all sessions; memory and descriptors of the one in which they grew most.
+    """Return the sums of all sessions, and the worst growth of memory and descriptors.
 
-    rss_growth_mb, descriptors_growth: from a tenth to the end of a session, the worst.
-    sessions_too_short: those that ended before their tenth, which say nothing of growth.
+    Growth counts from a tenth to the end of a session. sessions_too_short: those that ended before
+    their tenth, and so say nothing of growth.
     """
     figures: dict[str, float] = {
         field.name: sum(getattr(session, field.name) for session in sessions)
@@ -253,6 +254,10 @@ def _read_sessions(path: Path) -> list[Endurance]:
 
 
 def _session(kept: dict[str, Any]) -> Endurance:
+    """Return a session read from JSON; raise ValueError or TypeError where a field is wrong.
+
+    All fields are finite numbers, 0 or more.
+    """
     session = Endurance(**kept)
     for field in fields(Endurance):
         value = getattr(session, field.name)

@@ -53,7 +53,7 @@ class Case:
     stop: StopLevel | None = None
 
     def times_s(self) -> list[tuple[float, float]]:
-        """When it happens and for how long: once; every half second; all of the time."""
+        """Return when the fault happens and for how long, s: once, every half second, or always."""
         every_s, lasts_s = ((9.0, 0.3), (0.5, 0.2), (0.1, 0.1))[self.intensity]
         return [(at_s, lasts_s) for at_s in np.arange(FAULT_FROM_S, FAULT_UNTIL_S, every_s)]
 
@@ -124,14 +124,14 @@ class Outcome:
 
 @cache
 def trials_of(bus: str) -> Trials:
-    """Of a kind of bus. Raises KeyError where there are none."""
+    """Return the trials for a kind of bus. Raises KeyError where there are none."""
     module, _, name = _TRIALS[bus].partition(":")
     trials: Trials = getattr(import_module(f"lipservo_lab.campaigns.{module}"), name)
     return trials
 
 
 def cases(bus: str, *, whole: bool = False) -> Iterator[Case]:
-    """Every kind, intensity, size and rate, with arming and stop in turns.
+    """Yield cases of every kind, intensity, size and rate, with arming and stop in turns.
 
     whole: every way of arming and every stop for each of them, eight times as many.
     """
@@ -194,7 +194,10 @@ class StopInTheFault:
         self._is_frozen = False
 
     def poll(self) -> StopRequest | None:
-        """The stop, at its moment."""
+        """Return the case's stop at its moment, and a soft stop of a frozen face at the end.
+
+        None at all other times.
+        """
         now_s = self._clock.now()
         if self._is_frozen and now_s >= END_S:
             self._is_frozen = False

@@ -201,7 +201,7 @@ class QuestionedChain:
         return b"".join(MODEL.registers[name].encode(servo[name]) for name in names)
 
     def ask(self, question: Question) -> Answered:
-        """Put one question; every value that comes is compared with the servo's registers."""
+        """Send one request; return the answers, and how many differ from the servo's registers."""
         self._count_on()
         line, servo_id = self.line, question.servo_id
         if question.kind == "write":
@@ -242,7 +242,7 @@ class QuestionedChain:
 
 
 def ask_many(disturbance: Disturbance, n_questions: int, seed: int = 1) -> Answered:
-    """Ask drawn questions one after another, in virtual time; what came of all of them."""
+    """Send randomly drawn requests in virtual time; return answers and wrong values of all."""
     rng = random.Random(seed)
     chain = QuestionedChain(disturbance, seed)
     n_values = n_wrong = 0
@@ -260,7 +260,7 @@ def ask_many(disturbance: Disturbance, n_questions: int, seed: int = 1) -> Answe
 def line_figures(
     n_questions: int, progress: Callable[[int, int], None]
 ) -> dict[str, dict[str, int]]:
-    """Requests, answers and wrong answers, counted by disturbance.
+    """Return requests, answers and wrong answers for each disturbance of the line.
 
     progress: called with disturbances done and all of them.
     """

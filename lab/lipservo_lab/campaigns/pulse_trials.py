@@ -35,7 +35,7 @@ _LAST_PULSE_S: Final = 0.045
 
 
 def wiring_of(case: Case) -> Wiring:
-    """Joints of hobby servos, every other one turned round."""
+    """Return the wiring of hobby servos for a case; every other servo is mounted reversed."""
     joints = tuple(
         Joint(f"joint_{n}", n, -30.0, 40.0, MAX_SPEED_DEG_S, address_key="channel")
         for n in range(case.n_servos)
@@ -82,7 +82,7 @@ class PulseAuditor:
         self.armed_late = self.moved_frozen = 0
 
     def note_stop(self, time_s: float, level: StopLevel) -> None:
-        """A person stopped the face then; a frozen one must not move until it is let go."""
+        """Note a person's stop; after a freeze no shaft may move until the face is let go."""
         self._stopped_s = time_s
         self._is_frozen = level is StopLevel.FREEZE
 
@@ -91,7 +91,10 @@ class PulseAuditor:
         self._is_frozen = False
 
     def see(self, time_s: float, channel: int, pulse_us: float, *, comes_again: bool) -> None:
-        """One pulse, 0: none. comes_again: every pulse is seen, and not only what changes."""
+        """Check one pulse of a channel, us (0: none), against range, speed and stop.
+
+        comes_again: every pulse is seen, and not only those that change.
+        """
         if channel not in self._range:
             self.goals_outside += pulse_us > 0.0
             return
@@ -157,10 +160,10 @@ class PulseStage:
         """Check nothing: hobby servos report nothing."""
 
     def counts(self, report: StopReport | None) -> Mapping[str, int]:
-        """Of the pulses, a second after the end as well.
+        """Return counts of the pulses, including those in the second after the end.
 
-        claims: places, loads, heats, voltages or words of torque that no hobby servo can know.
-        pulses_left_on: channels that go on at the end though they can be switched off.
+        claims: positions, loads, temperatures, voltages or words of torque that no hobby servo can
+        know. pulses_left_on: channels that go on although they can be switched off.
         """
         ended_s, is_reachable = self.clock.now(), self._watched.is_reachable()
         self.clock.advance(1.0)
@@ -179,7 +182,7 @@ class PulseStage:
 
 
 def _seeing(auditor: PulseAuditor, bus: str) -> tuple[Callable[[Any], None], bool]:
-    """What the simulator of a bus calls, and whether it does so for every pulse."""
+    """Return the callback for a bus's simulator, and whether it is called for every pulse."""
     if bus == "maestro":
         return lambda p: auditor.see(p.time_s, p.channel, p.pulse_us, comes_again=False), False
 

@@ -90,9 +90,9 @@ class AlignedUtterance:
 
 
 def read_alignments(path: Path) -> dict[str, AlignedUtterance]:
-    """The utterances of an alignment file by name; CacheError for a damaged one.
+    """Read an alignment file: utterances by name. Raises CacheError for a damaged file.
 
-    A last line without its end, left by a run that was killed, is passed over.
+    A last line without its end, left by a run that was killed, is skipped.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -126,11 +126,12 @@ def align_corpus(
     n_processes: int = 1,
     progress: Callable[[str], None] = lambda _name: None,
 ) -> dict[str, AlignedUtterance]:
-    """Alignments of all utterances by name, failed ones among them.
+    """Return the alignment of every utterance by name, failed ones among them.
 
-    What the file at `path` and its unfinished twin hold already is taken from there; None keeps no
-    file. `progress` gets each name once. Raises CacheError for a file that cannot be used,
-    OutputError for one that cannot be written, MissingExtraError without the extra `align`.
+    What the file at `path` and its unfinished twin hold is not aligned again; new alignments are
+    added. path: None keeps no file. progress: gets each name once. Raises CacheError for a file
+    that cannot be used, OutputError for one that cannot be written, MissingExtraError without the
+    extra `align`.
     """
     known = _known(path)
     done: dict[str, AlignedUtterance] = {}
@@ -166,7 +167,7 @@ def align_corpus(
 
 
 def unfinished_of(path: Path) -> Path:
-    """Where the alignments are until all are made."""
+    """Return the file that holds alignments until all are made."""
     return path.with_name(path.name + ".unfinished")
 
 
@@ -176,7 +177,7 @@ def is_alignments(head: bytes) -> bool:
 
 
 def _known(path: Path | None) -> dict[str, AlignedUtterance]:
-    """What the file and its unfinished twin hold."""
+    """Read what the file and its unfinished twin hold."""
     if path is None:
         return {}
     known = read_alignments(path) if path.exists() else {}

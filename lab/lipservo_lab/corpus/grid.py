@@ -113,11 +113,15 @@ def read_grid(
 
 
 def folder_name(folder: Path) -> str:
-    """What a corpus is called; `.` has a name, too."""
+    """Return a corpus's name, its folder's; also for `.`."""
     return Path(os.path.abspath(folder)).name
 
 
 def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) -> Utterance:
+    """Return a sentence with head motion removed: landmarks (px) laid on the head, markers in mm.
+
+    head_reference_mm: (n_rigid, 3), the points that hardly move when a face speaks.
+    """
     rigid = sentence.landmarks_px[:, rows.rigid]
     similarity = fit_similarity(rigid, head_reference_mm)
     markers_mm = apply_similarity(sentence.landmarks_px[:, rows.markers], *similarity)
@@ -132,6 +136,10 @@ def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) ->
 
 
 def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
+    """Read landmarks.json: frame rate, and the rows in which the needed landmarks are stored.
+
+    Raises CorpusError that says what is missing.
+    """
     path = folder / "landmarks.json"
     try:
         content = json.loads(path.read_text())
@@ -166,7 +174,7 @@ def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
 
 
 def sentence_names(folder: Path) -> list[str]:
-    """Every sentence that any of the three folders knows, so that a missing file is noticed."""
+    """Return all names in any of the three folders, sorted, so that a missing file is noticed."""
     files = [
         *(folder / "landmarks").glob("*.npz"),
         *(folder / "labels").glob("*.TextGrid"),
@@ -176,6 +184,10 @@ def sentence_names(folder: Path) -> list[str]:
 
 
 def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
+    """Read one sentence; raise CorpusError where a file is missing or they do not match.
+
+    Sound and pictures must be equally long but for `_LENGTH_TOLERANCE_S`. Labels may lack phones.
+    """
     landmarks_px = read_landmarks(folder / "landmarks" / f"{name}.npz", rows.n_landmarks)
     sound_path = folder / "audio" / f"{name}.flac"
     duration_s = len(landmarks_px) / rows.frame_rate_hz
@@ -237,7 +249,7 @@ def read_landmarks(path: Path, n_landmarks: int) -> Array:
 
 
 def _refuse_lost_frames(landmarks_px: Array, path: Path) -> None:
-    """Where a tracker lost the face it writes one and the same point everywhere."""
+    """Raise CorpusError for a frame whose points are all equal: there the face was lost."""
     lost = np.flatnonzero((landmarks_px == landmarks_px[:, :1]).all(axis=(1, 2)))
     if len(lost):
         raise CorpusError(f"{path}: frame {lost[0]} is not tracked ({len(lost)} such frames)")

@@ -18,7 +18,7 @@ _NOT_ALIGNED = "-"
 
 
 def alignment_hash(aligned: AlignedUtterance) -> str:
-    """Of beams and phones; neither the text's score nor what was guessed is part of it."""
+    """Return a digest of an alignment's beams and phones, without score and guesses."""
     if aligned.error:
         return _NOT_ALIGNED
     return hashlib.sha256(json.dumps([aligned.beams, aligned.phones]).encode()).hexdigest()[:16]

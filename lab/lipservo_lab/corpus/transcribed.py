@@ -44,10 +44,10 @@ class TranscribedUtterance:
 
 
 def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
-    """Every utterance of the corpus in the order of its transcripts, or of its label files.
+    """Read every utterance of a corpus, in the order of its transcripts or of its label files.
 
     Raises TranscriptError for a folder without transcripts, a line or a text without words, a name
-    that is there twice, and an utterance without a sound file; LabelError for a label file that
+    that is listed twice, and an utterance without a sound file; LabelError for a label file that
     cannot be read.
     """
     path = folder / "transcripts.txt"
@@ -76,7 +76,10 @@ def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
 def _add_listed(
     utterances: dict[str, TranscribedUtterance], path: Path, sound_folder: Path
 ) -> None:
-    """The utterances of one list of transcripts, whose sounds lie in a folder."""
+    """Add the utterances of one list of transcripts, whose sounds lie in `sound_folder`.
+
+    Raises TranscriptError.
+    """
     sounds = {sound.stem: sound for sound in sorted(sound_folder.glob("*"))}
     for number, line in enumerate(_text_of(path).splitlines(), start=1):
         name, _, text = line.strip().partition(" ")
@@ -93,6 +96,7 @@ def _add_listed(
 
 
 def _read_labelled(folder: Path) -> tuple[TranscribedUtterance, ...]:
+    """Read one speaker's folder with `labels/` and `audio/`; raises TranscriptError."""
     sounds = {sound.stem: sound for sound in sorted((folder / "audio").glob("*"))}
     utterances = []
     for path in sorted((folder / "labels").glob("*.TextGrid")):
@@ -135,9 +139,9 @@ def _text_of(path: Path) -> str:
 
 
 def read_names(listed: str) -> frozenset[str]:
-    """Names of utterances from `FILE`, one a line, or from `FILE.json:KEY`, a list under a key.
+    """Read names of utterances from `FILE`, one a line, or a list in `FILE.json:KEY`.
 
-    Raises TranscriptError for a file or a key that is not there and a list of anything but names.
+    Raises TranscriptError for a missing file or key, and for a list of anything but names.
     """
     file, _, key = listed.partition(".json:")
     path = Path(f"{file}.json") if key else Path(listed)
@@ -164,7 +168,7 @@ def of_names(
 def without_names(
     utterances: tuple[TranscribedUtterance, ...], names: frozenset[str]
 ) -> tuple[TranscribedUtterance, ...]:
-    """All the other utterances; TranscriptError for a name that is not there."""
+    """Return the utterances without those named; TranscriptError for an unknown name."""
     _refuse_unknown(names, utterances)
     return tuple(utterance for utterance in utterances if utterance.name not in names)
 
@@ -180,9 +184,9 @@ def _refuse_unknown(names: frozenset[str], utterances: tuple[TranscribedUtteranc
 def of_speakers(
     utterances: tuple[TranscribedUtterance, ...], speakers: frozenset[str], limit: int | None
 ) -> tuple[TranscribedUtterance, ...]:
-    """The first `limit` utterances (None: all) of each of the speakers (empty: of all).
+    """Return the first `limit` utterances (None: all) of each of `speakers` (empty: of all).
 
-    Raises TranscriptError for a speaker who is not there.
+    Raises TranscriptError for a speaker who is not in the corpus.
     """
     known = {utterance.speaker for utterance in utterances}
     if missing := sorted(speakers - known):
@@ -203,10 +207,11 @@ _SPEAKER = "speaker"
 
 
 def read_speakers(path: Path) -> dict[str, tuple[str, ...]]:
-    """The groups that each speaker is in, by the speaker's name: what the other columns hold.
+    """Read a CSV table of speakers: the groups that each speaker belongs to, by speaker's name.
 
-    `0006,child,f` under `speaker,group,gender` is in "child", "f" and "child f". Raises
-    TranscriptError for a file without that column, and for a speaker who is there twice.
+    Groups are what the other columns hold: `0006,child,f` under `speaker,group,gender` is in
+    "child", "f" and "child f". Raises TranscriptError for a file without that column, and for a
+    speaker who is listed twice.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:

@@ -65,7 +65,7 @@ class Corpus:
     skipped: tuple[str, ...] = ()
 
     def labelled(self) -> "Corpus":
-        """Only the sentences that have phones."""
+        """Return the corpus with only the sentences that have phones."""
         return self.keep({u.name for u in self.utterances if u.phones})
 
     def keep(self, names: set[str]) -> "Corpus":
@@ -74,7 +74,7 @@ class Corpus:
         return Corpus(self.name, self.layout, chosen, self.head_reference_mm, self.skipped)
 
     def without(self, words: frozenset[str], names: frozenset[str]) -> "Corpus":
-        """Only the sentences that hold none of the words and are none of those named.
+        """Return the corpus without sentences that hold one of `words` or are named in `names`.
 
         Raises CorpusError for a word that no sentence holds, and where no sentence is left.
         """
@@ -93,10 +93,10 @@ _LARGEST_TERM = 1200
 
 
 def at_frame_rate(utterance: Utterance, frame_rate_hz: float) -> Utterance:
-    """The same sentence with a frame at every i / frame_rate_hz, as long as the recording goes.
+    """Return a sentence resampled to a frame at every i / frame_rate_hz, for its whole duration.
 
-    By a polyphase filter, which holds back what fewer frames cannot show; edges go on as the line
-    between them does.
+    The polyphase filter removes what fewer frames cannot show; beyond its ends motion goes on as
+    the line between its first and last frame.
     """
     ratio = Fraction(frame_rate_hz / utterance.frame_rate_hz).limit_denominator(_LARGEST_TERM)
     if ratio == 1:

@@ -47,9 +47,10 @@ class ClipWriter:
         self._thread.start()
 
     def add_frame(self, time_s: float, frame: Any) -> bool:
-        """The next picture (av.VideoFrame); whether it is taken.
+        """Queue the next picture (av.VideoFrame) at a time from the first one, s.
 
-        It is not where it comes no later than the last, or compression is two seconds behind.
+        Returns False, without queueing, where it comes no later than the last one, or compression
+        is two seconds behind.
         """
         tick = round(time_s * _TICKS_HZ)
         if tick <= self._last_tick:
@@ -84,6 +85,7 @@ class ClipWriter:
             return  # what is not kept need not be whole
 
     def _write_sound(self, samples: Samples) -> None:
+        """Write the last pictures, then the whole sound (n,) as 16-bit PCM, and close the file."""
         self._container.mux(self._stream.encode(None))
         pcm = np.rint(np.clip(samples, -1.0, 1.0) * 32767.0).astype(np.int16)[None]
         block = self._av.AudioFrame.from_ndarray(pcm, format="s16", layout="mono")
@@ -99,6 +101,10 @@ class ClipWriter:
             self._thread.join()
 
     def _compress(self) -> None:
+        """Compress queued pictures until None is queued; after a failure drop the rest.
+
+        Runs in a thread of its own.
+        """
         while (item := self._waiting.get()) is not None:
             if self._failure:
                 continue  # the queue must not fill
@@ -108,6 +114,7 @@ class ClipWriter:
                 self._failure = error.strerror or str(error)
 
     def _write_frame(self, tick: int, frame: Any) -> None:
+        """Encode one picture at a tick of the clip's clock; the first one sets size and streams."""
         if self._stream is None:
             self._make_streams(frame)
         picture = frame.reformat(self._stream.width, self._stream.height, format="yuv420p")
@@ -117,7 +124,7 @@ class ClipWriter:
         self._container.mux(self._stream.encode(picture))
 
     def _make_streams(self, frame: Any) -> None:
-        """Both before anything is written: a Matroska file says first what it holds."""
+        """Make the streams of pictures and sound: a Matroska file first lists what it holds."""
         has_x264 = "libx264" in self._av.codecs_available
         name, options = ("libx264", _X264) if has_x264 else ("mpeg4", _MPEG4)
         stream = self._container.add_stream(name, rate=self._rate, options=options)

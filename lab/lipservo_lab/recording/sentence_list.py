@@ -27,15 +27,15 @@ class Sentence:
 
 
 def shipped_sentences() -> tuple[Sentence, ...]:
-    """Sixty of our own: every phoneme of English, and most of what follows what in it."""
+    """Return sixty sentences with every phoneme of English and most successions of two."""
     text = (files("lipservo.config") / "sentences.txt").read_text(encoding="utf-8")
     return _sentences(text, "sentences.txt")
 
 
 def read_sentences(path: Path) -> tuple[Sentence, ...]:
-    """One sentence a line; empty lines and those that begin with # are none. Raises SentenceError.
+    """Read sentences, one a line; skip empty lines and those with #. Raises SentenceError.
 
-    Sentences are called s001, s002 and so on, in their order.
+    Sentences are named s001, s002 and so on, in their order.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -45,7 +45,7 @@ def read_sentences(path: Path) -> tuple[Sentence, ...]:
 
 
 def recorded_names(folder: Path, sentences: Sequence[Sentence]) -> set[str]:
-    """Which sentences the folder holds whole.
+    """Return the names of sentences that the folder holds whole.
 
     Raises SentenceError where a file of that name holds another sentence.
     """
@@ -65,6 +65,10 @@ def recorded_names(folder: Path, sentences: Sequence[Sentence]) -> set[str]:
 
 
 def _sentences(text: str, where: str) -> tuple[Sentence, ...]:
+    """Return the sentences of a text, one a line, named s001, s002, ...; skip lines with `#`.
+
+    where: file name for error messages. Raises SentenceError: no words, too many, no sentence.
+    """
     found: list[Sentence] = []
     for number, line in enumerate(text.splitlines(), start=1):
         sentence_text = " ".join(line.split())

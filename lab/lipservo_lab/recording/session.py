@@ -56,7 +56,7 @@ class Screen:
         self._line(f"! {line}", "yellow")
 
     def meter(self, level_db: float, brightness: float) -> None:
-        """level_db: of the sound; brightness: of the picture, 0 to 255."""
+        """Draw a bar of the sound's level, dB, and the picture's brightness, 0 to 255."""
         if not self._has_meter:
             return
         full = min(_BAR, max(0, round((1.0 - level_db / _EMPTY_DB) * _BAR)))
@@ -91,7 +91,7 @@ class SoundClock:
         self._last: tuple[float, float] | None = None
 
     def observe(self, captured: tuple[float, float] | None) -> None:
-        """(monotonic seconds, sound time captured then), `MicrophoneSource.captured`."""
+        """Note when sound was captured: (monotonic seconds, sound time captured then), or None."""
         if captured is not None and captured != self._last:
             self._last = captured
             self._zeros_s.append(captured[0] - captured[1])
@@ -122,7 +122,7 @@ class Microphone(Protocol):
 
     @property
     def captured(self) -> tuple[float, float] | None:
-        """(monotonic seconds, sound time captured then)."""
+        """Monotonic seconds, and the sound time captured then."""
 
     @property
     def lost_blocks(self) -> int:
@@ -187,9 +187,9 @@ class Session:
         self._outcome = Outcome()
 
     def run(self, sentences: Sequence[Sentence], recorded: set[str]) -> Outcome:
-        """Run until all are read, or the person stops; the devices are open.
+        """Record until all sentences are read, or the person stops; the devices are open.
 
-        Raises SoundError, CameraError or OutputError where one fails; what was kept stays.
+        Raises SoundError, CameraError or OutputError where one fails; recordings so far are kept.
         """
         self._wait_for_sound()
         number = 0
@@ -225,7 +225,7 @@ class Session:
                 return self._record(sentence)
 
     def _record(self, sentence: Sentence) -> _NextStep:
-        """One take, kept or not."""
+        """Record one take of a sentence; return whether to go on, repeat it or stop."""
         step = _NextStep.AGAIN
         warnings: tuple[str, ...] = ()
         with take_files(self._folder, sentence) as (clip, sound):
@@ -255,7 +255,7 @@ class Session:
         return step
 
     def _take_in(self, take: Take) -> _NextStep:
-        """Record until the person ends the sentence."""
+        """Record until a key ends the sentence or `_LONGEST_S` are over; return what to do next."""
         begun_s = self._heard_s
         while True:
             key, blocks, frames = self._tick()
@@ -276,7 +276,7 @@ class Session:
                 return _NextStep.NEXT
 
     def _step_after(self, warnings: tuple[str, ...]) -> _NextStep:
-        """Keep a good take; for another one let the person decide."""
+        """Keep a good take; for one with warnings let the person decide by key."""
         if not warnings:
             return _NextStep.NEXT
         for line in warnings:
@@ -292,7 +292,10 @@ class Session:
                 return _NextStep.AGAIN
 
     def _tick(self, *, reads_keys: bool = True) -> tuple[str | None, list[AudioBlock], list[Frame]]:
-        """What has come in the next 20 ms: a key, sound, pictures."""
+        """Wait 20 ms; return the key pressed, and the sound and pictures that came.
+
+        Raises SoundError when the microphone is gone.
+        """
         key = None
         if reads_keys:
             key = self._devices.next_key(_TICK_S)
@@ -316,6 +319,7 @@ class Session:
         return key, blocks, frames
 
     def _wait_for_sound(self) -> None:
+        """Wait until the sound's time is known, or a stop; SoundError after `_PATIENCE_S`."""
         until_s = self._devices.clock() + _PATIENCE_S
         while not self._clock.is_ready:
             self._tick(reads_keys=False)

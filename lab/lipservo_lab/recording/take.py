@@ -55,10 +55,10 @@ def warnings_of(
     rate_hz: float,
     lost_blocks: int = 0,
 ) -> tuple[str, ...]:
-    """One line for each thing that is wrong; none for a good take.
+    """Return one line for each thing that is wrong with a take; none for a good one.
 
-    samples: (n,) at 16 kHz; frames_s: times of the pictures; brightness: means of some of them,
-    0 to 255; rate_hz: pictures a second that the camera promised; lost_blocks: blocks of 10 ms of
+    samples: (n,) at 16 kHz; frames_s: times of the pictures; brightness: means of some of them, 0
+    to 255; rate_hz: pictures a second that the camera promised; lost_blocks: blocks of 10 ms of
     sound that were lost.
     """
     duration_s = len(samples) / SAMPLE_RATE_HZ
@@ -77,6 +77,7 @@ def warnings_of(
 
 
 def _of_sound(samples: Samples) -> list[str]:
+    """Return what is wrong with a sound (n,): clipped, quiet, or noisy; at most one line."""
     n_clipped = int((np.abs(samples) >= _FULL_SCALE).sum())
     if n_clipped >= _FEWEST_CLIPPED:
         return [f"{n_clipped} samples clipped: turn the microphone down or sit farther away"]
@@ -97,6 +98,10 @@ def _of_sound(samples: Samples) -> list[str]:
 
 
 def _of_pictures(frames_s: NDArray[np.float64], duration_s: float, rate_hz: float) -> list[str]:
+    """Return what is wrong with the pictures: none, too few a second, or a gap; at most one line.
+
+    frames_s: (n,), time of each picture from the first one on. rate_hz: what the camera promised.
+    """
     if len(frames_s) < 2:
         return ["no pictures: does the camera work?"]
     found_hz = (len(frames_s) - 1) / float(frames_s[-1] - frames_s[0])
@@ -124,10 +129,10 @@ class TakeDiscarded(Exception):  # noqa: N818 - a wish of a person, not an error
 
 @contextmanager
 def take_files(folder: Path, sentence: Sentence) -> Iterator[tuple[Path, Path]]:
-    """Where to write the clip and its sound; with the text they take their names at the end.
+    """Yield where to write a clip and its sound; they and the text take their names at the end.
 
-    The text is last: where it is, the others are. Whatever is raised inside leaves the folder as
-    it was; TakeDiscarded goes no farther.
+    The text is written last: where it exists, the others do. If anything is raised the folder stays
+    as it was; TakeDiscarded is not raised further.
     """
     place = folder / sentence.name
     text = place.with_suffix(".txt")
@@ -177,6 +182,7 @@ class Take:
         self._ends_s = sound_s
 
     def _write_frames(self, until_s: float) -> None:
+        """Write the waiting pictures up to a sound time, s; drop those before the take."""
         while self._pending and self._pending[0][0] < until_s:
             sound_s, picture = self._pending.popleft()
             if sound_s < self._begins_s:
@@ -218,9 +224,9 @@ class Take:
 
 
 def brightness(picture: Any) -> float:
-    """Mean of an av.VideoFrame's luma, 0 to 255; of its colours where it has no luma.
+    """Return the mean of an av.VideoFrame's luma, 0 to 255; of its colours if it has no luma.
 
-    Read off the first plane: FFmpeg's converter must not be in two threads with one picture.
+    Read from the first plane: FFmpeg's converter must not be in two threads with one picture.
     """
     plane, packed = picture.planes[0], picture.format.name
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)

@@ -34,7 +34,7 @@ class BatchLine:
 
 
 def lines_of(folder: Path, output: Path) -> list[BatchLine]:
-    """Every sound of a folder, in order of their names, each to `output`/NAME.perf.
+    """Return a line for every sound of a folder, in order of names, written to `output`/NAME.perf.
 
     The phonemes come from NAME.TextGrid or NAME.json beside it, else from NAME.txt, else from the
     recogniser. Raises LineError for a folder without sounds, for two sounds of one name, and for a
@@ -55,6 +55,7 @@ def lines_of(folder: Path, output: Path) -> list[BatchLine]:
 
 
 def _script_beside(sound: Path) -> Script:
+    """Return the phones of the file beside a sound, else its text, else an empty script."""
     for suffix in _PHONES:
         phones = sound.with_suffix(suffix)
         if phones.is_file():
@@ -66,7 +67,7 @@ def _script_beside(sound: Path) -> Script:
 
 
 def unrendered(lines: Sequence[BatchLine], how: Rendering) -> list[BatchLine]:
-    """The lines of which the output is not already what rendering them would give."""
+    """Return the lines whose output is not already what rendering them would give."""
     return [each for each in lines if not is_rendered(each.output, each.sound, each.script, how)]
 
 
@@ -77,10 +78,10 @@ def render_all(
     advance: Callable[[], None] = lambda: None,
     cluster: Cluster | None = None,
 ) -> tuple[list[Rendered], dict[str, str]]:
-    """What was rendered, in order, and of each sound that was not the reason, in one line.
+    """Render lines; return those rendered, in order, and a reason for each sound that failed.
 
-    cluster: works in place of our processes. Each file is written here, so that a worker that dies
-    leaves nothing behind. Raises ClusterError, and UserError where one of our processes dies.
+    cluster: renders in place of processes here. Files are written by this process, so that a worker
+    that dies leaves nothing behind. Raises ClusterError, and UserError where a process here dies.
     """
     rendered: dict[int, Rendered] = {}
     failed: dict[int, str] = {}
@@ -107,6 +108,10 @@ _Made = tuple[bytes, Rendered] | UserError
 def _made_here(
     lines: Sequence[BatchLine], how: Rendering, n_processes: int
 ) -> Iterator[tuple[int, _Made]]:
+    """Yield lines as they are rendered on this computer, numbered, in any order.
+
+    Raises UserError where a process of the pool has died.
+    """
     work = joblib.Parallel(n_jobs=n_processes, return_as="generator_unordered")
     numbered = joblib.delayed(_made_of)
     try:
@@ -121,7 +126,10 @@ def _made_here(
 def _made_there(
     cluster: Cluster, lines: Sequence[BatchLine], how: Rendering
 ) -> Iterator[tuple[int, _Made]]:
-    """Workers have working folders of their own: every path is whole."""
+    """Yield lines as they are rendered on the cluster, numbered, in any order.
+
+    Paths are made absolute, since workers have other working folders.
+    """
     how = replace(
         how,
         model=_absolute(how.model),

@@ -49,7 +49,7 @@ class ClusterError(UserError):
 
 @contextmanager
 def cluster_at(address: str) -> Iterator["Cluster"]:
-    """A connection to the scheduler at HOST:PORT. Raises ClusterError."""
+    """Yield a connection to the scheduler at HOST:PORT. Raises ClusterError."""
     if not _ADDRESS.fullmatch(address):
         raise ClusterError(f"--dask {address}: is no HOST:PORT, as `dask scheduler` prints it")
     import distributed  # noqa: F401 (which sets the levels of its loggers)
@@ -133,6 +133,10 @@ class Cluster:
         return self._n_cores
 
     def _count_cores(self) -> int:
+        """Return how many cores the cluster has now; 0 while its scheduler cannot be reached.
+
+        Connects anew where the connection has been given up; may block for `_ANSWER_S`.
+        """
         try:
             if self._client.status == "closed":  # it has tried to connect again for long enough
                 self._client = self._connected()

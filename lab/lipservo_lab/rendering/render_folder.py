@@ -87,6 +87,11 @@ def _render_folder(
     as_json: bool,
     quiet: bool,
 ) -> None:
+    """Render all sounds of a folder that are not yet rendered, and print what was done.
+
+    cluster: None renders on `n_processes` of this computer. Raises UserError with all that failed,
+    after everything else was rendered and printed.
+    """
     from rich.progress import Progress
 
     from lipservo.rendering.rendered import load_speaker

@@ -46,20 +46,23 @@ class Template:
 
     @property
     def layout(self) -> PointLayout:
-        """All vertices, with the lips in their groups."""
+        """The layout of all vertices, with the lips in their groups."""
         known = {*OUTER_LIP, *INNER_LIP}
         skin = tuple(int(n) for n in self.landmarks if int(n) not in known)
         groups = ((OUTER_LIP_GROUP, OUTER_LIP), (INNER_LIP_GROUP, INNER_LIP), ("skin", skin))
         return PointLayout(f"scans-{len(self.landmarks)}", groups, (13, 14))
 
     def rows_of(self, landmarks: tuple[int, ...]) -> Indices:
-        """Which vertices have these numbers; KeyError for one that none has."""
+        """Return the vertices with these landmark numbers; KeyError for one that none has."""
         row_of = {int(number): row for row, number in enumerate(self.landmarks)}
         return np.array([row_of[number] for number in landmarks], dtype=np.int64)
 
 
 def shipped_template(mean: MeanFace | None = None) -> Template:
-    """The face of the twin up to its rim: 7,134 vertices."""
+    """Return the face of the twin up to its rim as a template: 7,134 vertices.
+
+    mean: None: the shipped mean face.
+    """
     mean = mean or load_mean_face()
     inside = mean.behind <= _RIM
     chosen = np.flatnonzero(inside)
@@ -262,7 +265,7 @@ def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
 
 
 def _all_turns() -> list[Array]:
-    """All 48 ways to name and sign three axes."""
+    """Return all 48 ways to name and sign three axes, (3, 3) each."""
     return [
         np.eye(3)[list(order)] * np.array(signs)[:, None]
         for order in permutations(range(3))
@@ -271,7 +274,10 @@ def _all_turns() -> list[Array]:
 
 
 def _fits(face_mm: Array, scan: Scan, turns: Sequence[Array]) -> dict[tuple[float, ...], float]:
-    """How far a face is off a scan that is turned so, mm; without those that shrink it."""
+    """Return how far a face is off a scan that is turned, mm, by turn.
+
+    Turns whose fit changes the size too much are left out.
+    """
     fits: dict[tuple[float, ...], float] = {}
     sample = _sample(face_mm, _FIRST_SAMPLE)
     few = scan.points_mm[:: max(1, len(scan.points_mm) // _FIRST_TARGETS)]
@@ -293,6 +299,10 @@ def _fault(turn: Array) -> str:
 
 
 def _icp(sample: Array, targets: Array, start: Pose, n_rounds: int, *, scaled: bool) -> Pose:
+    """Return the pose that lays points of a face (n, 3) on those of a scan (m, 3), by ICP.
+
+    start: first guess. scaled: whether the size is fitted too, else it stays 1.
+    """
     from trimesh.registration import icp
 
     align: Callable[..., tuple[Array, Array, float]] = icp
@@ -311,6 +321,9 @@ def _sample(points: Array, n: int) -> Array:
 
 
 def _middle(points: Array) -> Array:
-    """Of the box around all but stray points: scans are denser here than there."""
+    """Return the middle of the box around all points but stray ones, (3,).
+
+    Not their mean: scans are denser here than there.
+    """
     low, high = np.percentile(points, (2, 98), axis=0)
     return np.asarray((low + high) / 2)

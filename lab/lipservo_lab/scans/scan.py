@@ -232,6 +232,10 @@ def vertex_normals(vertices: Array, triangles: Indices) -> Array:
 
 
 def _read(path: Path) -> tuple[Array, Indices]:
+    """Read all meshes of a PLY or OBJ file as one: points (n, 3) as stored, triangles (m, 3).
+
+    Raises ScanError for a file that is empty, damaged, or cannot be read.
+    """
     check_extra("trimesh", "reading scans")
     import trimesh
 
@@ -260,13 +264,13 @@ def _read(path: Path) -> tuple[Array, Indices]:
 
 
 def _without_strays(points: Array, triangles: Indices) -> tuple[Array, Indices]:
-    """Only the points that a triangle has."""
+    """Return the points that are in a triangle, and the triangles renumbered."""
     used, renumbered = np.unique(triangles, return_inverse=True)
     return points[used], np.asarray(renumbered.reshape(-1, 3), dtype=np.int64)
 
 
 def _refined(points: Array, triangles: Indices) -> tuple[Array, Indices]:
-    """A coarse mesh with points put on its triangles, until its edges are short."""
+    """Subdivide the triangles of a coarse mesh until its edges are short."""
     from trimesh.remesh import subdivide
 
     split: Callable[[Array, Indices], tuple[Array, Indices]] = subdivide

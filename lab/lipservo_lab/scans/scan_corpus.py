@@ -51,7 +51,10 @@ class CorpusWriter:
         self._names.append(name)
 
     def finish(self, about: Mapping[str, object]) -> None:
-        """What belongs to all sentences. about: for import.json."""
+        """Write the files that all sentences share: landmarks, layout, splits, mesh, import.json.
+
+        about: content of import.json.
+        """
         template = self._template
         eyes = template.vertices_mm[template.rows_of((_RIGHT_EYE, _LEFT_EYE))]
         listed = {
@@ -80,9 +83,9 @@ def write_motion(
     rate_hz: float,
     about: Mapping[str, object],
 ) -> None:
-    """All takes end to end, whole or not at all: `about`, `points_mm`, `borders`, and the mesh.
+    """Write all takes end to end: `about`, `points_mm`, `borders`, and the mesh.
 
-    Raises OutputError.
+    The file is written whole or not at all. Raises OutputError.
     """
     header = {
         "kind": _KIND,

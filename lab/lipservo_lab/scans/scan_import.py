@@ -48,7 +48,7 @@ class ScanReport:
     markers: int = 0
 
     def as_json(self) -> dict[str, object]:
-        """By name."""
+        """Return the fields by name."""
         return asdict(self)
 
 
@@ -64,7 +64,7 @@ class TakeReport:
     phonemes: str | None = None
 
     def as_json(self) -> dict[str, object]:
-        """By name."""
+        """Return the fields by name."""
         return asdict(self)
 
 
@@ -72,11 +72,11 @@ _COLUMNS = ("scan", "name", "x", "y", "z")
 
 
 def read_markers(path: Path, template: Template, frame: ScanFrame) -> Mapping[str, Markers]:
-    """By the name of the scan, without its ending.
+    """Read named points of scans, by the name of the scan without its ending.
 
     A CSV file with the columns scan, name, x, y, z, in units and axes of the scans. A name is that
     of a layout's point, such as `outer_lip_61`, or the number of a landmark. Raises ScanError for a
-    file that cannot be read so, and for a name that the template has not.
+    file that cannot be read so, and for a name that the template lacks.
     """
     row_of = {int(number): row for row, number in enumerate(template.landmarks)}
     known = {str(number): row for number, row in row_of.items()}
@@ -108,6 +108,7 @@ def read_markers(path: Path, template: Template, frame: ScanFrame) -> Mapping[st
 
 
 def _place(line: Mapping[str, str | None], where: str) -> list[float]:
+    """Return x, y and z of a line of a CSV file; raise ScanError where one is no finite number."""
     try:
         place: Array = np.array([float(line[axis] or "") for axis in "xyz"])
     except (TypeError, ValueError):
@@ -158,7 +159,7 @@ class ScanImport:
     samples: list[SampleScan] = field(default_factory=list)
 
     def registered(self, advance: Advance) -> Iterator[RegisteredTake]:
-        """Every take that could be used, as it is made."""
+        """Register all takes; yield every take that could be used as soon as it is made."""
         n_all = sum(len(take.scans) for take in self.given)
         every = max(1, n_all // _SAMPLES)
         registration = Registration(self.template)
@@ -225,6 +226,10 @@ def begin_import(
 
 
 def _neutral(takes: Sequence[Take], frame: ScanFrame, neutral: Path | None) -> tuple[Path, Scan]:
+    """Return the given neutral scan, or else the first scan of all takes that can be read.
+
+    Raises ScanError where none can.
+    """
     if neutral is not None:
         return neutral, read_scan(neutral, frame)
     first: ScanError | None = None
@@ -244,6 +249,7 @@ def _register(
     frame: ScanFrame,
     markers: Markers | None,
 ) -> tuple[RegisteredScan | None, ScanReport]:
+    """Register one scan; return it with its report, or None and the reason why it is left out."""
     report = ScanReport(
         take.name, path.stem, markers=0 if markers is None else len(markers.seen_mm)
     )
@@ -265,7 +271,10 @@ def _register(
 def _joined(
     take: Take, found: Sequence[RegisteredScan | None], rate_hz: float
 ) -> tuple[RegisteredTake | None, TakeReport]:
-    """One array of all scans, short holes bridged by straight lines."""
+    """Join a take's scans into one array, with short gaps interpolated; return it and a report.
+
+    None for a take with too few scans, or a gap longer than `_LONGEST_HOLE_S`.
+    """
     report = TakeReport(take.name, len(found), seconds=round(len(found) / rate_hz, 3))
     there = np.array([scan is not None for scan in found])
     if there.sum() < 2:

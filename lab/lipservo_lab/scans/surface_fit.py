@@ -100,7 +100,7 @@ class SurfaceFit:
             self._factors = [self._factorised(level.length_mm) for level in levels]
 
     def _factorised(self, length_mm: float) -> Any:
-        """Of the shell whose every vertex is held in all three directions: the preconditioner."""
+        """Factorise the shell with every vertex held in all directions: the preconditioner."""
         held = length_mm**4 * self._shell + sparse.diags_array(self._areas)
         return splu(
             sparse.csc_array(held),
@@ -149,6 +149,11 @@ class SurfaceFit:
     def _match(
         self, moved: Array, pose: Pose, scan: Scan, tree: cKDTree, reach_mm: float
     ) -> "_Match":
+        """Return each vertex's nearest point of the scan, its normal, and whether they match.
+
+        moved: (n, 3) mm, displacement of the template so far. A match lies within `reach_mm`, faces
+        the same way, and is not beyond a hole's or the scan's edge.
+        """
         places = self._template.vertices_mm + moved
         in_scan = pose.in_scan(places)
         distances, at = tree.query(in_scan, distance_upper_bound=reach_mm)
@@ -172,6 +177,11 @@ class SurfaceFit:
         pose: Pose,
         markers: Markers | None,
     ) -> Array:
+        """Return the displacement (n, 3), mm, that minimises the energy of the module's docstring.
+
+        Solved by conjugate gradients from `moved` on, `_STEPS` at most. Matches that are far off,
+        beside the median, count less. length_mm: below it the shell hardly bends.
+        """
         rest, n = self._template.vertices_mm, len(moved)
         normals = match.normals
         off = ((match.nearest - rest - moved) * normals).sum(axis=1)
@@ -231,7 +241,7 @@ class RegisteredScan:
 
     @property
     def in_scan_mm(self) -> Array:
-        """Where the same points are in the scan, head motion and all.
+        """The places of the same points in the scan, with head motion.
 
         Returns
         -------
@@ -242,7 +252,7 @@ class RegisteredScan:
 
     @property
     def matched(self) -> float:
-        """Share of the mesh that found its surface."""
+        """The share of the mesh that found a matching surface."""
         return float(self.fit.matched.mean())
 
     @property

@@ -36,12 +36,12 @@ class Take:
 
 
 def find_takes(folder: Path, template: Path | None = None) -> tuple[Take, ...]:
-    """Every sub-folder with scans, else the folder itself as one take, in order of their names.
+    """Return every sub-folder with scans, else the folder itself as one take, in order of names.
 
     Scans are in order of the numbers in their names. Beside the sub-folder NAME may lie NAME.wav or
     .flac, NAME.txt, NAME.TextGrid and NAME.markers.csv; of a folder that is one take they lie in
-    it. template: no scan of a take, wherever it lies. Raises ScanError for a folder that is not
-    there, without scans, or with a single one.
+    it. template: a file that is no scan of a take, wherever it lies. Raises ScanError for a folder
+    that is missing, without scans, or with a single one.
     """
     if not folder.is_dir():
         raise ScanError(f"{folder}: no such folder; give one with a scan (.ply, .obj) a picture")
@@ -59,6 +59,10 @@ def find_takes(folder: Path, template: Path | None = None) -> tuple[Take, ...]:
 
 
 def _take(scans: Path, beside: Path, name: str, template: Path | None) -> Take:
+    """Return a take: its scans in numerical order, and the files NAME.* that lie in `beside`.
+
+    template: a scan that is not part of the take. Raises ScanError for a text that is not UTF-8.
+    """
     found = [
         path
         for path in scans.iterdir()
@@ -106,7 +110,7 @@ class TakeSound:
 
 
 def take_sound(take: Take, rate_hz: float) -> TakeSound:
-    """Sound and labels of a take that has a sound.
+    """Return sound and labels of a take that has a sound.
 
     Raises ScanError for sound that is not as long as the scans, or labels without phones; UserError
     for a sound, labels or text that cannot be used.

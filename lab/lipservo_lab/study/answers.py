@@ -94,7 +94,7 @@ def first_record(identity: str) -> Record:
 
 
 def line_of(record: Record) -> bytes:
-    """A record as it is written."""
+    """Return a record as a line of the file."""
     return json.dumps(record, ensure_ascii=False).encode() + b"\n"
 
 
@@ -104,6 +104,7 @@ def now() -> str:
 
 
 def _add(raters: dict[str, RaterRecord], record: Record) -> None:
+    """Apply one line of the answer file to the raters, by name; KeyError for an unknown rater."""
     match record["kind"]:
         case "join":
             raters[record["rater"]] = RaterRecord(int(record["sheet"]))
@@ -117,7 +118,10 @@ class AnswerFile:
     """The file of the one server of a study; its methods may be called from any thread."""
 
     def __init__(self, path: Path, identity: str) -> None:
-        """Open or make it. Raises StudyError: another server has it, or it cannot be used."""
+        """Open or make the answer file and lock it.
+
+        Raises StudyError: another server has it, or it cannot be used.
+        """
         self.path = path
         self._lock = threading.Lock()
         try:
@@ -189,7 +193,7 @@ class AnswerFile:
             self._keep({"kind": "answer", "rater": name, "number": number, **given, "at": now()})
 
     def leave(self, name: str) -> None:
-        """Nothing of what a rater answered shall count. Raises as `answer`."""
+        """Note that a rater leaves: none of their answers shall count. Raises as `answer`."""
         with self._lock:
             if not self.rater(name).has_left:
                 self._keep({"kind": "leave", "rater": name, "at": now()})
@@ -199,7 +203,7 @@ class AnswerFile:
         _add(self.raters, record)
 
     def _append(self, record: Record) -> None:
-        """On the disk whole, or not in the file."""
+        """Append a record: on the disk whole, or not in the file. Raises StudyError."""
         line = line_of(record)
         size = os.fstat(self._file).st_size
         try:

@@ -71,7 +71,7 @@ class Counted:
 
 
 def counted(study: Study, key: Key, answers: Answers) -> Counted:
-    """Judge every rater, and gather what counts."""
+    """Decide for every rater whether to count them, and gather the answers of those who count."""
     left_out = {
         name: reason
         for name, rater in answers.raters.items()
@@ -92,7 +92,7 @@ def counted(study: Study, key: Key, answers: Answers) -> Counted:
 
 
 def _carelessness(study: Study, rater: RaterRecord) -> Reason | None:
-    """The first reason that applies."""
+    """Return the first reason not to count a rater; None: there is none."""
     items = study.sheets[rater.sheet]
     if rater.has_left:
         return "left"
@@ -120,7 +120,7 @@ def _carelessness(study: Study, rater: RaterRecord) -> Reason | None:
 
 
 def _inverted(tables: Tables) -> list[str]:
-    """Raters whose ratings fall where the means of all others rise, beyond chance."""
+    """Return raters whose ratings fall where the means of all others rise, beyond chance."""
     n_methods, found = len(tables.methods), []
     raters, methods = tables.ratings[:, 0], tables.ratings[:, 2]
     sums, counts = np.zeros((2, len(tables.raters), n_methods))
@@ -141,9 +141,9 @@ def _inverted(tables: Tables) -> list[str]:
 
 
 def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tables:
-    """All answers of some raters.
+    """Return all answers of some raters as tables.
 
-    An answer that the study does not hold is an error of its writer.
+    The answers must be to items of the study, else an error such as KeyError is raised.
     """
     names = tuple(raters)
     sentences = tuple(sorted({clip.sentence for clip in key.clips.values()}))
@@ -207,7 +207,7 @@ def _words_read(
 
 
 def words_in(text: str) -> list[str]:
-    """The words of a text as they are compared: lower case, no punctuation, digits by name."""
+    """Return the words of a text for comparison: lower case, no punctuation, digits by name."""
     return [_DIGITS.get(word, word) for word in re.findall(r"[\w']+", text.lower())]
 
 

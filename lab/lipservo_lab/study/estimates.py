@@ -76,7 +76,7 @@ def words_read(tables: Tables, reference: int, seed: int = 0) -> tuple[Estimates
 
 
 def _quotient(sums: Array) -> Array:
-    """(..., 2, n) -> (..., n); NaN where nothing was counted."""
+    """Return quotients, (..., n), of sums (..., 2, n); NaN where nothing was counted."""
     over, under = sums[..., 0, :], sums[..., 1, :]
     return np.divide(over, under, out=np.full_like(over, np.nan), where=under > 0)
 
@@ -116,7 +116,11 @@ def strengths(wins: Array) -> Array:
 def _estimates(
     rows: Indices, sums: Array, figures: Callable[[Array], Array], reference: int, seed: int
 ) -> Estimates:
-    """rows: (n_answers, ...), rater and sentence first. sums: (n_answers, ...), that add up."""
+    """Return estimates with intervals by rater and sentence, and differences from the reference.
+
+    rows: (n_answers, ...), rater and sentence first. sums: (n_answers, ...), of which `figures`
+    makes the estimates once they are added up.
+    """
     if not len(rows):
         none = tuple(Figure(float("nan"), None, None) for _ in range(sums.shape[-1]))
         return Estimates(none, none)
@@ -154,7 +158,10 @@ def _estimates(
 def _variance(
     clusters: Indices, sums: Array, figures: Callable[[Array], Array], numbers: np.random.Generator
 ) -> tuple[Array, int]:
-    """Of figures over clusters drawn with replacement, and how many clusters there are."""
+    """Return the bootstrap variance of figures over clusters, and how many clusters there are.
+
+    NaN for fewer than two clusters.
+    """
     names, number = np.unique(clusters, return_inverse=True)
     n = len(names)
     if n < 2:

@@ -98,7 +98,10 @@ def held_out(corpus: Corpus, test: frozenset[str], seed: str) -> tuple[Utterance
 def planned_study(
     plan: Plan, read: Sequence[Utterance], learned: Sequence[Utterance]
 ) -> tuple[Study, Key]:
-    """The study without its clips; read, learned: as `Material` has them. Raises StudyError."""
+    """Plan a study without its clips. Raises StudyError.
+
+    read, learned: sentences, as in `Material`.
+    """
     sentences = [
         Sentence(
             u.name,
@@ -122,7 +125,10 @@ def planned_study(
 def write_made_study(
     folder: Path, study: Study, key: Key, material: Material, film: Film, advance: Advance
 ) -> None:
-    """The whole folder, or nothing. Raises OutputError, and what the film raises."""
+    """Write the folder of a study whole or not at all.
+
+    Raises OutputError, and what the film raises.
+    """
     by_name = {u.name: u for u in material.read}
     with folder_written_whole(folder) as partial:
         (partial / CLIPS).mkdir(parents=True)
@@ -144,7 +150,7 @@ _LEAST_FREE_BYTES = 100_000_000
 
 
 def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
-    """What each reader reads of each clip that is shown without sound."""
+    """Let each machine reader read each clip that is shown without sound; return the records."""
     by_name = {u.name: u for u in material.read}
     shown = sorted(
         {

@@ -29,7 +29,10 @@ class MixedModel:
 
 
 def mixed_model(tables: Tables, reference: int) -> MixedModel | None:
-    """None where there is too little to fit one: a rater, a sentence, or a method without ratings.
+    """Fit a mixed model to the ratings; None where there are too few of them.
+
+    That is: fewer than two raters or sentences, a method without ratings, or fewer than two ratings
+    a method.
 
     Raises MissingExtraError.
     """
@@ -65,7 +68,7 @@ def mixed_model(tables: Tables, reference: int) -> MixedModel | None:
 
 
 def _indicators(numbers: Indices) -> Array:
-    """(n, k): a column for each number that there is."""
+    """Return a column of 0 and 1 for each number that occurs, (n, k)."""
     found = np.unique(numbers, return_inverse=True)[1]
     return np.eye(found.max() + 1)[found]
 

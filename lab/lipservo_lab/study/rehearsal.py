@@ -74,7 +74,7 @@ def trial_study(methods: Sequence[str], size: Size, seed: int = 0) -> tuple[Stud
 def simulated_study(
     study: Study, key: Key, taste: Taste, characters: Sequence[Character], seed: int
 ) -> Counted:
-    """What counts of the answers of simulated raters, written and read as a file's lines."""
+    """Simulate raters' answers, as lines of a file, and return which of them count."""
     numbers = np.random.default_rng(seed)
     records = simulated_records(study, key, taste, characters, numbers)
     content = b"".join(map(line_of, records))
@@ -84,7 +84,7 @@ def simulated_study(
 def coverage_figures(
     n_studies: int, crew: Crew, size: Size, advance: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """How often intervals hold the truth, and who is left out, over many simulated studies.
+    """Simulate many studies; return how often intervals hold the truth, and who is left out.
 
     Every study has other raters, sentences and instants of the same population. advance: called
     with the studies done and all of them.
@@ -130,7 +130,10 @@ def coverage_figures(
 
 
 def _truth(study: Study, key: Key, taste: Taste) -> dict[str, Array]:
-    """Of methods that differ; words by a crowd, since a wrong one may be right by chance."""
+    """Return the true figures of methods for a taste.
+
+    Those of words are a large crowd's, since a wrong word may be right by chance.
+    """
     means = np.array([taste.mean_rating(method) for method in key.methods])
     odds = strengths(1e6 * strengths_of(taste, key.methods))
     crowd = simulated_study(study, key, taste, Crew(_MANY_READERS).characters, 0)
@@ -162,10 +165,10 @@ def _left_share(out: Counter[tuple[Character, bool]], kinds: Sequence[Character]
 def power_rows(
     raters: Sequence[int], n_methods: int, size: Size, n_studies: int, track: Track
 ) -> list[dict[str, Any]]:
-    """For each number of raters, how often a difference from the reference is seen.
+    """Return for each number of raters how often a difference from the reference is found.
 
-    A difference is seen where its interval leaves out 0. smallest_seen: in points of the scale,
-    what is seen in four of five studies; None where none of those tried is.
+    A difference is found where its interval leaves out 0. smallest_seen: in points of the scale,
+    the difference found in four of five studies; None where none of those tried is.
     """
     methods = tuple(f"method {n}" for n in range(n_methods))
     gaps = np.array([0.0, *_DIFFERENCES, *[_DIFFERENCES[-1]] * n_methods][:n_methods])

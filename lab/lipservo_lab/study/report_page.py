@@ -24,7 +24,10 @@ _STYLE: Final = (files("lipservo_lab.study.page") / "report.css").read_text("utf
 
 
 def report_page(figures: Row, *, about: str, is_rehearsal: bool) -> str:
-    """figures: of `study_figures`. about: where and when, in a line."""
+    """Return the report as one HTML page.
+
+    figures: of `study_figures`. about: where and when, in a line.
+    """
     raters = figures["raters"]
     parts = [
         f"<h1>{escape(figures['title'])}</h1>",
@@ -63,7 +66,7 @@ raters</em> shows the means with everybody who did at least half.</p>
 
 
 def _headline(figures: Row) -> str:
-    """What the ratings say of each of ours, in a sentence each."""
+    """Return as HTML how each of our methods is rated beside the reference, in a sentence each."""
     lines = []
     for row in figures["ratings"]:
         ends = row["less_reference_95"]
@@ -90,6 +93,7 @@ def _left_out(reasons: Mapping[str, str]) -> str:
 
 
 def _ratings(figures: Row) -> list[str]:
+    """Return the HTML of the ratings: heading, picture, table, and the mixed model's spread."""
     rows = _ordered(figures["ratings"], "mean")
     cells = [
         [
@@ -114,6 +118,7 @@ def _ratings(figures: Row) -> list[str]:
 
 
 def _pairs(figures: Row) -> list[str]:
+    """Return the HTML of the comparisons of two: heading, picture, table, and who won over whom."""
     rows = _ordered(figures["pairs"], "strength")
     cells = [
         [
@@ -135,6 +140,7 @@ def _pairs(figures: Row) -> list[str]:
 
 
 def _won_table(won_over: Mapping[str, Mapping[str, int]], rows: Sequence[Row]) -> str:
+    """Return an HTML table: how often the row's method was chosen over the column's."""
     names = [row["method"] for row in rows]
     cells = [
         [
@@ -147,6 +153,10 @@ def _won_table(won_over: Mapping[str, Mapping[str, int]], rows: Sequence[Row]) -
 
 
 def _reading(figures: Row) -> list[str]:
+    """Return the HTML of what was read without sound, by people and by machines, best method first.
+
+    The order is that of people's answers, or of the first machine's where no person has read.
+    """
     reading = figures["reading"]
     people = _ordered(reading[PEOPLE], "words_right")
     if not any(row["answers"] for row in people):
@@ -181,7 +191,7 @@ def _reading(figures: Row) -> list[str]:
 
 
 def _picture(draw: Any, n_rows: int) -> str:
-    """A figure element with an SVG in it."""
+    """Return an HTML figure with an SVG that `draw` draws on matplotlib axes."""
     without_screen()
     import matplotlib as mpl
     from matplotlib import pyplot as plt
@@ -204,6 +214,7 @@ def _picture(draw: Any, n_rows: int) -> str:
 
 
 def _draw_ratings(axes: "Axes", rows: Sequence[Row]) -> None:
+    """Draw each method's mean rating with its 95 % interval, and the mixed model's below it."""
     _dots(axes, rows, "mean")
     if any(row["mixed"] is not None for row in rows):
         at = np.arange(len(rows)) + 0.26
@@ -223,6 +234,7 @@ def _draw_pairs(axes: "Axes", rows: Sequence[Row]) -> None:
 
 
 def _draw_reading(axes: "Axes", by_reader: Mapping[str, Sequence[Row]]) -> None:
+    """Draw the share of words read right, with 95 % intervals and chance, of each reader."""
     places = np.linspace(-0.22, 0.22, len(by_reader)) if len(by_reader) > 1 else [0.0]
     for place, mark, (name, rows) in zip(places, "o^s", by_reader.items(), strict=False):
         is_human = name == PEOPLE
@@ -246,6 +258,7 @@ def _values(rows: Sequence[Row], name: str) -> list[float]:
 
 
 def _dots(axes: "Axes", rows: Sequence[Row], name: str) -> None:
+    """Draw a value a row, if it has one, with its 95 % interval; label rows by their methods."""
     for at, row in enumerate(rows):
         if row[name] is None:
             continue
@@ -265,7 +278,7 @@ def _colour(method: str) -> str:
 
 
 def _ordered(rows: Sequence[Row], name: str) -> list[Row]:
-    """From the highest down; what was not measured last."""
+    """Return rows from the highest value of `name` down; rows without a value last."""
     return sorted(rows, key=lambda row: np.inf if row[name] is None else -row[name])
 
 
@@ -280,7 +293,10 @@ def _table(
     n_texts: int = 1,
     reference: int | None = None,
 ) -> str:
-    """n_texts: columns from the left that hold text. reference: the row that is set apart."""
+    """Return an HTML table.
+
+    n_texts: columns from the left that hold text. reference: index of the row that is set apart.
+    """
     kinds = ["" if n < n_texts else ' class="n"' for n in range(len(heads))]
     head = "".join(f"<th{kind}>{text}</th>" for kind, text in zip(kinds, heads, strict=True))
     body = ""

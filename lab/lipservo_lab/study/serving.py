@@ -88,7 +88,10 @@ class StudyDesk:
         }
 
     def join(self, given: Any) -> Mapping[str, Any]:
-        """A rater who agrees; the first item that they have not answered."""
+        """Let a rater who agrees join; return the first item that they have not answered.
+
+        Raises RequestError.
+        """
         name = given.get("rater")
         if given.get("agrees") is not True:
             raise RequestError("a rater must agree before taking part")
@@ -97,7 +100,7 @@ class StudyDesk:
         return self._next(self._answers.join(name, len(self.study.sheets)))
 
     def next_item(self, name: str) -> Mapping[str, Any]:
-        """The first item that a rater has not answered; its number is None when all are."""
+        """Return the first item that a rater has not answered; its number is None when all are."""
         return self._next(self._answers.rater(name))
 
     def answer(self, name: str, given: Any) -> Mapping[str, Any]:
@@ -111,11 +114,15 @@ class StudyDesk:
         return self._next(rater)
 
     def leave(self, name: str, _given: Any) -> Mapping[str, Any]:
-        """Nothing of theirs shall count."""
+        """Note that a rater leaves: none of their answers shall count."""
         self._answers.leave(name)
         return {"left": True}
 
     def _next(self, rater: RaterRecord) -> Mapping[str, Any]:
+        """Return the first item that a rater has not answered; number None: there is none.
+
+        A rater who has left has none.
+        """
         items = self.study.sheets[rater.sheet]
         number = next((n for n in range(len(items)) if n not in rater.answers), None)
         if number is None or rater.has_left:
@@ -130,7 +137,7 @@ def _is_whole(value: object, low: int, high: int) -> bool:
 
 
 def _checked(item: Item, given: Any) -> Record:
-    """The fields of an answer that are kept. Raises RequestError."""
+    """Check an answer to an item; return the fields to keep. Raises RequestError."""
     answer, seconds, plays = (given.get(key) for key in ("answer", "seconds", "plays"))
     is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
     if not is_number or not 0 <= seconds < _MOST_S or not _is_whole(plays, 0, _MOST_PLAYS):
@@ -150,7 +157,10 @@ def _checked(item: Item, given: Any) -> Record:
 
 
 def study_app(desk: StudyDesk, folder: Path, token: str) -> App:
-    """The whole server as an ASGI application."""
+    """Return the whole server as an ASGI application.
+
+    folder: of the clips. token: required of every request.
+    """
 
     async def about(_request: Request) -> Response:
         return JSONResponse(desk.about())
@@ -188,6 +198,7 @@ def study_app(desk: StudyDesk, folder: Path, token: str) -> App:
 
 
 def _file_of_page(name: str) -> Callable[[Request], Awaitable[Response]]:
+    """Return an endpoint that serves a file of the page; the file is read once, at the start."""
     content = (_PAGE / name).read_bytes()
 
     async def served(_request: Request) -> Response:
@@ -212,7 +223,7 @@ async def _body(request: Request) -> Any:
 
 
 async def _answered(call: Callable[..., Mapping[str, Any]], *given: Any) -> Response:
-    """What a call returns, or its error as one line with a status."""
+    """Run a call in a thread; return its result as JSON, or its error as one line with a status."""
     status = HTTPStatus.OK
     try:
         if given[-1] is None:
@@ -239,6 +250,11 @@ class _TokenLayer:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on if it has the token; else refuse it, on the first page in words.
+
+        A page that is opened with the token in its address is redirected, and gets a cookie
+        instead. What is no HTTP request is passed on unchecked.
+        """
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -273,7 +289,7 @@ def _with_headers(send: Send) -> Send:
 
 
 def study_token(folder: Path) -> str:
-    """The token of a study, made with the first server; only its owner reads the file.
+    """Return the token of a study, made at the first start; only its owner can read the file.
 
     Raises StudyError.
     """
@@ -292,7 +308,7 @@ def study_token(folder: Path) -> str:
 
 
 def minutes_of(study: Study) -> int:
-    """How long a rater takes, about: what is played, and so long for each answer."""
+    """Estimate how many minutes a rater takes: the clips, and a time for each answer."""
     thinking_s = {"reading": 15.0, "sound": 15.0, "rating": 5.0, "pair": 6.0, "check": 3.0}
     seconds = sum(
         thinking_s[item.kind] + sum(study.duration_s[clip] for clip in item.clips)

@@ -104,7 +104,7 @@ class Size:
     sheets: int = 60
 
     def rounds(self, n_methods: int) -> tuple[int, int, int]:
-        """Rounds of ratings, of readings, and how many sets of sentences are rated.
+        """Return the number of rounds of ratings, rounds of readings, and sets of rated sentences.
 
         Raises StudyError for what no square can balance.
         """
@@ -146,7 +146,7 @@ def make_study(
     consent: str = "",
     vocabulary: tuple[tuple[str, ...], ...] = (),
 ) -> tuple[Study, Key]:
-    """A study of the first sentences that it needs; the same seed gives the same.
+    """Plan a study of the first sentences that it needs; the same seed gives the same study.
 
     Raises StudyError for too few sentences, or a size that no square can balance.
     """
@@ -171,6 +171,10 @@ def make_study(
     pairs = _Pairs(numbers, n, size.pairs)
 
     def sheet(rater: int) -> tuple[Item, ...]:
+        """Return the items of a rater, in their order: reading, sound check, ratings, pairs.
+
+        Attention checks are mixed in. The same rater and secret always give the same sheet.
+        """
         own = np.random.default_rng([*secret, rater])
         # The same for the raters of one square, or it were none.
         square = np.random.default_rng([*secret, 0, rater // n])
@@ -276,6 +280,7 @@ def read_key(folder: Path) -> Key:
 
 
 def _read(path: Path, adapter: "TypeAdapter[T]") -> T:
+    """Read and check a JSON file of a study; raise StudyError that says what is wrong with it."""
     try:
         return adapter.validate_json(path.read_bytes())
     except OSError as error:

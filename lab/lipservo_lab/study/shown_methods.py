@@ -97,6 +97,10 @@ class RhubarbMethod:
 
 
 def _shape_face(shape: Shape, model: TrainedModel) -> Array:
+    """Return the face of a mouth shape, (n_components,): the mean of the phonemes it is drawn for.
+
+    Phonemes are weighted by how often the corpus has them. X is the rest face.
+    """
     if shape == "X":
         return model.rest
     baselines: Baselines = model.baselines
@@ -131,7 +135,7 @@ class StillMethod:
 
 
 def chosen_methods(text: str) -> tuple[str, ...]:
-    """From the command line, with commas. Raises StudyError."""
+    """Parse method names with commas between. Raises StudyError."""
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     unknown = [name for name in names if name not in METHODS]
     if unknown:
@@ -140,10 +144,10 @@ def chosen_methods(text: str) -> tuple[str, ...]:
 
 
 def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
-    """The faces (n_frames, n_components) of a sentence by the name of a method.
+    """Return a function from a method's name and a sentence to faces, (n_frames, n_components).
 
-    model: one that has not learned the test sentences. corpus: labelled, what it has learned.
-    Raises MissingExtraError, before the work, where the offline method's library is missing.
+    model: has not learned the test sentences. corpus: labelled, the sentences it has learned.
+    Raises MissingExtraError at once where the offline method's library is missing.
     """
     offline = models_of(corpus, "a study with `edge` or `scripted`")
     ours = all_methods()[DEFAULT_STRATEGY]

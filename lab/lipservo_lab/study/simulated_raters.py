@@ -41,7 +41,7 @@ class Taste:
     moment: float = 0.8
 
     def mean_rating(self, method: str) -> float:
-        """What all ratings of a method come to, over all raters and sentences."""
+        """Return the true mean rating of a method, over all raters and sentences."""
         spread = np.sqrt(
             self.rater**2
             + self.sentence**2
@@ -59,7 +59,7 @@ class Taste:
 
 
 def even_taste(methods: Sequence[str], best: float = 4.2, worst: float = 1.8) -> Taste:
-    """Methods from best to worst in even steps; so many words are read that the worst has none."""
+    """Return a taste with methods in even steps; of the worst one no word is read."""
     steps = np.linspace(0.0, 1.0, len(methods))
     natural = {m: float(best + (worst - best) * s) for m, s in zip(methods, steps, strict=True)}
     return Taste(natural, {m: float(0.6 * (1.0 - s)) for m, s in zip(methods, steps, strict=True)})
@@ -72,7 +72,7 @@ def simulated_records(
     characters: Sequence[Character],
     numbers: np.random.Generator,
 ) -> Iterator[Record]:
-    """The records of a file of answers, as `AnswerFile` writes them; a rater a character."""
+    """Yield the records of simulated raters, one a character, as `AnswerFile` writes them."""
     at = now()
     yield {**first_record(study.identity), "simulated": True}
     population = _Population(study, key, taste, numbers)
@@ -160,7 +160,7 @@ class _Rater:
 
 
 def strengths_of(taste: Taste, methods: Sequence[str]) -> Array:
-    """Return how often the method of the row is chosen over that of the column; 0 for itself.
+    """Return how often the row's method is chosen over the column's, 0 to 1; 0 for itself.
 
     Parameters
     ----------

@@ -28,7 +28,10 @@ def study_figures(
     mixed: MixedModel | None,
     machines: Mapping[str, Tables],
 ) -> Row:
-    """mixed: None where it was not fitted. machines: what each reader read, by its name."""
+    """Return all figures of a study, for JSON and for the report's page.
+
+    mixed: None where it was not fitted. machines: what each machine reader read, by its name.
+    """
     reference = key.methods.index(RECORDED) if RECORDED in key.methods else 0
     tables = counted.tables
     reasons = Counter(counted.left_out.values())
@@ -54,6 +57,10 @@ def study_figures(
 
 
 def _ratings(counted: Counted, mixed: MixedModel | None, reference: int) -> list[Row]:
+    """Return a row a method: mean rating, difference from the reference, the same by mixed model.
+
+    reference: index of the method that the others are compared with. mixed: None: not fitted.
+    """
     tables = counted.tables
     found = rated(tables, reference)
     everybody = rated(counted.all_tables, reference)
@@ -84,6 +91,7 @@ def _won_over(tables: Tables) -> dict[str, dict[str, int]]:
 
 
 def _readings(tables: Tables, reference: int) -> list[Row]:
+    """Return a row a method: share of words read right, that share above chance, and chance."""
     right, above = words_read(tables, reference)
     rows = _rows(tables, tables.readings[:, 2], right, "words_right")
     for n, row in enumerate(rows):
@@ -94,6 +102,10 @@ def _readings(tables: Tables, reference: int) -> list[Row]:
 
 
 def _rows(tables: Tables, shown: Indices, found: Estimates, name: str) -> list[Row]:
+    """Return a row a method with its name, number of answers, estimate, and difference.
+
+    shown: method index of each answer. name: of the estimate in the row.
+    """
     counts = np.bincount(shown, minlength=len(tables.methods))
     return [
         {
@@ -120,10 +132,10 @@ def _number(value: float) -> float | None:
 
 
 def machine_tables(path: Path, study: Study, key: Key) -> dict[str, Tables]:
-    """What each reader read, as the answers of people; nothing where no file lies.
+    """Return what each machine reader read as tables, by reader; empty if the file is missing.
 
-    A reader is one, whatever sentence it reads: so each sentence stands for a rater of its own, and
-    the interval is over sentences alone. Raises StudyError.
+    Each sentence counts as a rater of its own, since a machine reads always alike: so intervals are
+    over sentences alone. Raises StudyError.
     """
     if not path.exists():
         return {}
@@ -146,6 +158,10 @@ def machine_tables(path: Path, study: Study, key: Key) -> dict[str, Tables]:
 def _tables_of_reader(
     study: Study, key: Key, clips_of: Mapping[str, Sequence[Mapping[str, str]]]
 ) -> Tables:
+    """Return the answers of one machine reader as tables, as if each sheet were a rater's.
+
+    clips_of: for each of its sheets the clips read, with keys `clip` and `answer`.
+    """
     sheets = [tuple(Item("reading", (r["clip"],)) for r in each) for each in clips_of.values()]
     raters = {
         name: RaterRecord(n, {i: {"answer": r["answer"]} for i, r in enumerate(each)})

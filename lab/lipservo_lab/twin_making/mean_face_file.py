@@ -168,7 +168,7 @@ def ring_of(n_rim: int) -> Array:
 
 
 def _skin_heading(skin_mm: Array, rim: Indices, triangles: Indices) -> Array:
-    """(n, 3): which way the skin runs where it ends, smoothed along the rim."""
+    """Return the direction in which the skin ends at each rim vertex, (n, 3), smoothed."""
     place_on_rim = {int(vertex): at for at, vertex in enumerate(rim)}
     heading = np.zeros((len(rim), 3))
     for triangle in triangles:
@@ -187,9 +187,9 @@ def _unit(vectors: Array) -> Array:
 
 
 def shell_triangles(rim: Indices, first: int) -> Indices:
-    """Triangles between rim, rings and pole, outward; `first` is the first ring's first vertex.
+    """Return the triangles between rim, rings and pole, facing outward.
 
-    rim: its vertices, clockwise as the viewer sees them.
+    rim: its vertices, clockwise as the viewer sees them. first: vertex that begins the first ring.
     """
     n = len(rim)
     loops = np.vstack([rim, first + np.arange(N_RINGS * n).reshape(N_RINGS, n)])
@@ -217,7 +217,7 @@ _DECIMALS = 3
 
 
 def mean_face_arrays(points_mm: Array, triangles: Indices) -> dict[str, NDArray[Any]]:
-    """What the shipped file holds: points_mm (478, 3), triangles (n, 3), outward."""
+    """Return the arrays of the shipped file: points_mm (478, 3), triangles (n, 3), outward."""
     skin = points_mm[:N_SKIN]
     rim = np.array(FACE_RIM)
     faces = repaired(triangles)
@@ -235,10 +235,10 @@ def mean_face_arrays(points_mm: Array, triangles: Indices) -> dict[str, NDArray[
 
 
 def repaired(triangles: Indices) -> Indices:
-    """Without the triangles all of whose edges belong to two others, and turned one way.
+    """Remove triangles that are none, and turn all the same way. Raises MissingExtraError.
 
     A list of triangles that was collected from a list of edges also holds rings of three edges that
-    are no triangle of the surface. Raises MissingExtraError.
+    are no triangle of the surface: each of their edges belongs to two other triangles.
     """
     check_extra("trimesh", "making a mean face")
     import trimesh
@@ -261,7 +261,7 @@ def _edges(triangle: Indices) -> list[tuple[int, int]]:
 
 
 def _turned(triangle: Indices) -> tuple[int, ...]:
-    """The same for every corner that it may begin with, but not for the other side."""
+    """Return the triangle with its least corner first, so that only its orientation matters."""
     first = int(np.argmin(triangle))
     return tuple(int(each) for each in np.roll(triangle, -first))
 

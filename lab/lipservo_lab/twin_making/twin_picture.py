@@ -35,7 +35,7 @@ _EYE = ((0.04, 0.04, 0.05), (0.40, 0.52, 0.52), (0.16, 0.22, 0.26), (0.92, 0.90,
 
 
 def twin_picture() -> Array:
-    """(height, width, 3), sRGB, 0 to 1."""
+    """Return the picture of the shipped twin, (height, width, 3), sRGB, 0 to 1."""
     twin = make_twin(load_face())
     width, height = (_FINE * each for each in TWIN_SIZE)
     share = np.linspace(0.0, 1.0, height)[:, None, None]
@@ -72,6 +72,7 @@ def _meshes(twin: Twin) -> list[tuple[Array, Indices, Array]]:
 
 
 def _eye_mesh(eye: Eyeball) -> tuple[Array, Indices, Array]:
+    """Return an eyeball as vertices (n, 3) in mm, triangles, and colours (n, 3): iris in front."""
     from trimesh.creation import icosphere
 
     ball = icosphere(subdivisions=5, radius=eye.radius_mm)

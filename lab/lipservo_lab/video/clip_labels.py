@@ -48,7 +48,7 @@ class ClipLabels:
         return self.score is not None and self.score < DOUBTFUL_SCORE
 
     def within(self, from_s: float, duration_s: float) -> "ClipLabels":
-        """The labels of a part of the clip, on its own time."""
+        """Return the labels of a part of the clip, with times from the part's beginning."""
         phones = tuple(
             replace(phone, start_s=start_s, end_s=end_s)
             for phone in self.phones
@@ -70,9 +70,9 @@ class ClipLabels:
 
 
 def label_clip(samples: NDArray[np.float32], text: str | None) -> ClipLabels:
-    """Labels of samples (n,) at 16 kHz.
+    """Label samples (n,) at 16 kHz with a text, or by the recogniser where it is None.
 
-    Raises UserError where text and sound do not go together, LabelingError without speech.
+    Raises UserError where text and sound do not match, LabelingError without speech.
     """
     if text is None:
         heard = next(iter(settled_phonemes(_weights(), [samples], _LATENCY_S)))

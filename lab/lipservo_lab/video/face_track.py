@@ -92,6 +92,10 @@ def track_face(path: Path, tracker: FaceTracker, advance: Callable[[float], None
 
 
 def _sample(time_s: float, picture: Picture, face: Array) -> FaceSample:
+    """Return a picture cut out around a face, 8-bit, and the face's points in its pixels.
+
+    face: (n, 2 or more), columns x and y in pixels of the whole picture.
+    """
     low, high = face[:, :2].min(axis=0), face[:, :2].max(axis=0)
     x_px, y_px = (low + high) / 2
     size_px = float((high - low).max()) * _SAMPLE_MARGIN
@@ -115,7 +119,10 @@ _TO_FACE_AXES = np.array([1.0, -1.0, -1.0])
 
 
 def tracked_gaps_mm(points: Array32) -> Array:
-    """(n, 478, 3) in pixels -> (n,), between the inner lips, eye corners being 90 mm apart."""
+    """Return the gap between the inner lips, (n,) mm, of points (n, 478, 3) in pixels.
+
+    The outer eye corners count as 90 mm apart.
+    """
     face = points.astype(np.float64) * _TO_FACE_AXES
     rigid = face[:, RIGID]
     similarity = fit_similarity(rigid, refine_mean(rigid, (*_EYES, _EYE_DISTANCE_MM)))
@@ -154,17 +161,17 @@ def usual_step_s(times_s: Array) -> float:
 
 
 def picture_rate_hz(times_s: Array) -> float:
-    """The constant rate that time stamps (n,) are nearest to; a usual one where it is that."""
+    """Return the constant rate nearest to time stamps (n,), Hz: a usual one if close enough."""
     rate_hz = 1.0 / usual_step_s(times_s)
     nearest = min(_USUAL_HZ, key=lambda usual: abs(usual - rate_hz))
     return nearest if abs(nearest / rate_hz - 1) < _SAME_RATE else round(rate_hz, 2)
 
 
 def steady_clip(track: FaceTrack, sound: VideoSound, rate_hz: float) -> SteadyClip:
-    """What pictures and sound have in common, at a constant rate.
+    """Return the pictures and sound that overlap, with pictures at a constant rate.
 
-    It begins with a picture, and ends with one. Pictures without a face are bridged by those around
-    them. track: with a face in some picture. The clip may be empty (0 frames).
+    The clip begins and ends with a picture. Pictures without a face are interpolated from those
+    around them. track: has a face in some picture. The clip may be empty (0 frames).
     """
     seen = track.n_faces > 0
     times_s, points = track.times_s[seen], track.points[seen]

@@ -31,7 +31,7 @@ class ExpectedLips:
             self._expectation = read_expectation(file, self._face.n_components)
 
     def gaps_mm(self, phones: Sequence[PhonemeEvent], duration_s: float) -> Array:
-        """(n,) every `TICK_S` from 0 s on."""
+        """Return the expected lip gap, (n,) mm, every `TICK_S` from 0 s on."""
         style = Style(lookahead_s=USED_LOOKAHEAD_S)
         synthesizer = LiveSynthesizer(self._face, self._expectation, style)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, tuple(phones)))
@@ -67,7 +67,7 @@ class ShiftCurve:
 
     @property
     def best_s(self) -> float:
-        """Where it is greatest, between the steps by the parabola through the three highest."""
+        """The shift of the greatest correlation, s, by the parabola through the three highest."""
         peak = int(self.correlations.argmax())
         if not 0 < peak < len(self.correlations) - 1:
             return float(self.shifts_s[peak])
@@ -78,7 +78,10 @@ class ShiftCurve:
 
 
 def shift_curve(seen: Array, times_s: Array, expected: Array) -> ShiftCurve:
-    """seen: (n,) at sound times (n,) by the time stamps; expected: (m,) every 10 ms from 0 on."""
+    """Correlate a tracked lip gap with the expected one, at every shift of the sound.
+
+    seen: (n,) at sound times (n,) by the time stamps; expected: (m,) every 10 ms from 0 on.
+    """
     shifts_s = np.arange(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + _STEP_S / 2, _STEP_S)
     heard_s = np.arange(len(expected)) * TICK_S
     correlations = []
@@ -94,7 +97,7 @@ def shift_curve(seen: Array, times_s: Array, expected: Array) -> ShiftCurve:
 
 
 def correlation(one: Array, other: Array) -> float:
-    """Pearson's of (n,) and (n,); 0 where one of them does not move."""
+    """Return Pearson's correlation of (n,) and (n,); 0 where one of them does not move."""
     spread = float(one.std() * other.std())
     if spread < 1e-9:
         return 0.0
@@ -102,10 +105,10 @@ def correlation(one: Array, other: Array) -> float:
 
 
 def corrections_s(curves: Sequence[ShiftCurve]) -> list[float]:
-    """By how much to take the sound of each clip earlier: what all have in common, or its own.
+    """Return by how much to take each clip's sound earlier, s: what all share, or its own shift.
 
-    What all have in common is the median of those that say something: cameras and microphones are
-    late by the same every time. 0 where it is less than `LEAST_CORRECTED_S`.
+    What all share is the median of the clips whose curve is clear: cameras and microphones are late
+    by the same every time. 0 where it is less than `LEAST_CORRECTED_S`.
     """
     telling = [curve.best_s for curve in curves if curve.correlations.max() >= _LEAST_R]
     common_s = float(np.median(telling)) if telling else 0.0

@@ -37,7 +37,7 @@ class ClipReport:
     pitch_deg: float | None = None
 
     def as_json(self) -> dict[str, object]:
-        """By name."""
+        """Return the fields by name."""
         return asdict(self)
 
 
@@ -87,7 +87,7 @@ def quality_of(track: FaceTrack) -> TrackQuality:
 
 
 def usable_pictures(track: FaceTrack) -> NDArray[np.bool_]:
-    """(n,): one face, and not turned away."""
+    """Return which pictures show one face that is not turned away, (n,)."""
     usable: NDArray[np.bool_] = track.n_faces == 1
     seen = track.n_faces > 0
     usable[seen] &= ~_turned(track.points[seen].astype(float))
@@ -104,7 +104,7 @@ def track_fault(track: FaceTrack, median_step_s: float) -> str | None:
 
 
 def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
-    """As `track_fault`, for pictures that need not follow one another without a hole."""
+    """Return what is wrong with the pictures, as `track_fault`, but gaps in them are allowed."""
     n, seen = len(track.times_s), track.n_faces > 0
     if n < 2:
         return "holds fewer than two pictures; film longer"
@@ -136,6 +136,10 @@ def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
 
 
 def _hole(times_s: Array, seen_s: Array) -> str | None:
+    """Describe the longest time without a face, if it is too long for interpolation; else None.
+
+    times_s: of all pictures; seen_s: of those with a face.
+    """
     known_s = np.concatenate(([times_s[0]], seen_s, [times_s[-1]]))
     steps_s = np.diff(known_s)
     longest = int(steps_s.argmax())
@@ -148,7 +152,7 @@ def _hole(times_s: Array, seen_s: Array) -> str | None:
 
 
 def _turned(points: Array) -> NDArray[np.bool_]:
-    """(n,): beyond the angles at which lips are seen."""
+    """Return which faces are turned beyond the angles at which lips are seen, (n,)."""
     yaw_deg, pitch_deg = _angles_deg(points)
     turned: NDArray[np.bool_] = np.abs(yaw_deg) > _MOST_YAW_DEG
     return turned | (np.abs(pitch_deg) > _MOST_PITCH_DEG)

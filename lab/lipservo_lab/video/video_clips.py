@@ -31,11 +31,11 @@ class VideoClip:
 
 
 def find_clips(source: Path) -> tuple[VideoClip, ...]:
-    """One file, or every video of a folder in order of their names.
+    """Return one video file, or every video of a folder, in order of their names.
 
-    A clip's text is what stands in NAME.txt beside it, else after its name in transcripts.txt.
-    Raises VideoError for what is not there, a folder without videos, two videos of one name, and a
-    line of transcripts.txt that names none of them.
+    A clip's text is in NAME.txt beside it, else after its name in transcripts.txt. Raises
+    VideoError for a missing source, a folder without videos, two videos of one name, and a line of
+    transcripts.txt that names none of them.
     """
     if source.is_file():
         return (VideoClip(source, _text_beside(source) or _listed(source.parent).get(source.stem)),)
@@ -95,7 +95,7 @@ class Take:
     step_s: float
 
     def parts(self) -> list[tuple[str, float, float]]:
-        """Name, start and end of each part, in sound time; the whole take where it is short."""
+        """Return name, start and end of each part, s of sound time; a short take is one part."""
         end_s = len(self.sound.samples) / SAMPLE_RATE_HZ
         if end_s <= _LONGEST_WHOLE_S:
             return [(self.name, 0.0, end_s)]

@@ -76,9 +76,10 @@ class _Part:
 def import_videos(
     clips: Sequence[VideoClip], tracker: FaceTracker, advance: Advance
 ) -> VideoImport:
-    """Track, hear, and put picture and sound in time. Raises VideoError where nothing is usable.
+    """Track and recognise clips, and align picture and sound.
 
-    Raises MissingExtraError where there are texts and the extra `align` is not installed.
+    Raises VideoError where nothing is usable; MissingExtraError where there are texts and the extra
+    `align` is not installed.
     """
     if any(clip.text is not None for clip in clips):
         check_aligner()
@@ -112,6 +113,10 @@ def _takes(
     advance: Advance,
     reports: dict[str, ClipReport],
 ) -> list[Take]:
+    """Track the face in each clip; return those that succeed, with their sound and labels.
+
+    Clips that fail get a report that says why.
+    """
     lengths_s = [_length_s(clip) for clip in clips]
     takes = []
     for number, clip in enumerate(clips):
@@ -144,6 +149,11 @@ def _common_rate_hz(takes: Sequence[Take]) -> float:
 def _parts(
     take: Take, rate_hz: float, lips: ExpectedLips, reports: dict[str, ClipReport]
 ) -> list[_Part]:
+    """Return the parts of a take that can be used, each with how its lips follow the sound.
+
+    Parts that cannot be used get a report that says why. lips: the lip gap that phonemes let
+    expect.
+    """
     found = []
     expected = lips.gaps_mm(take.labels.phones, take.parts()[-1][2])
     for name, start_s, end_s in take.parts():
@@ -182,7 +192,10 @@ def _seen(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
 
 
 def _finished(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]:
-    """The part with its sound taken `shift_s` earlier, and its report."""
+    """Return a part as a sentence with its sound taken `shift_s` earlier, and its report.
+
+    The sentence is None where the part cannot be learned from.
+    """
     take = part.take
     sound = replace(take.sound, begins_s=take.sound.begins_s - shift_s)
     begins_s = take.sound.begins_s
@@ -205,6 +218,7 @@ def _finished(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]
 
 
 def _unusable(part: _Part, clip: SteadyClip, labels: ClipLabels) -> str | None:
+    """Return why a part cannot be learned from: too short, no speech, lips that do not match."""
     if len(clip.points) < _LEAST_PICTURES:
         return f"only {len(clip.points)} pictures have sound; film longer"
     spoken_s = sum(
@@ -222,6 +236,10 @@ def _unusable(part: _Part, clip: SteadyClip, labels: ClipLabels) -> str | None:
 
 
 def _notes(take: Take, clip: SteadyClip, shift_s: float) -> list[str]:
+    """Return what a person should know of a used part: shift put right, odd rate, doubtful text.
+
+    shift_s: how much later the sound was than the picture, s.
+    """
     notes = []
     if shift_s:
         later = "later" if shift_s > 0 else "earlier"
@@ -260,9 +278,9 @@ def write_corpus(
     advance: Advance,
     draw: Callable[[Path], None],
 ) -> None:
-    """All of it or nothing. about: for import.json, beside the reports; draw: the picture sheet.
+    """Write the whole corpus or nothing. Raises OutputError.
 
-    Raises OutputError.
+    about: for import.json, beside the reports; draw: called to draw the picture sheet.
     """
     with folder_written_whole(folder) as place:
         for name in ("audio", "landmarks", "labels"):
@@ -281,6 +299,10 @@ def write_corpus(
 
 
 def _write_sentence(place: Path, sentence: Sentence) -> None:
+    """Write a sentence's landmarks, sound and labels into a corpus folder.
+
+    Landmarks are whole numbers of 1/64 pixel.
+    """
     points = np.rint(sentence.clip.points * _UNITS_PER_PIXEL)
     # A picture more than 511 pixels wide needs more than 16 bits.
     small = np.abs(points).max() <= np.iinfo(np.int16).max
@@ -294,6 +316,7 @@ def _write_sentence(place: Path, sentence: Sentence) -> None:
 
 
 def _landmark_list(rate_hz: float) -> dict[str, object]:
+    """Return the content of landmarks.json: frame rate, and which landmarks form which group."""
     return {
         "frame_rate_hz": rate_hz,
         "landmark_ids": list(range(N_LANDMARKS)),

@@ -39,7 +39,7 @@ class Turn:
 
     @property
     def first(self) -> int:
-        """The number of its first word."""
+        """The number of the turn's first word."""
         return first_of_turn(self.number)
 
     def words(self) -> list[list[str]]:
@@ -49,7 +49,7 @@ class Turn:
 
 
 def turns(n_turns: int, n_cuts: int, seed: int = 0) -> list[Turn]:
-    """Turns of one to four sentences of two to seven words; so many are cut off somewhere."""
+    """Draw turns of one to four sentences of two to seven words; `n_cuts` of them are cut off."""
     rng = random.Random(seed)
     cut = set(rng.sample(range(n_turns), n_cuts))
     given = []
@@ -82,11 +82,11 @@ Speaks = Callable[[VirtualFace], AbstractAsyncContextManager[Agent]]
 def agent_figures(
     speaks: Speaks, n_turns: int, n_cuts: int, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """`unheard_words`, `forgotten_words`, `double_voice_s`, `mute_turns` of so many turns.
+    """Let an agent speak `n_turns`; return what it remembers wrongly, doubles, or leaves mute.
 
-    Words are unheard if the agent remembers them and nothing of them was heard, forgotten if they
-    were heard whole and it does not. What is heard twice, or after its turn was over, is a double
-    voice. A turn is mute if nothing of it was heard though a face was there.
+    Words are unheard if the agent remembers them and nothing of them was played, forgotten if they
+    were played whole and it does not. Sound that is played twice, or after its turn was over, is a
+    double voice. A turn is mute if nothing of it was played though a face was there.
     """
     with VirtualFace() as face:
         counted = asyncio.run(_Conversation(face).hold(speaks, turns(n_turns, n_cuts), progress))
@@ -104,7 +104,10 @@ class _Conversation:
     async def hold(
         self, speaks: Speaks, given: list[Turn], progress: Callable[[int, int], None]
     ) -> dict[str, Any]:
-        """Say the turns and return what was wrong."""
+        """Let an agent speak the turns; return words remembered wrongly, sound doubled, turns mute.
+
+        During the turn at one third of them the face restarts, at two thirds it is absent.
+        """
         unheard, forgotten, mute, at_end = 0, 0, 0, []
         restarts_at, absent_at = len(given) // 3, 2 * len(given) // 3
         async with speaks(self._face) as agent:

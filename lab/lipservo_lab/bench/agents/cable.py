@@ -20,7 +20,7 @@ class Cable:
         self.port = 0
 
     def pull(self) -> None:
-        """Nothing passes from now on."""
+        """Let nothing pass from now on, until `plug`."""
         self._loop.call_soon_threadsafe(self._plugged.clear)
 
     def plug(self) -> None:
@@ -37,6 +37,7 @@ class Cable:
         self._thread.join(_JOIN_S)
 
     def _run(self) -> None:
+        """Accept connections in the cable's thread until its loop is stopped; then close them."""
         asyncio.set_event_loop(self._loop)
         self._loop.run_until_complete(self._listen())
         self._started.set()
@@ -54,6 +55,10 @@ class Cable:
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Connect a client to the far port and copy bytes both ways until both directions end.
+
+        A client that arrives while the cable is pulled waits; one whose far port refuses is closed.
+        """
         try:
             await self._plugged.wait()
             far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._to_port)
@@ -63,6 +68,7 @@ class Cable:
         await asyncio.gather(self._pass(reader, far_writer), self._pass(far_reader, writer))
 
     async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Copy bytes of one direction until its end; hold both back while the cable is pulled."""
         try:
             while data := await reader.read(1 << 16):
                 await self._plugged.wait()

@@ -50,7 +50,7 @@ class _Transport(FrameProcessor):
         self.ended = asyncio.Event()
 
     async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
-        """Note it and hand it on."""
+        """Count a frame's sound, or note the end of a turn; pass the frame on."""
         await super().process_frame(frame, direction)
         if isinstance(frame, TTSAudioRawFrame):
             self.sound_s += len(frame.audio) / (2 * frame.sample_rate)
@@ -60,7 +60,7 @@ class _Transport(FrameProcessor):
 
 
 def _turns() -> list[list[Frame]]:
-    """The clip in pieces, each as the frames of a turn."""
+    """Return the bundled clip cut into turns of `_TURN_S`, each as a list of Pipecat frames."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples, rate_hz = soundfile.read(clip, dtype="int16")
     size, chunk = round(_TURN_S * rate_hz), round(_CHUNK_S * rate_hz)
@@ -77,7 +77,7 @@ def _turns() -> list[list[Frame]]:
 
 
 async def talk(url: str, token: str, period_s: float) -> None:
-    """Take turns until the process is ended."""
+    """Run the agent at a face's WebSocket, a turn every `period_s`, until the process is killed."""
     transport = _Transport()
     pipeline = Pipeline([PipecatFace(url, token), transport])
     worker = PipelineWorker(pipeline, cancel_on_idle_timeout=False, enable_rtvi=False)
@@ -92,6 +92,10 @@ async def talk(url: str, token: str, period_s: float) -> None:
         print(json.dumps({"error_s": time.monotonic(), "error": frame.error}), flush=True)  # noqa: T201 - for the bench
 
     async def speak() -> None:
+        """Queue a turn every `period_s` and print each, when over, as a line of JSON; never return.
+
+        `hung` is in the line of a turn that the transport did not report as ended in `_PATIENCE_S`.
+        """
         await began.wait()
         number = 0
         while True:

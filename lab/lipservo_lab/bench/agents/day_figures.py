@@ -65,7 +65,7 @@ class _Life:
             self.seen.append((time.monotonic() - self.began_s, rss_mb, n_threads))
 
     def growth(self) -> tuple[float, float, int]:
-        """How long it was watched after it was warm, and by how much both grew."""
+        """Return how long the warm process was watched, and how memory (MB) and threads grew."""
         warm = [each for each in self.seen if each[0] >= _WARM_S]
         if not warm:
             return 0.0, 0.0, 0
@@ -75,10 +75,11 @@ class _Life:
 def day_figures(
     minutes: float, events: Mapping[str, int], progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """`mute_turns`, `rss_growth_mb`, `threads_growth`, `gone_noticed_s`, and what happened.
+    """Run an agent and a face for `minutes`; return what went wrong.
 
-    events: how often each of `EVENTS` happens. gone_noticed_s: the longest until the agent knew
-    that the cable was pulled; None: it was not, or it never did.
+    `mute_turns`: turns that did not move the mouth; `rss_growth_mb` and `threads_growth`: the worst
+    process; `gone_noticed_s`: the longest time until the agent noticed a pulled cable, None if none
+    was pulled or one went unnoticed. events: how often each of `EVENTS` happens.
 
     Raises UserError where PulseAudio or what it needs is missing.
     """
@@ -134,7 +135,7 @@ class _Day:
     def run(
         self, minutes: float, events: Mapping[str, int], progress: Callable[[int, int], None]
     ) -> dict[str, Any]:
-        """Run the day to its end."""
+        """Play all events in a fixed random order, spread evenly over `minutes`; return figures."""
         self._wait_for_face()
         began_s = time.monotonic()
         self._troubles.append((0.0, began_s + _GRACE_S))
@@ -163,7 +164,7 @@ class _Day:
         }
 
     def _is_mute(self, turn: dict[str, float]) -> bool:
-        """Whether its sound moved no lips though the face had long been back."""
+        """Return whether a turn moved no lips, though no event excuses that."""
         began_s, ended_s = turn["began_s"], turn["ended_s"]
         if any(from_s <= ended_s and began_s <= to_s for from_s, to_s in self._troubles):
             return False
@@ -171,6 +172,10 @@ class _Day:
         return turn["transport_s"] > 0.0 or not counts or counts[-1] <= counts[0]
 
     def _gone_noticed_s(self) -> float | None:
+        """Return the longest time from a pulled cable to the agent's next error, s.
+
+        None: no cable was pulled, or one was plugged in again before the agent reported an error.
+        """
         delays_s = []
         for pulled_s in self._pulled:
             later_s = [at_s - pulled_s for at_s in self._errors if at_s >= pulled_s]
@@ -180,6 +185,10 @@ class _Day:
         return round(max(delays_s), 2) if delays_s else None
 
     def _play(self, name: str) -> None:
+        """Do one of `EVENTS`, wait for the face, and note in which time turns may have been mute.
+
+        Blocks for the event's whole duration.
+        """
         from_s = time.monotonic()
         if name == "load":
             with ExitStack() as burning:
@@ -204,6 +213,7 @@ class _Day:
         self._troubles.append((from_s, time.monotonic() + _GRACE_S))
 
     def _wait_for_face(self) -> None:
+        """Wait until the daemon listens and its face is driven or silent; UserError after 90 s."""
         give_up_s = time.monotonic() + _PATIENCE_S
         while time.monotonic() < give_up_s:
             with contextlib.suppress(OSError):
@@ -214,6 +224,11 @@ class _Day:
         raise UserError("bench day: the face is not driven again")
 
     def _start(self, name: str) -> None:
+        """Start the process "daemon" or "agent"; a thread of its own reads its standard output.
+
+        The daemon listens behind the cable; the agent connects to the cable. Standard error is
+        appended to NAME.log.
+        """
         log = (self._folder / f"{name}.log").open("a")
         if name == "daemon":
             arguments = ["-m", "lipservo", "daemon", "--config", "face_sim", "--play", "--quiet"]
@@ -239,6 +254,10 @@ class _Day:
         end(self._processes[name], _PATIENCE_S)
 
     def _read(self, process: "subprocess.Popen[str]") -> None:
+        """Collect the JSON lines that a process prints, errors and turns, until its output ends.
+
+        Lines that are no JSON are dropped.
+        """
         assert process.stdout is not None
         with process.stdout:
             for line in process.stdout:
@@ -250,6 +269,7 @@ class _Day:
                         self._turns.append(row)
 
     def _watch(self) -> None:
+        """Sample memory and threads of both processes and the face's status until the day ends."""
         while not self._over.wait(_LOOK_S):
             for lives in self._lives.values():
                 lives[-1].look()
@@ -261,7 +281,10 @@ class _Day:
 
 @contextlib.contextmanager
 def _sink(folder: Path) -> Iterator[dict[str, str]]:
-    """A PulseAudio server with one sink that no card is behind; the environment that uses it."""
+    """Run a PulseAudio server whose only sink has no sound card; yield the environment to use it.
+
+    Raises UserError where PulseAudio is not installed or does not start.
+    """
     (folder / "asound.conf").write_text(_ALSA)
     address = folder / "native"
     (folder / "server.pa").write_text(

@@ -26,7 +26,7 @@ class _LiveKitAgent:
         self.elsewhere: Counter[int] = Counter()
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Let the session say it; return what its history holds of it."""
+        """Let the session speak a turn; return the text that its history holds of the turn."""
         words = [word for sentence in turn.words() for word in sentence]
         n_before = len(self._session.history.items)
 
@@ -45,7 +45,7 @@ class _LiveKitAgent:
 
 @asynccontextmanager
 async def livekit_agent(face: VirtualFace) -> AsyncIterator[_LiveKitAgent]:
-    """An agent that speaks through the face while it is entered."""
+    """Yield an agent that speaks through the face."""
     async with LiveKitFace(face.url) as output:
         session: AgentSession[Any] = AgentSession()
         session.output.audio = output
@@ -55,7 +55,7 @@ async def livekit_agent(face: VirtualFace) -> AsyncIterator[_LiveKitAgent]:
 
 
 def _frames(words: list[str], first: int, *, has_times: bool) -> list[rtc.AudioFrame]:
-    """The sound of words in frames of 20 ms; the first has the words' times, if they have some."""
+    """Return the sound of words in frames of 20 ms; has_times: the first frame has their times."""
     pcm, size = worded_pcm(len(words), RATE_HZ, first), 2 * RATE_HZ // 50
     pieces = [pcm[n : n + size] for n in range(0, len(pcm), size)]
     frames = [rtc.AudioFrame(piece, RATE_HZ, 1, len(piece) // 2) for piece in pieces]

@@ -33,7 +33,7 @@ class _OpenAiAgent:
         self.elsewhere: Counter[int] = Counter()
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Let an item be spoken; return what the conversation holds of it."""
+        """Let the agent speak a turn as one item; return the words that the conversation keeps."""
         words = [word for sentence in turn.words() for word in sentence]
         answers = []
         for event in _events(turn, words):
@@ -58,12 +58,13 @@ class _OpenAiAgent:
 
 @asynccontextmanager
 async def openai_agent(face: VirtualFace) -> AsyncIterator[_OpenAiAgent]:
-    """An agent that speaks through the face while it is entered."""
+    """Yield an agent that speaks through the face."""
     async with lipservo.connect_async(face.url) as connection:
         yield _OpenAiAgent(_example().RealtimeVoice(connection))
 
 
 def _example() -> ModuleType:
+    """Import examples/openai_realtime.py of this checkout; raise UserError where it is missing."""
     path = Path(lipservo.__file__).parents[1] / _EXAMPLE
     spec = importlib.util.spec_from_file_location("openai_realtime", path)
     if not path.exists() or spec is None or spec.loader is None:
@@ -74,6 +75,7 @@ def _example() -> ModuleType:
 
 
 def _events(turn: Turn, words: list[str]) -> list[Any]:
+    """Return the server's events of a turn: transcript word by word, then sound in 0.1 s chunks."""
     item = {"item_id": f"turn{turn.number}", "response_id": "r", "output_index": 0}
     about: dict[str, Any] = {**item, "content_index": 0}
     pcm = worded_pcm(len(words), RATE_HZ, turn.first)

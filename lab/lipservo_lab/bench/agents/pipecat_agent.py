@@ -57,7 +57,7 @@ class _Service(FrameProcessor):
         self._tracker = WordTimestampTracker()
 
     async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
-        """Stamp it and hand it on."""
+        """Give each frame the time stamp that a TTS service would, then pass it on."""
         await super().process_frame(frame, direction)
         tracker = self._tracker
         if isinstance(frame, TTSAudioRawFrame):
@@ -86,7 +86,7 @@ class _Listener(FrameProcessor):
         self.interrupted = asyncio.Event()
 
     async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
-        """Note it and hand it on."""
+        """Count a frame's samples, or note an interruption; pass the frame on."""
         await super().process_frame(frame, direction)
         if isinstance(frame, TTSAudioRawFrame):
             self.heard.update(np.frombuffer(frame.audio, "<i2").tolist())
@@ -110,7 +110,7 @@ class _PipecatAgent:
         self.elsewhere = self._transport.heard
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Let the pipeline say it; return what its context holds of it."""
+        """Let the pipeline speak a turn; return the text that its context holds of the turn."""
         messages = self._context.messages
         self._behind.interrupted.clear()
         n_before, loop = len(messages), asyncio.get_running_loop()
@@ -134,7 +134,7 @@ class _PipecatAgent:
 
 @asynccontextmanager
 async def pipecat_agent(face: VirtualFace) -> AsyncIterator[_PipecatAgent]:
-    """An agent that speaks through the face while it is entered."""
+    """Yield an agent that speaks through the face."""
     logger.disable("pipecat")
     agent, began = _PipecatAgent(face), asyncio.Event()
 
@@ -152,6 +152,11 @@ async def pipecat_agent(face: VirtualFace) -> AsyncIterator[_PipecatAgent]:
 
 
 def _frames(turn: Turn) -> list[Frame]:
+    """Return the frames of one turn: each sentence's sound, then its text.
+
+    Turns of odd number carry a text frame a word, with its time in the sound (s) as metadata; the
+    others one text frame a sentence.
+    """
     frames: list[Frame] = [LLMFullResponseStartFrame()]
     number = turn.first
     for n, words in enumerate(turn.words()):

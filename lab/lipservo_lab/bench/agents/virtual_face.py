@@ -51,7 +51,7 @@ class CountingLoudspeaker:
         self._waiting.append(samples)
 
     def position(self) -> tuple[float, float] | None:
-        """The caller's clock drives, not this one's."""
+        """Return None: the caller's clock counts, not the loudspeaker's."""
         return None
 
     def silence_rest(self) -> float:
@@ -88,6 +88,7 @@ class VirtualFace:
         self.server = self._server("127.0.0.1:0")
 
     def _server(self, address: str) -> AgentServer:
+        """Return a server of agents at HOST:PORT, not yet entered; port 0 is any free one."""
         return AgentServer(
             bind_listener(address, None),
             self.playout,
@@ -123,6 +124,7 @@ class VirtualFace:
         self._folder.cleanup()
 
     def _run(self) -> None:
+        """Advance loudspeaker and playout in steps of `_STEP_S` of sound until the face is left."""
         position_s = 0.0
         while not self._over.is_set():
             self.loudspeaker.pass_until(position_s)

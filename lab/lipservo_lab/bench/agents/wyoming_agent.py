@@ -40,7 +40,7 @@ class _WyomingAgent:
         self.elsewhere: Counter[int] = Counter()
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Announce it; return the words that were reported as played."""
+        """Send a turn's sound to the satellite; return the words that it reports as played."""
         words = [word for sentence in turn.words() for word in sentence]
         pcm = worded_pcm(len(words), RATE_HZ, turn.first)
         about = {"rate": RATE_HZ, "width": 2, "channels": 1}
@@ -64,7 +64,7 @@ class _WyomingAgent:
 
 @asynccontextmanager
 async def wyoming_agent(face: VirtualFace) -> AsyncIterator[_WyomingAgent]:
-    """A satellite that speaks through the face while it is entered."""
+    """Run a Wyoming server at the face, and yield an agent that speaks through it."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

@@ -48,12 +48,12 @@ _AFTER_STALL_S = 0.05
 
 
 def cpu_ratios() -> dict[str, float]:
-    """CPU of the same work, the bare line over the SDK.
+    """Return processor time over that of dynamixel-sdk, of a write, a read, and a cycle of both.
 
-    Writes, reads of a frame each, and a cycle: a write and a fast read, on either side. No gate, no
-    supervision; our packets are prepared. No wire time. The least of interleaved rounds each: what
-    a library cannot do without, whatever else the computer does; the SDK, which polls, would look
-    worse by medians.
+    Compared is the serial line alone: no gate, no supervision, no time on the wire, our packets
+    prepared beforehand. A read has a frame for each servo; the cycle's read is a fast one. Each
+    figure is the least of interleaved rounds: medians would count the SDK's polling, which depends
+    on the computer's load.
     """
     with ExitStack() as peers:
         calls = _own_calls(peers.enter_context(canned_peer(N_SERVOS)))
@@ -71,7 +71,10 @@ def cpu_ratios() -> dict[str, float]:
 
 
 def _own_calls(port: str) -> dict[str, Callable[[], object]]:
-    """Write 20 goals; read 20 x 3 values, a frame each; and both, read in one frame."""
+    """Return three calls of our serial line: write 20 goals, read 3 values of 20 servos, and both.
+
+    The read has a frame for each servo; the cycle reads all in one frame.
+    """
     line = Line(_NoWire(open_port(port, 4_000_000)), return_delay_s=0.0)
     goals = np.full(N_SERVOS, _CENTER)
     plain = SpanRead(_IDS, _ADDRESS, _SIZE, fast=False)
@@ -93,7 +96,7 @@ def _own_calls(port: str) -> dict[str, Callable[[], object]]:
 
 
 def decode(answers: Sequence[Status]) -> list[list[int]]:
-    """Currents, velocities and positions of those who answered."""
+    """Return currents, velocities and positions of the servos that answered."""
     if isinstance(answers, CommonFrame):
         values = CommonFrame.blocks(answers.stream, _MOTION_BLOCK)
     else:
@@ -115,7 +118,7 @@ class _NoWire:
 
 
 def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
-    """Read and write by dynamixel-sdk, as its own examples do it."""
+    """Return the same three calls by dynamixel-sdk, written as its own examples are."""
     import dynamixel_sdk as sdk
 
     handler = sdk.PortHandler(port)
@@ -161,15 +164,16 @@ _REPLUG_RATE_HZ = 50.0
 
 
 def scheduling() -> str:
-    """The class that wire and fault figures are measured in, as `chrt` names it."""
+    """Return the scheduling class of wire and fault figures, as `chrt` names it."""
     with on_time() as granted:
         return "SCHED_FIFO" if granted else "SCHED_OTHER"
 
 
 def wire_figures(seconds: float = 4.0) -> dict[str, float]:
-    """Reads against their time on the wire; write and read as fast as they go, with the CPU.
+    """Return how long a read takes, and how fast write and read repeat, each over its wire time.
 
-    The bare line: goals that change are packed, places decoded; no gate, no supervision.
+    The serial line alone: goals are packed and positions decoded; no gate, no supervision. The
+    processor time of the repeated cycles is in percent of a core.
     """
     with on_time(), _simulated(BAUD_RATE) as line:
         span = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
@@ -226,9 +230,10 @@ def _faulty_line(script: str) -> Iterator[Line]:
 
 
 def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float, float]:
-    """Share of the samples of `ids` that came, the 99th percentile of ms beyond the wire.
+    """Return the share of answers of `ids` received, and the 99th percentile of delay, ms.
 
-    Of the cycles in which the computer did not stand still, and their share.
+    Delay is beyond the time on the wire. The third value is the share of cycles that count: those
+    in which the computer did not stall. Raises UserError if there are none.
     """
     cycles: list[tuple[float, float, int, float]] = []
     with HostWitness.watching() as witness, _faulty_line(script) as line:
@@ -255,7 +260,7 @@ def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float, fl
 
 
 def replug_figures(n_servos: int = 10) -> dict[str, float]:
-    """From the moment a port is back: until every servo is driven again, and at full strength."""
+    """Return seconds from a port's return until all servos are driven, and at full strength."""
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, n_servos + 1)]
     with TemporaryDirectory() as folder:
         path, link = Path(folder) / "faults.yaml", Path(folder) / "port"

@@ -53,6 +53,10 @@ class CannedServos:
         return answers[self._turn % len(answers)]
 
     def _make(self, frame: Frame) -> tuple[bytes, ...]:
+        """Return the answers to a packet, one for each instant of the motion; keep those of reads.
+
+        Writes, pings and unknown instructions have one answer, which is not kept.
+        """
         instruction, parameters = frame.instruction, frame.parameters
         if instruction in (Instruction.WRITE, Instruction.SYNC_WRITE):
             return (self._write(frame),)
@@ -73,6 +77,10 @@ class CannedServos:
         return answers
 
     def _cut(self, wanted: list[tuple[int, ...]], moment: int, *, fast: bool) -> bytes:
+        """Return the status packets of one instant for triples (servo id, address, size).
+
+        fast: one joint status packet, as for a fast sync read. Unknown servos are left out.
+        """
         blocks = [
             (servo_id, 0, bytes(self._tables[servo_id][moment][address : address + size]))
             for servo_id, address, size in wanted
@@ -87,7 +95,10 @@ class CannedServos:
         return codec.status(servo_id, 0, bytes((table[0], table[1], table[6])))
 
     def _write(self, frame: Frame) -> bytes:
-        """Put bytes into every moment of a servo; if they are news, old answers count no more."""
+        """Write into a servo's tables of all instants; forget prepared answers if anything changed.
+
+        Returns the status packet, empty for sync writes, broadcasts and unknown servos.
+        """
         if frame.instruction == Instruction.SYNC_WRITE:
             blocks = sync_write(frame.parameters)
         else:
@@ -107,7 +118,7 @@ class CannedServos:
 
 
 def _recorded_motion(n_servos: int) -> dict[int, list[bytearray]]:
-    """Simulated servos that follow goals of their own: the tables of each id at each moment."""
+    """Simulate servos with goals of their own; return each id's control table at each instant."""
     model = servo_models()["XL330-M288"]
     ids = range(1, n_servos + 1)
     chain = SimulatedChain([model] * n_servos, ids, baud_rate=_BAUD_RATE)

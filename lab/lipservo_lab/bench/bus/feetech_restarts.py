@@ -53,7 +53,7 @@ class Restart:
 
 
 def restarts() -> Iterator[Restart]:
-    """All that are tried."""
+    """Yield all restarts that are tried."""
     times_s = _FROM_S + np.arange(_N_TIMES) / _N_TIMES / _MOTION_HZ
     for model, at_s, lasts_s, stiff in product(
         _MODELS, times_s.tolist(), RESTARTS_S, (False, True)
@@ -67,10 +67,7 @@ def over_bound(case: Restart) -> float:
 
 
 def fastest_deg_s(case: Restart) -> float:
-    """How fast the shaft of the servo that restarted went within a second of it, degrees a second.
-
-    From its restart on, so that a motion before it does not count.
-    """
+    """Return the top speed of the restarted servo's shaft within a second of its restart, deg/s."""
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 260.0) for n in range(1, _N_SERVOS + 1)]
     model = servo_models()[case.model]
     servos = [MountedServo(joint, model, 1) for joint in joints]

@@ -60,6 +60,7 @@ def feetech_tick_ratios() -> dict[str, float]:
 
 
 def _wiring(port: str) -> Wiring:
+    """Return the wiring of `N_SERVOS` equal Feetech servos, -40 to 40 degrees, at a serial port."""
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 260.0) for n in range(1, N_SERVOS + 1)]
     servos = [
         FeetechServo(
@@ -102,6 +103,11 @@ def _whole_tick(wiring: Wiring) -> Iterator[Call]:
 
 @contextmanager
 def _by_hand(name: str) -> Iterator[Call]:
+    """Yield one tick written directly with pyserial, the measure that our bus is compared with.
+
+    Opens the port `name` and enables torque first. The call takes a tick's number and returns what
+    `timed` measured.
+    """
     dialect = servo_models()[_MODEL].dialect
     per_deg = dialect.positions_per_deg
     goal = dialect.registers["goal_position"].address
@@ -113,6 +119,10 @@ def _by_hand(name: str) -> Iterator[Call]:
         port.write(_packet(_SYNC_WRITE, [torque, 1, *(each for n in ids for each in (n, 1))]))
 
         def work(goals_deg: list[float]) -> list[int]:
+            """Write goals (degrees) by one sync write, read all positions; return encoder steps.
+
+            Goals are clipped to +-40 degrees; answers with a wrong header or checksum are dropped.
+            """
             data = [goal, 2]
             for n, deg in zip(ids, goals_deg, strict=True):
                 value = round(dialect.center + min(max(deg, -40.0), 40.0) * per_deg)

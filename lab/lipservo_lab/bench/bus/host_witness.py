@@ -40,7 +40,7 @@ class HostWitness:
     @classmethod
     @contextmanager
     def watching(cls) -> "Iterator[HostWitness]":
-        """A process a core, until the block ends."""
+        """Run a process on each core that notices when the core stalls, until the block ends."""
         reader, writer = os.pipe()
         command = [sys.executable, "-P", "-m", "lipservo_lab.bench.bus.host_witness"]
         watchers = [

@@ -51,7 +51,7 @@ _COUNT: Final = struct.Struct("<Q")
 
 
 def moving_deg(time_s: float) -> np.ndarray:
-    """Where the joints are wanted: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    """Return the joints' targets: 4 degrees to and fro at 2 Hz, (n_servos,)."""
     return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * time_s + 0.3 * np.arange(N_SERVOS)))
 
 
@@ -60,11 +60,11 @@ class Rounds(Protocol):
 
     @property
     def n(self) -> int:
-        """Rounds of its loop."""
+        """Rounds of the process's loop so far."""
 
     @property
     def is_driven(self) -> bool:
-        """Whether it drives its servos."""
+        """Whether the process drives its servos."""
 
 
 @dataclass(slots=True)
@@ -77,9 +77,10 @@ class MeasuredProcess:
     lifeline: LifelineWatch | None = None
 
     def take_turn(self, witness: HostWitness) -> float:
-        """Run for a while, then stand still again: CPU a round in us, but for the beginning.
+        """Run the loop for a while, then pause it; return processor time a round, us.
 
-        NaN: its servos were not driven, or the computer stood still meanwhile.
+        The beginning of the run does not count. NaN: servos were not driven, or the computer
+        stalled.
         """
         clock, turn_s = _cpu_clock(self.pid), time.monotonic()
         self.run(_SETTLES_S, stop=False)
@@ -134,7 +135,7 @@ class _BridgeTicks:
 
     @property
     def n(self) -> int:
-        """So far; looks whether servos were driven in all ticks since the last look."""
+        """Return the number of ticks so far; note whether servos were driven in all new ticks."""
         driven = FACE_STATES.index(FaceState.DRIVEN.value)
         for number, record in self._board.servos_since(self._number):
             self._number, self._n = number, int(record["n_ticks"])
@@ -144,7 +145,10 @@ class _BridgeTicks:
 
 @contextmanager
 def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """A loop with dynamixel-sdk or rustypot, its servos at rest; kind: of `CLIENTS`."""
+    """Run a loop with dynamixel-sdk or rustypot in a process; yield it with servos at rest.
+
+    kind: of `CLIENTS`.
+    """
     with ExitStack() as stack:
         writer, reader = (stack.enter_context(end) for end in channel_pair())
         count = os.memfd_create("rounds")
@@ -161,9 +165,9 @@ def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredPro
 
 @contextmanager
 def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """A `bridge-process` as a daemon starts it, its servos at full strength and at rest.
+    """Run a `bridge-process` as a daemon would; yield it with servos at full strength and at rest.
 
-    folder: empty; for its face, its socket, and what it writes.
+    folder: empty; gets the face's YAML, its socket and logs.
     """
     face = folder / "face.yaml"
     face.write_text(_face_yaml(baud_rate))
@@ -214,7 +218,7 @@ def _face_yaml(baud_rate: int) -> str:
 def _running(
     command: Sequence[str], fds: Sequence[int], folder: Path | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A process; gone afterwards. folder: where it keeps what it writes."""
+    """Run a process until the block ends. folder: for its state; None: the user's own."""
     environment = dict(os.environ)
     if folder is not None:
         environment |= {"XDG_STATE_HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
@@ -318,7 +322,10 @@ def _quartiles(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def _turns_us(comparison: Comparison, witness: HostWitness) -> dict[str, np.ndarray]:
-    """CPU a tick of every turn, (n_turns,), by loop, ours called `own`; as `take_turn`."""
+    """Return the processor time of a tick in every turn, us, (n_turns,), by loop; ours is `own`.
+
+    NaN for turns that do not count: see `take_turn`.
+    """
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-bench-"))
         port, rate = stack.enter_context(comparison.peer()), comparison.baud_rate

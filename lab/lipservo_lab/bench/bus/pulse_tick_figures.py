@@ -97,12 +97,13 @@ def timed(work: Callable[[Any], object], argument: object) -> int:
 
 
 def moving_deg(n: int) -> np.ndarray:
-    """Where the joints are wanted in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    """Return the joints' targets in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
     phase = 0.3 * np.arange(N_SERVOS)
     return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + phase))
 
 
 def _wiring(settings: object) -> Wiring:
+    """Return the wiring of `N_SERVOS` equal hobby servos, -40 to 40 degrees, at one board."""
     joints = [
         Joint(f"joint_{n}", n, -40.0, 40.0, 300.0, address_key="channel") for n in range(N_SERVOS)
     ]
@@ -238,7 +239,10 @@ def _maestro_by_hand(stack: ExitStack) -> Callable[[list[float]], None]:
 
 
 def _pca9685_by_hand() -> Callable[[list[float]], None]:
-    """All channels by auto-increment, each begun at a time of its own, by smbus2."""
+    """Return a function that sends pulses, us, to a fake PCA9685 by plain smbus2: the baseline.
+
+    All channels are written by auto-increment; each pulse begins at a time of its own.
+    """
     bus, count_us = CannedI2c(), Pca9685Settings().timing.count_us
 
     def send(pulses_us: list[float]) -> None:
@@ -290,6 +294,10 @@ def _canned_maestro() -> Iterator[str]:
     pulses = bytearray(2 * N_SERVOS)
 
     def answer() -> None:
+        """Answer commands at the pseudo-terminal until the byte `_OVER` arrives; runs in a thread.
+
+        Goals are stored, and returned when positions are read; error flags are always zero.
+        """
         waiting = b""
         while data := os.read(master, 4096):
             waiting += data

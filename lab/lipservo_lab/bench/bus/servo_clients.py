@@ -63,7 +63,10 @@ class SdkClient:
             self._warmth.addParam(servo_id)
 
     def work(self, goals: Sequence[int]) -> list[list[int]]:
-        """Run one round; currents, positions, voltages and temperatures of all."""
+        """Write all goals (pulses); return currents, positions, voltages and temperatures of all.
+
+        Raises AnswerLost.
+        """
         for servo_id, goal in zip(self._ids, goals, strict=True):
             self._write.changeParam(servo_id, list(goal.to_bytes(4, "little")))
         self._write.txPacket()
@@ -109,7 +112,7 @@ class RustypotClient:
         return [motion["current"].tolist(), motion["position"].tolist(), self._next_health()]
 
     def _next_health(self) -> list[int]:
-        """Torque, hardware error and watchdog of a servo; the next time its voltage and heat."""
+        """Read torque, hardware error and watchdog of a servo; in turns, its voltage and heat."""
         turn, kind = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
         if kind:
@@ -138,9 +141,9 @@ CLIENTS: Final[dict[str, Callable[[str, int, int], ServoClient]]] = {
 
 @contextmanager
 def canned_peer(n_servos: int, *, on_time: bool = False) -> Iterator[str]:
-    """The port of a process that answers for so many servos, with changing bytes, at once.
+    """Run a process that answers at once for `n_servos` servos, with changing data; yield its port.
 
-    on_time: before all else that the computer does, where permitted.
+    on_time: it gets real-time scheduling, where permitted.
     """
     command = [sys.executable, "-P", "-m", "lipservo_lab.bench.bus.canned_peer", str(n_servos)]
     options = ["--on-time"] if on_time else []
@@ -163,9 +166,11 @@ _CENTER, _PULSES_PER_DEG = 2048, 4096 / 360
 
 
 def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count: int) -> int:
-    """The newest goals out, and everything back, in every period; no gate, no stop, no status.
+    """Write the newest goals and read all values in every period, as a plain program would.
 
-    Returns how often an answer was lost, once the socket of the targets is closed.
+    There is no gate, no stop, no status. targets, count: file descriptors of the target socket and
+    of the shared memory that counts rounds. Returns the number of lost answers, once the socket is
+    closed.
     """
     angles, ready = struct.Struct(f"<{n_servos}d"), select.poll()
     gc.collect()

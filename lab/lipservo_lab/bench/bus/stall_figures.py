@@ -32,7 +32,7 @@ class _StallingBus(SimulatedBus):
         self.stalls_s = time_s
 
     def feedback(self) -> Feedback:
-        """What is known of the servos, once the wire has gone on."""
+        """Return the feedback, once the stalled wire goes on."""
         if time.monotonic() >= self.stalls_s:
             self.stalls_s = float("inf")
             time.sleep(_STALL_S)
@@ -44,7 +44,7 @@ def _joints(n: int = _N_SERVOS) -> list[Joint]:
 
 
 def stall_figures() -> dict[str, float]:
-    """One bus stalls for two seconds at 100 Hz: ticks that came late meanwhile."""
+    """Return how many ticks come late, at 100 Hz, while one of two buses stalls for two seconds."""
     clock, joints = MonotonicClock(), _joints()
     halves = (joints[: _N_SERVOS // 2], joints[_N_SERVOS // 2 :])
     stalling = _StallingBus(halves[0], clock, capabilities=IN_MEMORY)

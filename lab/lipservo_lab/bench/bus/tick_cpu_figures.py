@@ -71,7 +71,7 @@ def tick_ratios() -> dict[str, float]:
 
 
 def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:
-    """CPU time of every call that got its answers, by client, in microseconds."""
+    """Return the processor time of every answered call, in microseconds, by client."""
     spent_us: dict[str, list[float]] = {name: [] for name in clients}
     n = 0
     for block in range(_WARM_UP_BLOCKS + _BLOCKS):
@@ -92,7 +92,7 @@ def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:
 
 
 def moving_deg(n: int) -> np.ndarray:
-    """Where the joints are wanted in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    """Return the joints' targets in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
     return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + 0.3 * np.arange(N_SERVOS)))
 
 
@@ -136,7 +136,7 @@ class OwnTick:
         self.bridge = Bridge(self.bus, joints, self._channel, BridgeSettings(_RATE_HZ))
 
     def prepare(self, n: int) -> None:
-        """The next grid time, and a target for the moment after it."""
+        """Wait for the next grid time and publish a target half a tick later."""
         self._time_s = max(self._time_s + 1.0 / _RATE_HZ, self._clock.now())
         self._clock.sleep_until(self._time_s)
         self._channel.publish(ServoTargets(self._time_s + 0.5 / _RATE_HZ, moving_deg(n)))

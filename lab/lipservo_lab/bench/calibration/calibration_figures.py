@@ -61,7 +61,10 @@ def sync_errors(
     servos: SimulatedServos,
     seed: int,
 ) -> SyncErrors:
-    """Twenty seconds of AnimPhos, through map, compensation, late servos and backlash."""
+    """Return how late lips are, with and without compensation, over 20 s of AnimPhos.
+
+    The robot has late servos and backlash.
+    """
     motion = spoken_frames(model, np.random.default_rng([seed, 3]))
     wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
     poses_deg = calibration.poses_deg(motion)
@@ -76,7 +79,7 @@ def sync_errors(
 
 
 def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:
-    """(n,): the robot's lip gap, shafts late and horns with backlash."""
+    """Return the robot's lip gap, (n,) mm, for goals, with late shafts and backlash."""
     shafts_deg = servos.shafts_deg(goals_deg, _RATE_HZ)
     horns_deg = np.empty_like(shafts_deg)
     horn, half_deg = shafts_deg[0], draw.backlash_deg / 2
@@ -90,7 +93,7 @@ def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array
 
 
 def _lags_s(wanted: Array, seen: Array) -> Array:
-    """(n_windows,): how much later `seen` is, window by window."""
+    """Return how much later `seen` is than `wanted`, s, window by window, (n_windows,)."""
     length = round(_WINDOW_S * _RATE_HZ)
     starts = range(0, len(wanted) - length, length // 2)
     return np.array(
@@ -127,7 +130,7 @@ class SeedFigures:
 
 
 def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
-    """Calibrate one simulated robot from capture to lags, and score it."""
+    """Calibrate the simulated robot of a seed, from capture to lags; return its scores."""
     servos = _servos(settings)
     joints = servos.joints
     rest_mm = model.markers_mm(model.rest[None])[0]
@@ -181,7 +184,7 @@ def own_robot(model: FaceWithAnimPhos, seed: int) -> OwnRobot:
 
 
 def own_figures(robots: Sequence[OwnRobot]) -> dict[str, object]:
-    """Medians over the robots under the names of the table; `worst_` and the worst for each.
+    """Return medians over the robots, and under `worst_...` the worst of each figure.
 
     A healthy robot that is refused counts in `refused`, and in no median.
     """
@@ -226,6 +229,7 @@ class _ShapeScores:
 def _figures(
     shapes: _ShapeScores, sync: SyncErrors, map_us: float, procedure_s: float
 ) -> SeedFigures:
+    """Return a robot's figures: errors (mm) of reachable shapes only, closures of all shapes."""
     closed = shapes.human_gap_mm <= CLOSED_GAP_MM
     reached = shapes.reachable
     return SeedFigures(
@@ -244,7 +248,10 @@ def _figures(
 def _score_shapes(
     model: FaceWithAnimPhos, fit: MeasuredFit, draw: RobotDraw, servos: MouthServos, seed: int
 ) -> _ShapeScores:
-    """On the held-out frames, sent one after another with backlash made up for as live."""
+    """Return how far the calibrated robot's lips are from their targets on held-out frames.
+
+    Frames are sent one after another, with backlash compensated as in a running face.
+    """
 
     def truth(output_deg: Array) -> Array:
         return true_markers_mm(draw, output_deg)
@@ -278,9 +285,10 @@ def _guided_apart_mm(
     targets_mm: Array,
     seed: int,
 ) -> Array:
-    """A person makes the landmark poses by eye; the score's targets are the measured ones.
+    """Return lip errors, mm, of a robot calibrated by a person's eye, (n_frames,).
 
-    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual.
+    The person sees the speaker's mouth, as large as the robot's and exaggerated as usual; targets
+    are those of the measured fit.
     """
 
     def truth(output_deg: Array) -> Array:

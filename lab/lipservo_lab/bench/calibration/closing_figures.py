@@ -96,7 +96,10 @@ def _mounted(draw: ElasticDraw, jaw_deg: float) -> ElasticDraw:
 
 
 def _nearest_mm(draw: ElasticDraw, limits_deg: Array) -> float:
-    """How near the middles of the lips come, each joint in turn at its better end, twice round."""
+    """Return the least gap between the middles of the lips, mm.
+
+    Each joint in turn is moved to its better end, twice round.
+    """
     face, n = ElasticFace(draw), len(limits_deg)
     pose_deg = np.zeros((1, n))
     for joint in (*range(n), *range(n)):
@@ -118,7 +121,7 @@ class TriedMouth:
 
 
 def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
-    """Calibrate the mouth of a seed, from the first pose to the grade."""
+    """Calibrate the mouth of a seed, which cannot close, from the first pose to the grade."""
     mouth = open_mouth(model.markers_mm(model.rest[None])[0], seed)
     robot = SimulatedRobot(ElasticFace(mouth.draw), noise_seed=seed)
     servos = mouth.servos
@@ -135,11 +138,11 @@ def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
 
 
 def closing_figures(mouths: Sequence[TriedMouth]) -> dict[str, object]:
-    """Of mouths that cannot close.
+    """Return how well calibration reports that mouths cannot close.
 
-    cannot_close_reported: the share that is refused for it, or reported with the joint;
-    bound_broken: how many of these were reported nearer by more than .3 mm than they come;
-    limits_called_contact: how many were reported to close.
+    cannot_close_reported: share of mouths refused for it, or reported as kept open by the joints'
+    limits; bound_broken: mouths whose reported gap is smaller than the true one by more than .3 mm;
+    limits_called_contact: mouths reported to close.
     """
     limits = [m for m in mouths if m.closing is not None and m.closing.evidence == LIMITS]
     nearer = [m for m in limits if m.closing and m.closing.apart_mm < m.stay_mm - _BELOW_MM]

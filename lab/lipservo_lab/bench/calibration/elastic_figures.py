@@ -63,7 +63,10 @@ class RobotScore:
 
 
 def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None) -> RobotScore:
-    """Calibrate one robot from capture to grade. Raises CalibrationError where it is refused."""
+    """Calibrate the elastic robot of a seed, from capture to grade; return its scores.
+
+    n_servos: None: drawn, too. Raises CalibrationError where the robot is refused.
+    """
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
     face = ElasticFace(draw)
     robot = SimulatedRobot(face, noise_seed=seed)
@@ -121,7 +124,7 @@ def elastic_robot(model: FaceWithAnimPhos, seed: int) -> ElasticRobot:
 
 
 def elastic_figures(robots: Sequence[ElasticRobot]) -> dict[str, object]:
-    """Medians over the robots that were not refused; `worst_rms_mm` of the worst of them."""
+    """Return medians over the robots that were not refused, the worst, and what was refused why."""
     refused_with: dict[str, dict[str, str]] = {}
     for robot in robots:
         for tracker, why in robot.refused_with.items():
@@ -139,7 +142,7 @@ def elastic_figures(robots: Sequence[ElasticRobot]) -> dict[str, object]:
 
 
 def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dict[str, object]:
-    """The figures of the issue, and those beside them."""
+    """Return medians, worst values and shares over the scores, and the refusals, by seed."""
     found = list(scores.values())
 
     def middle(value: Callable[[RobotScore], float]) -> float:

@@ -57,11 +57,11 @@ def bench_figures(
     kills: int = 0,
     advance: Callable[[int, int], None] = lambda _, __: None,
 ) -> dict[str, object]:
-    """What one run counts: of healthy robots, of faults, of mouths that cannot close.
+    """Return all figures of `bench calibration`: healthy robots, faults, mouths that cannot close.
 
-    With both families the figures of the second are in `elastic`, and `refused`, `faults_named`
-    and `faults_misnamed` are of both. ways: every shipped way, on robots of the first seed. kills:
-    so many captures with each of three trackers are killed and go on.
+    With both families the figures of the second are in `elastic`; `refused`, `faults_named` and
+    `faults_misnamed` are of both. ways: also calibrate the first seed's robots in every shipped
+    way. kills: number of captures that are killed and resumed, with each of three trackers.
     """
     of_family: Mapping[RobotFamily, _Task] = {
         RobotFamily.OWN: own_robot,
@@ -98,7 +98,10 @@ def _of(kind: type[_Kept], outcomes: Sequence[object]) -> list[_Kept]:
 def _worked_off(
     tasks: Sequence[tuple[_Task, int]], advance: Callable[[int, int], None]
 ) -> list[_Outcome]:
-    """In the order of the tasks. A worker a core: small products gain nothing by threads."""
+    """Run the tasks in a process for each core; return the outcomes in the order of the tasks.
+
+    Threads would gain nothing: the matrix products are small.
+    """
     advance(0, len(tasks))
     n_workers = min(len(tasks), len(os.sched_getaffinity(0)))
     with worker_pool(n_workers, get_context("spawn")) as pool:

@@ -69,7 +69,10 @@ _COUNTED = fields(FaultCount)
 def count_faults(
     model: FaceWithAnimPhos, face: Skin, servos: MouthServos, seed: int
 ) -> dict[str, FaultCount]:
-    """Every fault once on one robot; the servo to blame is drawn by the seed, or its jaw."""
+    """Put every fault once into one robot; return whether each was named.
+
+    The servo with the fault is drawn by the seed; a reversed jaw is the robot's first jaw.
+    """
     rng = np.random.default_rng([seed, 23])
     drawn = int(rng.integers(len(servos.joints)))
     jaws = [joint for joint, word in enumerate(servos.positive) if word in _JAW]
@@ -86,7 +89,7 @@ def count_faults(
 def count_measured_faults(
     model: FaceWithAnimPhos, face: Skin, servos: MouthServos, seed: int
 ) -> dict[str, FaultCount]:
-    """What may happen to a drawn servo in `measure`, whose poses go on to ladders and repeats."""
+    """Put the faults of `_IN_MEASURE` into a drawn servo in `measure`; return what was named."""
     joint = int(np.random.default_rng([seed, 23]).integers(len(servos.joints)))
     counts = {}
     for kind in _IN_MEASURE:
@@ -101,7 +104,7 @@ def count_measured_faults(
 
 
 def fault_figures(counts: Sequence[Mapping[str, FaultCount]]) -> dict[str, object]:
-    """Of the faults on all robots: `faults_named` and `faults_misnamed`, shares; each kind's."""
+    """Return shares of all faults that were named and misnamed, and the counts of each fault."""
     every = [count for robot in counts for count in robot.values()]
     tried = max(1, sum(count.tried for count in every))
     each: dict[str, dict[str, int]] = {}
@@ -123,6 +126,11 @@ def _captured(
     joint: int,
     seed: int,
 ) -> Capture:
+    """Return the capture of a robot on which one fault is done on purpose.
+
+    `fault`: a key of `_WORDS`; with `_MEASURED` at its end the fault happens late in a whole
+    `measure` procedure, which may raise CalibrationError. `joint`: index of the servo that has it.
+    """
     robot = SimulatedRobot(face, noise_seed=seed)
     procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
     plan = procedure.whole_range_plan()
@@ -133,6 +141,10 @@ def _captured(
     kind = fault.removesuffix(_MEASURED)
 
     def move(goal_deg: Array) -> Array:
+        """Move the robot with the fault applied; return the goals as a procedure sees them.
+
+        Each pose has two moves. goal_deg: (n_joints,) degrees.
+        """
         pose, given = moves[0] // 2, goal_deg.copy()
         moves[0] += 1
         if kind == "dead" or (kind == "torn" and pose >= middle):
@@ -155,6 +167,10 @@ def _captured(
 
 
 def _as_seen(fault: str, markers_mm: Array, seed: int) -> Array:
+    """Return markers, (n_poses, n_markers, 3) mm, as a tracker with this fault would report them.
+
+    Faults of servos leave the markers as they are.
+    """
     rng = np.random.default_rng([seed, 29])
     of: Mapping[str, Callable[[Array], Array]] = {
         "lips exchanged": _lips_exchanged,
@@ -186,6 +202,7 @@ def _knocked(markers_mm: Array) -> Array:
 def _warnings_of(
     model: FaceWithAnimPhos, servos: MouthServos, fault: str, joint: int, capture: Capture
 ) -> FaultCount:
+    """Return whether the check of a capture, its warnings or its refusal, names the fault."""
     try:
         warnings = list(check_capture(capture, model, servos.positive).warnings)
     except CalibrationError as error:
@@ -194,6 +211,11 @@ def _warnings_of(
 
 
 def _counted(servos: MouthServos, fault: str, joint: int, warnings: list[str]) -> FaultCount:
+    """Return one try's count: the fault named rightly, named wrongly, or not at all.
+
+    Rightly: a word of the fault, and of the servos the right one alone (none, where the fault is of
+    no servo). Warnings of weak and far-off servos do not count.
+    """
     warnings = [
         line for line in warnings if " is weak or dead" not in line and "far off" not in line
     ]
@@ -238,7 +260,7 @@ _TRACKERS: Mapping[str, _Tracker] = {
 def refusals(
     model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, seed: int
 ) -> dict[str, str | None]:
-    """For each tracker why the robot is refused, if it is: from the first pose to the last."""
+    """Return for each tracker why a healthy robot is refused; None: it is not."""
     return {
         name: _refusal(model, face, servos, tracker, seed) for name, tracker in _TRACKERS.items()
     }
@@ -247,6 +269,7 @@ def refusals(
 def _refusal(
     model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, tracker: _Tracker, seed: int
 ) -> str | None:
+    """Return the error message that refuses a healthy robot before this tracker; None: accepted."""
     robot = SimulatedRobot(face, noise_seed=seed, noise_mm=tracker.noise_mm)
     rng = np.random.default_rng([seed, 41])
     seen = [MARKERS_47.names.index(name) for name in tracker.marker_names]

@@ -66,6 +66,11 @@ class _OtherProgram:
                 self._record(stands["pose"], np.array([[stands["servos_deg"][_JOINT]]]))
 
     def _record(self, pose: int, stands_deg: Array) -> None:
+        """Append a row for each marker of a pose to the CSV or JSON file, with noise.
+
+        stands_deg: (1, 1), degrees of the one servo. A JSON file is replaced whole, a CSV file is
+        appended to.
+        """
         noise = np.random.default_rng([pose, 7]).normal(0.0, _NOISE_MM, (47, 3))
         places = (marker_positions_mm(self.face, stands_deg)[0] + noise).round(3).tolist()
         rows = [

@@ -116,7 +116,7 @@ class _Task:
 def way_figures(
     model: FaceWithAnimPhos, seed: int, sizes: Iterable[int] = N_SERVOS
 ) -> dict[str, dict[str, float | str]]:
-    """For each way and number of servos the true lip error, mm rms, or why it was refused."""
+    """Return each way's true lip error, mm rms, or why it was refused, by number of servos."""
     found: dict[str, dict[str, float | str]] = {way: {} for way in WAYS}
     frames = split_frames(model, 0)[1][:_N_FRAMES]
     for n_servos in sizes:
@@ -132,6 +132,7 @@ def way_figures(
 
 
 def _task(model: FaceWithAnimPhos, seed: int, n_servos: int) -> _Task:
+    """Return an elastic robot drawn by a seed, with settings of a face of `n_servos` Dynamixels."""
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
     of_servos = {
         joint.name: {
@@ -173,6 +174,7 @@ def _practise(task: _Task) -> Calibration:
 
 
 def _port(task: _Task) -> Calibration:
+    """Calibrate a robot over servos simulated to the byte, whose lags are measured as well."""
     robot, settings = task.robot(), task.setup.settings
     bus, clock = simulated_wire(settings)
     with HeldFace(settings, clock, bus=bus, speed_deg_s=_PORT_SPEED_DEG_S) as held:
@@ -187,7 +189,7 @@ def _port(task: _Task) -> Calibration:
 
 
 def _hobby(task: _Task) -> Calibration:
-    """As `_port`, but servos report no position: goals count as positions."""
+    """Calibrate a robot with hobby servos, which report no position: goals count as positions."""
     robot, settings = task.robot(), _on_maestro(task.setup.settings)
     on = watched_servos(settings.wiring)
     with HeldFace(settings, on.clock, bus=on.bus, speed_deg_s=_PORT_SPEED_DEG_S) as held:
@@ -201,7 +203,7 @@ def _hobby(task: _Task) -> Calibration:
 
 
 def _on_maestro(settings: FaceSettings) -> FaceSettings:
-    """Return a face of Dynamixels with hobby servos in their place."""
+    """Return the settings of the same face with hobby servos on a Maestro."""
     servos = {
         name: {
             "channel": channel,
@@ -248,6 +250,7 @@ def _whole_procedure(task: _Task, on: Robot) -> CalibrationResult:
 
 
 def _dots(task: _Task) -> Calibration:
+    """Calibrate a robot from pictures with blue dots, without depth; raises CalibrationError."""
     setup = replace(task.setup, sees_forward=False)
     plan, robot = setup.procedure(task.seed).whole_range_plan(), task.robot(noise_mm=0.0)
     seen = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure)

@@ -76,9 +76,9 @@ def converged_poses_deg(
     shape_features: ShapeFeatures,
     limits_deg: tuple[Array, Array],
 ) -> Array:
-    """Find the poses nearest to wanted shapes, from neutral.
+    """Return the poses nearest to wanted shapes, found by damped Gauss-Newton steps from neutral.
 
-    Minimises what `nearest_poses_deg` does.
+    The cost is that of `nearest_poses_deg`.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class WantedShapes:
 def wanted_shapes(
     model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, frames: Array
 ) -> WantedShapes:
-    """Return the shapes that the robot should show, of the warm robot as it truly is.
+    """Return the shapes that the robot should show, by its true geometry once it is warm.
 
     Parameters
     ----------
@@ -189,7 +189,10 @@ def wanted_shapes(
 
 
 def widest_gap_mm(face: ElasticFace, servos: MouthServos) -> float:
-    """Of the lips' own edges, each joint in turn at its better end, twice round."""
+    """Return the widest gap between the lips' edges, mm.
+
+    Each joint in turn is moved to its better end, twice round.
+    """
     limits_deg, middle = servos.limits_deg, N_PAIRS // 2
     pose_deg = np.zeros((1, len(servos.joints)))
     for joint in (*range(len(servos.joints)), *range(len(servos.joints))):
@@ -217,7 +220,7 @@ class Motion:
 
 
 def played(face: ElasticFace, calibration: Calibration, frames: Array) -> Array:
-    """Return where the horns stand, one frame after another, with backlash made up for as live.
+    """Return the angles of the servo horns for frames sent one by one, with backlash compensated.
 
     Parameters
     ----------
@@ -243,7 +246,7 @@ def played(face: ElasticFace, calibration: Calibration, frames: Array) -> Array:
 
 
 def behind_play(face: ElasticFace, goals_deg: Array) -> Array:
-    """Return where the horns stand at goals, one after another.
+    """Return the angles of the servo horns, behind their backlash, for goals sent one by one.
 
     Parameters
     ----------
@@ -266,7 +269,7 @@ def behind_play(face: ElasticFace, goals_deg: Array) -> Array:
 
 
 def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
-    """Return the figures of a motion.
+    """Return lip error, gap correlation and slope, closures and closing force of a motion.
 
     Parameters
     ----------
@@ -308,7 +311,7 @@ _STRENGTHS = np.logspace(-3, 3, 13)
 
 
 def rival_poses_deg(capture: Capture, servos: MouthServos, features: Array, degree: int) -> Array:
-    """Return the poses of a rival: a polynomial ridge in the angles.
+    """Return the poses by a rival method: a polynomial ridge from features to angles.
 
     Parameters
     ----------

@@ -84,6 +84,7 @@ class VirtualTime:
         self.sleep_until(self.now_s + seconds)
 
     def _plan_cycle(self) -> None:
+        """Set when the next cycle speaks, and when its two measured turns begin and end."""
         begin_s = self.started_s + self._n_cycles * CYCLE_S
         self._n_cycles += 1
         silent_s, end_s = begin_s + SPEECH_S, begin_s + CYCLE_S
@@ -93,6 +94,12 @@ class VirtualTime:
         ]  # fmt: skip
 
     def _cross(self, what: str) -> None:
+        """Do what is due at a border: "say" queues speech, "begin" and "end" bound a measured turn.
+
+        "begin" blocks for a line on standard input ("count...": calls are counted as well) and
+        raises `_Over` at the end of input; "end" prints virtual seconds, processor seconds and
+        calls as JSON.
+        """
         if what == "say":
             for say in self.sentences:
                 say()
@@ -160,6 +167,7 @@ def main(output: str, face: str, sound: str, clip: str, n_cycles: int) -> None:
     made = face_speech.FaceSpeech
 
     def with_words(*arguments: Any, **options: Any) -> Any:
+        """Make a FaceSpeech; with sound "voice", let each cycle put speech in its playout."""
         found: Any = made(*arguments, **options)
         source = found.source
         if sound == "voice":

@@ -51,7 +51,7 @@ _LIPS_MEET = ("P", "B", "M")
 
 
 def film_sync_ms() -> float:
-    """How far the sound of a film is from its pictures at the most: flashes with clicks."""
+    """Return how far flashes in a film are from clicks in its sound, ms: the greatest distance."""
     rate_hz = 48_000
     clicks = np.zeros(_SYNC_PICTURES * rate_hz // _RATE_HZ, dtype=np.float32)
     for n in _FLASHES:
@@ -70,7 +70,10 @@ def film_sync_ms() -> float:
 
 
 def film_times() -> dict[str, float]:
-    """How long a film of 60 s takes, listening included; of the bundled clip again and again."""
+    """Return seconds, and seconds of processor time, to make a film of 60 s, recognition included.
+
+    The sound is the bundled clip, repeated.
+    """
     with tempfile.TemporaryDirectory() as folder:
         sound = Path(folder) / "minute.wav"
         with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
@@ -156,10 +159,7 @@ def seen_figures(
     motions: Mapping[str, Array],
     sentences: Sequence[Utterance],
 ) -> dict[str, object]:
-    """Lip gaps, closures and words of tracks against those of the wanted frames.
-
-    tracks: of `tracked_film`. sentences: of the corpus, those of `motions` held out; the reader
-    learns from the others as they were recorded.
+    """Compare lip gaps, closures and read words of tracks with those of the wanted frames.
 
     The reader of words learns from the other sentences as they were recorded.
 
@@ -225,7 +225,7 @@ def seen_figures(
 
 
 def _markers_mm(face: FaceModel, tracks: Mapping[str, Array]) -> dict[str, Array]:
-    """The model's points of tracks, as they move from the film's own rest, laid at the model's."""
+    """Return the tracked points of the model, moved from the model's rest as from the film's."""
     rigid = np.concatenate([each[:, RIGID] for each in tracks.values()]) * _TO_FACE_AXES
     mean = refine_mean(rigid, (*_EYES, _EYE_DISTANCE_MM))
     chosen = list(face.layout.landmarks)

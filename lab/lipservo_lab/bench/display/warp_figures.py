@@ -99,7 +99,7 @@ def _folds(display: PhotoDisplay, frame: Frame) -> int:
 
 
 def _rest_error_px(display: PhotoDisplay, landmarks: Landmarks) -> float:
-    """The farthest that a landmark is drawn from where it is, in the photograph's own pose."""
+    """Return the largest distance between a landmark and where it is drawn, in the own pose."""
     frame = Frame(0.0, display.own)
     moved = display.warp.moved(frame)[0]
     numbers = [n for n in landmarks if n < N_SKIN and display.warp.vertex_of(n) >= 0]
@@ -112,10 +112,10 @@ def _rest_error_px(display: PhotoDisplay, landmarks: Landmarks) -> float:
 
 
 def _marker_error_px(display: PhotoDisplay, face: FaceModel, coefficients: Array) -> float:
-    """The mean distance of the warp's markers from the model's, laid on this face, of one frame.
+    """Return how far, on average in pixels, a warped photograph's markers are from the model's.
 
-    The model's: as far from where the photograph has them as the model moves them from its own
-    pose, in the size and turn of this head.
+    The model's markers are the photograph's, moved as the model moves them from its own pose, in
+    this head's size and turn. coefficients: (n_components,), one frame.
     """
     wanted, drawn = [], []
     moved = display.warp.moved(Frame(0.0, coefficients))[0]
@@ -129,7 +129,7 @@ def _marker_error_px(display: PhotoDisplay, face: FaceModel, coefficients: Array
 
 
 def _source(display: PhotoDisplay, moved: Array, at_px: Array) -> Array:
-    """Where the photograph is looked up at places (n, 2), between pixels."""
+    """Return where the photograph is sampled at places (n, 2), interpolated between pixels."""
     from scipy.ndimage import map_coordinates
 
     maps = display.source_of(moved)

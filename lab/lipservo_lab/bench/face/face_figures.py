@@ -51,10 +51,10 @@ def browser() -> str | None:
 
 
 def page_ready_s(address: str, times: int = 3, ready: str = READY) -> float | None:
-    """From asking for the page until it is ready, the median; None without a Chromium.
+    """Return the median time from a page's request until it is ready, s; None without a Chromium.
 
-    ready: what is true in the page once it is. The browser runs already; nothing is in its cache
-    the first time. Raises TimeoutError.
+    ready: JavaScript that is true once the page is ready. The browser runs already; its cache is
+    empty the first time. Raises TimeoutError.
     """
     program = browser()
     if program is None:
@@ -63,6 +63,10 @@ def page_ready_s(address: str, times: int = 3, ready: str = READY) -> float | No
 
 
 async def _measured(program: str, address: str, times: int, ready: str) -> float:
+    """Return the median time from a request of a page until `ready` is true in it, s.
+
+    Each of the `times` loads has a page of its own; raises TimeoutError.
+    """
     taken = []
     for _ in range(times):
         async with _new_page(program) as ask:
@@ -83,7 +87,7 @@ async def _is_true(ask: Any, expression: str) -> bool:
 
 @asynccontextmanager
 async def _new_page(program: str) -> AsyncIterator[Any]:
-    """A browser with nothing in its cache; asks it by the Chrome DevTools Protocol."""
+    """Run a browser with an empty cache; yield a function for Chrome DevTools commands."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         quiet = subprocess.DEVNULL
         command = [program, *_FLAGS, f"--user-data-dir={folder}", "about:blank"]
@@ -95,7 +99,10 @@ async def _new_page(program: str) -> AsyncIterator[Any]:
 
 
 async def _page_url(file: Path) -> str:
-    """The debugger's URL of its first page."""
+    """Return the debugger's URL of the browser's first page.
+
+    file: where the browser writes its port.
+    """
     while not file.exists() or len(file.read_text().splitlines()) < 2:
         await asyncio.sleep(_LOOK_S)
     port = file.read_text().splitlines()[0]
@@ -108,6 +115,10 @@ async def _page_url(file: Path) -> str:
 
 
 def _asking(socket: ClientConnection) -> Any:
+    """Return a coroutine function that sends a DevTools command and returns its result.
+
+    Messages with another number, such as events, are dropped meanwhile.
+    """
     numbers = itertools.count(1)
 
     async def ask(method: str, **parameters: object) -> dict[str, Any]:
@@ -128,9 +139,9 @@ _SETTLE_S: Final = 3.0
 
 @contextmanager
 def served_head() -> Iterator[str]:
-    """`face_head` with a dashboard that has settled; the address.
+    """Run a daemon of `face_head` with a dashboard; yield the address once the dashboard settled.
 
-    Raises TimeoutError where none comes.
+    Raises TimeoutError where no dashboard answers.
     """
     with tempfile.TemporaryDirectory() as folder, socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -147,6 +158,7 @@ def served_head() -> Iterator[str]:
 
 
 def _wait_for(url: str) -> None:
+    """Wait until a URL answers with success; raise TimeoutError after `_SERVED_HEAD_PATIENCE_S`."""
     give_up_s = time.monotonic() + _SERVED_HEAD_PATIENCE_S
     while time.monotonic() < give_up_s:
         try:
@@ -173,7 +185,7 @@ def face_figures(voices: Sequence[Path], seconds: float, advance: Advance) -> di
 
 
 def heard(voices: Sequence[Path]) -> list[VoiceFrame]:
-    """What a tracker says of sound files, one after the other; without one, of the bundled clip.
+    """Return the voice tracker's frames of sound files; without files, of the bundled clip.
 
     Raises SoundError.
     """

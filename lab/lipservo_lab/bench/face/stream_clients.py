@@ -10,7 +10,10 @@ from websockets.asyncio.client import ClientConnection, connect
 
 
 async def run(address: str, path: str, n: int) -> float:
-    """Bytes a second that one client was sent, the mean over all of them."""
+    """Read a stream with `n` WebSocket clients until standard input closes; return bytes/s of one.
+
+    Prints `connected` once all clients have received something. The result is the clients' mean.
+    """
     url = f"{address.replace('http://', 'ws://', 1)}{path}"
     sockets = [await connect(url, compression=None, proxy=None) for _ in range(n)]
     for socket in sockets:

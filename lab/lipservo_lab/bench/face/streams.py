@@ -78,6 +78,10 @@ class BenchedFace:
                 self._tick(time_s, late)
 
     def _tick(self, time_s: float, late: int) -> None:
+        """Run one tick: publish a swinging target, write the live board, answer control requests.
+
+        time_s: monotonic. late: ticks missed before this one.
+        """
         swing = float(np.sin(2.0 * np.pi * time_s))
         self._channel.publish(ServoTargets(time_s, np.full(_N_SERVOS, 20.0 * swing)))
         self._tell.tell(self._bridge.tick(time_s, late))
@@ -111,7 +115,10 @@ def stream_figures(seconds: float) -> dict[str, float]:
 
 @contextmanager
 def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
-    """The face, the address of its dashboard, and which process that is."""
+    """Run a simulated face with a dashboard; yield the face, the dashboard's URL, and its process.
+
+    The third value returns the process id. Raises RuntimeError where the dashboard does not start.
+    """
     model = servo_models()["XL330-M288"]
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, _N_SERVOS + 1)]
     servos = [MountedServo(joint, model) for joint in joints]
@@ -142,7 +149,7 @@ def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
 
 
 def _dashboard() -> int:
-    """The process of the dashboard. Raises RuntimeError where it has ended."""
+    """Return the process id of the dashboard. Raises RuntimeError where it has ended."""
     if (pid := child_of(os.getpid(), "dashboard")) is None:
         raise RuntimeError("the dashboard has ended")
     return pid
@@ -166,7 +173,10 @@ sys.exit(1)
 
 @contextmanager
 def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
-    """So many clients of a stream in a process of their own; afterwards: bytes a second of one."""
+    """Run `n` clients of a stream in a process; yield a function: the bytes/s of one client.
+
+    The function returns NaN until the block has ended.
+    """
     command = [
         sys.executable,
         "-P",
@@ -191,7 +201,7 @@ def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
 
 
 def _settle(face: BenchedFace, pid: int) -> None:
-    """Until a dashboard that has just started has made what it makes once."""
+    """Run the face until a dashboard that has just started uses little processor time."""
     for _ in range(_MOST_SETTLING):
         began_s, spent_s = time.monotonic(), processor_s(pid)
         face.run(_SETTLE_S)

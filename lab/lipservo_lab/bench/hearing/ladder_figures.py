@@ -67,13 +67,13 @@ class Ticks:
     late: NDArray[np.int64]
 
     def until(self, sound_s: float) -> "Ticks":
-        """Those in which the sound before `sound_s` was heard; afterwards the face is let go."""
+        """Return the ticks in which the sound before `sound_s` was processed."""
         kept = self.heard_s < sound_s
         return Ticks(*(getattr(self, each.name)[kept] for each in fields(self)))
 
 
 def read_ticks(trace: Path, first_s: float) -> Ticks:
-    """The ticks of a trace whose first was at monotonic `first_s`. Raises LadderError."""
+    """Read the ticks of a trace whose first tick was at monotonic `first_s`. Raises LadderError."""
     columns: list[tuple[float, float, bool, float, int]] = []
     try:
         with trace.open(encoding="utf-8") as file:
@@ -170,9 +170,10 @@ def ladder_figures(
     progress: Callable[[float, float], None],
     is_over: Callable[[], bool],
 ) -> dict[str, object]:
-    """The figures, by name. n_busy: processes for each core, scheduled as ours is.
+    """Let a face listen for `minutes` under load; return the figures of `bench ladder`.
 
-    folder: for the files; is_over: called often, to end early.
+    n_busy: busy processes for each core, scheduled as the face is. folder: gets sound, trace and
+    log. progress: called with seconds done and all. is_over: called often; True ends the run early.
     Raises LadderError.
     """
     (folder / "session").mkdir(mode=0o700)
@@ -185,7 +186,7 @@ def ladder_figures(
 
 
 def slow_the_network(times: float) -> None:
-    """In this process the network takes `times` as long as its sound lasts, busy all the while."""
+    """Patch this process so that the network takes `times` as long as its sound lasts, busy."""
     prepare = NetworkRecognizer.prepare
 
     def slowly(self: NetworkRecognizer, blocks: Sequence[AudioBlock]) -> None:
@@ -222,7 +223,10 @@ def _under_load(
     progress: Callable[[float, float], None],
     is_over: Callable[[], bool],
 ) -> tuple[Ticks, list[Load]]:
-    """Let a face listen for so long, and burn by the script."""
+    """Let a face listen for `seconds`, loading all cores at the times of `LOADS_S` each minute.
+
+    Returns the ticks of its trace, and when there was load (monotonic).
+    """
     trace = folder / "trace.jsonl"
     script = [
         (minute * 60.0 + at_s, length_s)
@@ -244,7 +248,7 @@ def _under_load(
 
 
 def _slowed(folder: Path, sound: Path, is_over: Callable[[], bool]) -> float | None:
-    """After how long energy takes over from a recogniser that is too slow; None: it did not."""
+    """Return after how long the loudness recogniser replaces a slow one, s; None: it did not."""
     short = folder / "short.wav"
     samples = soundfile.read(sound, frames=round(_SLOWED_S * SAMPLE_RATE_HZ), dtype="float32")[0]
     soundfile.write(short, samples, SAMPLE_RATE_HZ)
@@ -262,9 +266,9 @@ def _slowed(folder: Path, sound: Path, is_over: Callable[[], bool]) -> float | N
 def listening_face(
     code: str, folder: Path, sound: Path, trace: Path
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A whole `lipservo run` in a runtime folder of its own.
+    """Run a whole `lipservo run` in a runtime folder of its own, until the block ends.
 
-    It ends with this block, or with us.
+    code: Python program that starts the command line. The process also ends with this process.
     """
     environment = {
         **os.environ,
@@ -292,7 +296,7 @@ def listening_face(
 
 @contextmanager
 def _hogs(n_processes: int) -> Iterator[Callable[[float], None]]:
-    """A function that lets so many processes be busy for so many seconds, from now on."""
+    """Start idle processes; yield a function that keeps all of them busy for some seconds."""
     hog = [sys.executable, "-c", _HOG]
     with ExitStack() as stack:
         busy = [
@@ -314,7 +318,11 @@ def first_tick_s(
     is_over: Callable[[], bool],
     n_ticks: int = _N_TICKS,
 ) -> float:
-    """The monotonic time of the face's first tick, of its counts: to some 10 ms."""
+    """Return the monotonic time of a face's first tick, from the tick counts in its status.
+
+    The result is right to some 10 ms. Raises LadderError where the face does not start, or
+    `is_over` returns True.
+    """
     give_up_s = time.monotonic() + _STARTS_S
     found_s: list[float] = []
     while len(found_s) < n_ticks:
@@ -344,7 +352,10 @@ def wait_until(
     *,
     may_end: bool = False,
 ) -> None:
-    """Raises LadderError where it is to end early, and for a process that ends before its time."""
+    """Wait until a monotonic time; raise LadderError if `is_over` or if the process ends before.
+
+    may_end: return instead when the process ends.
+    """
     while time.monotonic() < time_s:
         if is_over():
             raise LadderError(_STOPPED)

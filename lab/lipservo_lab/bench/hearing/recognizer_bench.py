@@ -49,7 +49,10 @@ def aligned(
     n_processes: int | None,
     advance: Callable[[str, int, int], None],
 ) -> dict[str, AlignedUtterance]:
-    """Their alignments by name: from the cache, or made now and kept there."""
+    """Return the alignment of each utterance by name, from the cache, or made now and kept there.
+
+    n_processes: None: one a core.
+    """
     names: list[str] = []
 
     def count(name: str) -> None:
@@ -94,10 +97,11 @@ class SpeakerGroupError(UserError):
 def speaker_groups(
     by: Literal["speaker", "group"] | None, corpus: Path, table: Path | None
 ) -> Callable[[str], Sequence[str]]:
-    """From a speaker's name to the names of the groups; none where no grouping was requested.
+    """Return a function from a speaker's name to the groups that the speaker counts in.
 
-    table: of the speakers; None: the one in the corpus's folder. Raises SpeakerGroupError where
-    there is none, and for a table without a grouping; TranscriptError for one that cannot be read.
+    by: None: no groups. table: CSV of speakers; None: the one in the corpus's folder. Raises
+    SpeakerGroupError where there is none, and for a table without a grouping; TranscriptError for
+    one that cannot be read.
     """
     if by != "group" and table is not None:
         raise SpeakerGroupError(f"--groups {table} is for --by group; give both or neither")

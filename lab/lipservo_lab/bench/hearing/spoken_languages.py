@@ -55,9 +55,10 @@ def language_scores(
     folder: Path,
     progress: Callable[[], None] = lambda: None,
 ) -> dict[str, Score]:
-    """Of each language, all sentences of it. Raises SynthesisError where espeak-ng is not there.
+    """Return the recogniser's score on all sentences of each language, spoken by espeak-ng.
 
-    folder: where the sounds are kept; progress: after each sentence that was spoken.
+    folder: where the sounds are kept; progress: called after each sentence. Raises SynthesisError
+    where espeak-ng is not installed.
     """
     scores = {}
     for tag in languages:

@@ -54,7 +54,7 @@ class Followed:
     n_phones: int = 0
 
     def add(self, found: Sequence[PhonemeEvent], spoken: Sequence[PhonemeEvent]) -> None:
-        """Count one sentence."""
+        """Count one sentence: labels of its frames, and starts of phones that match, in ms."""
         n_frames = round((spoken[-1].end_s or 0.0) / BLOCK_S)
         self.score.add(_labels(found, n_frames), _labels(spoken, n_frames))
         ours, theirs = (
@@ -74,7 +74,10 @@ class Followed:
                     self.closing_errors_ms.append(error_ms)
 
     def figures(self) -> dict[str, float]:
-        """By name; `boundary_ms`: of all phones that were found, `found` their share."""
+        """Return the figures by name.
+
+        `found`: share of phones that were found; `boundary_ms_...`: error of their beginnings.
+        """
         sizes_ms, scored = np.abs(self.errors_ms or [np.nan]), self.score.figures()
         return {
             **self.score.bilabials.figures("closure"),
@@ -95,9 +98,10 @@ def followed_voice(
     tells: bool = True,
     progress: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """Each text spoken by a voice. tells: whether the recogniser gets it, or the sound alone.
+    """Recognise texts spoken by a synthesiser's voice; return how well their phones are found.
 
-    Raises SynthesisError where the voice is not there or tells no times, PronunciationError.
+    tells: whether the recogniser gets the text beforehand, or the sound alone. Raises
+    SynthesisError where the voice is missing or reports no times; PronunciationError.
     """
     speaker, counted = synthesizer_for(synthesizer), Followed()
     for text in texts:
@@ -120,7 +124,7 @@ def followed_language(
     tells: bool = True,
     progress: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """The sentences of a language by espeak-ng, as above."""
+    """Recognise a language's sentences, spoken by espeak-ng; as `followed_voice`."""
     speaker, counted = synthesizer_for("espeak"), Followed()
     language = VOICE_OF.get(tag, tag)
     for number, text in enumerate(language_sentences()[tag]):
@@ -136,7 +140,7 @@ def followed_language(
 def _settled(
     recognizer: NetworkRecognizer, spoken: SynthesizedSpeech, words: Sequence[PronouncedWord]
 ) -> list[PhonemeEvent]:
-    """The settled phonemes of a sound as it comes live, the words given before it."""
+    """Return the final phonemes of a sound played live, with its words given beforehand."""
     samples = soxr.resample(spoken.samples, spoken.sample_rate_hz, SAMPLE_RATE_HZ)
     n_tail = round((recognizer.latency_s + _TAIL_S) * SAMPLE_RATE_HZ)
     whole = np.concatenate((samples, np.zeros(n_tail, np.float32))).astype(np.float32)
@@ -147,7 +151,7 @@ def _settled(
 
 
 def _labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
-    """(n_frames,) numbers of the phonemes; what nothing covers is silence."""
+    """Return phoneme numbers of frames, (n_frames,); frames without an event are silence."""
     labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
     ends_s = [after.start_s for _, after in pairwise(events)] + [n_frames * BLOCK_S]
     for event, next_s in zip(events, ends_s, strict=True):

@@ -50,10 +50,10 @@ _LONGEST_S: Final = 300.0
 
 
 def house_figures(advance: Advance = lambda _what, _n_done, _n_all: None) -> dict[str, Any]:
-    """All figures; `over`: lines that say which are above their bar.
+    """Return all figures of `bench house`; `over` has a line for each figure above its bar.
 
-    advance: as `progress_bar` yields it. Raises UserError where the program is not run from a
-    checkout.
+    advance: called with the work, steps done and all. Raises UserError where the program is not run
+    from a checkout.
     """
     if not (ROOT / "pyproject.toml").is_file():
         raise UserError(f"{ROOT}: no checkout; `pip install -e . -e ./client -e ./lab` in one")
@@ -131,7 +131,10 @@ def _spent_s(arguments: Sequence[str], environment: dict[str, str], folder: str)
 
 
 def _traced(what: str, *arguments: str) -> Any:
-    """Run `traced_ticks` in a process. Raises RuntimeError with what it wrote to stderr."""
+    """Run `traced_ticks` in a process; return its result.
+
+    Raises RuntimeError with what the process wrote to standard error.
+    """
     with tempfile.TemporaryDirectory(prefix="lipservo-bench-") as folder:
         output = Path(folder) / "traced.json"
         script = [sys.executable, traced_ticks.__file__, str(ROOT), str(output), what]

@@ -42,6 +42,10 @@ def _require(text: str, needed: set[tuple[str, str]], extra: str = "") -> None:
 
 
 def _files(root: Path, name: str) -> Iterator[Path]:
+    """Yield the paths in a distribution: of ours from the checkout, of others as installed.
+
+    Nothing for a distribution that is not installed.
+    """
     if folders := _OURS.get(name):
         for folder in folders:
             yield from (root / folder).rglob("*")

@@ -54,7 +54,7 @@ class TickTracer:
 
 
 def traced_ticks(root: str) -> dict[str, Any]:
-    """Run the command line and return medians over its ticks."""
+    """Run the command line of this process; return medians of files and calls over its ticks."""
     from lipservo.__main__ import main
 
     tracer = TickTracer(root)
@@ -78,9 +78,9 @@ class _FirstTick(BaseException):
 
 
 def loaded_modules(root: str) -> dict[str, Any]:
-    """Run the command line until its first tick.
+    """Run the command line of this process until its first tick.
 
-    Return our modules that are loaded, with files, and the processor time until then in s.
+    Returns our loaded modules with their files, and the processor time until then, s.
     """
     from firmware_bridge import clock
     from lipservo.__main__ import main

@@ -25,7 +25,7 @@ Row = tuple[str, float, float]
 
 
 def _rows(rng: np.random.Generator) -> list[Row]:
-    """Phones with times to a hundredth, some pauses between them; neighbours are never equal."""
+    """Draw phones with times in hundredths of a second and some pauses; no neighbours are equal."""
     at_s = 0.1
     rows: list[Row] = []
     names = list(_IPA)
@@ -55,6 +55,7 @@ def _read(text: str | bytes, sound_s: float, tier: str = "") -> tuple[object, Se
 
 
 def _filled(rows: Sequence[Row], end_s: float) -> list[Row]:
+    """Return rows without gaps from 0 to `end_s`: rows with an empty label fill the pauses."""
     full: list[Row] = []
     at_s = 0.0
     for row in rows:
@@ -65,6 +66,7 @@ def _filled(rows: Sequence[Row], end_s: float) -> list[Row]:
 
 
 def _textgrid(tiers: dict[str, Sequence[Row]], end_s: float) -> str:
+    """Return a Praat TextGrid (long form) of interval tiers; pauses are empty intervals."""
     lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0"]
     lines += [f"xmax = {end_s}", "tiers? <exists>", f"size = {len(tiers)}", "item []:"]
     for number, (name, rows) in enumerate(tiers.items(), 1):
@@ -79,7 +81,7 @@ def _textgrid(tiers: dict[str, Sequence[Row]], end_s: float) -> str:
 
 
 def _stressed(rng: np.random.Generator, rows: Sequence[Row]) -> list[Row]:
-    """ARPAbet as people have it: one case for all, stress on vowels or none."""
+    """Return ARPAbet in one case, with stress on all vowels or on none."""
     case = (str.upper, str.lower, str.title)[int(rng.integers(3))]
     digit = str(rng.choice(["", "0", "1", "2"]))
     return [(case(x) + digit * (x in _VOWELS), s, e) for x, s, e in rows]
@@ -126,6 +128,8 @@ _FORMATS: Final[dict[str, Callable[[Sequence[Row]], str]]] = {
 
 
 def _of_format(name: str) -> Maker:
+    """Return a maker of label files of one of `_FORMATS`, to be read as the same phones, in ms."""
+
     def make(rng: np.random.Generator, _folder: Path) -> OddInput:
         rows = _rows(rng)
         written = _stressed(rng, rows) if name not in ("Gentle", "HTK") else rows
@@ -144,6 +148,7 @@ def _arpabet(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _ipa(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a TextGrid in IPA, AA and IY sometimes with a length mark, beside a tier of words."""
     rows = _rows(rng)
     spelt = [
         (_IPA[x] + "\u02d0" * bool(x in ("AA", "IY") and rng.random() < 0.5), s, e)
@@ -154,7 +159,7 @@ def _ipa(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _speakers(rng: np.random.Generator, _folder: Path) -> OddInput:
-    """Two speakers: the tier is in doubt, unless someone names it."""
+    """Write a TextGrid of two speakers; to be refused unless the tier is named."""
     rows, other = _rows(rng), _rows(rng)
     end_s = max(_sound_s(rows), _sound_s(other))
     text = _textgrid({"ann - phones": other, "bob - phones": rows}, end_s)
@@ -174,6 +179,7 @@ def _nearly(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _overlapping(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a label file in which one phone ends 20 ms after the next begins: to be refused."""
     rows = _rows(rng)
     at = int(rng.integers(len(rows) - 1))
     label, start_s, _ = rows[at]
@@ -193,7 +199,7 @@ def _milliseconds(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _cut(rng: np.random.Generator, _folder: Path) -> OddInput:
-    """Cut in its first three quarters: refused, or reported."""
+    """Cut a label file in its first three quarters: to be refused, or reported."""
     rows = _rows(rng)
     sound_s = _sound_s(rows)
     formats = {
@@ -218,6 +224,7 @@ def _words(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _rhubarb(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a file of Rhubarb's mouth shapes; each is to be read as the phone that looks alike."""
     rows = _rows(rng)
     shapes = [str(rng.choice(list(_SHAPES)))]
     while len(shapes) < len(rows):

@@ -77,6 +77,10 @@ def verdict(odd: OddInput) -> tuple[Verdict, str]:
 
 
 def _alike(value: object, right: object, tolerance: float) -> bool:
+    """Compare two values, nested ones element by element; numbers within `tolerance`.
+
+    NaN equals NaN. Keys of dicts must have the same order; a list equals a tuple.
+    """
     if isinstance(right, float) and isinstance(value, int | float):
         return math.isclose(value, right, abs_tol=tolerance) or (value != value and right != right)
     if isinstance(right, dict) and isinstance(value, dict):
@@ -92,6 +96,8 @@ def _alike(value: object, right: object, tolerance: float) -> bool:
 
 @contextmanager
 def _in_time() -> Iterator[None]:
+    """Raise `_HangError` once the body has run for `LONGEST_S`; main thread only (SIGALRM)."""
+
     def late(_signal: int, _frame: FrameType | None) -> None:
         raise _HangError
 

@@ -34,7 +34,7 @@ _BOARDS: Final = {"micro6": 6, "mini12": 12, "mini18": 18, "mini24": 24}
 
 
 def _range(rng: np.random.Generator, folder: Path) -> OddInput:
-    """A recorded range, of the model that stands there or of one with more positions."""
+    """Write a recorded range of a servo; to be refused if it is of a model with more positions."""
     kind = str(rng.choice(list(_MANUALS)))
     model = str(rng.choice(list(_MANUALS[kind])))
     n, reach_deg = _MANUALS[kind][model]
@@ -61,6 +61,7 @@ def _range(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 def _board(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a face with a servo at a channel, to be refused where its board has no such channel."""
     board = str(rng.choice([*_BOARDS, "pca9685"]))
     channel = int(rng.integers(0, 30))
     is_maestro = board in _BOARDS
@@ -129,6 +130,8 @@ def _filled(pair: tuple[str, str], fill: Callable[[], Any]) -> Any:
 
 
 def _text(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a text with mark-up; right are the words that are to be spoken, in their order."""
+
     def word() -> tuple[str, str]:
         chosen = str(rng.choice(_WORDS))
         return chosen, chosen
@@ -146,7 +149,7 @@ def _text(rng: np.random.Generator, _folder: Path) -> OddInput:
 
 
 def _c3d(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Markers lost as zeros or negative residuals, angles beside them, many, or alike in name."""
+    """Write a C3D file of markers: some lost (zeros, negative residuals), angles, similar names."""
     import ezc3d
 
     n = int(rng.choice([4, 4, 4, 300]))
@@ -186,7 +189,7 @@ def _c3d(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 def _photo(rng: np.random.Generator, folder: Path) -> OddInput:
-    """A photograph whose left half is dark, held in any way, real or not."""
+    """Write a photograph whose left half is dark, with any EXIF orientation, valid or not."""
     from PIL import Image
 
     pixels = np.full((80, 120, 3), 220, dtype=np.uint8)
@@ -208,7 +211,7 @@ def _photo(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 def _no_file(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Pipes, devices, folders, circles of links, names that no file can have."""
+    """Choose what is no readable file: a pipe, device, folder, link to itself, impossible name."""
     link = folder / "link"
     link.symlink_to(link)
     os.mkfifo(folder / "pipe")
@@ -218,6 +221,7 @@ def _no_file(rng: np.random.Generator, folder: Path) -> OddInput:
     reader = int(rng.integers(4))
 
     def read() -> tuple[object, Sequence[str]]:
+        """Read the path with the drawn reader: labels, sound, C3D or photograph."""
         readers: list[Callable[[], object]] = [
             lambda: read_labels(LabelFile(path)),
             lambda: checked_sound(path),

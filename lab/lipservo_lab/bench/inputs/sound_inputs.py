@@ -70,6 +70,10 @@ def _no_size(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 def _channels(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Write a file of one to four channels and choose one, or their mix.
+
+    To be refused where the file has no such channel.
+    """
     n = int(rng.integers(1, 5))
     voices = np.stack([_voice(rng, 0.3) for _ in range(n)], axis=1)
     path = _write(folder / "a.wav", voices)
@@ -84,7 +88,7 @@ def _channels(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 def _cut(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Cut anywhere in its middle: refused or reported."""
+    """Cut a sound file anywhere in its middle: to be refused, or reported."""
     kind, subtype = (("wav", "PCM_16"), ("mp3", "MPEG_LAYER_III"), ("ogg", "VORBIS"))[
         int(rng.integers(3))
     ]
@@ -113,6 +117,10 @@ def _broken(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 def _codec(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Write a sound with a drawn codec; right is a correlation above 0.8 with what was encoded.
+
+    WAV in its place where this libsndfile cannot write the codec.
+    """
     subtype, ending = _CODECS[int(rng.integers(len(_CODECS)))]
     voice = _voice(rng, 0.6)
     try:

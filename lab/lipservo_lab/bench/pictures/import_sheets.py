@@ -26,7 +26,10 @@ _GREY = 0.6
 
 
 def draw_scans(samples: Sequence[SampleScan], template: Template, picture: Path) -> None:
-    """The faces from the front, shaded, without the motion of the head. Raises OutputError."""
+    """Draw registered scans from the front, coloured by their errors, without head motion.
+
+    Raises OutputError.
+    """
     without_screen()
     from matplotlib import colormaps
     from matplotlib import pyplot as plt
@@ -81,7 +84,10 @@ _FACE_SHEET_INCHES = 1.5
 
 
 def draw_sheet(samples: Sequence[tuple[FaceSample, ClipReport]], picture: Path) -> None:
-    """Points in green, lips in red; a red title for what was left out. Raises OutputError."""
+    """Draw tracked faces with points and lips; clips that were left out have a red title.
+
+    Raises OutputError.
+    """
     without_screen()
     from matplotlib import pyplot as plt
 

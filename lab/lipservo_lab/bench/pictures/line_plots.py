@@ -71,9 +71,9 @@ def draw_lines(
 def draw_trajectories(
     path: Path, model: TrainedModel, utterance: Utterance, methods: Sequence[Method]
 ) -> None:
-    """Lip gap, width and the first component, recorded (black) and by each method.
+    """Draw lip gap, lip width and first component: recorded (black) and by each method.
 
-    Width and component are moved to the recording's mean over speech.
+    Width and component are shifted to the recording's mean over speech.
     """
     from matplotlib import pyplot as plt
 
@@ -107,7 +107,7 @@ def draw_trajectories(
 def draw_states(
     path: Path, model: StateModel, training: Sequence[Utterance], unseen: Utterance
 ) -> None:
-    """The speech manifold in two of its dimensions: frames by state, and a line's way."""
+    """Draw the speech manifold in two of its dimensions: frames by state, and a sentence's path."""
     from matplotlib import pyplot as plt
 
     places, states, recorded = laid_out(model, training, unseen)
@@ -189,9 +189,9 @@ def _way(model: StateModel, utterance: Utterance) -> list[int]:
 
 
 def draw_figures(path: Path, rows: Sequence[Row]) -> None:
-    """Ratio, gap correlation and closures with their intervals: a group of bars for each split.
+    """Draw ratio, gap correlation and closures as bars with intervals, a group for each split.
 
-    Of a live method the row of its longest look-ahead.
+    A live method is drawn at its longest look-ahead.
     """
     from matplotlib import pyplot as plt
 

@@ -43,7 +43,10 @@ _LIPS, _INSIDE = "#c4696b", "#3a1418"
 
 
 def draw_mouths(path: Path, model: TrainedModel) -> None:
-    """Draw all phonemes, in the live method's motion; the model's layout has both lips."""
+    """Draw the mouth of every phoneme as the live method moves it.
+
+    The model's layout must have both lips.
+    """
     without_screen()
     from matplotlib import pyplot as plt
 
@@ -137,7 +140,7 @@ def draw(folder: Path, model: TrainedModel, unseen: Utterance, recovery: Sequenc
 
 
 def draw_trajectory(folder: Path, model: TrainedModel, utterance: Utterance) -> None:
-    """Lip gap and width, and two components of one sentence, recorded and synthesised."""
+    """Draw lip gap, lip width and two components of a sentence, recorded and synthesised."""
     from matplotlib import pyplot as plt
 
     recorded_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
@@ -168,7 +171,7 @@ def draw_trajectory(folder: Path, model: TrainedModel, utterance: Utterance) -> 
 def mark_phones(
     axis: "Axes", utterance: Utterance, heights: Sequence[float] = (1.02, 1.07)
 ) -> None:
-    """Names above the axis, their beginnings as lines; closures of P B M shaded.
+    """Write phone names above an axis, draw their beginnings as lines, shade closures of P B M.
 
     heights: names stand at these in turn, so that those of short phones do not overlap.
     """
@@ -186,7 +189,10 @@ def mark_phones(
 
 
 def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
-    """What is left of one phoneme in those after it: recorded, made, wrong, put right."""
+    """Draw how much of one phoneme's deviation is left in the phonemes after it.
+
+    Recorded motion, and the live method with a wrong phoneme, corrected or not.
+    """
     from matplotlib import pyplot as plt
 
     drawn_ms = round(_DRAWN_LOOKAHEAD_S * 1e3)

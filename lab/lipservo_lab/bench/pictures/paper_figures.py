@@ -41,7 +41,7 @@ def draw_paper(folder: Path, tables: Mapping[str, Rows]) -> None:
 
 
 def _bars(path: Path, rows: Rows, label: str, printed: tuple[float, float]) -> None:
-    """A group of bars for each row, whose first cell names it; `printed` is shaded."""
+    """Draw a group of bars for each row, named by its first cell; shade the range `printed`."""
     without_screen()
     from matplotlib import pyplot as plt
 
@@ -62,7 +62,7 @@ def _bars(path: Path, rows: Rows, label: str, printed: tuple[float, float]) -> N
 
 
 def _draw_modes(path: Path, rows: Rows) -> None:
-    """The share of the variance over the number of modes: a line for ours, a dot as printed."""
+    """Draw the share of variance over the number of modes: ours a line, the printed ones dots."""
     without_screen()
     from matplotlib import pyplot as plt
 
@@ -81,7 +81,7 @@ def _draw_modes(path: Path, rows: Rows) -> None:
 
 
 def _draw_example(path: Path) -> None:
-    """A panel for each strategy: a column for each phoneme, arrows from AnimPhos to followers."""
+    """Draw a panel a strategy: a column a phoneme, arrows from AnimPhos to their followers."""
     without_screen()
     from matplotlib import pyplot as plt
 

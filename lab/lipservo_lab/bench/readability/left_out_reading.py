@@ -1,6 +1,7 @@
-"""Reading of words by models that never met them: the ten folds of words, and one row of them all.
+"""Reading of words that the model has not learned: the ten folds of words, and one row of them all.
 
-Readers learn every word off recorded faces; only what they read is of a model without the word.
+Readers learn every word from recorded faces; what they read is the motion of a model that has not
+learned the word.
 """
 
 from collections import defaultdict
@@ -40,6 +41,10 @@ def pooled(rows: Sequence[Row]) -> list[Row]:
 
 
 def _mean(rows: Sequence[Row]) -> Row:
+    """Return one row for the rows of all folds: means weighted by each fold's number of words.
+
+    Shares of words are joined, sentences added; all else is the first row's.
+    """
     shares = [cast(dict[str, float], row["shares"]) for row in rows]
     # Samples in which a word was not drawn are missing.
     samples = [cast(Array, row["samples"]) for row in rows]

@@ -86,7 +86,7 @@ class ReadingQuestion:
 def reading_question(
     strategies: str, lookaheads: str, phonemes: str, *, robot: bool
 ) -> ReadingQuestion:
-    """From the command line's texts, each a list with commas; raises BenchError, as `question`."""
+    """Parse the command line's texts, lists with commas; raise BenchError for an unknown name."""
     named = list(dict.fromkeys(text.strip() for text in strategies.split(",")))
     line_methods = tuple(name for name in PLANNED_METHODS if name in named)
     kinds = tuple(dict.fromkeys(text.strip() for text in phonemes.split(",")))
@@ -102,7 +102,10 @@ def reading_question(
 def with_line_methods(
     reading: ReadingQuestion, models_of: Callable[[], OfflineModels]
 ) -> ReadingQuestion:
-    """The same with its line methods made ready; models_of: called only where there are any."""
+    """Return the question with its methods for whole lines made ready.
+
+    models_of: called only where there are any.
+    """
     if not reading.line_methods:
         return reading
     models = models_of()
@@ -138,9 +141,10 @@ def reading_rows(
     *,
     is_pooled: bool = False,
 ) -> list[Row]:
-    """The rows of all parts. model_of: one that has learned no sentence of the part's test.
+    """Return the rows of all parts, each read by a model that has not learned its test sentences.
 
-    is_pooled: the parts are folds of one question, whose mean is told.
+    model_of: returns that model. is_pooled: the parts are folds of one question, and the rows are
+    their means.
     """
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
@@ -176,10 +180,10 @@ def _pair(rows: Sequence[Row]) -> None:
 
 
 def headline(rows: Sequence[Row]) -> dict[str, object]:
-    """Scores of the first reader on recorded motion and on the default's at 100 ms, by split.
+    """Return the main scores, by split: recorded motion, and the default strategy at 100 ms.
 
-    robot_...: of the lips that the robot shows, by the reader that sees lips only. gap_r_...: of
-    the sentences with known words.
+    Own face: by `COMPONENT_READER`. robot_...: the robot's lips, by `LIP_READER`. gap_r_...: of the
+    sentences with known words.
     """
     found: dict[str, object] = {}
     for row in rows:
@@ -199,6 +203,7 @@ def headline(rows: Sequence[Row]) -> dict[str, object]:
 
 
 def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
+    """Prepare one part: its recorded motion and its folds, for each kind of reader."""
     sentences = slotted(check_scorable(model, corpus))
     recorded = {kind.name: recorded_motions(model, sentences, kind) for kind in READERS}
     folds = {}
@@ -215,6 +220,11 @@ def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
 def _made_rows(
     split: _Split, reading: ReadingQuestion, phonemes: str, listen: Listen, track: Track
 ) -> Iterator[Row]:
+    """Yield a row for each method, look-ahead and kind of reader, of faces made by the method.
+
+    A method that does not look ahead makes its faces once, for all look-aheads. phonemes: the
+    source's name in the rows, whose phonemes `listen` returns.
+    """
     what = f"{split.part.split}, {phonemes}"
     for method in reading.methods:
         faces: Motions | None = None
@@ -251,7 +261,10 @@ def _robot_rows(
     track: Track,
     advance: Advance,
 ) -> Iterator[Row]:
-    """Default strategy, if it is among the methods, and recorded motion, played by the robot."""
+    """Yield rows of motion played by the robot: recorded, and by the default strategy.
+
+    The latter only if it is among the methods.
+    """
     robot = calibrated_robot(split.model)
     play = partial(_robot_seen, split, robot, advance)
     rate_hz = split.read[0].frame_rate_hz
@@ -273,7 +286,7 @@ def _robot_rows(
 def _robot_seen(
     split: _Split, robot: Face, advance: Advance, faces: Motions, rate_hz: float
 ) -> dict[ReaderKind, Motions]:
-    """What each kind of reader sees of the robot while it plays the sentences."""
+    """Return what each kind of reader sees of the robot while it plays the sentences."""
     shown = shown_markers_mm(
         robot, faces, rate_hz, split.read[0].frame_rate_hz, partial(advance, f"{ROBOT} plays")
     )
@@ -294,7 +307,10 @@ def _row(
     face: str = OWN_FACE,
     gap_r: float | None = None,
 ) -> Row:
-    """What one reader reads; phonemes, lookahead_ms, gap_r: None for recorded motion."""
+    """Return a row of what one kind of reader reads.
+
+    phonemes, lookahead_ms, gap_r: None for recorded motion.
+    """
     scored = split.score(kind, seen)
     return {
         "split": split.part.split,
@@ -334,7 +350,7 @@ _COLOURS = {"true": "tab:blue", "recognized": "tab:orange", "text": "tab:green",
 
 
 def draw_readability(folder: Path, rows: Sequence[Row]) -> None:
-    """A bar for each motion at 100 ms with its interval, a panel for each split and reader."""
+    """Draw a bar with its interval for each motion at 100 ms, a panel for each split and reader."""
     without_screen()
     from matplotlib import pyplot as plt
 

@@ -18,9 +18,10 @@ _NEW = "new_"
 
 
 def requested_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Part]:
-    """Known words and the sets of the folder's splits.json; or `words`, with commas, alone.
+    """Return the parts of a folder's splits.json, or one part with `words` (commas between).
 
-    corpus: labelled. Raises BenchError or CorpusError for what cannot be held out.
+    The former are known words and the sets of new words. corpus: labelled. Raises BenchError or
+    CorpusError for what cannot be held out.
     """
     if words is None:
         return reading_parts(folder, corpus)
@@ -37,15 +38,15 @@ def requested_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Par
 
 
 def model_file(part: Part) -> str:
-    """What the file of a part's model is called: `known.npz`, `a.npz`, `words.npz`."""
+    """Return the file name of a part's model: `known.npz`, `a.npz`, `words.npz`."""
     return f"{part.split.removeprefix(_NEW)}.npz"
 
 
 def given_models(folder: Path, parts: Sequence[Part]) -> ModelOf:
-    """Models of a folder, all read at once.
+    """Read the models of a folder; return a function from a part to its model.
 
-    Raises ModelError for one that cannot be read, BenchError for one that was trained on a sentence
-    that is read of it.
+    Raises ModelError for a file that cannot be read, BenchError for a model that was trained on a
+    sentence that it is tested on.
     """
     models = {}
     for part in parts:
@@ -73,9 +74,10 @@ def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) ->
 def kept_models(
     corpus: Corpus, track: Track, tell: Callable[[str], None], others: Sequence[Path]
 ) -> ModelOf:
-    """The same, kept from one run to the next; `bench motion --leave-words-out` uses them too.
+    """Train models, kept from one run to the next; return a function from a part to its model.
 
-    others: files of weights that hear the sentences too.
+    `bench motion --leave-words-out` uses the same models. others: files of weights that recognise
+    the sentences too.
     """
     weights = [load_weights(path) for path in others]
     digests = tuple(weights_digest(str(path)) for path in others)

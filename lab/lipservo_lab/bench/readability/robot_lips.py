@@ -61,12 +61,12 @@ class PlayedMotion:
         """Ignore phonemes."""
 
     def frame_at(self, time_s: float) -> Frame:
-        """The face at a sound time; before and after all of them the first and the last."""
+        """Return the face at a sound time, s; the first or last face outside their times."""
         columns = [np.interp(time_s, self._times_s, column) for column in self._faces.T]
         return Frame(time_s, np.array(columns))
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """The faces of the next 200 ms; where their lips begin to touch, they must."""
+        """Return the faces of the next 200 ms, and where their lips begin to touch."""
         times_s = frame.time_s + _AHEAD_S
         columns = [np.interp(times_s, self._times_s, column) for column in self._faces.T]
         faces = np.stack(columns, axis=1)
@@ -74,7 +74,7 @@ class PlayedMotion:
         return FaceWindow(_AHEAD_S, faces, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:  # noqa: ARG002 - knows no phonemes
-        """None: phonemes are not known."""
+        """Return None: the phonemes of the motion are not known."""
         return None
 
 
@@ -92,10 +92,10 @@ Progress = Callable[[int, int], None]
 
 
 def calibrated_robot(model: FaceWithAnimPhos) -> Face:
-    """`face_sim`, calibrated for the model as `lipservo calibrate fit` does it.
+    """Return `face_sim`, calibrated for the model as `lipservo calibrate fit` does it.
 
-    Its servos are those of the shipped calibration, so how late they are is taken from there.
-    Raises UserError for a model of other points than the robot is measured at.
+    The servos' lags are those of the shipped calibration. Raises UserError for a model of other
+    points than the robot is measured at.
     """
     if model.layout.names != MARKERS_47.names:
         raise UserError(f"{ROBOT} shows the 47 markers, this model has {model.layout.name}")
@@ -155,6 +155,11 @@ def shown_markers_mm(
 
 
 def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
+    """Return all sentences one after the other, with pauses between, as knots 10 ms apart.
+
+    Faces, (n, n_components) at `rate_hz`, are joined by cubic splines; each sentence begins and
+    ends at its own first and last face.
+    """
     knots_s, knots = [np.zeros(1)], [robot.model.rest[None]]
     begins_s: dict[str, float] = {}
     now_s = _LEAD_IN_S
@@ -170,7 +175,10 @@ def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
 
 
 def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Array, Array]:
-    """Sound times (n,), ascending, and the mouth's encoders then, (n, n_servos)."""
+    """Play motion on the simulated robot; return sound times (n,) and encoders (n, n_servos), deg.
+
+    Times ascend; encoders are those of the mouth's servos.
+    """
     bus, clock = simulated_wire(robot.settings)
     motion = PlayedMotion(programme.times_s, programme.faces, robot.model)
     names, channel = list(robot.settings.servos), MemoryTargetChannel()

@@ -48,9 +48,9 @@ _BARS: Final = {
 def soft_table(
     corpus: Corpus, parts: Sequence[Part], teacher: ModelTeacher, weights: str, track: Track
 ) -> list[Row]:
-    """A row for each bar: figure, bar, measured; measured: None for what the parts do not hold.
+    """Return a row for each bar: figure, bar, measured value (None: the parts do not hold it).
 
-    parts: as `reading_parts` gives them of the labelled corpus. teacher: of the same weights.
+    parts: of the labelled corpus, from `reading_parts`. teacher: trains with the same weights.
     Raises TrainingError, BenchError.
     """
     models = {part.split: teacher(corpus.keep(set(part.train))) for part in parts}

@@ -11,12 +11,12 @@ from lipservo_lab.bench.stops.faces_on_buses import BUSES
 
 
 def scenes() -> list[tuple[str, str]]:
-    """All (bus, scene)."""
+    """Return all pairs (bus, scene)."""
     return [(bus, scene) for scene, bus in product(SCENES, BUSES)]
 
 
 def play_scene(bus: str, scene: str) -> tuple[Tally, list[str]]:
-    """What came of one scene; and a line where it could not be played to its end.
+    """Play one scene; return the tally of its statements, and a line if it broke off.
 
     Takes some forty seconds, and longer on a busy computer.
     """
@@ -31,6 +31,6 @@ def play_scene(bus: str, scene: str) -> tuple[Tally, list[str]]:
 
 
 def judge_of(face: HeardFace) -> Judge:
-    """Who holds what a face says against the log of its servos."""
+    """Return the judge of a face's statements by the log of its servos."""
     settings = face.robot.settings
     return Judge(RULES, face.robot.device, settings.joints(), settings.name)

@@ -66,12 +66,12 @@ class Heard:
 
     @property
     def records(self) -> list[Moment]:
-        """The records of the log while it was made."""
+        """The records of the log from shortly before the statement's request until its arrival."""
         made = self.statement
         return self.device.during(made.since_s - OLD_S, made.until_s)
 
     def servos(self, who: str) -> list[int]:
-        """Indices of the servos: of `all`, or of those that the group `who` names."""
+        """Return indices of the servos: of `all`, or of those that the group `who` names."""
         if who == "all":
             return list(range(len(self.names)))
         text = next(filter(None, (self.match[each] for each in who.split("|"))))
@@ -91,12 +91,12 @@ def _verdict(*, holds: bool) -> Verdict:
 
 
 def nothing(_heard: Heard) -> Verdict:
-    """It says nothing of torque."""
+    """Claim nothing about torque."""
     return Verdict.SILENT
 
 
 def unknown(_heard: Heard) -> Verdict:
-    """It says that this is unknown, or that it may be either."""
+    """Claim that torque is unknown, or that it may be on or off."""
     return Verdict.UNKNOWN
 
 
@@ -108,7 +108,7 @@ class Torque:
     who: str = "all"
 
     def __call__(self, heard: Heard) -> Verdict:
-        """Whether it was so at some moment."""
+        """Judge whether the claim was true at some moment while the statement was made."""
         if self.who == "any":
             return _verdict(holds=any(any(each.on) for each in heard.records))
         servos = heard.servos(self.who)
@@ -127,7 +127,7 @@ class AtLeast:
     count: str = "n"
 
     def __call__(self, heard: Heard) -> Verdict:
-        """Whether it was so at some moment."""
+        """Judge whether the claim was true at some moment while the statement was made."""
         n = min(int(heard.match[self.count]), len(heard.names))  # a board may have more channels
         return _verdict(
             holds=any(sum(on is self.on for on in each.on) >= n for each in heard.records)
@@ -145,7 +145,7 @@ class Count:
     count: str = "n"
 
     def __call__(self, heard: Heard) -> Verdict:
-        """Whether it was so at some moment."""
+        """Judge whether the claim was true at some moment while the statement was made."""
         n = int(heard.match[self.count])
         allowed = range(n, n + int(heard.match.groupdict().get("unknown") or 0) + 1)
         return _verdict(
@@ -163,7 +163,7 @@ class Each:
         object.__setattr__(self, "claims", claims)
 
     def __call__(self, heard: Heard) -> Verdict:
-        """Untrue where one of them is."""
+        """Judge all claims of a sentence: untrue where one of them is."""
         named = heard.match.groupdict()
         found = [each(heard) for each in self.claims if named.get(getattr(each, "who", ""), "-")]
         return Verdict.UNTRUE if Verdict.UNTRUE in found else found[0]
@@ -176,7 +176,7 @@ class WasOn:
     who: str
 
     def __call__(self, heard: Heard) -> Verdict:
-        """Whether each of them had."""
+        """Judge whether each of the servos had torque at some moment since the process began."""
         made = heard.statement
         began_s = float(made.about.get("began_s", made.since_s))
         records = heard.device.during(began_s, made.until_s)
@@ -196,7 +196,7 @@ def limp_state(heard: Heard) -> Verdict:
 
 
 def sent_pulse(heard: Heard) -> Verdict:
-    """`sent_us` of a servo: the pulse that it gets, or got last."""
+    """Judge `sent_us` of a servo: the pulse that the servo gets, or got last."""
     (index,), us = heard.servos("who"), float(heard.match["us"])
     later = heard.device.during(heard.statement.until_s, heard.statement.until_s + _RAMP_S)
     for each in (*heard.records, *later):
@@ -218,7 +218,7 @@ class Rule:
 
     @property
     def any_value(self) -> bool:
-        """Whether it matches a key with any value."""
+        """Whether the rule matches a key with any value."""
         return self.pattern.pattern.endswith(": .*")
 
 
@@ -261,10 +261,10 @@ class Tally:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """How many claimed something, how many different ones, and how many were untrue.
+        """Return how many statements claimed something, how many were different, how many untrue.
 
-        unjudged: no rule knows them. unknown_share: of all claims, how many claimed
-        only that it is not known. says_nothing: of torque, by a rule.
+        unjudged: no rule matches them. unknown_share: share of the claims that torque is not known.
+        says_nothing: statements that by a rule claim nothing about torque.
         """
         n_claims = sum(self.verdicts[each] for each in _CLAIMS)
         return {
@@ -291,7 +291,7 @@ class Judge:
         self._silent: set[str] = set()
 
     def judge(self, statements: Iterable[Statement], where: str = "") -> Tally:
-        """What came of statements: of each sentence in them, by the first rule that it matches."""
+        """Judge statements: each sentence in them, by the first rule that it matches."""
         tally = Tally()
         for made in statements:
             key = made.text.partition(": ")[0]
@@ -303,6 +303,11 @@ class Judge:
         return tally
 
     def _judge(self, made: Statement, text: str, where: str, tally: Tally) -> None:
+        """Add to `tally` what the first matching rule makes of one sentence.
+
+        Without a rule the sentence counts as `Verdict.UNJUDGED`. For an untrue one, the torque that
+        was logged meanwhile is appended to the example.
+        """
         short = template(text, self._names)
         found = ((rule, rule.pattern.fullmatch(text)) for rule in self._rules)
         rule, match = next(((r, m) for r, m in found if m is not None), (None, None))

@@ -78,7 +78,7 @@ class FreezeCase:
 
 
 def freeze_cases() -> Iterator[FreezeCase]:
-    """All of them."""
+    """Yield all freezes: every bus, state and delay."""
     for bus in BUSES:
         for state, delays_s in _DELAYS_S.items():
             for delay_s in delays_s:
@@ -103,7 +103,7 @@ class FreezeOutcome:
 
     @property
     def kept(self) -> bool:
-        """Whether all was as it was answered."""
+        """Whether everything was as the answer says."""
         return not (self.untrue or self.armed or self.moved or self.error)
 
     def __str__(self) -> str:
@@ -115,7 +115,7 @@ class FreezeOutcome:
 
 
 def freeze_batches(cases: Sequence[FreezeCase]) -> list[list[FreezeCase]]:
-    """The same cases in batches that share a face; of programs that are started, each its own."""
+    """Return the cases in batches that share a face; a case that starts a program has its own."""
 
     def shared(case: FreezeCase) -> tuple[str, bool]:
         return case.bus, case.state is Frozen.RUN_STARTING
@@ -155,9 +155,10 @@ def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
 
 
 def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
-    """freeze_cases; untrue_answers: answers that were not so; the others count servos.
+    """Return the number of cases and of untrue answers, and what servos did after a freeze.
 
-    freeze_unknown_share: of servos, of those of which an answer says only that it is not known.
+    armed_after_freeze and moved_after_freeze count servos. freeze_unknown_share: share of servos of
+    which an answer says only that their state is not known.
     """
     named = [each.answer.get(key, ()) for each in outcomes for key in ("holds", "limp", "unknown")]
     n_named = sum(map(len, named))
@@ -173,7 +174,7 @@ def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
 
 
 def _play_run(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
-    """A program's freeze comes while it arms its servos."""
+    """Freeze a program while it switches torque on."""
     face.begin_face("run", "--wav", str(CLIP))
     _until_armed(face)
     _freeze(face, case, outcome)
@@ -182,6 +183,11 @@ def _play_run(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None
 def _play(
     face: HeardFace, daemon: subprocess.Popen[bytes], case: FreezeCase, outcome: FreezeOutcome
 ) -> None:
+    """Bring a driven face into the state of a case, freeze it there, and judge what happened.
+
+    What was answered and is not so is added to `outcome`. Raises RuntimeError where a stop or
+    torque that the state needs does not come.
+    """
     device = face.robot.device
     with contextlib.ExitStack() as undo:
         match case.state:
@@ -217,6 +223,7 @@ def _play(
 
 
 def _freeze(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
+    """Request a freeze after the case's delay, watch the servos, and judge the answer."""
     face.wait(case.delay_s)
     requested_s = time.monotonic()
     answer = outcome.answer = face.word("freeze")
@@ -230,7 +237,10 @@ def _freeze(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
 def judge_freeze(
     face: HeardFace, outcome: FreezeOutcome, requested_s: float, answered_s: float
 ) -> None:
-    """Hold the answer against the log, from the answer on until now."""
+    """Compare a freeze's answer with the servos' log, from the answer on until now.
+
+    What is not so is added to `outcome`.
+    """
     device, answer = face.robot.device, outcome.answer
     names = list(face.robot.settings.servos)
     settled_s, now_s = answered_s + _ON_THE_WIRE_S, time.monotonic()
@@ -278,6 +288,7 @@ def _until_stopped(face: HeardFace) -> None:
 
 
 def _start(face: HeardFace) -> None:
+    """Request a start until it is accepted, the face is driven, or `_STARTS_S` are over."""
     give_up_s = time.monotonic() + _STARTS_S
     while "error" in (answer := face.word("start")) or not answer:
         if "the next stop ends it" in answer.get("error", ""):

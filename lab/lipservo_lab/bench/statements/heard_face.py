@@ -95,9 +95,9 @@ class HeardFace:
         return status
 
     def word(self, word: str, *, until_end: bool = False) -> Answer:
-        """Say one word at the control socket, once; {} where nothing answers.
+        """Send one request to the control socket, once; return its answer, {} where there is none.
 
-        until_end: the report of the end of a stop is waited for as well.
+        until_end: wait also for the report of a stop's end.
         """
         requested_s = time.monotonic()
         answer: Answer | None = None
@@ -158,6 +158,10 @@ class HeardFace:
             reader.join(1.0)
 
     def _poll(self) -> None:
+        """Request the status every `_POLL_S` in a thread and note each as statements, until closed.
+
+        While no status is answered, `last_status` is empty.
+        """
         while not self._is_over.wait(_POLL_S):
             requested_s = time.monotonic()
             with contextlib.suppress(OSError, ValueError):
@@ -176,7 +180,7 @@ class HeardFace:
                 self._note_line(line, now_s, began_s, whole)
 
     def _note_line(self, line: str, now_s: float, began_s: float, whole: list[str]) -> None:
-        """Note a line; JSON over many lines is one object."""
+        """Note a line of output as a statement; JSON over several lines is collected in `whole`."""
         if line == "{" or (whole and line != "}"):
             whole.append(line)
             return
@@ -207,7 +211,10 @@ class HeardFace:
 
 
 def flattened(found: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Each value of a JSON object by its path; of a list each item; of health by servo's name."""
+    """Yield each value of a JSON object with its path; items of a list have the list's path.
+
+    An item with a name, as a servo's health, has the name in its path.
+    """
     for key, value in found.items():
         path = f"{before}{key}"
         if isinstance(value, Mapping):

@@ -23,7 +23,7 @@ _OVERLOAD: Final = 0x20
 
 
 def orders(face: HeardFace, bus: str) -> None:
-    """What a person orders of a face on a healthy bus."""
+    """Switch servos, stop, freeze and start a face on a healthy bus, by commands and requests."""
     daemon = face.begin_face(*_DAEMON)
     face.until_driven()
     face.wait(_STAYS_S)
@@ -67,7 +67,7 @@ def orders(face: HeardFace, bus: str) -> None:
 
 
 def plug(face: HeardFace, _bus: str) -> None:
-    """The plug is out while the face is driven, stopped, frozen, and silent."""
+    """Unplug the port while the face is driven, stopped, frozen and silent."""
     daemon, device = face.begin_face(*_DAEMON), face.robot.device
     face.until_driven()
     device.unplug()
@@ -112,7 +112,7 @@ def plug(face: HeardFace, _bus: str) -> None:
 
 
 def mute(face: HeardFace, bus: str) -> None:
-    """The controller, or all servos, hear nothing any more; then one servo alone."""
+    """Let the controller, or all servos, receive nothing any more; then one servo alone."""
     daemon, truth = face.begin_face(*_DAEMON), face.robot.device.truth
     face.until_driven()
     truth.mute(None, muted=True)
@@ -154,7 +154,7 @@ def mute(face: HeardFace, bus: str) -> None:
 
 
 def processes(face: HeardFace, _bus: str) -> None:
-    """Its processes die or hang while it is driven, frozen, stopped, started."""
+    """Kill or hang the face's processes while it is driven, frozen, stopped and started."""
     daemon = face.begin_face(*_DAEMON)
     face.until_driven()
     os.kill(face.child(daemon, "bridge"), signal.SIGKILL)
@@ -202,7 +202,7 @@ def processes(face: HeardFace, _bus: str) -> None:
 
 
 def faults(face: HeardFace, bus: str) -> None:
-    """Servos jam, fail, lose their power; a controller does."""
+    """Let servos jam, fail and lose power, and a controller lose its power."""
     daemon = face.begin_face(*_DAEMON)
     face.until_driven()
     chain, names = face.robot.chain, list(face.robot.settings.servos)
@@ -248,7 +248,7 @@ def faults(face: HeardFace, bus: str) -> None:
 
 
 def commands(face: HeardFace, _bus: str) -> None:
-    """Commands of one process: `run`, `calibrate neutral`, `limp --port`, `doctor`."""
+    """Run commands of one process: `run`, `calibrate neutral`, `limp --port`, `doctor`."""
     where = ("--config", face.robot.config, "--port", str(face.robot.port))
     face.command("calibrate", "neutral", *where)
     face.command("calibrate", "neutral", "--yes", *where)
@@ -278,7 +278,7 @@ def commands(face: HeardFace, _bus: str) -> None:
 
 
 def everybody(face: HeardFace, _bus: str) -> None:
-    """All processes are killed at once; then who comes by asks, lets go, and starts again."""
+    """Kill all processes at once; then request status, a release and a start from outside."""
     daemon = face.begin_face(*_DAEMON)
     face.until_driven()
     kill_all(daemon)
@@ -308,7 +308,7 @@ def everybody(face: HeardFace, _bus: str) -> None:
 
 
 def starting(face: HeardFace, bus: str) -> None:
-    """Starts of a face with a critical servo: stopped meanwhile, refused, and failed."""
+    """Start a face with a critical servo: stopped meanwhile, refused, and failed."""
     device, truth = face.robot.device, face.robot.device.truth
     truth.mute(None, muted=True)
     daemon = face.begin_face(*_DAEMON)

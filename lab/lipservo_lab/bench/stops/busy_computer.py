@@ -58,7 +58,10 @@ class ProcessorShare:
 
 @contextlib.contextmanager
 def processor_share(kind: str, share: float) -> Iterator[ProcessorShare]:
-    """A group without processes; to leave once they have ended. Raises UserError if refused."""
+    """Make a control group that gets a share of a processor; yield it without processes.
+
+    It can be removed only once its processes have ended. Raises UserError if refused.
+    """
     first = _GROUPS / "cpu"
     folder = (first if first.exists() else _GROUPS) / f"lipservo-bench-{kind}-{os.getpid()}"
     try:

@@ -36,7 +36,10 @@ _BUS: Final[dict[str, dict[str, Any]]] = {
 
 
 def face_yaml(shipped: FaceSettings, bus: str, *, critical: bool = False) -> str:
-    """The joints of a shipped face as the YAML of a face on a bus. critical: its first servo is."""
+    """Return a YAML with the joints of a shipped face on another kind of bus.
+
+    critical: the first servo is critical.
+    """
     servos = {}
     for number, joint in enumerate(shipped.joints()):
         own: dict[str, Any] = {

@@ -83,7 +83,7 @@ class IdleCrowd:
         self._n = n
 
     def run(self, is_over: Callable[[], bool]) -> None:
-        """Come, stay, and come again, until it is over."""
+        """Connect, and connect again whatever is dropped, until `is_over` returns True."""
         absent = list(range(self._n))
         drips_s = time.monotonic() + _DRIP_S
         with selectors.DefaultSelector() as selector:
@@ -100,6 +100,10 @@ class IdleCrowd:
                 _close(key.fileobj)
 
     def _came(self, number: int, selector: selectors.BaseSelector) -> bool:
+        """Open one connection, send its opening bytes and register it; return False if that failed.
+
+        number: selects address and opening.
+        """
         end = socket.socket()
         end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
         end.settimeout(0.1)
@@ -128,6 +132,7 @@ def _end_of(fileobj: object) -> socket.socket:
 
 
 def _is_dropped(fileobj: object) -> bool:
+    """Read what a connection of the crowd was sent; close it and return True where it has ended."""
     end = _end_of(fileobj)
     try:
         if end.recv(1 << 16):
@@ -161,6 +166,11 @@ def stop_beside_idle() -> dict[str, Any]:
 
 
 def _row(face: RunningFace, server: str, n_peers: int) -> dict[str, Any]:
+    """Return the figures of one server beside one crowd: worst delay of a freeze (s), freezes lost.
+
+    n_peers: addresses from which the connections come. Raises RuntimeError where the crowd does not
+    get its connections.
+    """
     address = getattr(face.at, server)
     n_before = face.robot.output.count(_STANDS)
     netloc = urlsplit(address).netloc
@@ -183,6 +193,7 @@ def _row(face: RunningFace, server: str, n_peers: int) -> dict[str, Any]:
 
 
 def _stopped_after_s(face: RunningFace, server: str) -> float:
+    """Return how long a server needs to accept a freeze, s; `_LOST_S` where it does not."""
     began_s = time.monotonic()
     try:
         if server == "page":
@@ -196,6 +207,10 @@ def _stopped_after_s(face: RunningFace, server: str) -> float:
 
 
 def _main(server: str, netloc: str, n_peers: str) -> None:
+    """Run a crowd until it is killed; write `_STANDS` to standard error once all have connected.
+
+    netloc: HOST:PORT. n_peers: how many addresses they come from.
+    """
     host, port = netloc.rsplit(":", 1)
     crowd = IdleCrowd((host, int(port)), int(n_peers), OPENINGS[server])
     is_announced = False

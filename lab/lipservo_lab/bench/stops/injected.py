@@ -41,7 +41,7 @@ class Troubles:
         self._sleep = sleep
 
     def is_on(self, name: str) -> bool:
-        """Whether this trouble is on now; the first time that it is, a mark is left."""
+        """Return whether a trouble's flag exists; leave a mark the first time that it does."""
         if not os.path.exists(os.path.join(self._folder, name)):
             return False
         seen = os.path.join(self._folder, f"seen.{name}")
@@ -63,7 +63,7 @@ class Troubles:
     def failing(self, function: Callable[..., Any], *, may_hang: bool) -> Callable[..., Any]:
         """Wrap `function` so that it raises while the fault `status_raises` is on.
 
-        With may_hang it does not return while `status_hangs` is on.
+        may_hang: the function also does not return while `status_hangs` is on.
         """
 
         def failed(*arguments: Any, **named: Any) -> Any:
@@ -76,7 +76,10 @@ class Troubles:
         return failed
 
     def jumping(self, clock: Callable[[], Any], unit: int) -> Callable[[], Any]:
-        """The clock, a day ahead in every other half second. unit: its steps in a second."""
+        """Wrap a clock so that it is a day ahead in every other half second.
+
+        unit: the clock's steps in a second.
+        """
 
         def jumped() -> Any:
             ahead = self.is_on("clock") and int(time.monotonic() * 2.0) % 2 == 0
@@ -120,7 +123,10 @@ class PatchingFinder(importlib.abc.MetaPathFinder):
 
 
 def install(folder: str) -> None:
-    """Put the troubles into this process."""
+    """Patch this process: name look-ups and disk get slow, clocks jump, status fails, by flags.
+
+    Each trouble is on while its flag file exists in `folder`.
+    """
     troubles = Troubles(folder)
     for module, names in LOOK_UPS:
         for name in names:

@@ -103,7 +103,7 @@ class MaestroTruth:
         return self._scale.joints_deg(np.array([each.shaft.place_us for each in self._channels]))
 
     def mute(self, index: int | None, *, muted: bool) -> None:
-        """Hang: a Maestro goes on with its pulses, and reads nothing. index: None alone."""
+        """Hang a Maestro: it goes on with its pulses, and reads nothing. index: None only."""
         if index is not None:
             raise ValueError("a Maestro's channels do not answer one by one")
         self._maestro.deaf = muted
@@ -168,11 +168,11 @@ class LoggedDevice:
         return _FOREVER if self._is_out.is_set() else self.device.next_delivery_s
 
     def unplug(self) -> None:
-        """Pull the plug: servos keep their power, and whatever they do."""
+        """Pull the plug: servos keep their power, and go on as before."""
         self._is_out.set()
 
     def plug_in(self) -> None:
-        """Put it in again: the port has a new name, to which the link leads."""
+        """Plug the device in again: the port has a new name, to which the link leads."""
         self._is_out.clear()
 
     def advance(self, now_s: float) -> None:
@@ -193,25 +193,26 @@ class LoggedDevice:
         return self.device.deliver(now_s)
 
     def turn(self, index: int, by_deg: float) -> None:
-        """Turn a limp servo's shaft by hand, where it can be."""
+        """Turn a limp servo's shaft by hand, if the simulator can."""
         if (turn := getattr(self.device, "turn", None)) is not None:
             turn(index, by_deg)
 
     def during(self, since_s: float, until_s: float) -> list[Moment]:
-        """What was so at some time from `since_s` to `until_s`: one moment at least."""
+        """Return the records that held at some time from `since_s` to `until_s`: at least one."""
         records = self.records
         first = bisect_right(records, since_s, key=lambda each: each.time_s)
         last = bisect_right(records, until_s, key=lambda each: each.time_s)
         return records[max(0, first - 1) : max(1, last)]
 
     def travelled_deg(self, since_s: float, until_s: float = _FOREVER) -> NDArray[np.float64]:
-        """How far each shaft travelled between its extremes, (n_servos,) degrees."""
+        """Return how far each shaft travelled between its extremes, (n_servos,) degrees."""
         places = [deg for time_s, deg in self.shafts if since_s <= time_s <= until_s]
         if not places:
             return np.zeros(len(self.truth.on))
         return np.asarray(np.ptp(np.array(places), axis=0))
 
     def _note(self) -> None:
+        """Log torque and pulses if they have changed, and shafts every `_SHAFTS_EVERY_S`."""
         now_s, truth = time.monotonic(), self.truth
         on, pulses_us, last = truth.on, truth.pulses_us, self.records[-1]
         if on != last.on or pulses_us != last.pulses_us:

@@ -24,12 +24,12 @@ _TIMEOUT_S: Final = 2.0
 
 
 def poll_control(path: Path) -> None:
-    """A connection for each status, as `lipservo status` makes it."""
+    """Request the status over a new connection, as `lipservo status` does."""
     request(path, "status", _TIMEOUT_S)
 
 
 def poll_page(page: str, token: str) -> None:
-    """One request, as a program makes it."""
+    """Request the status from the page, as a program does."""
     connection = http.client.HTTPConnection(urlsplit(page).netloc, timeout=_TIMEOUT_S)
     with contextlib.closing(connection):
         headers = {"Authorization": f"Bearer {token}"} if token else {}

@@ -17,7 +17,7 @@ Answer = dict[str, Any]
 
 
 def request(path: Path, word: str, timeout_s: float) -> Answer:
-    """One word and its answer; sent again where the connection ends without one.
+    """Send one word, again where the connection ends without an answer; return the answer.
 
     Raises OSError where no answer comes within `timeout_s`.
     """
@@ -25,9 +25,9 @@ def request(path: Path, word: str, timeout_s: float) -> Answer:
 
 
 def request_stop(path: Path, word: str, timeout_s: float) -> tuple[Answer, Answer | None]:
-    """A stop, sent once it is accepted never again: (its answer, the report of the end or None).
+    """Send a stop until it is accepted; return its answer and the report of its end, or None.
 
-    Raises OSError where no answer comes within `timeout_s`.
+    An accepted stop is never sent again. Raises OSError where no answer comes within `timeout_s`.
     """
     return _exchanged(path, word, timeout_s, waits_for_end=True)
 
@@ -35,6 +35,11 @@ def request_stop(path: Path, word: str, timeout_s: float) -> tuple[Answer, Answe
 def _exchanged(
     path: Path, word: str, timeout_s: float, *, waits_for_end: bool
 ) -> tuple[Answer, Answer | None]:
+    """Send a word until it is answered; return the answer and, if waited for, the end's report.
+
+    The report is None where the connection ends, or time is over, before it comes. Raises OSError
+    where no answer comes in time.
+    """
     give_up_s = time.monotonic() + timeout_s
     while True:
         with contextlib.suppress(ConnectionError), connected(path, give_up_s) as client:
@@ -49,7 +54,7 @@ def _exchanged(
 
 
 def connected(path: Path, give_up_s: float) -> socket.socket:
-    """A connection. Raises OSError; ConnectionError where it is worth trying again."""
+    """Return a connection. Raises OSError: ConnectionError where another try may succeed."""
     client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     client.settimeout(max(0.001, give_up_s - time.monotonic()))
     try:

@@ -52,8 +52,8 @@ class RobotAtPort:
     """The servos, the port that leads to them, and the processes started here; see `robot_at_port`.
 
     device: the servos and their log; chain: the simulator itself. config: the face, as processes
-    are told it. session: the folder in which its processes look for running
-    faces. environment: variables that its processes get besides.
+    get it with `--config`. session: the folder in which its processes look for running faces.
+    environment: variables that its processes get besides.
     """
 
     device: LoggedDevice
@@ -165,15 +165,15 @@ class RobotAtPort:
     def start(
         self, *arguments: str, stdin: int = subprocess.DEVNULL, output: int | None = None
     ) -> subprocess.Popen[bytes]:
-        """A `lipservo` process, whose faces are found by none but those of this session."""
+        """Start a `lipservo` process, whose faces are found only by programs of this session."""
         return self.start_python("-m", "lipservo", *arguments, stdin=stdin, output=output)
 
     def start_python(
         self, *arguments: str, stdin: int = subprocess.DEVNULL, output: int | None = None
     ) -> subprocess.Popen[bytes]:
-        """A process of this interpreter in the same surroundings; the kernel ends it with us.
+        """Start a Python process in this robot's environment; the kernel ends it with this process.
 
-        output: what it writes goes there; None: to the log.
+        output: file descriptor for its output; None: the log.
         """
         with self.log.open("ab") as file:
             process = started_alone(
@@ -188,7 +188,7 @@ class RobotAtPort:
         return process
 
     def _surroundings(self) -> dict[str, str]:
-        """No place in it is one of this user's or of another job's."""
+        """Return an environment without any folder of this user or of another job."""
         left_out = ("NOTIFY_SOCKET", "RUNTIME_DIRECTORY", "STATE_DIRECTORY")
         environment = {key: value for key, value in os.environ.items() if key not in left_out}
         environment["XDG_RUNTIME_DIR"] = str(self.session)
@@ -201,7 +201,7 @@ class RobotAtPort:
 
 
 def kill_all(process: subprocess.Popen[bytes]) -> None:
-    """A process and its children at once, as `killall -9` does; nothing where it has ended."""
+    """Kill a process and its children at once, as `killall -9` does; ignore an ended one."""
     if process.poll() is None:
         children = children_of(process.pid)
         process.kill()
@@ -219,10 +219,11 @@ def robot_at_port(
     critical: bool = False,
     face: str = FACE,
 ) -> Iterator[RobotAtPort]:
-    """The servos of a shipped face, limp in neutral; what was started is gone afterwards.
+    """Yield the simulated servos of a shipped face at a port, limp in neutral.
 
-    bus: which kind of servos it has. session: of another robot, beside which this one stands; None:
-    its own. critical: its first servo is; nothing goes on without it. face: which shipped one.
+    Processes started at the robot are ended afterwards. bus: kind of bus. session: folder of
+    another robot's session to share; None: an own one. critical: the first servo is critical. face:
+    name of the shipped face.
     """
     with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as name:
         folder = Path(name)

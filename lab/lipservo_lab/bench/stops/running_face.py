@@ -75,20 +75,20 @@ class RunningFace:
         return child_of(pid, word) or self.child(name)
 
     def request(self, word: str) -> dict[str, Any]:
-        """One word and its answer, while the servos are watched. Raises OSError."""
+        """Send one word and return its answer, while the servos are watched. Raises OSError."""
         with ThreadPoolExecutor(1) as pool:
             answer: Future[dict[str, Any]] = pool.submit(request, self.at.control, word, _ANSWER_S)
             self.robot.look_until(answer.done, 2.0 * _ANSWER_S)
             return answer.result()
 
     def status(self) -> dict[str, Any]:
-        """Its status; {} where it does not answer."""
+        """Return the face's status; {} where it does not answer."""
         with contextlib.suppress(OSError):
             return self.request("status")
         return {}
 
     def knows_start(self) -> bool:
-        """Whether this program has a start after a stop; nothing is sent that would start it."""
+        """Return whether this program has a start after a stop, without sending a start."""
         return "can_start" in self.status()
 
     def start_again(self) -> dict[str, Any]:
@@ -127,12 +127,11 @@ def running_face(
     face: str = FACE,
     sound: Path = CLIP,
 ) -> Iterator[RunningFace]:
-    """A face that speaks and drives all its servos, in folders of its own.
+    """Yield a face that speaks and drives all its servos, in folders of its own.
 
-    bus: of its servos. page, agents: with these doors. n_others: faces beside it that rest, started
-    before it, so that they come first where faces are listed. tracer: a module in place of the
-    troubles, put into its processes. face: shipped; sound: what it speaks. Raises RuntimeError
-    where one does not start.
+    page, agents: it serves a dashboard, voice agents. n_others: faces that rest beside it, started
+    first, so that they are listed first. tracer: module that replaces the troubles in its
+    processes. face: shipped; sound: what it speaks. Raises RuntimeError where one does not start.
     """
     with ExitStack() as stack:
         robot = stack.enter_context(robot_at_port(bus, face=face))
@@ -157,7 +156,7 @@ def running_face(
 def start_daemon(
     robot: RobotAtPort, *options: str, module: ModuleType = injected
 ) -> subprocess.Popen[bytes]:
-    """A daemon of the robot's face; every process of it loads the module before anything else."""
+    """Start a daemon of the robot's face, each process of which loads `module` first."""
     inject = robot.folder / "inject"
     inject.mkdir(exist_ok=True)
     shutil.copyfile(str(module.__file__), inject / "sitecustomize.py")
@@ -178,7 +177,7 @@ def _started(robot: RobotAtPort, *options: str, module: ModuleType = injected) -
 
 
 def _addresses(face: RunningFace, *, page: bool, agents: bool) -> Addresses:
-    """Where it can be reached, once its servers answer."""
+    """Return where the face can be reached, once its servers answer."""
     wanted = {"page": _PAGE} if page else {}
     wanted |= {"agents": _AGENTS} if agents else {}
     found: dict[str, str] = {}

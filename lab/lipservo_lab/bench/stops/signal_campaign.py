@@ -110,7 +110,7 @@ def _new_face(robot: RobotAtPort) -> list[str]:
 
 
 def _stand_away(robot: RobotAtPort) -> None:
-    """So far from neutral that the way there takes a second."""
+    """Move all servos but the first so far from neutral that the way back takes a second."""
     for simulated, servo in zip(robot.chain.servos[1:], robot.servos[1:], strict=True):
         simulated.stand_at(servo.pulse(30.0))
 
@@ -123,7 +123,7 @@ def _forget_limits(robot: RobotAtPort) -> None:
 
 
 def _without_current_limits(robot: RobotAtPort) -> None:
-    """As from the factory, which is what new servos are like."""
+    """Set all servos to the operating mode that new servos have."""
     for servo in robot.chain.servos:
         servo["operating_mode"] = 3
 
@@ -181,12 +181,12 @@ COMMANDS: Final = {
 
 
 def long_sound(robot: RobotAtPort) -> Path:
-    """Where the campaign puts a sound file that takes a while to examine."""
+    """Return where the campaign puts a sound file that takes a while to examine."""
     return robot.folder / "long.wav"
 
 
 def signal_cases() -> Iterator[SignalCase]:
-    """Every command x every ending, once and twice, at every moment that makes a difference."""
+    """Yield every command with every ending, once and twice, at every moment that matters."""
     arming = [each.name for each in COMMANDS.values() if each.arms and not each.own_servos]
     at_port = [*arming, "setup-servos"]
     for name, ending, twice in itertools.product(COMMANDS, SIGNALS, (False, True)):
@@ -276,6 +276,10 @@ def _signals_heard() -> Iterator[None]:
 
 
 def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
+    """Start a case's command, end it at the case's moment, and judge servos, words and exit status.
+
+    What was not kept is added to `outcome`. Raises RuntimeError where the moment does not come.
+    """
     command = COMMANDS[case.command]
     command.prepare(robot)
     process = _start(case, command, robot)
@@ -310,6 +314,10 @@ def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
 
 
 def _start(case: SignalCase, command: Command, robot: RobotAtPort) -> subprocess.Popen[bytes]:
+    """Start a case's command at the robot's port, with its answers already on standard input.
+
+    For the moment OPENING_SOUND its sound is a minute of noise, so that opening takes a while.
+    """
     arguments = command.arguments(robot)
     if case.moment is Moment.OPENING_SOUND:
         sound = long_sound(robot)
@@ -371,6 +379,10 @@ def _has_open(pid: int, path: Path) -> bool:
 def _judge_limp(
     case: SignalCase, robot: RobotAtPort, ended_s: float, outcome: SignalOutcome
 ) -> None:
+    """Note how long servos had torque after the end, and each way in which that broke the rules.
+
+    ended_s: monotonic time of the last signal or stop.
+    """
     outcome.limp_s = robot.stiff_until_s(ended_s)
     if case.moment is Moment.UNPLUGGED:
         return  # nobody can reach them
@@ -395,7 +407,7 @@ def _judge_words(
     process: subprocess.Popen[bytes],
     outcome: SignalOutcome,
 ) -> None:
-    """Exit status, and what it says of the servos."""
+    """Judge a command's exit status, and whether its output says who confirmed the stop."""
     output, status = robot.output, process.poll()
     if "Traceback" in output or "Fatal Python error" in output:
         outcome.broken.append(f"traceback: {robot.last_output}")
@@ -415,6 +427,7 @@ def _judge_words(
 
 
 def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
+    """Return the exit statuses that are right for a case; -N: ended by signal N."""
     if case.ending is Ending.STOP:
         # What was being measured, set up or held still is not done; speech has no more to do.
         speaks = command.name in ("run", "daemon", "say", "perform", "run-sim")
@@ -439,7 +452,7 @@ def _judge_killed(
     process: subprocess.Popen[bytes],
     outcome: SignalOutcome,
 ) -> None:
-    """No process is left that could act: the servos stop by themselves, then a person comes."""
+    """Kill all processes; judge that servos stop by themselves and a command releases them."""
     kill_all(process)
     robot.look(_WATCHDOG_S)
     watched_s = time.monotonic()

@@ -25,9 +25,10 @@ _DRIVEN_S: Final = 30.0
 
 
 def play_starts(cases: Sequence[tuple[int, str]]) -> list[str]:
-    """Play starts on a daemon, a new one after each that failed; "" for each that drove the face.
+    """Fail, stop and start servos of a daemon; return "" for each start that drove the face.
 
-    cases: (number of the servo that fails, how the face is stopped).
+    Otherwise a line that says why; then a new daemon follows. cases: (number of the servo that
+    fails, level of the stop).
     """
     outcomes: list[str] = []
     with tempfile.TemporaryDirectory() as folder, processor_share("starts", 1.0) as share:
@@ -43,7 +44,7 @@ def play_starts(cases: Sequence[tuple[int, str]]) -> list[str]:
 
 
 def _play(face: RunningFace, share: ProcessorShare, number: int, level: str) -> str:
-    """Why the face is not driven after the start; empty: it is."""
+    """Return why the face is not driven after the start; empty: it is."""
     robot = face.robot
     index = number % len(robot.servos)
     name = robot.servos[index].joint.name

@@ -109,7 +109,7 @@ class StarvedFace:
         return False
 
     def _kind_of(self, pid: int) -> str:
-        """Of bridge and speech, which a process is; empty: not known yet."""
+        """Return whether a process is the bridge or the speech process; empty: not known yet."""
         if pid not in self._kinds:
             with contextlib.suppress(OSError):
                 words = Path(f"/proc/{pid}/cmdline").read_text(errors="replace")
@@ -119,6 +119,10 @@ class StarvedFace:
         return self._kinds.get(pid, "")
 
     def _read(self, line: str) -> None:
+        """Count the servos that a line of the log calls jammed or silent.
+
+        A report of a jam is right for a servo that is jammed.
+        """
         self.outcome.called_silent += len(_CALLED_SILENT.findall(line))
         named = set(_NAMED.findall(line))
         for name in named - self._named_now:
@@ -139,7 +143,7 @@ class StarvedFace:
         return bool(state == "driven")
 
     def jam(self, number: int) -> None:
-        """Jam one servo of the mouth until it is named, and wait until it is driven again."""
+        """Jam one servo of the mouth until a log line names it; wait until it is driven again."""
         motors = self.face.robot.chain.motors
         index = number % _N_MOUTH
         name = self._names[index]
@@ -166,7 +170,7 @@ class StarvedFace:
             self._excused.discard(name)
 
     def hold(self, kind: str) -> None:
-        """Hold a process by SIGSTOP, once it has sent a heartbeat, until it is killed."""
+        """Hold a process by SIGSTOP, after a heartbeat of it, until the supervisor kills it."""
         if not self.step_until(lambda: self._beats(kind)):
             self.outcome.held += 1
             self.outcome.failures.append(f"{kind} did not begin, and could not be held")
@@ -232,7 +236,7 @@ def play_starved(minutes: float, advance: Callable[[int, int], None]) -> Starved
 
 @contextlib.contextmanager
 def _starved_face(minutes: float) -> Iterator[StarvedFace]:
-    """The face, once it speaks and starves."""
+    """Yield a face once it speaks and starves."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         shares = {each: stack.enter_context(processor_share(each, _SHARE)) for each in _HUNG_S}

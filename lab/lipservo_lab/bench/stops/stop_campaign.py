@@ -80,7 +80,7 @@ def judge_limp(
 
 
 def judge_frozen(face: RunningFace, case: StopCase, since_s: float, outcome: StopOutcome) -> None:
-    """Held or limp, but where it was; none gets torque; a servo's fault is in the status."""
+    """Judge a freeze: no shaft moves, no servo gets torque, the status shows a servo's fault."""
     robot = face.robot
     brakes_s = BRAKES_S + (0.0 if case.client is StopClient.SOCKET else _THROUGH_OTHERS_S)
     robot.look(max(0.0, since_s + brakes_s - time.monotonic()))
@@ -103,7 +103,7 @@ def count_undone(face: RunningFace, case: StopCase, requested: Requested) -> int
 def judge_waiting(
     face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome
 ) -> None:
-    """After a plain stop: it waits, limp, whatever is killed or unplugged, until it is started."""
+    """Judge that after a plain stop the face waits, limp, whatever is killed or unplugged."""
     robot = face.robot
     if not face.look_until_state("stopped", _WAITS_S):
         ended = face.daemon.poll() is not None
@@ -125,7 +125,7 @@ def judge_waiting(
 
 
 def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
-    """A start drives it again."""
+    """Judge that a start drives the face again."""
     is_driven = face.status().get("state") == "driven"
     answer = {} if is_driven else face.start_again()
     outcome.came_back = face.robot.look_until(
@@ -138,7 +138,7 @@ def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
 
 
 def _watch(face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome) -> None:
-    """Long enough that whatever undoes a stop shows; shorter where it has, or nothing is left."""
+    """Watch until whatever undoes a stop would have shown; less once it has, or all has ended."""
     began_s = time.monotonic()
     slow = case.trouble is Trouble.NAME_SERVICE or not case.is_plain
     while (watched_s := time.monotonic() - began_s) < (_WATCH_SLOW_S if slow else _WATCH_S):
@@ -155,7 +155,10 @@ def _watch(face: RunningFace, case: StopCase, requested: Requested, outcome: Sto
 
 
 def _others_late(face: RunningFace, case: StopCase) -> int:
-    """Servos of the faces beside it that can be reached: only the command line stops these."""
+    """Return how many servos of the other faces still hold though they can be reached.
+
+    Only a stop from the command line stops these.
+    """
     if case.client is not StopClient.COMMAND or case.trouble is not Trouble.OTHER_DEAF:
         return 0
     return sum(int(other.robot.torque[1:].sum()) for other in face.others)
@@ -164,7 +167,7 @@ def _others_late(face: RunningFace, case: StopCase) -> int:
 def judge_others(
     face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome
 ) -> None:
-    """`lipservo stop` lets go of a face that hangs, too, by force, before it ends."""
+    """Judge that `lipservo stop` releases a hung face by force, too, before the command ends."""
     process = requested.process
     if process is None or case.client is not StopClient.COMMAND or not face.others:
         return
@@ -178,6 +181,7 @@ def judge_others(
 
 
 def _kill_children(face: RunningFace, case: StopCase) -> None:
+    """Kill the bridge of a stopped face, and for `FIRST_TROUBLES` its speech process, too."""
     names = ["bridge"]
     if case.trouble in FIRST_TROUBLES and not case.agents:
         names.append("speech")  # loading it again takes the most of a core
@@ -188,6 +192,7 @@ def _kill_children(face: RunningFace, case: StopCase) -> None:
 
 
 def _fault_shown(face: RunningFace) -> bool:
+    """Give the first servo a hardware error; return whether the status shows it in time."""
     face.robot.chain.servos[0].latch(_HARDWARE_SHOCK)
     give_up_s = time.monotonic() + _SHOWN_S
     while time.monotonic() < give_up_s:
@@ -224,7 +229,7 @@ def play_batch(cases: Sequence[StopCase]) -> list[StopOutcome]:
 
 @contextlib.contextmanager
 def _face_for(case: StopCase) -> Iterator[RunningFace]:
-    """A face as the case needs it: driven, or just launched."""
+    """Yield a face for a case: driven, or for `Trouble.STARTING` just launched."""
     if case.trouble is not Trouble.STARTING:
         with running_face(
             bus=case.bus, page=case.page, agents=case.agents, n_others=n_others(case.trouble)
@@ -241,6 +246,11 @@ def _face_for(case: StopCase) -> Iterator[RunningFace]:
 
 
 def _played(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcome:
+    """Return the outcome of one case; an exception becomes its `error`.
+
+    Where the stop was not kept, or the daemon has ended, the face is marked as spent: no further
+    case is played at it. has_start: the program under test knows the request `start`.
+    """
     outcome = StopOutcome(case)
     face.robot.seen.clear()
     try:
@@ -256,6 +266,10 @@ def _played(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcom
 
 
 def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start: bool) -> None:
+    """Begin the case's trouble, request its stop, and add to `outcome` what servos did afterwards.
+
+    At the end the face is started again where that is due, else marked as spent.
+    """
     robot = face.robot
     if case.trouble is Trouble.EVERYBODY_KILLED:
         robot.look(case.moment_s)
@@ -299,10 +313,11 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
 
 
 def _meet(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Requested | None:
-    """A stop and a start that meet; None: the start came after the confirmed stop, and counts.
+    """Send a stop and a start that overlap; return the stop, or None if the start came after it.
 
-    START_AGAIN: a stopped face is started, then stopped. The others: stopped, then started; the
-    face may be driven only where the stop was confirmed before the start was accepted.
+    After None the face has to be driven. START_AGAIN: a stopped face is started, then stopped.
+    Other troubles: the face is stopped, then started; it may be driven only where the stop was
+    confirmed before the start was accepted.
     """
     robot, path = face.robot, face.at.control
     give_up_s = time.monotonic() + _MEETS_S
@@ -350,7 +365,7 @@ def _receive_until(
     answers: dict[str, Answer | None],
     give_up_s: float,
 ) -> None:
-    """The answer; of a stop its end, too. came_s: when each came."""
+    """Receive the answer, and of a stop also the report of its end. came_s: when each came."""
     for each in (name, "ended") if name == "accepted" else (name,):
         with contextlib.suppress(OSError):
             answers[each] = receive(end, give_up_s)

@@ -80,7 +80,7 @@ class StopCase:
 
 
 def stop_cases() -> Iterator[StopCase]:
-    """Every stop of the campaign; no signal freezes a face."""
+    """Yield every stop of the campaign; no signal freezes a face."""
     for level, trouble, moment_s, client in product(
         StopLevel, FIRST_TROUBLES, TIMES_S, (StopClient.SOCKET, StopClient.SIGNAL)
     ):
@@ -119,7 +119,7 @@ def _meetings() -> Iterator[StopCase]:
 
 
 def _on_buses() -> Iterator[StopCase]:
-    """Stops of a face that starts, and the death of all its processes, on every kind of bus."""
+    """Yield stops of a starting face, and the death of all processes, on every kind of bus."""
     for bus, level, moment_s in product(BUSES, StopLevel, _ARMING_S):
         yield StopCase(level, Trouble.START_AGAIN, moment_s, bus=bus)
     for bus, moment_s in product(BUSES, _KILLED_S):
@@ -131,9 +131,9 @@ def _exists(level: StopLevel, client: StopClient) -> bool:
 
 
 def batches(cases: Sequence[StopCase]) -> list[list[StopCase]]:
-    """The same cases in batches that one face can serve, what ends a face last in each.
+    """Return the cases in batches that one face can serve; what ends a face comes last in each.
 
-    A face that serves a batch has the same doors throughout, the same trouble, and the same bus.
+    A batch has one trouble, one kind of bus, and one set of servers (page, agents).
     """
 
     def shared(case: StopCase) -> tuple[str, str, bool, bool]:
@@ -189,6 +189,7 @@ class StopOutcome:
         return not (failed or any(self.counts.values()))
 
     def __str__(self) -> str:
+        """Describe case and outcome in one line; answers only where something was not kept."""
         found = [f"{name} {count}" for name, count in self.counts.items() if count]
         if self.limp_after_s is not None and self.late:
             found.append(f"torque until {self.limp_after_s:.1f} s after it")
@@ -199,11 +200,11 @@ class StopOutcome:
 
 
 def stop_figures(outcomes: Sequence[StopOutcome]) -> dict[str, Any]:
-    """The figures of the campaign.
+    """Return the figures of the campaign.
 
-    late counts cases; torque_left_on, undone and moved_frozen count servos. starts: faces that were
-    started again; starts_unavailable: that could not, since the program has no start. by_client,
-    by_trouble, by_bus: the counts of each.
+    late counts cases; torque_left_on and moved_frozen count servos, undone how often a servo got
+    torque. starts: faces that were started again; starts_unavailable: faces that could not be,
+    since the program has no start. by_client, by_trouble, by_bus: the counts of each.
     """
     limp_s = [o.limp_after_s for o in outcomes if o.limp_after_s is not None]
     return {
@@ -220,6 +221,11 @@ def stop_figures(outcomes: Sequence[StopOutcome]) -> dict[str, Any]:
 
 
 def _counts(outcomes: Sequence[StopOutcome]) -> dict[str, int]:
+    """Return how many outcomes there are, and how often each fault occurred in them.
+
+    `undone` counts how often a servo got torque, `torque_left_on` and `moved_frozen` count servos,
+    the others cases.
+    """
     return {
         "cases": len(outcomes),
         "kept": sum(o.kept for o in outcomes),

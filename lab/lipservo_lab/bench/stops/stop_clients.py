@@ -53,7 +53,7 @@ class StopClient(StrEnum):
 
     @property
     def loads_s(self) -> float:
-        """How long it may take before it can request anything."""
+        """Seconds that a client may take before it can request anything."""
         is_loaded = (StopClient.COMMAND, StopClient.CONNECT, StopClient.NO_ONE)
         return LOADS_S if self in is_loaded else 0.0
 
@@ -96,7 +96,7 @@ def request_stop_by(
     daemon: subprocess.Popen[bytes],
     at: Addresses,
 ) -> Requested:
-    """Begin to request a stop; returns at once."""
+    """Begin to request a stop as a client does, and return without waiting for the answer."""
     work: Callable[[], object]
     requested = Requested(time.monotonic())
     match client:
@@ -197,6 +197,8 @@ def _signal(daemon: subprocess.Popen[bytes], *, twice: bool) -> None:
 
 
 def _in_thread(work: Callable[[], object], answers: list[str] | None = None) -> threading.Thread:
+    """Start `work` in a daemon thread; append its result or exception as text to `answers`."""
+
     def run() -> None:
         try:
             answer = str(work())

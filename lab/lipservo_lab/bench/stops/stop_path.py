@@ -41,9 +41,10 @@ def register_files(level: StopLevel) -> set[str]:
 
 
 def traced_stop(face: RunningFace, stop: Callable[[], object]) -> dict[str, Any]:
-    """Files and calls that a stop passes; stop: requests it, with `MARKER` in the request.
+    """Request a stop and return the files and calls that it passes.
 
-    Raises RuntimeError where it does not come to the queue.
+    stop: requests it, with `MARKER` in the request. Raises RuntimeError where the stop does not
+    reach the queue.
     """
     for path in face.inject.glob("walk.*.json"):
         path.unlink()
@@ -63,7 +64,7 @@ def traced_stop(face: RunningFace, stop: Callable[[], object]) -> dict[str, Any]
 
 
 def counted(walks: Sequence[Walk]) -> dict[str, Any]:
-    """Files and calls of the walks of one stop, and what it passed in each process."""
+    """Return files and calls of the walks of one stop, and the functions in each process."""
     calls = [tuple(call) for walk in walks for call in walk["calls"]]
     return {
         "files": len({file for file, _ in calls}),

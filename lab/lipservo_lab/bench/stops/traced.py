@@ -116,7 +116,7 @@ class StopTracer:
             self._add(walk, frame)
 
     def submitted(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """What a thread of an executor runs, within the walk of who gives it."""
+        """Wrap what a thread of an executor runs, so that it belongs to the submitter's walk."""
         if self._walk.get() is None:
             return function
         return partial(contextvars.copy_context().run, function)
@@ -129,6 +129,10 @@ class StopTracer:
             self._end(walk)
 
     def _follow_tick(self, frame: FrameType) -> None:
+        """Add a call to its thread's walk of this tick; report the walk when torque is cleared.
+
+        `sleep_until` begins a new walk. Reported is only the first one after a stop was queued.
+        """
         code = frame.f_code
         if code.co_name == "sleep_until":
             self._ticks.walk = Walk()
@@ -186,7 +190,7 @@ def _is_unix_send(function: Any) -> bool:
 
 
 def install(folder: str, root: str) -> None:
-    """Look at this process's calls from now on."""
+    """Trace this process's calls from now on, while the flag file exists."""
     numbers = itertools.count()
     role = next((each for each in _ROLES if each in sys.orig_argv), "daemon")
 

@@ -99,6 +99,10 @@ def gone_wrong(trouble: Trouble, face: RunningFace) -> Iterator[float]:
 
 
 def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
+    """Begin a trouble at a running face; put what ends it again, if anything, on `undo`.
+
+    Blocks until the trouble is there. Raises RuntimeError where it cannot be made.
+    """
     robot = face.robot
     if trouble in _INJECTED:
         _switch_on(face, _INJECTED[trouble], undo)
@@ -165,6 +169,7 @@ def _upload(face: RunningFace) -> None:
     seen.unlink(missing_ok=True)
 
     def upload() -> None:
+        """Upload a sound to the page's `/api/lines` and ignore all errors; runs in a thread."""
         connection = http.client.HTTPConnection(urlsplit(face.at.page).netloc, timeout=_UPLOAD_S)
         with contextlib.closing(connection), contextlib.suppress(OSError):
             name = urlencode({"name": "upload.wav", "replace": "true"})
@@ -186,7 +191,10 @@ def _wav() -> bytes:
 
 
 def _begin_foreign(face: RunningFace, kind: str, undo: ExitStack) -> None:
-    """From standard input, so that no command line has a name of ours in it."""
+    """Run a program that is not ours and listens where our faces' sockets are.
+
+    The program is given by standard input, so that no command line has a name of ours in it.
+    """
     robot = face.robot
     before = set(robot.controls)
     robot.environment[foreign_socket.FOLDER_VARIABLE] = str(robot.runtime)

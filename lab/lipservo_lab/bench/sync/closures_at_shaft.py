@@ -90,14 +90,14 @@ class _ClockOfAll(ManualClock):
         self._clocks = tuple(clocks)
 
     def sleep_until(self, time_s: float) -> None:
-        """All are there; a bus that spoke for longer stays."""
+        """Advance all clocks to a time; a clock that is later already stays."""
         super().sleep_until(time_s)
         for clock in self._clocks:
             clock.sleep_until(time_s)
 
 
 def _own_servos(settings: FaceSettings) -> WatchedServos:
-    """Those of the face's YAML, on all of its buses."""
+    """Return the simulated servos of the face's YAML, on all of its buses."""
     if settings.buses:
         return _on_several_buses(settings)
     watch = getattr(settings.bus_kind.simulator(), "watched_servos", None)
@@ -111,6 +111,7 @@ def _own_servos(settings: FaceSettings) -> WatchedServos:
 
 
 def _on_several_buses(settings: FaceSettings) -> WatchedServos:
+    """Return the servos of a face with several buses as one bus; each bus keeps its own clock."""
     parts = {name: _own_servos(alone) for name, alone in settings.alone.items()}
     clock = _ClockOfAll([part.clock for part in parts.values()])
     buses = {name: part.bus for name, part in parts.items()}
@@ -141,6 +142,7 @@ def _dynamixels(face: Face) -> WatchedServos:
 
 
 def _shown(face: Face, servos: WatchedServos, clip: Path) -> Shown:
+    """Play a clip on simulated servos; return faces and shafts at each tick until after its end."""
     bus, clock, rate_hz = servos.bus, servos.clock, face.settings.rate_hz
     mouth = [list(face.settings.servos).index(each) for each in face.settings.mouth_servos]
     synthesizer = make_synthesizer(face.model, MotionOptions())
@@ -161,12 +163,16 @@ def _shown(face: Face, servos: WatchedServos, clip: Path) -> Shown:
 
 
 def _gap_mm(markers_mm: Array) -> Array:
-    """(n, 47, 3) -> (n,): between the inner lips."""
+    """Return the gap of the inner lips' middle points, (n,) mm, of markers (n, 47, 3)."""
     upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
     return np.asarray(upper[:, 1] - lower[:, 1])
 
 
 def _n_reached(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
+    """Return how many of the closures the shafts reach, as `closures_at_shaft` defines it.
+
+    A closure during which nothing was shown is not reached.
+    """
     servos = CalibrationSetup(face.settings, load_face_with_animphos(), quiet=True).servos
     markers_of = markers_of_face(face.model.markers_mm(face.model.rest[None])[0], servos)
     gap_mm = _gap_mm(face.model.markers_mm(shown.faces))

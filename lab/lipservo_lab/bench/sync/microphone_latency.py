@@ -55,7 +55,7 @@ class SimulatedMicrophone:
         self._n_given = 0
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """All that has passed the driver, whatever `until_s`."""
+        """Return the blocks that have passed the driver by now, whatever `until_s`."""
         del until_s
         n_ready = math.floor((self._clock.now() - _DRIVER_S) / BLOCK_S + 1e-6)
         n_ready = min(n_ready, len(self._samples) // BLOCK_SAMPLES)
@@ -132,7 +132,7 @@ def microphone_to_bus_s(
 
 
 def _goals_deg(samples: NDArray[np.float32], motion: MotionOptions) -> Array:
-    """(n_ticks, n_servos): what was sent in each tick from the first sample on."""
+    """Return the goals sent in each tick from the first sample on, (n_ticks, n_servos) degrees."""
     face = assemble_face(FACE, None)
     clock = ManualClock()
     recognizer = make_recognizer(motion.engine, None, motion.weights, motion.recognizer_latency_s)
@@ -168,11 +168,11 @@ def microphone_table(
     *,
     n_times: int = _N_TIMES,
 ) -> list[dict[str, object]]:
-    """A row for each look-ahead and each recogniser.
+    """Return a row for each look-ahead and each recogniser latency.
 
-    `declared_delay_ms` is what `run` says at its start; `microphone_to_bus_p95_ms` is measured on
-    the bundled clip at `n_times` instants; the closures are those of the recordings. accuracy: more
-    figures of a recogniser, by its latency in seconds, which no look-ahead changes.
+    `declared_delay_ms` is what `run` prints at its start; `microphone_to_bus_p95_ms` is measured on
+    the bundled clip at `n_times` instants; closures are those of the recordings. accuracy: returns
+    further figures of a recogniser by its latency in seconds.
     """
     n_rows = len(LATENCIES_S) * len(LOOKAHEADS_S)
     rows: list[dict[str, object]] = []
@@ -200,7 +200,7 @@ def microphone_table(
 
 
 def declared_delay_s(motion: MotionOptions) -> float:
-    """From sound to face, as a face says it whose servos are not made up for."""
+    """Return the delay from sound to face, s, without the servos' lag."""
     recognizer = make_recognizer(latency_s=motion.recognizer_latency_s, weights=motion.weights)
     return Delay(recognizer.latency_s, motion.style.lookahead_s).total_s
 
@@ -208,6 +208,7 @@ def declared_delay_s(motion: MotionOptions) -> float:
 def _closures(
     recordings: Sequence[Recording], face: TrainedModel, motion: MotionOptions
 ) -> list[Closure]:
+    """Return each closure in all recordings, in the motion that a live recogniser led to."""
     recognizer = NetworkRecognizer(find_weights(motion.weights), motion.recognizer_latency_s)
     lookahead_s = motion.style.lookahead_s
     return [

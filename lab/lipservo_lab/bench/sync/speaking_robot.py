@@ -81,12 +81,12 @@ class SimulatedLoudspeaker:
 
     @property
     def latency_s(self) -> float:
-        """The lead must be at least this: its latency, a block of 10 ms, and its jitter."""
+        """The least lead: the loudspeaker's latency, a block of 10 ms, and its jitter, s."""
         return self._latency_s + 0.01 + self._jitter_s
 
     @property
     def n_underruns(self) -> int:
-        """How often nothing was written in time while it needed more."""
+        """How often samples were not written in time."""
         return self._ring.n_underruns
 
     def write(self, samples: Samples) -> None:
@@ -98,11 +98,11 @@ class SimulatedLoudspeaker:
         return self._ring.silence_rest(self.rate_hz // 100) / self.rate_hz
 
     def position(self) -> tuple[float, float] | None:
-        """(monotonic seconds, timeline seconds that leave it then): in error by the jitter."""
+        """Return a monotonic time, with jitter, and the second of the timeline that leaves then."""
         return None if self._report is None else self._report.at(self._now_s)
 
     def stall(self, from_s: float, until_s: float) -> None:
-        """From one moment to the other it takes nothing and plays nothing."""
+        """Take nothing and play nothing between two monotonic times."""
         self._stalls.append((from_s, until_s))
 
     def advance(self, now_s: float) -> None:
@@ -119,9 +119,9 @@ class SimulatedLoudspeaker:
             self._late_s = self._jitter_s * float(self._rng.random())
 
     def played(self) -> tuple[Samples, Seconds]:
-        """The samples (n,) of the timeline that it has taken, and when each leaves it (n,).
+        """Return the samples (n,) taken from the timeline, and when each leaves, (n,) s.
 
-        Zeros that it played for want of samples are not among them.
+        Zeros that were played for want of samples are not among them.
         """
         if not self._played:
             return np.zeros(0, dtype=np.float32), np.zeros(0)
@@ -136,6 +136,11 @@ class SimulatedLoudspeaker:
         return due_s
 
     def _take(self, requested_s: float) -> None:
+        """Take 10 ms of samples, as a sound card's callback does; note when they leave.
+
+        requested_s: monotonic time at which the callback was due. The times of `played` are exact,
+        those that `position` reports are in error by the jitter.
+        """
         position_s = self._ring.n_taken / self.rate_hz
         n = self._ring.take_into(self._frames)
         leaves_s = requested_s + self._latency_s
@@ -220,7 +225,7 @@ class SpeakingRobot:
         self.street = make_street(face, self.playout, self._bus, rate_hz, recognizer, synthesizer)
 
     def run(self, until_s: float, act: Callable[[float], None] | None = None) -> Watched:
-        """From the first torque until so many seconds after the timeline began.
+        """Run from the first torque until `until_s` seconds after the timeline began.
 
         act: called in each tick with the seconds since then.
         """
@@ -244,7 +249,7 @@ class SpeakingRobot:
         return Watched(np.array(times_s), seen_deg, self._gap_mm(seen_deg), zero_s)
 
     def _gap_mm(self, positions_deg: Array) -> Array:
-        """(n, n_servos) -> (n,): how far the inner lips are apart, by the face's geometry."""
+        """Return the lip gap, (n,) mm, by the face's geometry, of positions (n, n_servos)."""
         face = simulated_face(self._neutral_mm, self._names)
         markers_mm = marker_positions_mm(face, positions_deg)
         upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
@@ -254,9 +259,10 @@ class SpeakingRobot:
 def spoken_stream(
     text: SynthesizedSpeech, playout: Playout, *, knows: bool, kind: UnitKind | None = None
 ) -> PlayoutStream:
-    """A whole text as a stream that has ended. knows: with its phonemes.
+    """Return a whole text as a stream that has ended.
 
-    kind: of the units that its sender gives before it sounds, as a voice agent does.
+    knows: the stream brings the text's phonemes. kind: of the units that a sender gives beforehand,
+    as a voice agent does; None: none.
     """
     known = text.phonemes if knows else ()
     stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)
@@ -269,6 +275,10 @@ def spoken_stream(
 
 
 def _spoken_text(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
+    """Return a synthesised text as units of one kind: all of it, its words, or its phonemes.
+
+    Words and phonemes carry the sample at which each begins; the text carries none.
+    """
     rate_hz = text.sample_rate_hz
     if kind == "text":
         joined = " ".join(word.text for word in text.words)

@@ -48,11 +48,11 @@ class Crossings:
 
 
 def sounding_closures(text: SynthesizedSpeech) -> Crossings:
-    """What the sound asks for: closed from the onset of each P, B, M to its release.
+    """Return when lips should close and part: from the onset of each P, B, M to its release.
 
     The release is where the closure's silence ends, at the burst; without silence the end of the
-    phoneme. Neighbours among them are one closure. Beside a silence lips may rest closed: there
-    there is no wanted closure.
+    phoneme. Neighbouring P, B, M are one closure. Beside a silence lips may rest closed: there no
+    closing or parting is wanted.
     """
     phonemes = text.phonemes
     closing_s: list[float] = []
@@ -70,6 +70,10 @@ def sounding_closures(text: SynthesizedSpeech) -> Crossings:
 
 
 def _release_s(text: SynthesizedSpeech, start_s: float, end_s: float) -> float:
+    """Return the second at which a closure's longest silence within a phoneme ends: the burst.
+
+    The phoneme's end where it has no silence of `_LEAST_CLOSURE_S`.
+    """
     first = round(start_s * text.sample_rate_hz)
     sounds = np.abs(text.samples[first : round(end_s * text.sample_rate_hz)]) >= _SILENT
     # The longest stretch without sound: from one sample that sounds to the next.
@@ -126,7 +130,7 @@ def matched_errors_s(wanted_s: Array, seen_s: Array) -> tuple[Array, int]:
 
 
 def performances_of(texts: Sequence[SynthesizedSpeech]) -> list[Performance]:
-    """Of each text, by the shipped models and the default method, its phonemes known."""
+    """Render each text with the shipped models and the default method, its phonemes known."""
     return [_performance(text) for text in texts]
 
 
@@ -143,6 +147,7 @@ def performed_stream(
 
 
 def _performance(text: SynthesizedSpeech) -> Performance:
+    """Return a text rendered with the shipped models as a performance, its phonemes known."""
     speaker = load_speaker(None, None)
     samples = soxr.resample(text.samples, text.sample_rate_hz, SAMPLE_RATE_HZ)
     faces, _ = rendered_faces(speaker, Line(text.phonemes, samples), DEFAULT_METHOD)
@@ -185,13 +190,13 @@ def speech_timing(
     performances: Sequence[Performance] | None = None,
     loudspeaker_seed: int = 0,
 ) -> SpeechTiming:
-    """Say each by a robot of its own. knows: the phonemes come with the sound; else it listens.
+    """Return how late lips close and part, each text spoken by a robot of its own.
 
-    kind: of a voice that listens, the units given beside the stream. performances: of the texts,
-    which are performed then.
+    knows: phonemes come with the sound; else the robot recognises them. kind: of the units sent
+    beside the stream, None: none. performances: of the texts; they are performed.
 
-    Every loudspeaker is another: its latency 20 to 120 ms, its clock up to 200 parts in a million
-    off, its reports up to 5 ms.
+    Each loudspeaker differs: latency 20 to 120 ms, a clock up to 200 parts in a million off,
+    reports up to 5 ms off.
     """
     rendered = [None] * len(texts) if performances is None else performances
     rng = np.random.default_rng(loudspeaker_seed)
@@ -232,7 +237,7 @@ def _spoken(
     knows: bool,
     kind: UnitKind | None,
 ) -> tuple[Watched, float]:
-    """What was seen, and when the first sample of the text left the loudspeaker."""
+    """Let a robot speak a text; return what was seen, and when its first sample left, s."""
     robot = SpeakingRobot(loudspeaker, is_listening=not knows, performance=performance)
     if performance is None:
         stream = spoken_stream(text, robot.playout, knows=knows, kind=kind)
@@ -244,9 +249,9 @@ def _spoken(
 
 
 def first_sample_s(text: SynthesizedSpeech, loudspeaker: SimulatedLoudspeaker) -> float:
-    """When a text's first sample left the loudspeaker.
+    """Return when a text's first sample left the loudspeaker, s.
 
-    The loudspeaker's samples are counted, not its reports believed. The first loud one tells:
+    Samples are counted, since the loudspeaker's reports have errors. The first loud sample decides:
     quieter ones may be a resampler's ringing.
     """
     samples, times_s = loudspeaker.played()
@@ -256,6 +261,10 @@ def first_sample_s(text: SynthesizedSpeech, loudspeaker: SimulatedLoudspeaker) -
 
 
 def _closure_hits(phonemes: Sequence[PhonemeEvent], times_s: Array, gap_mm: Array) -> list[bool]:
+    """Return for each P, B and M whether lips closed during it or `_WINDOW_S` beside it.
+
+    times_s, gap_mm: (n,), lip gap over the sound's time.
+    """
     hits = []
     for event in phonemes:
         if event.phoneme not in BILABIALS or event.end_s is None:

@@ -45,7 +45,7 @@ class BargeIn:
 
 
 def first_seen(text: SynthesizedSpeech) -> FirstSeen:
-    """A stream that begins with sound at its first byte, sent at the pace of speech."""
+    """Play a stream whose first byte is sound, at the pace of speech; return when it is shown."""
     voiced = _from_first_sound(text)
     robot = SpeakingRobot(is_listening=True)
     feed = _Feed(robot, voiced, text.sample_rate_hz, _even(len(voiced), text.sample_rate_hz))
@@ -60,7 +60,10 @@ def first_seen(text: SynthesizedSpeech) -> FirstSeen:
 
 
 def barge_in(text: SynthesizedSpeech, after_s: float, rate_hz: float) -> BargeIn:
-    """Interrupted so long after its first sound was heard, with the lips open."""
+    """Interrupt a robot `after_s` after its first sound was heard; return how soon lips close.
+
+    The lips should be open then. rate_hz: of the servo loop.
+    """
     robot = SpeakingRobot(is_listening=True, rate_hz=rate_hz)
     samples = text.samples
     feed = _Feed(robot, samples, text.sample_rate_hz, _even(len(samples), text.sample_rate_hz))
@@ -88,9 +91,10 @@ def barge_in(text: SynthesizedSpeech, after_s: float, rate_hz: float) -> BargeIn
 def stuck_open_s(
     texts: Sequence[SynthesizedSpeech], rng: np.random.Generator
 ) -> tuple[float, float, int]:
-    """Over jittery streams: seconds of lips that stay open with nothing to say, s.
+    """Return seconds of open lips in pauses, seconds of lips that open early, and underruns.
 
-    Then seconds of those that open for the next sound, which are no part of them, and underruns.
+    Over jittery streams. The first are lips that stay open with nothing to say; the second open for
+    the sound that follows, and are no fault.
     """
     stuck_s, opening_s, n_underruns = 0.0, 0.0, 0
     for text in texts:
@@ -166,7 +170,7 @@ def _ends(n_samples: int, rate_hz: int) -> Iterator[int]:
 
 
 def _jittery(n_samples: int, rate_hz: int, rng: np.random.Generator) -> list[tuple[float, int]]:
-    """The same in bursts: one in twenty comes 100 to 400 ms late, and all behind it wait for it."""
+    """Return a schedule in bursts: one chunk in twenty is 100 to 400 ms late, the rest wait."""
     at_s, schedule = 0.0, []
     for n, end in enumerate(_ends(n_samples, rate_hz)):
         late_s = float(rng.uniform(0.1, 0.4)) if rng.random() < 0.05 else 0.0

@@ -50,9 +50,10 @@ _DEVICE_HZ: Final = 8_000
 
 
 def drift_s(skew: float, duration_s: float, *, jitter_s: float = 0.005) -> float:
-    """The largest distance between the sound that is shown and the sound that is heard, seconds.
+    """Return the largest distance between shown and heard sound, s.
 
-    skew: how much too fast the loudspeaker's clock is; jitter_s: how far off its reports are.
+    skew: how much too fast the loudspeaker's clock is, as a share; jitter_s: how far off its
+    reports are.
     """
     face = assemble_face(FACE, None)
     loudspeaker = SimulatedLoudspeaker(_DEVICE_HZ, 0.08, skew, jitter_s)
@@ -87,7 +88,10 @@ _N_MICROPHONE: Final = 20
 
 
 def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
-    """All of them. quick: fewer sentences, a minute of drift, for a look."""
+    """Return all figures of `bench sync`.
+
+    quick: fewer sentences, and a minute of drift.
+    """
     voice = synthesizer_for()
     sentences = SENTENCES[:3] if quick else SENTENCES
     texts = [voice.speak(sentence) for sentence in sentences]
@@ -141,6 +145,7 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
 
 
 def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
+    """Return one way of playing as figures in ms and shares, under names that begin with `name`."""
     error_s = np.abs(timing.errors_s)
     return {
         f"{name}_median_ms": _ms(np.median(error_s)),

@@ -60,9 +60,10 @@ class Sent:
 
 
 def timed_figures(advance: Callable[[int, int], None]) -> list[dict[str, object]]:
-    """A row for each defect: the share of right frames of speech, P B M closed, and false closures.
+    """Return a row for each defect of what a sender says of its sound.
 
-    right_settled: the same share, from 1.5 s on. closures_spoken: P B M of the clip.
+    Shares of right speech frames, P B M closed, and false closures. right_settled: the share from
+    1.5 s on. closures_spoken: P B M of the clip.
     """
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples = read_speech(clip)
@@ -87,7 +88,10 @@ def timed_figures(advance: Callable[[int, int], None]) -> list[dict[str, object]
 
 
 def defects(spoken: Sequence[PhonemeEvent]) -> dict[str, list[Sent]]:
-    """What is sent of a sound whose phonemes are `spoken`, by the name of what is wrong with it."""
+    """Return what is sent beside a sound with phonemes `spoken`, by what is wrong with it.
+
+    Several entries are several draws of the same defect.
+    """
     text = (resources.files("lipservo.clips") / _CLIP_TEXT).read_text("utf-8").strip()
     visemes: UnitKind = "viseme"
     rng = np.random.default_rng(0)
@@ -122,7 +126,7 @@ def _at(
 
 
 def _one_after_the_other(events: Sequence[PhonemeEvent]) -> tuple[PhonemeEvent, ...]:
-    """The events in this order, each as long as it was, from 0 on."""
+    """Return the events one after the other from 0 on, each as long as before."""
     at_s, moved = 0.0, []
     for event in events:
         duration_s = (event.end_s or event.start_s) - event.start_s
@@ -142,7 +146,7 @@ class _Scored:
 
 
 def _scored(samples: Array32, spoken: Sequence[PhonemeEvent], sent: Sent) -> _Scored:
-    """The score of what is shown of the clip."""
+    """Return how right the phonemes are that the clip shows, with `sent` beside its sound."""
     n_led = round(sent.lead_in_s / BLOCK_S)
     sound = np.concatenate((np.zeros(round(sent.lead_in_s * SAMPLE_RATE_HZ), np.float32), samples))
     n_frames = round(len(samples) / SAMPLE_RATE_HZ / BLOCK_S)
@@ -164,7 +168,7 @@ def _scored(samples: Array32, spoken: Sequence[PhonemeEvent], sent: Sent) -> _Sc
 
 
 def _shown(sound: Array32, sent: Sent) -> Labels:
-    """The number of the phoneme that is shown for each 10 ms of a sound."""
+    """Play a sound as an agent's stream; return the phoneme number shown for each 10 ms."""
     recognizer = make_recognizer()
     delay = Delay(recognizer.latency_s, MotionOptions().style.lookahead_s)
     n_late = round(delay.synthesis_s / BLOCK_S)
@@ -200,7 +204,7 @@ def _shown(sound: Array32, sent: Sent) -> Labels:
 
 
 def _messages(sent: Sent) -> list[tuple[float, SpokenText]]:
-    """(when it is sent, what), in order."""
+    """Return when each message is sent, s, and the units in it, in order."""
     if sent.text:
         return [(0.0, SpokenText("text", (SpokenUnit(sent.text),), SAMPLE_RATE_HZ))]
     if sent.late_s is None:

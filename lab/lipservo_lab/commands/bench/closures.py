@@ -96,7 +96,7 @@ def closures(
 
 
 def clip_phones(clip: Path) -> "tuple[PhonemeEvent, ...]":
-    """The bundled clip's phones, from its text."""
+    """Align the bundled clip with its text; return its phones."""
     from lipsync.audio.file import read_speech
     from lipsync.recognition.alignment import align
 

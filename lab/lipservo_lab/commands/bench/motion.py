@@ -44,7 +44,7 @@ _HEADINGS = {
 def measure_video(
     folder: Path, landmarker: Path | None, model: Path | None, *, as_json: bool, quiet: bool
 ) -> None:
-    """Print how our lip gap, by the sound alone, goes with the one that is filmed."""
+    """Print how our lip gap, moved by the sound alone, correlates with the filmed one."""
     from lipservo_lab.bench.foreign_faces import foreign_figures
     from lipservo_lab.video.video_clips import find_clips
     from lipsync.video.face_tracker import open_tracker
@@ -231,7 +231,10 @@ def _answer(
     skip_bad: bool,
     with_offline: bool,
 ) -> dict[str, Any]:
-    """Rows, the paper's tables, self-correction; pictures on the way."""
+    """Return rows of figures, the paper's tables and self-correction; draw pictures on the way.
+
+    plots: folder of the pictures; None: none are drawn.
+    """
     from lipservo_lab.bench import motion_figures as measure
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.motion_scores import seen_in_training
@@ -351,7 +354,10 @@ def _measure_left_out(
 def _rendering(
     rendering: "OfflineModels", folder: Path, model: "TrainedModel", *, skip_bad: bool
 ) -> dict[str, Any]:
-    """What a sentence costs and what a model of the folder does; nothing for one too small."""
+    """Return what rendering a sentence costs, and what training an offline model costs.
+
+    Without the latter where the folder is too small for a model.
+    """
     from lipservo_lab.bench.motion_figures import BenchError
     from lipservo_lab.bench.offline_models import building_cost
     from lipsync.offline.line_methods import DEFAULT_METHOD

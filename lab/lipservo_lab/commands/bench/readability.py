@@ -138,10 +138,10 @@ def _measured(
     most_left_out: int | None,
     others: Sequence[Path],
 ) -> "tuple[list[Row], list[str]]":
-    """The rows, and what of the corpus was left out.
+    """Return the rows, and which sentences of the corpus were left out.
 
-    most_left_out: sentences of each word, every one by a model without it; None: `words`, or the
-    folder's own splits. others: files of weights that hear the sentences too.
+    most_left_out: sentences of each word, each read by a model without the word; None: `words`, or
+    the folder's own splits. others: files of weights that recognise the sentences too.
     """
     from lipservo_lab.bench.readability.left_out_reading import left_out_parts
     from lipservo_lab.bench.readability.readability_figures import reading_rows, with_line_methods

@@ -59,6 +59,7 @@ def import_video(
 
 
 def _summary(imported: "VideoImport") -> dict[str, Any]:
+    """Return an import's figures, of which at least one clip must have been used."""
     used = [report for report in imported.reports if report.left_out is None]
     shifts_ms = sorted(report.shift_ms or 0 for report in used)
     return {
@@ -80,6 +81,7 @@ def _tell(imported: "VideoImport") -> None:
 
 
 def _in_words(output: Path, about: dict[str, Any], seconds: float) -> str:
+    """Return the closing sentence of `import-video`. about: `_summary` and the tracker's name."""
     texts = ""
     if about["recognised"]:
         texts = f"; {about['recognised']} without text: their phonemes were recognised"
@@ -174,7 +176,7 @@ def import_scans(
 def _sounds(
     takes: "tuple[Take, ...]", rate_hz: float, advance: Advance
 ) -> "dict[str, TakeSound | str]":
-    """Sound and labels of each take, or why there are none. Raises ScanError where none has."""
+    """Return sound and labels of each take, or why it has none. Raises ScanError where none has."""
     from lipservo_lab.scans.scan import ScanError
     from lipservo_lab.scans.takes import take_sound
 
@@ -198,6 +200,11 @@ def _write_corpus(
     sounds: "dict[str, TakeSound | str]",
     advance: Advance,
 ) -> dict[str, Any]:
+    """Register the scans, write the corpus folder `output` with a picture; return its figures.
+
+    sounds: by take, or why a take has none: such a take is left out. The folder is written whole or
+    not at all.
+    """
     from lipservo_lab.bench.pictures.import_sheets import draw_scans
     from lipservo_lab.output_folder import folder_written_whole
     from lipservo_lab.scans.scan_corpus import CorpusWriter
@@ -222,6 +229,7 @@ def _write_motion(
     picture: Path,
     advance: Advance,
 ) -> dict[str, Any]:
+    """Register the scans, write their motion, without sound, and a picture; return figures."""
     from lipservo_lab.bench.pictures.import_sheets import draw_scans
     from lipservo_lab.scans.scan_corpus import write_motion
 
@@ -236,7 +244,7 @@ def _write_motion(
 def _about(
     imported: "ScanImport", takes: "tuple[Take, ...]", sounds: "dict[str, TakeSound | str]"
 ) -> dict[str, Any]:
-    """Figures of all, then the reports of takes and of scans."""
+    """Return figures of the whole import, then the reports of takes and of scans."""
     done = {report.take: report for report in imported.takes}
     of_takes = []
     for take in takes:
@@ -266,6 +274,7 @@ def _about(
 def _import_scans_in_words(
     output: Path, picture: Path, about: dict[str, Any], *, is_corpus: bool
 ) -> str:
+    """Return the closing sentence of `import-scans`. about: the figures of the import."""
     then = f", then `lipservo learn face {output} -o face.npz`" if is_corpus else ""
     return (
         f"{output}: {about['used_scans']} scans of {about['used_takes']} takes on "

@@ -338,6 +338,7 @@ def adapt(
 
 
 def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:
+    """Print what a voice was learned from, what was left out, and the grades before and after."""
     for name, reason in voice.left_out.items():
         MESSAGES.print(f"left out: {name}: {reason}", soft_wrap=True)
     RESULTS.print(
@@ -373,7 +374,7 @@ def read_log(path: Path) -> list[Record]:
 
 
 def draw_log(records: Sequence[Record], picture: Path) -> None:
-    """Loss on the left, accuracies of visemes by condition on the right, over the steps."""
+    """Draw the loss, and accuracies of visemes by condition, over the training steps."""
     without_screen()
     from matplotlib import pyplot as plt
 

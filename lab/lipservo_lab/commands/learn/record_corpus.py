@@ -131,6 +131,7 @@ def record_corpus(
 
 
 def _mode(size: str, rate_hz: float) -> "CameraMode":
+    """Return the camera mode of an option WIDTHxHEIGHT; raise BadParameter for anything else."""
     from lipservo.calibrating.camera import CameraMode
 
     width, _, height = size.lower().partition("x")

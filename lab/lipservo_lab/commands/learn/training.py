@@ -197,7 +197,7 @@ def _weights(given: list[str]) -> dict[str, float]:
 def _speaker_rows(
     corpora: "list[Corpus]", weights: Mapping[str, float], maps: "Mapping[str, FaceMap]"
 ) -> dict[str, object]:
-    """Of several speakers, for the answer: how much of each there is, and how it was brought."""
+    """Return how much there is of each speaker, and how their motion was mapped; for JSON."""
     if len(corpora) == 1:
         return {}
     speakers: dict[str, dict[str, object]] = {}

@@ -120,6 +120,7 @@ def make(
 
 
 def _consent_text(path: Path | None) -> str:
+    """Return the consent text that raters read: of a file, or the shipped one for None."""
     from lipservo_lab.study.sheets import StudyError
 
     if path is None:
@@ -139,7 +140,10 @@ def _test_of(folder: Path, recordings: "Corpus") -> frozenset[str]:
 def _model_for(
     recordings: "Corpus", test: frozenset[str], path: Path | None, bars: WorkBars
 ) -> "TrainedModel":
-    """One that has not learned what is shown: a mouth that is recited is no synthesis."""
+    """Return the given model, or one trained now, that has not learned the shown sentences.
+
+    A model that has learned a sentence would recite it.
+    """
     from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipservo_lab.learning.motion.trained_model import load_trained_model
     from lipservo_lab.study.sheets import StudyError
@@ -159,7 +163,7 @@ def _model_for(
 
 
 def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film":
-    """One head for all clips."""
+    """Return a film with the same head for all clips."""
     from lipservo.display.film import film
     from lipservo.display.filmed_faces import photograph
     from lipservo.display.photo_display import PhotoDisplay
@@ -305,6 +309,7 @@ _RATING_HEADINGS = {
 
 
 def _print_figures(figures: dict[str, object]) -> None:
+    """Print who was counted and the table of ratings; the other parts are on the report's page."""
     raters = figures["raters"]
     assert isinstance(raters, dict)
     left = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"
@@ -355,7 +360,7 @@ def rehearse(
 
 
 def _is_rehearsal(head: bytes) -> bool:
-    """What people answered is never written over."""
+    """Return whether a file is of simulated answers; those of people are never overwritten."""
     return b'"simulated"' in head.partition(b"\n")[0]
 
 

@@ -140,9 +140,9 @@ _MOST_LAG_S: Final = 0.5
 
 
 def lag_ms(shown: ShownExpression) -> float:
-    """By how much head pitch velocity follows loudness where |cross-correlation| is greatest.
+    """Return how much later head pitch velocity follows loudness, ms, by |cross-correlation|.
 
-    Both over speech only, at cue times; positive: the head is later.
+    Loudness counts in speech only; both are sampled at cue times. Positive: the head is later.
     """
     loudness = _centred(np.where(shown.is_speaking, shown.loudness_z, 0.0))
     velocity = _centred(_velocity(shown.column("neck_pitch_deg")))
@@ -179,9 +179,10 @@ class ExpressionFigures:
 def expression_figures(
     make_source: Callable[[], ExpressionSource], voice: Iterable[VoiceFrame]
 ) -> ExpressionFigures:
-    """Figures of a source, new for each measure, with a voice that is repeated as often as needed.
+    """Return the figures of an expression source, made anew for each measure.
 
-    Blinks are counted over 20 minutes. Raises ValueError for a voice without a frame.
+    The voice is repeated as often as needed; blinks are counted over 20 minutes. Raises ValueError
+    for a voice without a frame.
     """
     frames = list(voice)
     if not frames:

@@ -31,12 +31,12 @@ PRINTED_MEANING: Final = {1: ("jaw opening", "gap"), 2: ("rounding, protrusion",
 
 
 def edge_tables(face: FaceModel, learned: Sequence[Utterance]) -> dict[str, list[Row]]:
-    """Rows of edge_recordings, edge_modes, edge_meaning and edge_jaw: theirs beside the sentences'.
+    """Return rows of edge_recordings, edge_modes, edge_meaning and edge_jaw: the paper's and ours.
 
-    learned: what the face was learned from, all at one frame rate. edge_meaning: how each of the
-    face's first two components correlates with the gap, width and protrusion of the lips. edge_jaw:
-    how far points of the jaw and chin are from the recorded ones, placed by their jaw layer and by
-    our components; none for a layout without these points.
+    learned: the sentences that the face was learned from, all at one frame rate. edge_meaning: how
+    each of the face's first two components correlates with the gap, width and protrusion of the
+    lips. edge_jaw: how far points of the jaw and chin are from the recorded ones, placed by the
+    paper's jaw layer and by our components; empty for a layout without these points.
     """
     frames_mm = np.concatenate([u.markers_mm for u in learned]).astype(np.float64)
     ours = {
@@ -71,6 +71,11 @@ def edge_tables(face: FaceModel, learned: Sequence[Utterance]) -> dict[str, list
 
 
 def _jaw_rows(face: FaceModel, frames_mm: Array, gaps_mm: Array) -> list[Row]:
+    """Return how well jaw and chin are placed by a blend of open and closed, and by components.
+
+    `rms_mm` is over points and frames. Empty for a face without these points. frames_mm: (n,
+    n_points, 3); gaps_mm: (n,), the lip gap, whose extremes define open and closed.
+    """
     points = [*face.layout.group("jaw"), *face.layout.group("chin")]
     if not points:
         return []

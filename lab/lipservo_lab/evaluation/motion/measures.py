@@ -177,7 +177,7 @@ def _closure_hits(
 
 
 def is_bilabial(phoneme: str) -> bool:
-    """Whether the lips must touch for it: P, B, M."""
+    """Return whether the lips must touch for a phoneme: P, B, M."""
     return phoneme in _BILABIALS
 
 
@@ -204,6 +204,10 @@ def closes(phone: PhonemeEvent, times_s: Array, gap_mm: Array) -> bool:
 
 
 def _far_from_closure(utterance: Utterance, times_s: Array) -> Mask:
+    """Return which frames lie farther than `_FALSE_WINDOW_S` from any P, B, M or silence, (n,).
+
+    False after the last label.
+    """
     far = np.ones(len(times_s), dtype=bool)
     for phone in utterance.phones:
         if phone.phoneme in (*_BILABIALS, SILENCE) and phone.end_s is not None:
@@ -220,14 +224,14 @@ def _acceleration2(coefficients: Array, scored: Mask) -> float:
 
 
 def _without_mean(values: Array) -> Array:
-    """(n, ...) less its mean over n."""
+    """Return values, (n, ...), less their mean over n."""
     return np.asarray(values - values.mean(axis=0)) if len(values) else values
 
 
 def _fine_sums(coefficients: Array) -> Array:
-    """(n, n_components) -> (8,): sums of the finer components, then sums of their squares.
+    """Return sums of the finer components, then sums of their squares, (8,).
 
-    0 for components that the model does not have.
+    coefficients: (n, n_components). 0 for components that the model does not have.
     """
     fine = coefficients[:, _FINE]
     sums = np.zeros((2, len(_FINE_NUMBERS)))
@@ -283,7 +287,7 @@ def figures(sums: Array) -> dict[str, float]:
 
 
 def _fine_variance(s: dict[str, float], whose: str) -> float:
-    """Of the finer components together, times the squared number of frames."""
+    """Return the variance of the finer components together, times the squared number of frames."""
     squares = [s[f"fine_{whose}2_{n}"] * s["frames"] for n in _FINE_NUMBERS]
     return max(0.0, sum(squares) - sum(s[f"fine_{whose}_{n}"] ** 2 for n in _FINE_NUMBERS))
 
@@ -409,7 +413,7 @@ def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
 
 
 def lip_speed_figures(speeds: Iterable[LipSpeed]) -> dict[str, float | None]:
-    """Of many pieces together; steps are None without speech."""
+    """Return the lip speed figures of many pieces together; steps are None without speech."""
     found = list(speeds)
     spoken_s = sum(one.spoken_s for one in found)
     n_steps, n_gap_steps = sum(one.n_steps for one in found), sum(one.n_gap_steps for one in found)

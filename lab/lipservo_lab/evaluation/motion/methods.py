@@ -59,7 +59,7 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """As it is called on the command line and in results."""
+        """The method's name on the command line and in results."""
 
     @property
     def looks_ahead(self) -> bool:
@@ -142,7 +142,9 @@ class MeanFaceMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
-        """Return the phones' centres, weighted by how often they were heard in training.
+        """Return the same face for all times: the mean of phone centres, without silence.
+
+        Phones are weighted by how often they occur in training.
 
         Parameters
         ----------
@@ -173,7 +175,7 @@ class PublishedMethod:
 
     @property
     def name(self) -> str:
-        """The name of its selection."""
+        """The name of the method's selection."""
         return self.strategy.name
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
@@ -311,7 +313,7 @@ RANDOM_UNITS: Final = tuple(
 
 
 def all_methods() -> dict[str, Method]:
-    """Every method by its name, the fixed reference first and ours last."""
+    """Return every method by its name, the fixed reference first and ours last."""
     methods: Sequence[Method] = (
         DominanceMethod(REFERENCE, tuned=False),
         DominanceMethod("cohen-massaro-tuned", tuned=True),
@@ -334,6 +336,10 @@ class _Replayed:
         self._n_passed = 0
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """Return the updates that are known at `until_s` and were not returned before.
+
+        An update is known early by the look-ahead and the recogniser's latency.
+        """
         due = []
         while self._n_passed < len(self._updates):
             update = self._updates[self._n_passed]

@@ -57,9 +57,10 @@ class Pairs:
 
 
 def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
-    """All pairs from different sentences, where a place has minimal pairs and repetitions both.
+    """Find pairs of stretches from different sentences with the same surrounding phonemes.
 
-    Silence stands nowhere in them.
+    Kept are surroundings that have both minimal pairs (one phoneme differs) and repetitions.
+    Stretches hold no silence.
     """
     places: dict[tuple[str, ...], list[tuple[int, int]]] = defaultdict(list)
     for sentence, utterance in enumerate(utterances):
@@ -96,7 +97,10 @@ def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
 def recorded_persistence(
     model: TrainedModel, utterances: Sequence[Utterance], pairs: Pairs, *, seed: int = 0
 ) -> Persistence | None:
-    """In the recordings. Two repetitions differ as well: their mean square is subtracted."""
+    """Return the persistence of a differing phoneme in the recordings.
+
+    Two repetitions differ as well: their mean square is subtracted.
+    """
     motions = []
     for utterance in utterances:
         faces = model.coefficients(utterance.markers_mm)
@@ -115,7 +119,10 @@ def made_persistence(
     lookahead_s: float,
     seed: int = 0,
 ) -> Persistence | None:
-    """Return the persistence in a method's motion for the same sentences."""
+    """Return the persistence of a differing phoneme in a method's motion for the same sentences.
+
+    None without any pair.
+    """
     used = set(pairs.sentences.ravel().tolist())
     motions = []
     for sentence, utterance in enumerate(utterances):
@@ -128,12 +135,15 @@ def made_persistence(
 
 
 def _times_s(phones: Sequence[PhonemeEvent]) -> Array:
-    """(n_phones, _SAMPLES), ascending."""
+    """Return evenly spaced times within each phone, (n_phones, _SAMPLES) s."""
     return np.array([np.linspace(p.start_s, p.end_s or p.start_s, _SAMPLES) for p in phones])
 
 
 def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persistence | None:
-    """motions: (n_phones, _SAMPLES, n_components) of each sentence; None without any pair."""
+    """Return the persistence of a differing phoneme in motion; None without any pair.
+
+    motions: (n_phones, _SAMPLES, n_components) of each sentence.
+    """
     if not len(pairs.differ):
         return None
     # All sentences end to end; then phones (n_pairs, 2) number into one array.
@@ -175,13 +185,13 @@ def persistence_of(shares: Array, samples: Sequence[Array], counted: int) -> Per
 
 
 def _distance2(one: Array, other: Array) -> Array:
-    """(n_pairs,): squared distance in one phoneme of each pair, the mean over its instants."""
+    """Return squared distances in one phoneme of each pair, means over its instants, (n_pairs,)."""
     squares: Array = ((one - other) ** 2).sum(axis=2).mean(axis=1)
     return squares
 
 
 def _weights(draw: Indices, pairs: Pairs) -> Array:
-    """Of a bootstrap sample that holds each sentence so many times."""
+    """Return the pairs' weights in a bootstrap sample that holds each sentence `draw` times."""
     weights: Array = draw[pairs.sentences].prod(axis=1) * pairs.weights
     return weights
 

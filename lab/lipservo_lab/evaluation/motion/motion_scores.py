@@ -57,11 +57,12 @@ def held_out_parts(
     new: str = "",
     instead: str,
 ) -> list[Part]:
-    """Parts by a folder's `splits.json`: those of `split`, and one for each set of new words.
+    """Return the parts named by a folder's `splits.json`: those of `split`, and the new words.
 
-    sets_of: the sentences of each part of `split`, of the file's content. new: put before the names
-    of sets of words. instead: which option needs no such file. Raises CorpusError for a missing or
-    damaged file, one that names none of the sentences, and a part that leaves none to train on.
+    Each set of new words is one part. sets_of: returns the test sentences of each part of `split`
+    from the file's content. new: prefix for the names of sets of words. instead: option named in
+    the error that needs no such file. Raises CorpusError for a missing or damaged file, one that
+    names none of the sentences, and a part that leaves none to train on.
     """
     path = folder / "splits.json"
     try:
@@ -84,7 +85,7 @@ def held_out_parts(
 
 
 def words_part(split: str, corpus: Corpus, words: frozenset[str]) -> Part:
-    """Trained without every sentence that holds any of the words, scored on those words alone."""
+    """Return a part trained without sentences that hold the words, scored on the words alone."""
     words_of = {u.name: {w.text for w in u.words} for u in corpus.utterances}
     test = frozenset(name for name, texts in words_of.items() if texts & words)
     missing = sorted(words - set().union(*words_of.values()))
@@ -112,7 +113,7 @@ class Scores:
     sums: dict[tuple[str, int], list[Array]] = field(default_factory=dict)
 
     def row(self, strategy: str, lookahead_ms: int) -> dict[str, object]:
-        """Figures with 95 % confidence intervals, and how much was scored."""
+        """Return a method's figures with 95 % intervals, and the amount of speech scored."""
         sums = np.array(self.sums[strategy, lookahead_ms])
         intervals = confidence_intervals(sums, _WITH_INTERVAL)
         found = figures(sums.sum(axis=0))
@@ -139,9 +140,9 @@ def add_scores(
     listen: Listen = true_phonemes,
     progress: Progress = iter,
 ) -> None:
-    """Play every sentence by every method and add its sums.
+    """Play every sentence by every method and add its sums to `scores`.
 
-    The reference always knows the true phonemes: it is the denominator, not a contestant.
+    The reference method always knows the true phonemes: its error is the denominator of ratios.
     """
     reference = all_methods()[REFERENCE]
     for utterance in progress(list(utterances)):
@@ -178,7 +179,7 @@ def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
 
 
 def seen_in_training(model: TrainedModel, utterances: Iterable[Utterance]) -> list[str]:
-    """Names of sentences that the model was trained on: their figures flatter it."""
+    """Return the names of sentences that the model was trained on: their figures flatter it."""
     trained = set(model.training_sentences)
     return [u.name for u in utterances if u.name in trained]
 

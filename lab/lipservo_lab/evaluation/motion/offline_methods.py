@@ -54,7 +54,7 @@ class OfflineModels:
         self._line_s.setdefault(name, []).append(seconds)
 
     def seconds_per_sentence(self) -> dict[str, float]:
-        """By method, the median: of processor time, model loaded."""
+        """Return the median processor time of a sentence, s, by method, with the model loaded."""
         return {name: float(np.median(seconds)) for name, seconds in self._line_s.items()}
 
 
@@ -110,9 +110,10 @@ class OfflineMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - hears all
-        """Return faces from the whole line.
+        """Return the faces that a method for whole lines makes of a sentence.
 
-        Of `model-based` they are linear between recorded frames.
+        Those of `model-based` are interpolated linearly between its frames. Raises ValueError for a
+        sentence without sound.
 
         Parameters
         ----------

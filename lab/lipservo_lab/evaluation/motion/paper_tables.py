@@ -64,7 +64,7 @@ def miss_rate(
 def count_misses(
     units: AnimPhoUnits, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
 ) -> tuple[int, int]:
-    """(misses, phonemes that follow another).
+    """Return the number of misses, and of the phonemes that follow another phoneme.
 
     A miss: the chosen AnimPho is not in L(p_t) and T(a_{t-1}) both (Wei and Deng, Figure 6). A
     silence begins a new chain, whose first phoneme cannot miss and is not counted.
@@ -102,12 +102,12 @@ _FRAMES_HZ = 30.0
 
 
 def cost_rows(model: TrainedModel, clip: Utterance, number: int, listen: Listen) -> list[Row]:
-    """A row for each line of the table: printed, by the priority strategy, by each of ours.
+    """Return the rows of Table 3 for a clip: printed, by the priority strategy, by each of ours.
 
-    Means over the phonemes that the recogniser heard in the clip, silences left out, all in
+    Values are means over the phonemes that the recogniser found in the clip, silences left out, in
     processor time. synthesis: selection, equations (1) and (2); blending: equations (3) to (5) and
-    Algorithm 1 at 30 Hz; ours have no such parts, all their work is synthesis. phonemes_per_s:
-    how fast the clip is spoken. frames_per_s: equation (6), frames of a phoneme at 30 Hz over its
+    Algorithm 1 at 30 Hz; ours have no such parts, all their work is synthesis. phonemes_per_s: how
+    fast the clip is spoken. frames_per_s: equation (6), frames of a phoneme at 30 Hz over its
     computing time.
     """
     began = time.process_time()
@@ -142,7 +142,10 @@ def cost_rows(model: TrainedModel, clip: Utterance, number: int, listen: Listen)
 
 
 def _published_ms(model: TrainedModel, heard: Heard) -> tuple[float, float]:
-    """Selection and blending of a whole sentence by the priority strategy, ms each."""
+    """Return processor time of selection and of blending by the priority strategy, ms.
+
+    Both are of the whole sentence.
+    """
     strategy = STRATEGIES["priority"]
     selecting = blending = 0.0
     choice: Choice | None = None
@@ -173,7 +176,7 @@ def _blended(
     choice: Choice,
     position: Array,
 ) -> Array:
-    """The samples of a phoneme and its frames; where it ends."""
+    """Compute a phoneme's samples and all its frames, to be timed; return the last sample."""
     connected = (
         choice.animpho if last is None else choose_connected(units, last.animpho, choice.animpho)
     )
@@ -193,7 +196,10 @@ def _ours() -> list[LiveMethod]:
 
 
 def _live_ms(method: LiveMethod, model: TrainedModel, heard: Heard) -> float:
-    """All that a method of ours computes for a sentence at 30 Hz, with the default look-ahead."""
+    """Return the processor time, ms, of one of our methods for a sentence at 30 Hz.
+
+    With the default look-ahead.
+    """
     synthesizer = method.synthesizer(model, DEFAULT_LOOKAHEAD_S)
     script = script_of(heard, DEFAULT_LOOKAHEAD_S)
     end_s = heard.events[-1].end_s or 0.0
@@ -230,10 +236,10 @@ def paper_tables(
     *,
     seed: int = 0,
 ) -> dict[str, list[Row]]:
-    """Rows of data, figure_1, table_2, table_3, figure_6 and animphos; ours beside the paper's own.
+    """Return rows of data, figure_1, table_2, table_3, figure_6, animphos: ours and the paper's.
 
-    printed: the paper's method as printed, where the model's sentences are at hand. listen: what
-    the live recogniser finds in a sentence, of case 2.
+    printed: the paper's method as printed; None where the model's sentences are missing. listen:
+    returns what the live recogniser finds in a sentence (case 2).
     """
     rng = np.random.default_rng(seed)
     n_drawn = min(len(utterances), N_HEARD)
@@ -254,6 +260,7 @@ def paper_tables(
 
 
 def _data_rows(model: TrainedModel) -> list[Row]:
+    """Return size figures of the paper's data beside the model's, a row each."""
     units = model.animphos
     ours = {
         "sentences": len(model.training_sentences),
@@ -283,11 +290,11 @@ class _CountedSelection(GuidedSelection):
 
 
 def animpho_use(model: TrainedModel, sentences: Sequence[Utterance]) -> Row:
-    """What AnimPhos do to the default motion of sentences.
+    """Return what AnimPhos do to the default motion of sentences.
 
     animpho_variance: the mean square by which they move it from the expectation, over the variance
     of the expectation, all components together; transition_used: the share of plans in which b_t,
-    eq. (3), is not a_t. In frames of speech, with true phonemes and `LOOKAHEAD_MS`.
+    eq. (3), is not a_t. Counted in frames of speech, with true phonemes and `LOOKAHEAD_MS`.
     """
     counted: list[_CountedSelection] = []
 
@@ -315,7 +322,7 @@ def animpho_use(model: TrainedModel, sentences: Sequence[Utterance]) -> Row:
 
 
 def _agreement(sentence: Utterance, listen: Listen) -> Row:
-    """The share of a sentence's speech that the recogniser labels as its labels have it."""
+    """Return the share of a sentence's speech that the recogniser labels as its labels do."""
     times_s = np.arange(0.0, sentence.phones[-1].start_s, _COMPARED_S)
     spoken = _phonemes_at(sentence.phones, times_s)
     heard = _phonemes_at(listen(sentence).events, times_s)
@@ -337,6 +344,10 @@ def _ratios(
     listen: Listen,
     printed: PrintedMethod | None,
 ) -> Row:
+    """Return a row of Table 2: a clip's error over the baseline's, by method and case.
+
+    case_1: true phonemes; case_2: those of `listen`. printed: the paper's method, or None.
+    """
     row: Row = {
         "clip": clip.name,
         "printed_case_1": PRINTED_CASE_1[number],
@@ -354,6 +365,7 @@ def _ratios(
 
 
 def _misses(model: TrainedModel, phrase: Utterance, printed: PrintedMethod | None) -> Row:
+    """Return a row of Figure 6: shares of phonemes for which each strategy finds no AnimPho."""
     rates = {
         name: miss_rate(model.animphos, strategy, [phrase.phones])
         for name, strategy in STRATEGIES.items()
@@ -367,7 +379,10 @@ def _misses(model: TrainedModel, phrase: Utterance, printed: PrintedMethod | Non
 
 
 def guided_misses(model: TrainedModel, phones: Sequence[PhonemeEvent]) -> float:
-    """The miss rate of AnimPhos chosen near the expectation, each phone whole and planned once."""
+    """Return the miss rate of AnimPhos chosen near the expectation.
+
+    Each phone is known whole and planned once.
+    """
     units, track = model.animphos, track_of(phones)
     selection = GuidedSelection(units)
     previous: Choice | None = None

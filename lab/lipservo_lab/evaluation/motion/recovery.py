@@ -49,11 +49,11 @@ def recovery_rows(
     methods: Sequence[Method],
     lookaheads_ms: Sequence[int],
 ) -> list[Row]:
-    """What is left in the wrong phoneme and in each one after it, of the deviation it causes.
+    """Return the share of a wrong phoneme's deviation that is left in it and in each phoneme after.
 
-    utterances: sentences that the model has not seen; recorded: all there are in its head pose, for
-    the recordings' own share. `left` is 1 in a wrong phoneme that is never put right; `left_95` its
-    95 % bootstrap interval over sentences.
+    utterances: sentences that the model has not learned; recorded: all sentences in its head pose,
+    for the share in recordings. `left` is 1 in a wrong phoneme that is never corrected; `left_95`
+    is its 95 % bootstrap interval over sentences.
     """
     few, pairs = utterances[:_MOST_SENTENCES], find_pairs(utterances)
     natural = recorded_persistence(model, recorded, find_pairs(recorded))
@@ -79,12 +79,12 @@ def wrong_phoneme_persistence(
     lookahead_s: float,
     seed: int = 0,
 ) -> list[Persistence | None]:
-    """One phoneme of each sentence is heard wrong: how far that moves the mouth, for how long.
+    """Return how far, and for how long, one wrong phoneme in each sentence moves the mouth.
 
-    RMS distance between the motion with one phoneme substituted, until so long after its beginning
-    was heard, and the motion without; over that during the wrong phoneme when it is never put
-    right. The listener is not waited for: the face at t is decided when the sound up to
-    t + look-ahead was heard. One answer for each delay (None: nothing moved); no answer where no
+    RMS distance between the motion with one phoneme replaced, until so long after its beginning,
+    and the motion without; over that during the wrong phoneme when it is never corrected. The
+    motion does not wait for the recogniser: the face at t is decided when the sound up to t +
+    look-ahead was recognised. One result for each delay (None: nothing moved); no result where no
     sentence is long enough.
     """
     rng = np.random.default_rng(seed)
@@ -121,9 +121,9 @@ def wrong_phoneme_persistence(
 
 
 def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: float) -> Heard:
-    """A listener with `wrong` in place of one phone for `until_s` from its beginning on.
+    """Return a recogniser's updates with `wrong` in place of a phone for `until_s` from its start.
 
-    It learns of beginnings and ends in time, and calls nothing final that it may still put right.
+    Beginnings and ends are known in time; nothing is final that may still be corrected.
     """
     wrongly_heard = [*phones[:hit], replace(phones[hit], phoneme=wrong), *phones[hit + 1 :]]
     put_right_s = phones[hit].start_s + until_s
@@ -138,7 +138,7 @@ def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: 
 
 
 def _squares(phones: Sequence[PhonemeEvent], times_s: Array, distance: Array) -> Array:
-    """(n_phones, 2): the sum of squares inside each phone, and over how many instants."""
+    """Return the sum of squares inside each phone, and the number of instants, (n_phones, 2)."""
     found = []
     for phone in phones:
         inside = (times_s >= phone.start_s) & (times_s < (phone.end_s or 0.0))
@@ -153,6 +153,10 @@ def _shares(squares: Array, unit: Array) -> Array:
 
 
 def _row(case: str, strategy: str, lookahead_ms: int | None, found: Persistence | None) -> Row:
+    """Return a row of the table; `left`: shares of a difference that remain, phoneme by phoneme.
+
+    found: None where nothing could be counted.
+    """
     return {
         "case": case,
         "strategy": strategy,

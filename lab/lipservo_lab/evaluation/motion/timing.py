@@ -43,11 +43,12 @@ class _Synthesizer(Protocol):
 def method_times(
     method: Method, model: TrainedModel, sentences: Iterable[Heard], lookahead_s: float
 ) -> Times | None:
-    """Frame by frame at 100 Hz, as live; None for methods that only exist a sentence at a time.
+    """Return a method's times for a phoneme and for a frame, at 100 Hz.
 
-    A frame in which a phoneme begins to move the mouth, and what was learned in it, is that
-    phoneme's cost; all others are frames. The published method learns a sentence beforehand, as it
-    does where it is scored, and its look-ahead is the phone's own length.
+    None for methods that exist only for whole sentences. A frame in which a phoneme begins to move
+    the mouth, with what was recognised in it, is that phoneme's cost; all others count as frames.
+    The published method knows a sentence beforehand, as where it is scored, and its look-ahead is
+    the phone's own length.
     """
     phoneme_ms: list[float] = []
     frame_ms: list[float] = []
@@ -82,6 +83,10 @@ def _add_times(
     phoneme_ms: list[float],
     frame_ms: list[float],
 ) -> None:
+    """Synthesise a sentence and append the milliseconds of each 10 ms tick to one of two lists.
+
+    Ticks in which a phoneme was planned go to `phoneme_ms`, all others to `frame_ms`.
+    """
     for tick in range(int((heard.events[-1].end_s or 0.0) / TICK_S)):
         time_s = tick * TICK_S
         updates, n_planned = script.updates(time_s), synthesizer.phonemes_planned

@@ -38,12 +38,12 @@ _PAUSES = ("sp", "sil")
 
 
 def spoken_words(utterance: Utterance) -> tuple[Word, ...]:
-    """The words of a sentence without its pauses; the n-th stands in slot n."""
+    """Return the words of a sentence without its pauses; the n-th is in slot n."""
     return tuple(word for word in utterance.words if word.text not in _PAUSES)
 
 
 def slotted(utterances: Sequence[Utterance]) -> list[Utterance]:
-    """The labelled sentences with as many words as most have: those whose slots are the same.
+    """Return the labelled sentences with the most frequent number of words, thus equal slots.
 
     Raises CorpusError where no sentence has words.
     """
@@ -55,7 +55,7 @@ def slotted(utterances: Sequence[Utterance]) -> list[Utterance]:
 
 
 def word_motion(values: Array, frame_rate_hz: float, word: Word) -> Array:
-    """Return the motion of a word and a margin, resampled linearly.
+    """Return the motion of a word and a margin around it, resampled linearly to N_POINTS.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _discriminant() -> Classifier:
 
 
 def _lips_from_rest(model: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
-    """Gap, width and protrusion in mm, less those of the mouth at rest."""
+    """Return gap, width and protrusion, mm, less those of the mouth at rest."""
     rest_mm = model.markers_mm(model.rest[None])
     return lip_shapes_mm(model, markers_mm) - lip_shapes_mm(model, rest_mm)
 
@@ -167,9 +167,10 @@ class Reader:
 def fit_reader(
     kind: ReaderKind, sentences: Sequence[Utterance], recorded: Motions, slots: Iterable[int]
 ) -> Reader:
-    """Learn the words of some slots from recorded sentences, `recorded` seen as the kind sees.
+    """Train a reader to tell the words of each slot apart, from recorded sentences.
 
-    Raises CorpusError for a slot in which there is nothing to tell apart, or too little to learn.
+    recorded: motion by sentence, of the features that this kind of reader sees. Raises CorpusError
+    for a slot with fewer than two words, or with no word that occurs twice.
     """
     classifiers: dict[int, Classifier] = {}
     mean_words: dict[int, Array] = {}
@@ -239,9 +240,10 @@ class Fold:
 def known_fold(
     kind: ReaderKind, sentences: Sequence[Utterance], test: frozenset[str], recorded: Motions
 ) -> tuple[Fold, ...]:
-    """The one fold of known words; sentences: those of `slotted`, the test among them.
+    """Return the one fold of known words.
 
-    Raises CorpusError where the test holds none of them, or all.
+    sentences: from `slotted`, the test among them. Raises CorpusError where the test holds none of
+    them, or all.
     """
     read = tuple(u for u in sentences if u.name in test)
     fitted = [u for u in sentences if u.name not in test]
@@ -258,10 +260,10 @@ def new_word_folds(
     recorded: Motions,
     read: frozenset[str] | None = None,
 ) -> tuple[Fold, ...]:
-    """The folds of new words, over the slots in which they are spoken.
+    """Return folds for new words, with a reader for the slots in which they are spoken.
 
     read: names of the sentences that are read; None: all that hold one of the words. Raises
-    CorpusError where no sentence holds one of the words.
+    CorpusError for a word that no such sentence holds.
     """
     holding = [u for u in sentences_with(words, sentences) if read is None or u.name in read]
     slots = slots_of(words, sentences)
@@ -289,7 +291,7 @@ def slots_of(words: frozenset[str], sentences: Iterable[Utterance]) -> list[int]
 
 
 def read_words(folds: Iterable[Fold], made: Motions, recorded: Motions) -> list[Reading]:
-    """Read every sentence of every fold in `made` motion, which `recorded` is compared with."""
+    """Read every sentence of every fold from the motion `made`, and compare it with `recorded`."""
     readings = []
     for fold in folds:
         for slot, classifier in fold.reader.classifiers.items():

@@ -27,7 +27,7 @@ KNOWN = "known"
 
 
 def reading_parts(folder: Path, corpus: Corpus) -> list[Part]:
-    """`known`, the sentences of `random_test`, and `new_a`, `new_b`, ...: the sets of new words.
+    """Return part `known`, the sentences of `random_test`, and `new_a`, ...: sets of new words.
 
     corpus: labelled. Raises CorpusError for a missing or damaged splits.json, one whose
     `random_test` holds none or all of the sentences, and a set that leaves none to train on.
@@ -73,7 +73,7 @@ class ReadingScore:
 
 
 def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
-    """Of words that the model has learned; every sentence has every slot."""
+    """Return the score of words that the model has learned; every sentence has every slot."""
     names = sorted({r.sentence for r in readings})
     slots = sorted({r.slot for r in readings})
     right = np.zeros((len(names), len(slots)))
@@ -129,14 +129,17 @@ def gain(readings: Sequence[Reading]) -> float:
 
 
 def _recall_less_false_alarms(counts: Array) -> Array:
-    """(..., 4) -> (...); NaN where a drawn sample does not hold the word."""
+    """Return recall less false alarms, (...), of counts (..., 4).
+
+    NaN where a drawn sample does not hold the word.
+    """
     n_spoken, hits, others, alarms = np.moveaxis(counts, -1, 0)
     recall = np.divide(hits, n_spoken, out=np.full_like(hits, np.nan), where=n_spoken > 0)
     return np.asarray(recall - alarms / np.maximum(others, 1.0))
 
 
 def _draws(n_sentences: int, seed: int) -> Array:
-    """(_N_SAMPLES, n_sentences): how often each is drawn."""
+    """Return how often each sentence is drawn in bootstrap samples, (_N_SAMPLES, n_sentences)."""
     even = np.full(n_sentences, 1.0 / n_sentences)
     draws = np.random.default_rng(seed).multinomial(n_sentences, even, size=_N_SAMPLES)
     return draws.astype(np.float64)
@@ -149,12 +152,12 @@ def percentiles(samples: Array) -> tuple[float, float]:
 
 
 def recorded_motions(model: FaceModel, sentences: Iterable[Utterance], kind: ReaderKind) -> Motions:
-    """Recorded faces as a reader sees them, at the recording's frames."""
+    """Return recorded faces as a reader sees them, at the recording's frames."""
     return {u.name: kind.view(model, u.markers_mm) for u in sentences}
 
 
 def seen_motions(model: FaceModel, faces: Motions, kind: ReaderKind) -> Motions:
-    """Faces (n_frames, n_components) of sentences as a reader sees them."""
+    """Return faces, (n_frames, n_components) by sentence, as a reader sees them."""
     return {name: kind.view(model, model.markers_mm(each)) for name, each in faces.items()}
 
 
@@ -166,9 +169,9 @@ def made_faces(
     listen: Listen,
     rate_hz: float | None = None,
 ) -> Motions:
-    """(n_frames, n_components) of each sentence; rate_hz: None for the recording's frames.
+    """Return a method's motion, (n_frames, n_components), of each sentence.
 
-    What comes after the last word is not played and not read.
+    Motion ends after the last word. rate_hz: None for the recording's frames.
     """
     made = {}
     for utterance in sentences:
@@ -181,5 +184,5 @@ def made_faces(
 
 
 def seen_until_s(utterance: Utterance) -> float:
-    """When a reader has seen the last word, and the frame after it."""
+    """Return when a reader has seen the last word, and the frame after it, s."""
     return spoken_words(utterance)[-1].end_s + MARGIN_S + 1.0 / utterance.frame_rate_hz

@@ -65,7 +65,7 @@ class Figures:
     groups: Mapping[str, Score] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON; the keys of `lipservo bench recognition`."""
+        """Return the figures by the keys of `lipservo bench recognition`, for JSON."""
         least, median, most = self.score.agreement()
         grouped: dict[str, object] = {
             name: {
@@ -105,11 +105,11 @@ def measure(
     groups_of: Callable[[str], Sequence[str]] = lambda _speaker: (),
     known_text_of: Callable[[TranscribedUtterance], str] = lambda _utterance: "",
 ) -> Figures:
-    """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
+    """Recognise every utterance as a new stream; return the figures against its alignment.
 
-    Alignments that needed the second try are no reference: they are counted, not scored. groups_of:
-    names of the groups that a speaker is counted in. known_text_of: the text that the recogniser
-    gets beforehand; empty: none.
+    Scored are utterances that were aligned at the default beams, or labelled; alignments that
+    needed the second try are counted only. groups_of: groups that a speaker is counted in.
+    known_text_of: text that the recogniser gets beforehand; empty: none.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
@@ -160,10 +160,10 @@ def leaving_figures(
     make_recognizer: Callable[[], LiveRecognizer],
     progress: Callable[[str], None] = lambda _name: None,
 ) -> dict[str, object]:
-    """How soon a text is left where the sound stops saying it.
+    """Return how soon a recogniser leaves a known text where the sound departs from it.
 
-    Each utterance is followed by that half the list away, while the words of the one after it are
-    given: what moves the mouth from the first phone of the second sound on.
+    Each utterance is followed by the one half the list away, while the text goes on with another
+    one. Times count from the first phone of the second sound on.
     """
     recognizer, half = make_recognizer(), len(utterances) // 2
     times_s: list[float | None] = []
@@ -201,11 +201,11 @@ def false_speech(
 
 
 def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str, float]:
-    """The share of frames called speech while a robot's servos move without speech.
+    """Return the share of frames called speech while a robot's servos move without speech.
 
-    20 s at -36 dBFS, 10 dB below usual speech; then the same of a robot that tells how its servos
-    move, after half a minute in which it listened to others of its moves; and of one that listens
-    by a microphone and could speak. Means of four robots.
+    20 s at -36 dBFS, 10 dB below usual speech: without servo positions; with them (`..._told`),
+    after half a minute of other moves to learn from; and the same for a robot that listens by a
+    microphone and could speak. Means of four robots.
     """
     without_speeds, with_speeds, half_duplex = [], [], []
     level = np.float32(10.0 ** (-36 / 20))
@@ -260,10 +260,7 @@ KINDS = ("true", "other", "half_other", "half_missing")
 def texts_of(
     utterance: TranscribedUtterance, pool: Sequence[TranscribedUtterance], rng: np.random.Generator
 ) -> dict[str, str]:
-    """By kind: the spoken text; that of another utterance; half of each.
-
-    Half of the spoken text.
-    """
+    """Return a text of each kind: the spoken one, another's, half of each, half of the spoken."""
     others = [u.text for u in pool if u.text != utterance.text]
     nearest = sorted(others, key=lambda text: abs(len(text) - len(utterance.text)))[:_NEAREST]
     own, other = utterance.text.split(), str(rng.choice(nearest)).split()
@@ -275,7 +272,7 @@ def texts_of(
 def score_texts(
     utterances: Sequence[TranscribedUtterance], weights: NetworkWeights, seed: int = 0
 ) -> Iterator[dict[str, float | None]]:
-    """For each utterance the score of each kind of text; None where no alignment was found."""
+    """Yield each utterance's score for each kind of text, true and false; None: not aligned."""
     rng = np.random.default_rng(seed)
     for utterance in utterances:
         samples = read_speech(utterance.sound)
@@ -291,7 +288,7 @@ def score_texts(
 
 
 def text_figures(scores: Sequence[dict[str, float | None]]) -> dict[str, object]:
-    """For each kind: how many, how many found no way through, were refused, doubted, passed."""
+    """Return for each kind of text how many were not aligned, refused, doubted and passed."""
     figures: dict[str, object] = {"utterances": len(scores)}
     counts: dict[str, Callable[[float], bool]] = {
         "refused": lambda score: score < LEAST_SCORE,

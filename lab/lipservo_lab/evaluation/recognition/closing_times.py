@@ -80,7 +80,7 @@ class ClosingBench:
 
     @property
     def delay_s(self) -> float:
-        """How much later than its sound a face is known: the constant part, servos apart."""
+        """The constant delay from sound to face, without servos, s."""
         return self._recognizer.latency_s + self._synthesizer.lookahead_s + BLOCK_S
 
     def watch(self, samples: Samples, from_s: float) -> Mouth:
@@ -142,9 +142,9 @@ def closing_figures(
     recordings: Iterable[tuple[Samples, Phones]],
     rng: np.random.Generator,
 ) -> dict[str, float]:
-    """Watch the mouth over recordings with their phones; figures by name.
+    """Return how fast and how often the mouth closes where speech breaks off, by name.
 
-    Every recording is cut in some of its vowels and gets gaps before some of its stops, once with
+    Each recording is cut in some of its vowels and gets gaps before some of its stops, once with
     digital silence there and once with room noise 40 dB below the speech all over.
     """
     cuts: list[tuple[float, float]] = []
@@ -185,7 +185,7 @@ def _share(flags: list[bool]) -> float:
 
 
 def _some(rng: np.random.Generator, instants_s: list[float], n: int) -> list[float]:
-    """At most n of the instants that have enough sound before them."""
+    """Draw at most n of the instants that have enough sound before them."""
     late = [instant_s for instant_s in instants_s if instant_s >= _LEAST_BEFORE_S]
     return [float(x) for x in rng.choice(late, min(n, len(late)), replace=False)] if late else []
 
@@ -211,7 +211,7 @@ def vowel_cuts(phones: Phones) -> list[float]:
 
 
 def stop_onsets(phones: Phones) -> list[float]:
-    """Where a stop consonant follows a vowel, s."""
+    """Return where a stop consonant follows a vowel, s."""
     return [
         onset * BLOCK_S
         for (before, _, _), (phone, onset, _) in pairwise(phones)
@@ -220,7 +220,7 @@ def stop_onsets(phones: Phones) -> list[float]:
 
 
 def cut_dead(samples: Samples, cut_s: float) -> tuple[Samples, float]:
-    """The last two seconds before the cut, then digital silence; and where in it the cut is, s."""
+    """Return two seconds before a cut, then digital silence, and when the cut comes in them."""
     cut = round(cut_s * SAMPLE_RATE_HZ)
     spoken = samples[max(0, cut - round(_BEFORE_S * SAMPLE_RATE_HZ)) : cut]
     silence = np.zeros(round(_AFTER_S * SAMPLE_RATE_HZ), np.float32)
@@ -228,7 +228,7 @@ def cut_dead(samples: Samples, cut_s: float) -> tuple[Samples, float]:
 
 
 def with_gap(samples: Samples, at_s: float, gap_s: float) -> tuple[Samples, float]:
-    """Two seconds around an instant with silence put in there; and where the gap begins, s."""
+    """Return sound around an instant with silence inserted there, and when the gap begins, s."""
     at, reach = round(at_s * SAMPLE_RATE_HZ), round(_BEFORE_S * SAMPLE_RATE_HZ)
     before, after = samples[max(0, at - reach) : at], samples[at : at + reach // 2]
     silence = np.zeros(round(gap_s * SAMPLE_RATE_HZ), np.float32)
@@ -271,7 +271,7 @@ _PAUSE_S, _PLAYED_S = 0.6, 1.5
 def waking_figures(
     bench: ClosingBench, recordings: Iterable[tuple[Samples, Phones]], rng: np.random.Generator
 ) -> dict[str, float]:
-    """From the onset of the first phone until the mouth leaves rest, ms: median, 95th percentile.
+    """Return how long after the first phone's onset the mouth leaves rest: median and p95, ms.
 
     A mouth that has not left rest when the sound ends counts as infinitely late.
     """

@@ -45,7 +45,7 @@ _N_PLACES = 50
 def in_room(rng: np.random.Generator, speech: Array32) -> Array32:
     """Return speech as a microphone somewhere in a room gets it.
 
-    The direct sound keeps time and level.
+    Time and level of the direct sound stay.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def encoder_readings_deg(speeds_deg_s: Array) -> Array:
 
 
 def _talks(rng: np.random.Generator, n_frames: int) -> Array:
-    """(n_frames,): 1 while the robot talks, 0 in its pauses."""
+    """Draw when the robot talks, (n_frames,): 1 while it talks, 0 in its pauses."""
     talks = np.zeros(n_frames)
     at, is_talking = 0, bool(rng.random() < 0.5)
     while at < n_frames:
@@ -177,7 +177,7 @@ def _talks(rng: np.random.Generator, n_frames: int) -> Array:
 
 
 def _speeds_deg_s(rng: np.random.Generator, talks: Array) -> Array:
-    """(n_frames,): minimum-jerk moves of 80 to 250 ms from target to target while it talks."""
+    """Return speeds, (n_frames,) deg/s, of minimum-jerk moves of 80 to 250 ms while it talks."""
     speeds = np.zeros(len(talks))
     widest_deg, place_deg, at = rng.uniform(0.3, 1.0) * _WIDEST_DEG, 0.0, 0
     while at < len(talks):
@@ -193,7 +193,10 @@ def _speeds_deg_s(rng: np.random.Generator, talks: Array) -> Array:
 
 
 def _servo(build: np.random.Generator, rng: np.random.Generator, speed_deg_s: Array) -> Array:
-    """One servo by its speed (n,)."""
+    """Return the noise of one servo, (n,), from its speed at each sample, (n,) deg/s.
+
+    build: draws gears and brushes, the same for the same robot. rng: draws the noise.
+    """
     motor_hz = speed_deg_s / 360.0 * build.uniform(*_RATIO)
     turns = np.cumsum(motor_hz) / SAMPLE_RATE_HZ
     tones = np.zeros(len(speed_deg_s))
@@ -300,10 +303,10 @@ class Condition:
 
 
 def parse_condition(text: str, *, tells_servos: bool = False) -> Condition:
-    """`KIND:DB`, as `white:10`, or `servos:DB:ROBOT`.
+    """Parse a condition: `KIND:DB`, as `white:10`, or `servos:DB:ROBOT`.
 
-    tells_servos: as `Condition` has it. Raises ConditionError for another form, and for servos
-    whose speeds are given though they are not heard.
+    tells_servos: as in `Condition`. Raises ConditionError for another form, and for `tells_servos`
+    without the noise of servos.
     """
     if tells_servos and not text.startswith("servos:"):
         raise ConditionError("--servo-speeds is for the noise of servos; give --noise servos:10")

@@ -1,4 +1,4 @@
-"""A silent robot that listens by a microphone and could speak: what it hears of its servos."""
+"""How much speech a silent robot that could speak recognises in the noise of its own servos."""
 
 from typing import Final
 

@@ -37,9 +37,9 @@ _TAIL_S = 0.5
 def recognize_file(
     recognizer: LiveRecognizer, recording: Path, words: Sequence[PronouncedWord] = ()
 ) -> Heard:
-    """Play a recording to a recogniser, which is reset; updates are taken every 10 ms.
+    """Run a recogniser, which is reset, on a recording; updates are noted every 10 ms.
 
-    words: those of the recording, given before it sounds to a recogniser that follows a text.
+    words: of the recording; a recogniser that follows a text gets them beforehand.
     """
     recognizer.reset()
     if words and isinstance(recognizer, TextFollower):
@@ -106,7 +106,7 @@ class Closure:
 def closure_hits(
     motion: HeardMotion, phones: Iterable[PhonemeEvent], model: FaceModel
 ) -> list[Closure]:
-    """Every closure among the phones spoken in a recording, in order, in the motion it gave.
+    """Return every closure among the phones spoken in a recording, in order.
 
     A closure is reached as in `bench motion` (docs/motion.md): lips at most 1 mm apart, or for F V
     4.6 mm, at some instant from 40 ms before the phone to 40 ms after it.
@@ -120,9 +120,9 @@ def closure_hits(
 
 
 def is_heard(phone: PhonemeEvent, events: Iterable[PhonemeEvent]) -> bool:
-    """Whether a phone of the same viseme class was heard at its time.
+    """Return whether a phone of the same viseme class was recognised at a phone's time.
 
-    It may be `SLACK_FRAMES` beside, as for the recall of `bench recognition`.
+    It may be off by `SLACK_FRAMES`, as for the recall of `bench recognition`.
     """
 
     def frames(one: PhonemeEvent) -> tuple[int, int]:

@@ -38,10 +38,10 @@ class MouthDuringSound:
 def mouth_during(
     sound: Path, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float
 ) -> MouthDuringSound:
-    """Play a sound to a recogniser, which is reset, and the live method by what it says.
+    """Run a recogniser, which is reset, and the live motion on a sound; return how the mouth moved.
 
-    Open lips and speech count until the sound ends; openings and the widest also in the half second
-    of silence after it. Raises SoundError for a file that is no sound.
+    Open lips and speech count until the sound ends; openings and the widest gap also in the half
+    second of silence after it. Raises SoundError for a file that is no sound.
     """
     motion = heard_motion(sound, recognizer, model, lookahead_s)
     gaps_mm = model.lip_gaps_mm(model.markers_mm(motion.faces))
@@ -58,7 +58,7 @@ def mouth_during(
 
 
 def nonspeech_figures(mouths: Iterable[MouthDuringSound]) -> dict[str, float]:
-    """Shares of the time of all sounds together, openings a minute of it, the widest of all."""
+    """Return shares of all sounds' time, openings a minute, and the widest opening of all."""
     found = list(mouths)
     seconds = sum(mouth.seconds for mouth in found)
     return {
@@ -87,7 +87,7 @@ class NonspeechFolder:
         return nonspeech_figures(self.mouths.values())
 
     def figures_by_folder(self) -> dict[str, dict[str, float]]:
-        """Of the sounds of each folder below; what lies beside the folders is in none."""
+        """Return the figures of each subfolder; files beside the subfolders are in none."""
         grouped: dict[str, list[MouthDuringSound]] = defaultdict(list)
         for name, mouth in self.mouths.items():
             below = Path(name).parent.as_posix()
@@ -96,7 +96,7 @@ class NonspeechFolder:
         return {below: nonspeech_figures(mouths) for below, mouths in sorted(grouped.items())}
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Return all figures for JSON."""
         return {
             **self.figures(),
             "folders": self.figures_by_folder(),
@@ -106,7 +106,7 @@ class NonspeechFolder:
 
 
 def sound_files(folder: Path) -> list[Path]:
-    """Every file in a folder and below it, hidden ones apart. Raises NonspeechError for none."""
+    """Return all files in and below a folder but hidden ones. Raises NonspeechError for none."""
     if not folder.is_dir():
         raise NonspeechError(f"{folder}: no such folder; give one that holds sound files")
     files = sorted(

@@ -70,19 +70,19 @@ class HeardClosures:
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(first, after the last) of each run of True."""
+    """Return each run of True: its first index, and that after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _touches(run: tuple[int, int], flags: NDArray[np.bool_]) -> bool:
-    """Whether a True of `flags` lies in the run or within the slack of it."""
+    """Return whether `flags` has a True in the run or within the slack around it."""
     first, end = run
     return bool(flags[max(0, first - SLACK_FRAMES) : end + SLACK_FRAMES].any())
 
 
 def _apart(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, int]:
-    """Frames between two runs, 0 where they overlap; and between their onsets."""
+    """Return the frames between two runs, 0 where they overlap, and between their onsets."""
     return max(0, one[0] - other[1], other[0] - one[1]), abs(one[0] - other[0])
 
 
@@ -143,7 +143,7 @@ class Score:
         self.phone_all_by_utterance.append(float(right.mean()))
 
     def figures(self) -> dict[str, float]:
-        """All figures by name; 0 where nothing was counted."""
+        """Return all figures by name; 0 where nothing was counted."""
         visemes_right = np.diag(self.confusion)
         return {
             "phone_all": _share(self.n_phones_right, self.n_frames),
@@ -213,7 +213,10 @@ def settled_score(
 
 
 def _labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
-    """(n_frames,) numbers of the phonemes; the events have no gaps and reach to the end."""
+    """Return phoneme numbers of frames, (n_frames,).
+
+    The events have no gaps and reach to the end.
+    """
     labels = np.empty(n_frames, np.int64)
     for event in events:
         first = round(event.start_s * FRAMES_PER_S)

@@ -49,6 +49,10 @@ class FrameLabels:
             self._take(update)
 
     def _take(self, update: PhonemeUpdate) -> None:
+        """Write an update's events over the frame labels; count frames whose viseme class changed.
+
+        Frames without a label before do not count as changed.
+        """
         for event in update.events:
             first = round(max(event.start_s, update.replace_from_s) / BLOCK_S)
             end_s = update.heard_until_s if event.end_s is None else event.end_s
@@ -91,11 +95,11 @@ def label_frames(
     servos_deg: Array | None = None,
     text: str = "",
 ) -> tuple[FrameLabels, StepCosts]:
-    """Feed samples as a live stream, and silence until all is settled.
+    """Run a recogniser on samples as a live stream, and on silence until all labels are final.
 
     The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start
-    of the frame. So frame t is scored by what was settled when the sound to 10 t ms + latency was
-    heard, and nothing later. The costs are those of the blocks.
+    of the frame. So frame t is scored by what was final when the sound up to 10 t ms + latency had
+    come, and nothing later. The costs are those of the blocks.
 
     Parameters
     ----------
@@ -206,7 +210,10 @@ class Endurance:
     clock_error_s: float
 
     def as_dict(self) -> dict[str, float]:
-        """For JSON. `clock_error_ms`: sound fed less sound reported on, at the end."""
+        """Return the figures for JSON.
+
+        `clock_error_ms`: sound fed less sound reported on, at the end.
+        """
         return {
             "endurance_hours": self.sound_s / 3600.0,
             "endurance_rss_mb_after_10_min": self.settled_mb,
@@ -233,10 +240,10 @@ def endure(
     resident_mb: Callable[[], float],
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Endurance:
-    """Play speech (n,) over and over for `duration_s` of sound time, as fast as it goes.
+    """Run a recogniser on speech (n,), repeated for `duration_s` of sound, as fast as possible.
 
-    resident_mb: the memory of the process now. What is kept for the figures is laid out before the
-    stream begins.
+    resident_mb: returns the memory of the process now. Memory for the figures is allocated before
+    the stream begins.
     """
     recognizer.reset()
     n_blocks = round(duration_s / BLOCK_S)
@@ -273,6 +280,7 @@ class _Watch:
         self._n_seen = 0
 
     def observe(self, step: StreamStep) -> None:
+        """Note the cost of one block of 10 ms; report progress, and memory once, at `SETTLED_S`."""
         number, self._n_seen = self._n_seen, self._n_seen + 1
         self.costs_s[number] = step.cost_s
         if step.updates:

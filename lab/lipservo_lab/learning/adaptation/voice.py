@@ -73,7 +73,7 @@ class Voice:
 def only_speaker(
     utterances: tuple[TranscribedUtterance, ...], speaker: str | None
 ) -> tuple[TranscribedUtterance, ...]:
-    """The utterances of one speaker; VoiceError where it is not clear which."""
+    """Return the utterances of one speaker; VoiceError where it is not clear which."""
     names = sorted({each.speaker for each in utterances})
     if speaker is None and len(names) > 1:
         raise VoiceError(f"{len(names)} speakers; choose one with --speaker: {', '.join(names)}")
@@ -159,10 +159,10 @@ def why_left_out(aligned: AlignedUtterance, samples: Array32) -> str:
 def split_sentences(
     sentences: Sequence[Sentence],
 ) -> tuple[tuple[Sentence, ...], tuple[Sentence, ...]]:
-    """What adapts and what grades; no text is in both.
+    """Split sentences into those to learn from and those to grade on; no text is in both.
 
-    Every fifth text is held out, and more where these are shorter than 20 s. Raises VoiceError
-    where 20 s cannot be had, or would be more than is left to learn from.
+    Every fifth text is held out, and more if these are shorter than 20 s. Raises VoiceError where
+    20 s cannot be had, or would be more than is left to learn from.
     """
     texts = list(dict.fromkeys(_same(each.text) for each in sentences if each.is_reference))
     # The fifth, the tenth and so on first; the others in case these are short.
@@ -204,6 +204,10 @@ def _refuse_bad_labels(
 
 
 def _refuse_other_texts(n_all: int, left_out: Mapping[str, str]) -> None:
+    """Raise VoiceError if more than a share of `MOST_LEFT_OUT` of all sentences was left out.
+
+    left_out: reason by sentence.
+    """
     if len(left_out) > MOST_LEFT_OUT * n_all:
         name, reason = next(iter(left_out.items()))
         raise VoiceError(

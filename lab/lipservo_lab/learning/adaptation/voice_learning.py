@@ -66,9 +66,10 @@ def adapt(
     plan: AdaptationPlan,
     advance: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> NetworkWeights:
-    """Weights for the voice of the recordings. advance: called with the work, how many of how many.
+    """Return weights adapted to the voice of the recordings.
 
-    With one thread the same seed gives the same weights on one kind of processor.
+    advance: called with the work, steps done and all. With one thread the same seed gives the same
+    weights on one kind of processor.
     """
     n_arrays = 1 + plan.n_copies
     arrays = []

@@ -96,7 +96,7 @@ def gain_and_mean(
 
 
 def _deviation(sentences: Sequence[Array]) -> Array:
-    """Of each component from the mean of its sentence: (n_components,)."""
+    """Return the rms deviation of each component from the mean of its sentence, (n_components,)."""
     squares = [(faces - faces.mean(axis=0)) ** 2 for faces in sentences]
     return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0)))
 
@@ -119,7 +119,10 @@ Progress = Callable[[Sequence[Utterance]], Iterable[Utterance]]
 def hear_sentences(
     weights: NetworkWeights, utterances: Sequence[Utterance], progress: Progress = iter
 ) -> dict[str, tuple[PhonemeEvent, ...]]:
-    """The phonemes of every sentence whose sound can be read, by name, as they are final live."""
+    """Return the final phonemes of a live recogniser for every sentence whose sound can be read.
+
+    The keys are the sentences' names.
+    """
     names: list[str] = []
     recordings: list[NDArray[np.float32]] = []
     heard: dict[str, tuple[PhonemeEvent, ...]] = {}

@@ -104,6 +104,10 @@ def articulatory_features() -> Array:
 
 
 def _features(phoneme: str) -> list[float]:
+    """Return a phoneme's features: silence, vowel or consonant, shape, place, manner, voice.
+
+    Of the six numbers of shape a vowel has all, a consonant only the two of rounding.
+    """
     kind = [0.0, 0.0, 0.0]
     shape = [0.0] * 6
     place, manner, voiced = [0.0] * len(_PLACES), [0.0] * len(_MANNERS), 0.0
@@ -405,7 +409,7 @@ def _fit_family(
     seed: Sequence[int],
     progress: Progress,
 ) -> tuple[Array, Stack]:
-    """Train the networks of a family; its tables and the rest of it."""
+    """Train the networks of one family; return the tables of their first layer, and the rest."""
     mean = inputs.mean(axis=0)
     spread = inputs.std(axis=0) + _SMALLEST_SPREAD
     inputs = (inputs - mean) / spread
@@ -452,7 +456,7 @@ def phoneme_features() -> list[Array32]:
 
 
 def _window_inputs(training_set: TrainingSet, table: Array32) -> Array32:
-    """(n, N_WINDOWS * 22): what the phonemes are, window by window."""
+    """Return the mean phoneme features in each window of a context, (n, N_WINDOWS * 22)."""
     shares = window_shares(training_set.times_s, training_set.lookahead_s).astype(np.float32)
     inputs = np.zeros((len(shares), N_WINDOWS, table.shape[1]), dtype=np.float32)
     for slot in range(SLOTS):
@@ -467,7 +471,10 @@ def _exported(
     spread: Array32,
     unit: float,
 ) -> tuple[Array, Stack]:
-    """The first layer folded into tables, scaling undone, networks side by side."""
+    """Fold the first layer into a table for each dictionary entry, and put networks side by side.
+
+    Scaling of inputs and outputs is undone.
+    """
     first = np.concatenate([n[0] for n in networks], axis=1) / spread[:, None].astype(np.float64)
     bias = np.concatenate([n[1] for n in networks]) - mean @ first
     pieces = np.split(first, np.cumsum([table.shape[1] for table in dictionary]))

@@ -78,10 +78,10 @@ def hear_copies(
     progress: Callable[[str, Sequence[Utterance]], Iterable[Utterance]],
     others: Sequence[NetworkWeights] = (),
 ) -> HeardCopies:
-    """A recogniser's posteriors of every sentence, in each voice; unreadable sounds left out.
+    """Return a recogniser's posteriors of every sentence, in each of `_VOICES`.
 
-    others: hear the voices too, one of them each. Raises UserError where one waits for other
-    times than `weights`.
+    Sounds that cannot be read are left out. others: further weights; each voice is also recognised
+    by one of them. Raises UserError where their delays differ from those of `weights`.
     """
     if any(other.delays != weights.delays for other in others):
         raise UserError(
@@ -125,7 +125,7 @@ def _tail() -> int:
 
 
 def _disturbed(rng: np.random.Generator, samples: Array32, factor: float) -> Array32:
-    """As another voice in another room at another level; as long as it was."""
+    """Return samples as another voice in another room at another level, of the same length."""
     spread = rng.uniform(1.0 - _VOICE_SPREAD, 1.0 + _VOICE_SPREAD)
     samples = warped(samples, factor * spread)
     if rng.random() < 0.4:
@@ -188,9 +188,10 @@ def fit_soft_expectation(
     *,
     seed: int = 0,
 ) -> SoftExpectation | None:
-    """Learn from sentences with their motion (n_frames, n_components); None for too few of them.
+    """Fit the map from posteriors to faces; None for too few frames.
 
-    The same sentences, copies and seed give the same map.
+    coefficients: (n_frames, n_components) of each sentence. The same sentences, copies and seed
+    give the same map.
     """
     table = looks()
     pairs = list(zip(utterances, coefficients, strict=True))
@@ -212,7 +213,7 @@ def fit_soft_expectation(
 def _rows(
     utterance: Utterance, motion: Array, copies: HeardCopies, table: Array32
 ) -> tuple[Array32, Array]:
-    """Inputs (n, n_windows k) and faces (n, n_components) of one sentence in all its voices."""
+    """Return a sentence's inputs (n, n_windows k) and faces (n, n_components) in all its voices."""
     spoken = np.flatnonzero(speech_frames(utterance))
     if not len(spoken):
         return np.empty((0, len(WINDOWS) * table.shape[1]), np.float32), motion[:0]
@@ -234,7 +235,7 @@ def _rows(
 def _fitted(
     inputs: Array32, faces: Array32, table: Array32, rng: np.random.Generator
 ) -> SoftExpectation:
-    """The mean of a ridge over cosines and inputs, and of a network of rectifiers."""
+    """Fit a ridge over cosines and inputs, and a network of rectifiers; return their mean."""
     d, n_components = inputs.shape[1], faces.shape[1]
     # In the file's precision, so that the ridge is fitted to what will be computed.
     frequencies = (rng.standard_normal((d, _N_COSINES)) / _WIDTH).astype(np.float16)
@@ -275,7 +276,7 @@ def _fitted(
 def _deviating(
     soft: SoftExpectation, pairs: Sequence[tuple[Utterance, Array]], copies: HeardCopies
 ) -> SoftExpectation:
-    """The map whose components deviate nearly as much as the recorded ones."""
+    """Return the map, amplified so that components deviate nearly as much as recorded ones."""
     expected, recorded = [], []
     for utterance, motion in pairs[::4]:
         spoken = np.flatnonzero(speech_frames(utterance))

@@ -79,11 +79,10 @@ def train(
     """Learn a model from every labelled sentence; the same corpus and seed give the same model.
 
     corpus: of one speaker, or of several on one face (`several_speakers.on_one_face`).
-    n_components: principal components of the face, from 1 on.
-    heard: what the recogniser makes of the sentences, by name (`hearing.hear_sentences`); from it
-    the expectation learns beside the labels what to do with a recogniser's errors.
-    Raises TrainingError for a corpus without labelled motion, or with too little of it for so many
-    components.
+    n_components: principal components of the face, from 1 on. heard: recognised phonemes by
+    sentence (`hear_sentences`), from which the expectation learns the errors of a recogniser,
+    beside the labels. Raises TrainingError for a corpus without labelled motion, or with too little
+    of it for so many components.
     """
     check_components(n_components, corpus.layout)
     labelled = corpus.labelled()
@@ -158,7 +157,7 @@ def check_components(n_components: int, layout: PointLayout) -> None:
 
 
 def _check_length(corpus: Corpus, utterances: Sequence[Utterance], n_components: int) -> None:
-    """Every speaker has frames enough for a face of so many components. Raises TrainingError."""
+    """Raise TrainingError where a speaker has too few frames for so many components."""
     n_frames: dict[str, int] = {}
     for utterance in utterances:
         speaker = speaker_name(utterance.name) or corpus.name
@@ -176,7 +175,7 @@ def _face(
     utterances: Sequence[Utterance],
     coefficients: list[Array],
 ) -> FaceModel:
-    """Basis, rest pose, and how the lips close."""
+    """Make the face model: basis, rest pose, covariance in speech, and how the lips close."""
     in_speech = [speech_frames(u) for u in utterances]
     if sum(map(np.count_nonzero, in_speech)) < 2:
         in_speech = [np.ones(len(m), dtype=bool) for m in coefficients]
@@ -281,7 +280,7 @@ def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> 
 
 
 def _five_samples(phone: PhonemeEvent, motion: Array, frame_rate_hz: float) -> Array:
-    """(5, n_components) at even times from the start of the phone to its end."""
+    """Return five frames of a phone, evenly spaced from start to end, (5, n_components)."""
     if phone.end_s is None:
         raise TrainingError(f"phone {phone.phoneme} at {phone.start_s:.2f} s has no end")
     frame = np.linspace(phone.start_s, phone.end_s, SAMPLES_PER_ANIMPHO) * frame_rate_hz
@@ -351,7 +350,7 @@ def clustered_alike(segments: Segments, rest: Array, component: int, seed: int) 
 
 
 def _clustered(vectors: Array, weights: Array, seed: int) -> tuple[Array, NDArray[np.int64]]:
-    """k-means: centres (m, d), and of each vector its cluster."""
+    """Cluster vectors by k-means; return centres (m, d), and the cluster of each vector."""
     m = min(len(np.unique(vectors, axis=0)), math.ceil(_ANIMPHOS_PER_SEGMENT * len(vectors)))
     kmeans = KMeans(m, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=seed)
     cluster = kmeans.fit_predict(vectors, None, weights)
@@ -365,7 +364,10 @@ def _units(
     segments: Segments,
     rest: Array,
 ) -> AnimPhoUnits:
-    """centres: (m, 5 n_components); phonemes: (m,), the label of each; cluster: of each segment."""
+    """Make AnimPhos of clusters.
+
+    centres: (m, 5 n_components); phonemes: (m,), the label of each; cluster: of each segment.
+    """
     m = len(centres)
     same_sentence = segments.sentence[:-1] == segments.sentence[1:]
     successors = IndexLists.from_pairs(cluster[:-1][same_sentence], cluster[1:][same_sentence], m)
@@ -379,5 +381,5 @@ def _units(
 
 
 def _flat(utterance: Utterance) -> Array:
-    """(n_frames, 3 n_points)."""
+    """Return the markers as float64, (n_frames, 3 n_points)."""
     return utterance.markers_mm.reshape(len(utterance.markers_mm), -1).astype(np.float64)

@@ -90,7 +90,7 @@ def observe_closures(
 
 
 def counted(n: int, weight: float) -> NDArray[np.int64]:
-    """Return which of n things to take, some of them more than once; weight 1 takes each once.
+    """Return indices of n things, each taken `weight` times on average; weight 1: each once.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def counted_training_set(
 
 
 def counted_sentences(utterances: Sequence[Utterance]) -> list[int]:
-    """Numbers of the utterances, each there as often as its speaker counts."""
+    """Return the utterances' numbers, each as often as its speaker counts."""
     chosen: list[int] = []
     for weight in dict.fromkeys(u.weight for u in utterances):
         of_weight = [i for i, u in enumerate(utterances) if u.weight == weight]
@@ -242,11 +242,9 @@ _CLOSED_SHARE = 1.0 / 3.0
 def mean_at_rest(
     utterances: Iterable[Utterance], motion: Sequence[Array], layout: PointLayout
 ) -> Array:
-    """Return the mean of all silent frames with closed lips.
+    """Return the mean of silent frames with closed lips, or of their most closed tenth.
 
-    Of the most closed tenth if none touch.
-
-    Without silence, of all frames.
+    The tenth counts where fewer have closed lips. Without silence: the mean of all frames.
 
     Parameters
     ----------
@@ -272,8 +270,8 @@ def mean_at_rest(
 def closed_mouth_mm(utterances: Sequence[Utterance], layout: PointLayout) -> Array:
     """Return the mean of the most closed third of all silent frames.
 
-    No distance in mm decides, so that it is the same mouth on a face of another size. Without
-    silence, of all frames.
+    No distance in mm decides, so that the result is the same mouth on a face of another size.
+    Without silence: of all frames.
 
     Parameters
     ----------
@@ -299,7 +297,10 @@ def closed_mouth_mm(utterances: Sequence[Utterance], layout: PointLayout) -> Arr
 def _silent_frames(
     utterances: Iterable[Utterance], motion: Sequence[Array], layout: PointLayout
 ) -> tuple[Array, Array]:
-    """What is to be averaged of frames outside all phones, (n, ...), and their lip gaps (n,)."""
+    """Return the silent frames of `motion`, (n, ...), and their lip gaps, (n,) mm.
+
+    Silent are frames outside all phones.
+    """
     silent, gaps_mm = [], []
     for utterance, frames in zip(utterances, motion, strict=True):
         times_s = np.arange(len(frames)) / utterance.frame_rate_hz

@@ -33,10 +33,11 @@ class ModelTeacher:
         tell: Callable[[str], None],
         others: Sequence[NetworkWeights] = (),
     ) -> None:
-        """corpus: labelled. weights: of the recogniser, a name or a file.
+        """Recognise all sentences of a labelled corpus beforehand.
 
-        track: of what is listened to; tell: what training is doing. others: hear the
-        sentences too, for the map from posteriors.
+        weights: of the recogniser, a name or a file. track: wraps the sentences, for progress;
+        tell: called with what is being trained. others: further weights that recognise the
+        sentences, for the map from posteriors.
         """
         self._corpus = corpus
         self._weights = find_weights(weights)
@@ -75,7 +76,10 @@ def with_soft_expectation(
 
 
 def taught_sentences(model: TrainedModel, corpus: Corpus) -> tuple[Utterance, ...]:
-    """Those of a corpus that a model has learned; TrainingError where some are missing."""
+    """Return the sentences of a corpus that a model has learned.
+
+    Raises TrainingError where some are missing.
+    """
     known = set(model.training_sentences)
     utterances = corpus.labelled().keep(known).utterances
     if len(utterances) != len(known):

@@ -70,7 +70,7 @@ class FaceMap:
 
     @property
     def angle_deg(self) -> float:
-        """By how much the speaker's head is turned against the target's."""
+        """The angle by which the speaker's head is turned against the target's, degrees."""
         return float(np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1.0) / 2.0, -1, 1))))
 
     def on_target(self, markers_mm: NDArray[np.floating]) -> Array:
@@ -91,7 +91,7 @@ class FaceMap:
 
 
 def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFaces:
-    """Return the mean of every phone's middle, interpolated between frames.
+    """Return the mean face in the middle of each phoneme, interpolated between frames.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFac
 
 
 def fit_face_map(speaker: PhonemeFaces, target: PhonemeFaces) -> FaceMap:
-    """How the speaker's motion is done by the target's face.
+    """Fit the map from a speaker's motion to a target's face.
 
     Raises FaceMapError where they have too few phonemes in common, or move too differently.
     """
@@ -148,13 +148,16 @@ def fit_face_map(speaker: PhonemeFaces, target: PhonemeFaces) -> FaceMap:
 
 
 def _differences(means_mm: Array, weights: Array) -> Array:
-    """(3,) mm^2: how much phonemes (n, n_points, 3) differ along each axis."""
+    """Return how much phonemes, (n, n_points, 3), differ along each axis, (3,) mm^2."""
     apart = means_mm - np.tensordot(weights, means_mm, axes=1)
     return np.asarray(np.tensordot(weights, apart**2, axes=1).sum(axis=0))
 
 
 def _rotation(source: Array, target: Array) -> Array:
-    """(3, 3), of `target ~ b R source` between centred faces (n_points, 3), b a scale an axis."""
+    """Return the rotation, (3, 3), of `target ~ b R source`, with a scale b for each axis.
+
+    source, target: (n_points, 3) faces, which are centred here.
+    """
     source, target = source - source.mean(axis=0), target - target.mean(axis=0)
     stretch = np.ones(3)
     for _ in range(_ROUNDS):
@@ -176,15 +179,15 @@ def on_one_face(
     face_of: str | None = None,
     weights: Mapping[str, float] | None = None,
 ) -> tuple[Corpus, dict[str, FaceMap]]:
-    """One corpus of all labelled sentences, each speaker's motion on one speaker's face.
+    """Join labelled sentences of several speakers, with all motion on one speaker's face.
 
-    And how the others' motion came to that face, by their names.
+    Returns the corpus, and the map of each other speaker to that face, by name.
 
-    corpora: of one layout, each of one speaker, who is called as the corpus is. face_of: whose face
-    it is, None for the first's; its head and its frame rate are taken too. weights: how often a
-    frame of a speaker counts, 1 where none is given. A sentence is called SPEAKER/NAME; a single
-    corpus keeps its names. Raises CorpusError for a name that is there twice or not at all, a
-    weight that is none, and a speaker whose face cannot be compared.
+    corpora: of one layout, each of one speaker, named as the corpus. face_of: speaker whose face,
+    head and frame rate are used; None: the first. weights: how often a frame of a speaker counts;
+    default 1. A sentence is named SPEAKER/NAME; a single corpus keeps its names. Raises CorpusError
+    for a name that is given twice or missing, a weight out of range, and a speaker whose face
+    cannot be compared.
     """
     of_speaker = {corpus.name: corpus for corpus in corpora}
     check_speakers([corpus.name for corpus in corpora], face_of, weights or {})
@@ -217,17 +220,17 @@ def on_one_face(
 
 
 def speaker_name(name: str) -> str:
-    """Whose sentence of several speakers' it is; "" where it is of one speaker's corpus."""
+    """Return the speaker in a name SPEAKER/NAME; "" in a single speaker's corpus."""
     return name.rpartition(SEPARATOR)[0]
 
 
 def sentence_name(name: str) -> str:
-    """The name of a sentence in its own speaker's folder."""
+    """Return the name of a sentence in its own speaker's folder."""
     return name.rpartition(SEPARATOR)[2]
 
 
 def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[str, float]) -> None:
-    """Raises CorpusError for a name that is there twice or not at all, a weight that is none.
+    """Raise CorpusError for a corpus name that is there twice or unknown, or a weight out of range.
 
     names: of the corpora.
     """
@@ -251,7 +254,7 @@ def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[s
 def _moved(
     spoken: Sequence[Utterance], face_map: FaceMap, frame_rate_hz: float
 ) -> tuple[Utterance, ...]:
-    """A speaker's sentences on the target's face, at its frame rate."""
+    """Map a speaker's sentences to the target's face, at the target's frame rate."""
     on_target = [
         replace(u, markers_mm=face_map.on_target(u.markers_mm).astype(np.float32)) for u in spoken
     ]
@@ -259,6 +262,10 @@ def _moved(
 
 
 def _phoneme_faces(corpus: Corpus) -> PhonemeFaces:
+    """Return a corpus's closed mouth and its mean face in the middle of each phoneme.
+
+    Raises CorpusError for a sentence with markers that are not finite.
+    """
     spoken = corpus.labelled().utterances
     for utterance in spoken:
         if not np.isfinite(utterance.markers_mm).all():

@@ -51,7 +51,7 @@ class TrainedModel(FaceWithAnimPhos):
 
 
 def load_trained_model(path: Path | None = None) -> TrainedModel:
-    """All parts of a model file; None: the shipped one. Raises ModelError."""
+    """Read all parts of a model file; None: the shipped one. Raises ModelError."""
     with open_model(path) as file:
         face = read_face(file)
         return TrainedModel(

@@ -194,14 +194,16 @@ def train_offline(
     progress: Callable[[str], None] = lambda _: None,
     listening: Track = iter,
 ) -> OfflineModel:
-    """An offline model for a face, of every labelled sentence; the same input gives the same.
+    """Learn an offline model for a face from every labelled sentence of a corpus.
 
-    The corpus may have more points than the face, dense scans for one: the states are found in all
-    of them, and what they say of the face's own points is kept, so that lines are projected on the
-    face's components whatever the states were made of.
+    The same input gives the same model.
 
-    listening: goes through the sentences while their sound is read. Raises BuildingError for a
-    corpus without labels, too small for the number of states, or without a point of the face's;
+    The corpus may have more points than the face (dense scans): states are found in all of them,
+    and what they say of the face's own points is kept, so that lines are projected on the face's
+    components whatever the states were made of.
+
+    listening: wraps the sentences while their sound is read, for progress. Raises BuildingError for
+    a corpus without labels, too small for the number of states, or without a point of the face's;
     SoundError for a sound that cannot be read.
     """
     recipe = recipe or Recipe()
@@ -248,7 +250,10 @@ def train_offline(
 
 
 def _rows_of_face(corpus: Corpus, face: FaceModel) -> Indices:
-    """Which points of the corpus are those of the face, (n_points,), by their landmarks."""
+    """Return which points of the corpus are the face's, (n_points,), by their landmarks.
+
+    Raises BuildingError where one is missing.
+    """
     row_of = {landmark: row for row, landmark in enumerate(corpus.layout.landmarks)}
     missing = [n for n in face.layout.landmarks if n not in row_of]
     if missing:

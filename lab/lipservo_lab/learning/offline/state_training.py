@@ -420,6 +420,10 @@ def build_states(
 
 
 def _units(utterances: Sequence[Utterance], borders: Array) -> Units:
+    """Return the phones of all sentences as spans of frames of the joined corpus.
+
+    borders: first frame of each sentence in it, and the number of all frames.
+    """
     phonemes, first, end = [], [], []
     for utterance, start in zip(utterances, borders, strict=False):
         n_frames = len(utterance.markers_mm)
@@ -432,6 +436,7 @@ def _units(utterances: Sequence[Utterance], borders: Array) -> Units:
 
 
 def _check_numbers(recipe: Recipe, n_frames: int, n_coordinates: int) -> None:
+    """Raise BuildingError where a corpus has too few frames for so many states or components."""
     if n_frames < 2 * recipe.n_states:
         raise BuildingError(
             f"{n_frames} frames are too few for {recipe.n_states} states: record more, or ask "
@@ -446,5 +451,5 @@ def _check_numbers(recipe: Recipe, n_frames: int, n_coordinates: int) -> None:
 
 
 def _flat(utterance: Utterance) -> NDArray[np.float32]:
-    """(n_frames, 3 n_points), without a copy: dense scans take a gigabyte."""
+    """Return the markers as (n_frames, 3 n_points) without a copy: dense scans take a gigabyte."""
     return utterance.markers_mm.reshape(len(utterance.markers_mm), -1)

@@ -103,7 +103,10 @@ def whispered(rng: np.random.Generator, samples: Array32) -> Array32:
 
 
 def _stretched(samples: Array32, factor: float) -> Array32:
-    """So many times longer at the same pitch: frames, each moved to where it fits the last best."""
+    """Return samples `factor` times longer at the same pitch (WSOLA).
+
+    Each frame is moved to where it continues the last one best.
+    """
     step = _FRAME // 2
     window = np.hanning(_FRAME + 1)[:-1].astype(np.float32)
     n_out = round(len(samples) * factor)
@@ -230,7 +233,7 @@ def augment_lightly(rng: np.random.Generator, clean: LabelledSamples) -> Labelle
 def augment_heavily(
     rng: np.random.Generator, clean: LabelledSamples, around: Surroundings
 ) -> LabelledSamples:
-    """Another voice, speed, room, line, noise, loudness: each with its own chance."""
+    """Return a recording with another voice, speed, room, line, noise, level, each by chance."""
     changed = by_another_voice(rng, clean)
     samples = changed.samples
     if rng.random() < 0.3:
@@ -279,7 +282,7 @@ def no_speech(rng: np.random.Generator, n: int, around: Surroundings) -> Array32
 
 
 def by_another_voice(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:
-    """Faster or slower, another vocal tract, shouted, whispered, or as it was.
+    """Return a recording faster, slower, by another vocal tract, shouted, whispered, or unchanged.
 
     Parameters
     ----------

@@ -66,7 +66,10 @@ class Festival:
         return self._voices
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """See `Synthesizer`; a process of its own for each text. No times of words."""
+        """Return a text's speech with phoneme times, by a run of festival; no times of words.
+
+        Raises SynthesisError.
+        """
         written = checked_text(text, self.longest_text)
         if voice.name not in self.voices():
             raise SynthesisError(
@@ -103,6 +106,10 @@ class Festival:
         )
 
     def _run(self, program: str) -> str:
+        """Run a Scheme program in festival and return what it prints, whatever its exit status.
+
+        Raises SynthesisError where festival cannot be run or takes longer than `_TIMEOUT_S`.
+        """
         try:
             done = subprocess.run(
                 [self._command, "--pipe"],
@@ -118,7 +125,7 @@ class Festival:
 
 
 def _song(text: str, stretch: float) -> str:
-    """The text as festival's singing mode reads it: for each word more notes than syllables."""
+    """Return a text as XML of festival's singing mode, with more notes a word than syllables."""
     words = []
     # A full stop would begin another song.
     for number, word in enumerate(re.findall(r"\w[\w']*", text)):

@@ -88,6 +88,7 @@ class Flite:
         return SynthesizedSpeech(np.clip(samples, -1.0, 1.0), sample_rate_hz, events, ())
 
     def _check_voice(self, voice: Voice) -> None:
+        """Raise SynthesisError if flite has no such voice, language, rate or pitch."""
         if voice.language != _LANGUAGE:
             raise SynthesisError(f"flite speaks {_LANGUAGE!r} alone, not {voice.language!r}")
         known = self.voices()
@@ -99,6 +100,10 @@ class Flite:
             raise SynthesisError("flite has one pitch for each voice; choose another voice")
 
     def _run(self, *arguments: str) -> str:
+        """Run flite and return what it prints.
+
+        Raises SynthesisError where flite fails or takes longer than `_TIMEOUT_S`.
+        """
         try:
             done = subprocess.run(
                 [self._command, *arguments],

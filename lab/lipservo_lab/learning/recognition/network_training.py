@@ -452,12 +452,12 @@ def training_loss(logits: torch.Tensor, targets: torch.Tensor, plan: TrainingPla
 
 
 def _seen_mm() -> torch.Tensor:
-    """(n_visemes, n_visemes): how far the faces of two classes lie apart."""
+    """Return how far the faces of two viseme classes are apart, mm, (n_visemes, n_visemes)."""
     return torch.tensor(visible_distances_mm(), dtype=torch.float32)
 
 
 def _viseme_members() -> torch.Tensor:
-    """(40, n_visemes): 1 where the phone is of the class."""
+    """Return 1 where a phone is of a viseme class, else 0, (40, n_visemes)."""
     members = torch.zeros(len(PHONEMES), _N_VISEMES)
     for index, phoneme in enumerate(PHONEMES):
         members[index, VISEME_OF[phoneme]] = 1.0
@@ -465,7 +465,7 @@ def _viseme_members() -> torch.Tensor:
 
 
 def _viseme_weights(plan: TrainingPlan) -> torch.Tensor:
-    """(n_visemes,): closures count more."""
+    """Return the weights of viseme classes in the loss, (n_visemes,): closures count more."""
     weights = torch.ones(_N_VISEMES)
     for phoneme in ("P", "F"):
         weights[VISEME_OF[phoneme]] = plan.closure_weight

@@ -340,6 +340,7 @@ def unit_power(samples: NDArray[np.floating]) -> Array32:
 
 
 def _string(rng: np.random.Generator, pitch_hz: float, n: int) -> NDArray[np.float64]:
+    """Return `n` samples of a plucked string (Karplus and Strong): a loop of noise that fades."""
     period = max(2, round(SAMPLE_RATE_HZ / pitch_hz))
     loop = rng.uniform(-1.0, 1.0, period)
     turns = []
@@ -416,6 +417,10 @@ def found(sounds: list[Array32]) -> Noise:
     chances = weights / weights.sum()
 
     def part(rng: np.random.Generator, n: int) -> Array32:
+        """Return `n` samples of unit power: a piece of a long sound, or a short one repeated.
+
+        Repetitions are up to two seconds apart.
+        """
         sound = sounds[int(rng.choice(len(sounds), p=chances))]
         if len(sound) >= n:
             first = int(rng.integers(0, len(sound) - n + 1))

@@ -35,7 +35,7 @@ _SHORTEST_FRAMES = 6
 def laughter_of(voices: Sequence[tuple[Array32, NDArray[np.int64]]]) -> Noise:
     """Return a noise of laughter made of the vowels of recordings.
 
-    Silence without a vowel of 60 ms.
+    The noise is silence if they hold no vowel of 60 ms.
 
     Parameters
     ----------
@@ -50,6 +50,7 @@ def laughter_of(voices: Sequence[tuple[Array32, NDArray[np.int64]]]) -> Noise:
     vowels = [found for samples, labels in voices if (found := _vowels(samples, labels))]
 
     def laugh(rng: np.random.Generator, n: int) -> Array32:
+        """Return `n` samples of one voice's laughter, of unit power; zeros without vowels."""
         total = 0.002 * rng.standard_normal(n)
         if not vowels:
             return np.zeros(n, np.float32)
@@ -74,7 +75,7 @@ def _vowels(samples: Array32, labels: NDArray[np.int64]) -> list[Samples]:
 
 
 def _bout(rng: np.random.Generator, total: Samples, at: int, vowel: Samples) -> int:
-    """A few bursts of the vowel into `total` from `at` on; where they end."""
+    """Add a few bursts of the vowel to `total` from sample `at` on; return where they end."""
     period_s, strength = rng.uniform(0.14, 0.26), 1.0
     # Laughter is higher than speech of the same person.
     pitch = rng.uniform(1.0, 1.6)
@@ -317,6 +318,11 @@ def any_sound(rng: np.random.Generator, n: int) -> Array32:
 def _burst(
     rng: np.random.Generator, resonances_hz: Samples, decay_s: float, brightness: float
 ) -> Samples:
+    """Return a click or knock, (n,): noise that fades and resonances that ring.
+
+    resonances_hz: (n_resonances,), each detuned by up to 3 %. decay_s: their time constant.
+    brightness: amplitude of the noise.
+    """
     length = max(32, int(6 * decay_s * SAMPLE_RATE_HZ))
     time_s = np.arange(length) / SAMPLE_RATE_HZ
     burst = brightness * rng.standard_normal(length) * np.exp(-time_s / (0.4 * decay_s))
@@ -349,7 +355,10 @@ def _formants(source: Samples, hz: tuple[float, ...]) -> Samples:
 def _switched(
     rng: np.random.Generator, n: int, lengths_s: tuple[float, float], edge_s: float = 0.01
 ) -> Samples:
-    """(n,): 1 while it is on and 0 while it is off, each for a while, with soft edges."""
+    """Return an envelope, (n,): 1 while it is on, 0 while it is off, with soft edges.
+
+    lengths_s: shortest and longest time in one state.
+    """
     states, is_on = np.zeros(n), bool(rng.random() < 0.5)
     at = 0
     while at < n:

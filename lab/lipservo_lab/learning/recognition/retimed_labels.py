@@ -44,10 +44,11 @@ def taught_by(
     recordings: Sequence[tuple[LabelledSamples, AlignedUtterance]],
     progress: Callable[[int], None] = lambda _n: None,
 ) -> TaughtRecordings:
-    """Labels laid anew; a recording whose phones the teacher does not find there is left out.
+    """Align the phones of recordings anew by a teacher's posteriors.
 
-    The score of a text is the mean log ratio of the aligned phone to the likeliest, as
-    `goodness_of_pronunciation` has it, and the border is the same.
+    A recording in which the teacher does not find the phones is left out: its score, the mean log
+    ratio of the aligned phone to the likeliest (`goodness_of_pronunciation`), is below
+    `LEAST_SCORE`.
     """
     kept: list[LabelledSamples] = []
     posteriors: list[NDArray[np.float16]] = []
@@ -140,7 +141,7 @@ def retimed(phones: Sequence[int], logs: Array32) -> NDArray[np.int64] | None:
 
 
 def _posteriors(teacher: NetworkWeights, recording: LabelledSamples) -> Array32:
-    """(n_frames, n_phonemes) of the head that waits longest."""
+    """Return the posteriors of the head with the longest delay, (n_frames, n_phonemes)."""
     n_frames, delay = len(recording.labels), teacher.delays[-1]
     return recording_posteriors(teacher, recording.samples, n_frames + delay)[delay:, -1]
 

@@ -41,11 +41,11 @@ class SyntheticVoice:
 
     @property
     def folder_name(self) -> str:
-        """What its corpus, and so its speaker, is called."""
+        """The name of the voice's corpus, and so of its speaker."""
         return f"{self.synthesizer}-{self.voice}"
 
     def at(self, rate_wpm: int, pitch: int) -> Voice:
-        """The voice as the synthesiser wants it; only espeak-ng has a choice of pitch."""
+        """Return the voice as the synthesiser wants it; only espeak-ng has a choice of pitch."""
         if self.synthesizer == "espeak":
             return Voice(self.voice, "", rate_wpm, pitch)
         return replace(Voice(name=self.voice), rate_wpm=rate_wpm)
@@ -73,11 +73,11 @@ def write_voice(
     seed: int | None,
     progress: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Speak the texts into a corpus below `folder`; its own folder.
+    """Speak texts into a corpus below `folder`; return the corpus's own folder.
 
-    What is there already stays. seed: of the rate and pitch of each text, None for those that the
-    voice was made with. A text that the voice cannot speak is left out. Raises SynthesisError where
-    the synthesiser or the voice is not there, or tells no times.
+    What is there already stays. seed: draws rate and pitch of each text; None: those of the voice.
+    A text that the voice cannot speak is left out. Raises SynthesisError where synthesiser or voice
+    are missing, or report no times.
     """
     corpus = folder / voice.folder_name
     for part in ("audio", "labels"):
@@ -97,6 +97,10 @@ def write_voice(
 
 
 def _speak(synthesizer: Synthesizer, voice: Voice, text: str, corpus: Path, name: str) -> None:
+    """Write a text's sound and labels into a corpus; write nothing if the voice cannot speak it.
+
+    Raises SynthesisError for a voice that reports no times of phonemes.
+    """
     try:
         spoken = synthesizer.speak(text.lower(), voice)
     except UnspeakableTextError:

@@ -34,7 +34,7 @@ def calibration_error(confidence: Array, is_right: Array) -> float:
     confidence : Array
         (n,), largest posteriors, 0 to 1.
     is_right : Array
-        (n,), 1 where what it is of was said, else 0.
+        (n,), 1 where the phone or class of that posterior was spoken, else 0.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def reliability(posteriors: Array32, phones: NDArray[np.int64]) -> tuple[float, 
     posteriors : Array32
         (n, n_phonemes).
     phones : NDArray[np.int64]
-        (n,), numbers as in PHONEMES of what was said.
+        (n,), numbers in PHONEMES of the spoken phones.
 
     Returns
     -------

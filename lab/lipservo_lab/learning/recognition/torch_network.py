@@ -34,7 +34,7 @@ class _Residual(nn.Module):
         self.padding = 2 * dilation
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """(b, channels, n) to the same."""
+        """Add the block's output to its input, (b, channels, n)."""
         return x + torch.relu(self.norm(self.conv(nn.functional.pad(x, (self.padding, 0)))))
 
 
@@ -55,7 +55,7 @@ class TorchNetwork(nn.Module):
 
 
 def exported(network: nn.Module, scale: FeatureScale, plan: TrainingPlan) -> NetworkWeights:
-    """The weights for NumPy: batch norm folded into the convolutions."""
+    """Return a network's weights for NumPy, with batch norm folded into the convolutions."""
     assert isinstance(network, TorchNetwork)
     layers = [Layer(_kernel(network.entry.weight), _numpy(network.entry.bias), 1)]
     for block, dilation in zip(network.body, plan.dilations, strict=True):
@@ -82,10 +82,10 @@ def started_from(
 ) -> TorchNetwork:
     """Return a network with the outputs of `weights`, ready to go on learning.
 
-    Smaller ones have grown.
+    Weights of a smaller network are grown to the plan's size.
 
-    The weights hold no norms, these are folded into them; they are set here from what the layers
-    give on windows of the arrays, so that the first step finds the network as it was left.
+    The weights hold no batch norms, which are folded into them; here the norms are set from what
+    the layers give on windows of the arrays, so that the first step finds the network as it was.
 
     Parameters
     ----------
@@ -127,11 +127,12 @@ def started_from(
 
 
 def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
-    """The weights in the plan's shape: their channels and layers kept, new ones beside and behind.
+    """Return weights in the plan's shape: channels and layers kept, new ones added.
 
     No old weight reads a new channel, and new layers add next to nothing (Net2Net: Chen, Goodfellow
-    and Shlens, ICLR 2016, has the idea), so that the network's outputs stay and it has room. Raises
-    TrainingError for a plan that is narrower, shorter, or of other dilations or delays.
+    and Shlens, ICLR 2016, has the idea), so that the network's outputs stay and it has room to
+    learn. Raises TrainingError for a plan that is narrower, shorter, or of other dilations or
+    delays.
     """
     dilations = tuple(layer.dilation for layer in weights.residuals)
     channels, n_old = len(weights.entry.bias), len(dilations)
@@ -147,6 +148,11 @@ def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
     rng = np.random.default_rng(plan.seed)
 
     def widened(layer: Layer, n_in: int) -> Layer:
+        """Return a layer of `plan.channels` outputs that computes the old ones as before.
+
+        Old outputs ignore the new inputs; new outputs begin with random weights. n_in: inputs of
+        the new layer.
+        """
         old_in = len(layer.kernel) // 3
         kernel = np.zeros((3, n_in, plan.channels), np.float32)
         kernel[:, :old_in, :channels] = layer.kernel.reshape(3, old_in, channels)
@@ -175,12 +181,12 @@ def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
 
 
 def _kernel(weight: torch.Tensor) -> NDArray[np.float32]:
-    """(out, in, 3 taps) as (3 taps x in, out): a frame's past and present times one matrix."""
+    """Return a kernel (out, in, 3 taps) as (3 taps x in, out), for NumPy."""
     return _numpy(weight.permute(2, 1, 0).flatten(0, 1))
 
 
 def _torch_kernel(kernel: NDArray[np.float32]) -> torch.Tensor:
-    """(3 taps x in, out) as (out, in, 3 taps): the inverse of `_kernel`."""
+    """Return a kernel (3 taps x in, out) as (out, in, 3 taps): the inverse of `_kernel`."""
     taps = torch.from_numpy(kernel).unflatten(0, (3, -1))
     return taps.permute(2, 1, 0)
 

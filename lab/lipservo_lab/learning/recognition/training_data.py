@@ -78,7 +78,7 @@ def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) ->
 
 
 def feature_scale(recordings: Iterable[LabelledSamples]) -> FeatureScale:
-    """What is typical of these recordings."""
+    """Return the mean and scale of features over all recordings."""
     return FeatureScale.of(LogMelStream().push(each.samples) for each in recordings)
 
 
@@ -197,6 +197,11 @@ def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingA
 
 
 def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterable[LabelledSamples]:
+    """Return one augmented copy of the corpus, for training.
+
+    With a teacher, labels are no phonemes but numbers of the teacher's frames, from `len(PHONEMES)`
+    on.
+    """
     around = surroundings(clean, _FOUND)
     if _TAUGHT_ENDS:
         clean = [

@@ -87,12 +87,12 @@ class TrainingRun:
 
 
 def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
-    """Learn; a run that was interrupted goes on from what its folder holds.
+    """Train the network; an interrupted run goes on from what its folder holds.
 
-    What is held or left out is not even aligned. What validates keeps the aligner's labels. Raises
-    TrainingError where no speaker is left, for two utterances of one name, and for a folder with a
-    run that is not to go on; TrainingStoppedError after SIGTERM or Ctrl-C while it learns, its
-    state saved; TranscriptError for an utterance to be left out that is in none of the corpora.
+    Utterances that are held or left out are not even aligned. Validation uses the aligner's labels.
+    Raises TrainingError where no speaker is left, for two utterances of one name, and for a folder
+    whose run is not to go on; TrainingStoppedError after SIGTERM or Ctrl-C, with the state saved;
+    TranscriptError for an utterance to be left out that is in none of the corpora.
     """
     run.folder.mkdir(parents=True, exist_ok=True)
     plan = run.plan
@@ -244,14 +244,17 @@ def _aligned(
 
 
 def _is_spoken(aligned: AlignedUtterance) -> bool:
-    """Learners and children say other words than their text; labels of those would be wrong."""
+    """Return whether the text was spoken; labels of another text would be wrong.
+
+    Learners and children often say other words than their text.
+    """
     return not aligned.error and (aligned.score is None or aligned.score >= LEAST_SCORE)
 
 
 def _spoken(
     run: TrainingRun, utterances: Sequence[TranscribedUtterance], advance: Advance
 ) -> list[TranscribedUtterance]:
-    """What the synthetic voices say: each its own share of the texts that train."""
+    """Let each synthetic voice speak its share of the training texts; return the utterances."""
     texts = [
         utterance.text
         for utterance in utterances
@@ -279,9 +282,9 @@ def _conditions(
     scale: FeatureScale,
     delays: Sequence[int],
 ) -> dict[str, TrainingArray]:
-    """The validation utterances clean, in white noise at 10 dB, and 30 dB lower; none: nothing.
+    """Return validation arrays: clean, in white noise at 10 dB, and 30 dB quieter, by name.
 
-    And clean by corpus, which is the folder that the folder of the sound lies in.
+    Also clean for each corpus: the folder above the sound's folder. Empty without utterances.
     """
     if not validation:
         return {}

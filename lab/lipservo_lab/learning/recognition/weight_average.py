@@ -14,7 +14,10 @@ from lipsync.recognition.network import Layer, NetworkWeights
 
 
 def averaged(learned: NetworkWeights, start: NetworkWeights, start_share: float) -> NetworkWeights:
-    """`start_share` of `start` and the rest of `learned`, which began as `start`."""
+    """Return the mean of two networks, with share `start_share` of `start`.
+
+    learned: was trained from `start`, so both have one shape.
+    """
 
     def mean(one: Array32, other: Array32) -> Array32:
         share = np.float32(start_share)
