@@ -61,6 +61,11 @@ class Kiosk(Strict):
     @field_validator("url")
     @classmethod
     def _is_safe(cls, url: str) -> str:
+        """Return the URL without a trailing slash; ValueError if a token must not be sent to it.
+
+        Valid are https:// and, on this computer alone, http://, without user name, query or
+        fragment.
+        """
         try:
             split = urlsplit(url)
             port = split.port

@@ -348,6 +348,11 @@ def command(text: str) -> Command | None:
 
 
 def _parsed(text: str, known: Mapping[str, type[_Kind]]) -> _Kind | None:
+    """Parse a text as a message of one of the types in `known`, which is by name of the type.
+
+    None: a message of unknown type without an `id`, which is ignored. Raises MessageError for an
+    unknown type with an `id`, and for a malformed text.
+    """
     fields = _object(text)
     kind = known.get(str(fields["type"]))
     if kind is not None:
@@ -368,6 +373,7 @@ def id_of(text: str) -> int | float | str | None:
 
 
 def _object(text: str) -> dict[str, object]:
+    """Parse a text as a JSON object with a string `type`, or raise MessageError `bad_json`."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
@@ -378,6 +384,10 @@ def _object(text: str) -> dict[str, object]:
 
 
 def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
+    """Return a message of class `kind`, made of the fields of a JSON object.
+
+    Raises MessageError `bad_message`, which names the first field that is missing or invalid.
+    """
     try:
         return kind.model_validate(fields)
     except ValidationError as error:

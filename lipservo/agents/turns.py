@@ -402,6 +402,7 @@ class OpenStreams:
         return [*self._playing.values(), *self._waiting]
 
     def _check(self, owner: Outbox, start: Start) -> None:
+        """Raise MessageError if the stream that client `owner` requests by `start` is refused."""
         streams = self._all()
         if start.playback == "server" and self._playout.loudspeaker is None:
             silent = "the face has no loudspeaker: start it with --play"

@@ -440,6 +440,10 @@ def practise_over_wire(
 
 
 def _drawn_robot(setup: CalibrationSetup, seed: int, family: RobotFamily | None) -> SimulatedRobot:
+    """Return the simulated robot drawn by `seed`; print the joints whose motion had to be guessed.
+
+    family: as for `practice_robot`.
+    """
     rest_mm = setup.model.markers_mm(setup.model.rest[None])[0]
     robot = practice_robot(rest_mm, setup.servos, seed, family)
     guessed = guessed_joints(setup.servos, family)

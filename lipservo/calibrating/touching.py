@@ -122,6 +122,10 @@ def _plan(setup: CalibrationSetup, calibration: Calibration) -> PosePlan:
 def _taken(
     setup: CalibrationSetup, face: HeldFace, plan: PosePlan, tracker: Tracker | _Efforts
 ) -> list[CapturedPose]:
+    """Move the held face through the poses of a plan; return what the tracker measured at each.
+
+    The remaining poses are left out once a servo draws 90 % of its `max_current_ma`.
+    """
     with progress_bar(setup, "steps", len(plan)) as done:
         on = Robot(
             face.move,

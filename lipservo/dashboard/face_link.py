@@ -306,6 +306,10 @@ class FaceLink:
             pool.shutdown(wait=False, cancel_futures=True)
 
     async def _located(self) -> Path:
+        """Find the face's control socket, in a thread; store and return its path.
+
+        Raises NothingDrivenError, and FaceError `not_answering` if no face is found.
+        """
         loop = asyncio.get_running_loop()
         try:
             self.control_path = await loop.run_in_executor(self._finding, self._find)
@@ -414,6 +418,11 @@ class FaceLink:
         return self._reader is None or (self.moment.servos_gone and self.moment.speech_gone)
 
     def _take(self, answer: dict[str, Any] | str, board: LiveBoard | None) -> None:
+        """Store the newest status, or the reason why there is none, and a newly opened live board.
+
+        board: None: the present one stays. The history of frames is cleared if the new board has
+        another layout.
+        """
         if isinstance(answer, str):
             self.trouble = answer
         else:

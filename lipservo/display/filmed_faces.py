@@ -127,6 +127,10 @@ def photograph(
 
 
 def _display(request: FilmRequest) -> Display:
+    """Return what draws the requested face: the twin, the robot, both, or a photograph.
+
+    Raises UserError.
+    """
     face = load_face(request.model)
     if request.face == "twin":
         return PhotoDisplay(twin_face(face, request.size))
@@ -144,6 +148,7 @@ def _display(request: FilmRequest) -> Display:
 
 
 def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
+    """Return the request for the motion of the film's speech, completed by the face's YAML."""
     settings, folder = load_settings(request.config)
     # A robot is filmed as it would move.
     stage = 0.0 if request.face in ("robot", "beside") else ON_STAGE

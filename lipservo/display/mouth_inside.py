@@ -150,6 +150,12 @@ class MouthInside:
         shape: tuple[int, int],
         gaps: "_Opening",
     ) -> Pixels:
+        """Return teeth and tongue before darkness, shaded, as float32 (rows, columns, 3), 0 to 255.
+
+        turned: rotation and shift of the head. low: (column, row) of the view's corner in the
+        picture; shape: its rows and columns. gaps: the lips' opening in the view, which sets the
+        light.
+        """
         names = self._photo.twin.components
         amounts = dict(zip(names, np.asarray(frame.coefficients).tolist(), strict=True))
         jaw = np.zeros(3)

@@ -79,6 +79,7 @@ class MotionOptions:
     performed: str = ""
 
     def __post_init__(self) -> None:
+        """Raise WeightsError, PluginError or StyleError for a setting that cannot be used."""
         check_weights(self.weights)
         RECOGNIZERS.check(self.engine)
         if self.strategy not in STRATEGIES:
@@ -114,6 +115,7 @@ class MotionOptions:
         }
 
     def __str__(self) -> str:
+        """Return strategy, style and recogniser in one line, or how a performance was rendered."""
         if self.performed:
             return f"performance, rendered by {self.performed}"
         style = ", ".join(f"{name} {value:g}" for name, value in self.style_settings.items())

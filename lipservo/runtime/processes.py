@@ -320,6 +320,11 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
 
 
 def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> None:
+    """Print the end of a supervised face as JSON, or log it.
+
+    It is logged as an error unless all servos confirmed torque off. status: the last one of the
+    face, for the JSON.
+    """
     report = supervisor.report
     assert report is not None
     if request.as_json:

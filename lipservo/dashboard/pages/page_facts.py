@@ -97,6 +97,10 @@ def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
 
 
 def _found(name: str, settings: ServoSettings) -> RigServo:
+    """Return what a servo moves in the drawing, by its part, its name and its setting `positive`.
+
+    The channel is None if they name no known motion, or its direction is not clear.
+    """
     side_status = side_of(name)
     # What moves the middle is drawn on both sides.
     side: Side = "both" if side_status == "middle" else side_status

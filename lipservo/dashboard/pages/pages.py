@@ -81,6 +81,7 @@ def _add(
 
     @ui.page(path, dark=None, reconnect_timeout=_PATIENCE_S)
     async def page() -> None:
+        """Draw the page for one browser, with what is known of the face as the page is opened."""
         status = link.status
         config = None if status is None else status.get("config")
         if config is None and new_config is not None and new_config.exists():

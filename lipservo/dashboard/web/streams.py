@@ -70,6 +70,10 @@ class FrameHub:
             self.n_clients -= 1
 
     async def _send_all(self, socket: WebSocket) -> None:
+        """Send a client each newest frame until it disconnects; before the first, the layout.
+
+        The layout is sent again when it changes.
+        """
         sent_layout: BoardLayout | None = None
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:

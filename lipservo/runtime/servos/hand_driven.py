@@ -127,6 +127,11 @@ class KeyedJoint:
         return True
 
     def _go(self, place: float, bridge: Bridge, time_s: float) -> str:
+        """Order the joint to go to `place`; return why that was refused, "" if it was not.
+
+        place: in us for a hobby servo, in degrees for others. Beyond the limits of a hobby servo, a
+        person first has to agree by a key.
+        """
         if not (self._is_within(place) or self._may_go_beyond):
             self._may_confirm = True
             return f"press {AGREE_KEY} to go beyond its limits"

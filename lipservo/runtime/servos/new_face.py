@@ -377,6 +377,11 @@ def parts_of(
 
 
 def _by_bus(option: str, given: Sequence[str], known: Sequence[str] | None) -> dict[str, str]:
+    """Return the values of an option by bus, from texts NAME=VALUE.
+
+    known: the buses that may be named; None: any. Raises UserError for a malformed text, and for an
+    unknown or repeated name.
+    """
     found: dict[str, str] = {}
     for each in given:
         name, is_named, value = each.partition("=")

@@ -193,6 +193,11 @@ class MoverNews:
         reason: MoverReason = "told",
         shifted_s: float = 0.0,
     ) -> None:
+        """Append an event on a stream to the playout's events; do nothing if the stream is over.
+
+        name: what moves the mouth; reason: why. shifted_s: seconds by which units sound later than
+        sent.
+        """
         n_played = self._playout.n_played(stream)
         if n_played is None:  # it is over
             return
