@@ -155,8 +155,7 @@ class ControlSession:
     ) -> None:
         """Await the result of the command `given`; queue it for the client, or an error event.
 
-        An OSError becomes the error `not_answering`; other exceptions than MessageError are not
-        handled.
+        An OSError becomes the error `not_answering`.
         """
         try:
             result = await answered
@@ -198,8 +197,8 @@ class ControlSession:
     ) -> Mapping[str, object]:
         """Start the speech of a `say` or `play`; return its stream id, `duration_s` and `is_whole`.
 
-        speak: starts the speech under a stream id, called in a thread; None: the face cannot speak
-        so. name: the stream id begins with it. Unless `is_whole`, `duration_s` counts the part
+        speak: starts the speech under a stream id, called in a thread; None: not available, an
+        error. name: beginning of the stream id. Unless `is_whole`, `duration_s` counts the part
         synthesised so far. Raises MessageError.
         """
         if speak is None:

@@ -348,7 +348,7 @@ def command(text: str) -> Command | None:
 
 
 def _parsed(text: str, known: Mapping[str, type[_Kind]]) -> _Kind | None:
-    """Parse a text as a message of one of the types in `known`, which is by name of the type.
+    """Parse a text as a message of one of the types in `known`, by type name.
 
     None: a message of unknown type without an `id`, which is ignored. Raises MessageError for an
     unknown type with an `id`, and for a malformed text.

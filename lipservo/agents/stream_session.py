@@ -153,7 +153,7 @@ class StreamSession:
         self._open = None
 
     async def _take_audio(self, data: bytes) -> None:
-        """Append PCM bytes to the open stream, decoded.
+        """Decode PCM bytes and append the samples to the client's open stream.
 
         Other clients are served after each 0.5 s of sound. Without an open stream the bytes are
         dropped: silently after an `interrupt` or `clear`, else with a MessageError. Also raised if

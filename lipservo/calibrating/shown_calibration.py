@@ -92,8 +92,8 @@ def _closing_line(calibration: Calibration, lips: LearntLips) -> str:
 def _summary(calibration: Calibration) -> str:
     """Return a sentence on a calibration's errors, in mm or degrees, for a person.
 
-    How it was made decides which errors there are: `guided`, `jaw alone`, graded by poses that were
-    measured afterwards, `measured` without such a grade, or fitted otherwise.
+    The method decides which errors there are: `guided`, `jaw alone`, graded by poses that were
+    measured afterwards, `measured` without such a grade, or any other.
     """
     errors, origin = calibration.errors, calibration.origin
     if origin.method == "guided":

@@ -132,8 +132,8 @@ def _performed(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
 def _heard(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...]:
     """Return the frames of a sound file, with `rate_hz` pictures a second.
 
-    Phonemes are those of the request's script or text, else recognised. If the request names a
-    head, its expression over the line is added.
+    Phonemes are those of the request's script or text, else recognised. Head and eyes move, and the
+    line has an expression, if the request names a head.
     """
     labels = labels_of(path, request.script)
     spoken = SpokenSound(

@@ -150,7 +150,7 @@ class MouthInside:
         shape: tuple[int, int],
         gaps: "_Opening",
     ) -> Pixels:
-        """Return teeth and tongue before darkness, shaded, as float32 (rows, columns, 3), 0 to 255.
+        """Return teeth and tongue before darkness, shaded: float32 (rows, columns, 3), 255 full.
 
         turned: rotation and shift of the head. low: (column, row) of the view's corner in the
         picture; shape: its rows and columns. gaps: the lips' opening in the view, which sets the

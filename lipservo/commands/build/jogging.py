@@ -140,7 +140,10 @@ def _jog_on_page(settings: "FaceSettings", config: str, *, open_page: bool) -> N
 
 
 def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
-    """Move the joint `name` by keys of the terminal until `q` or a stop; then switch torque off."""
+    """Move the joint `name` by keys of the terminal until `q` or a stop; then switch torque off.
+
+    The keys 1, 2 and 3 write a hobby servo's limits into the face's YAML, `config`.
+    """
     from firmware_bridge.clock import MonotonicClock
     from lipservo.runtime.servos.hand_driven import KeyedJoint, drive_by_hand
     from lipservo.settings.found_limits import WARNING

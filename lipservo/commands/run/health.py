@@ -62,8 +62,7 @@ def health(
 
 
 def _print(name: str, history: History) -> None:
-    """Print a face's servos and what is getting worse; without readings, only bad files and lines.
-    """
+    """Print a face's servos and what is getting worse; without readings, only unreadable files."""
     for line in history.bad_files:
         MESSAGES.print(line)
     if history.n_bad_lines:

@@ -169,9 +169,8 @@ class StepProcess:
     def _why(self, status: int, *, signalled: bool) -> str | None:
         """Return in one line why the process failed; None if it ended well or on request.
 
-        A process that was killed for not ending on request has failed.
-
-        status: as `Popen.returncode`, negative for a signal. signalled: it was ended on request.
+        status: as `Popen.returncode`, negative for a signal. signalled: it was requested to end;
+        one that had to be killed for that has failed.
         """
         if self.was_killed:
             return (

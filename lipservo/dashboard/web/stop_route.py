@@ -107,7 +107,7 @@ class StopRoute:
     ) -> tuple[int, dict[str, Any]]:
         """Check a request to stop the face, send the stop, and return (HTTP status, JSON answer).
 
-        A mere stop from this computer needs no token; one that also ends the face does.
+        A stop from this computer needs no token, unless it also ends the face.
         """
         try:
             stop = refusal(request, policy, is_stop=True) or await _parsed(receive)

@@ -274,9 +274,9 @@ class HeldFace:
             raise RuntimeError("the face is held no more")
 
         def next_call() -> None:
-            """Run the calls that the job has queued, between two ticks; give it results and errors.
+            """Run the calls that the job has queued; return their results and errors to the job.
 
-            FaceStopped is raised here as well.
+            Called between two ticks. FaceStopped is raised here as well.
             """
             while True:
                 try:

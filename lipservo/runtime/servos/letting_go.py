@@ -302,7 +302,10 @@ def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
     real = {os.path.realpath(each) for each in ports_in(port)}
 
     def is_there(face: RunningFace) -> bool:
-        """Return whether a face holds the port or reports it. Blocks until the face answers."""
+        """Return whether a face has locked the port, or else names it in its status.
+
+        Blocks while the face is queried.
+        """
         if real & set(_ports_of(face)):
             return True
         try:
