@@ -400,9 +400,8 @@ def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
 def spoken_text_of(message: SpeechUnits, sample_rate_hz: int) -> SpokenText:
     """Convert a message to a `SpokenText`; phonemes and visemes become units of ARPAbet phones.
 
-    sample_rate_hz: of its stream.
-
-    Raises AlphabetError, and SpokenTextError, as for visemes without times.
+    sample_rate_hz: of the message's stream. Raises AlphabetError, and SpokenTextError, for example
+    for visemes without times.
     """
     if isinstance(message, Text):
         return SpokenText("text", (SpokenUnit(message.text, message.start_sample),), sample_rate_hz)

@@ -237,8 +237,7 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
 
 
 def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:
-    """Return the distance of the robot's outer eye corners, by option or YAML, or raise UserError.
-    """
+    """Return the distance of the robot's outer eye corners, by option or YAML; else UserError."""
     found = mesh.eye_distance_mm or setup.settings.eye_distance_mm
     if found is None:
         raise UserError(

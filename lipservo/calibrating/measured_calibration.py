@@ -406,9 +406,9 @@ def practise_in_memory(
     family: RobotFamily | None = None,
     save: Save = lambda _: None,
 ) -> CalibrationResult:
-    """Calibrate a simulated robot drawn by `seed`, in memory; `family` as `practice_robot`.
+    """Calibrate a simulated robot drawn by `seed`, without servos or a port.
 
-    save: as for `calibrate_on_servos`.
+    family: as for `practice_robot`; save: as for `calibrate_on_servos`.
     """
     robot = _drawn_robot(setup, seed, family)
     on = Robot(robot.move, robot.measure)

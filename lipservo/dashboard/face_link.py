@@ -86,12 +86,13 @@ class FaceLink:
         clock: Callable[[], float] = time.monotonic,
         let_go: Callable[[], NothingDrivenError] | None = None,
     ) -> None:
-        """Create the link; nothing is connected yet. find: returns the face's control socket.
+        """Create the link; nothing is connected yet.
 
-        It is called in a thread, and may raise UserError, ControlError. token: what the face's
-        agent server requires; None: the token is found if the face runs on this computer.
-        control_path: the control socket, if it is known. let_go: ends a face that takes no stop,
-        and says what its servos confirmed; None: only the face can let them go.
+        find: returns the face's control socket; called in a thread, may raise UserError,
+        ControlError. token: what the face's agent server requires; None: the token is found if the
+        face runs on this computer. control_path: the control socket, if it is known. let_go: ends a
+        face that accepts no stop, and returns what its servos confirmed; None: only the face can
+        let them go.
         """
         self._find = find
         self._let_go = let_go
@@ -208,7 +209,7 @@ class FaceLink:
 
         Parameters
         ----------
-        wait_s : seconds to wait until it is driven; 0: return once the start is accepted.
+        wait_s : seconds to wait until the face is driven; 0: return once the start is accepted.
 
         Returns
         -------

@@ -166,10 +166,11 @@ def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
 def _other(
     request: FilmRequest, chosen: ChosenMotion, first: FilmedMotion, stack: ExitStack
 ) -> FilmedMotion:
-    """Return the motion at the right, `request.beside`: a performance's, or by another strategy.
+    """Return the motion of the right face: of a performance, or by another strategy.
 
-    It is cut or held to the length of `first`, the motion at the left, and its sound file exists
-    until `stack` is closed. chosen: options of the motion. Raises UserError.
+    `request.beside` names performance or strategy. The motion is cut, or its last frame held, to
+    the length of `first`, the motion of the left face. Its sound file exists until `stack` is
+    closed. chosen: options of the motion. Raises UserError.
     """
     assert request.beside is not None
     if Path(request.beside).suffix == SUFFIX:

@@ -240,7 +240,8 @@ def _placed(
 ) -> Pixels:
     """Return a sprite's pixels in a view of `shape` whose corner is at `low` in the picture.
 
-    It is moved by `moved_px` and then turned with the head, by rotation and shift.
+    moved_px: (3,), by which the sprite is moved before it turns with the head. turned: rotation and
+    shift of the head.
     """
     import cv2
 

@@ -344,9 +344,9 @@ def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -
 
 
 def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
-    """Return (change, days it took) by the linear trend; None if within twice the scatter.
+    """Return (change, days from first to last) by the linear trend of a quantity by day.
 
-    Also None for too few days with a value.
+    None if the change is within twice the scatter, and for too few days with a value.
     """
     known = sorted((day.toordinal(), v) for day, v in values.items() if math.isfinite(v))
     if len(known) < _FEWEST_DAYS:

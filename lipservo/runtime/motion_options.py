@@ -210,10 +210,10 @@ def make_synthesizer(
 ) -> Synthesizer:
     """Return the synthesiser for the strategy in `options`, with its style applied.
 
-    It is the live one of this project, or the published method with one of its two selections of
-    AnimPhos (units of captured mouth motion). model_path: the model file that `face` was read from,
-    None for the shipped one; only the parts that the strategy needs are read. Raises ModelError,
-    also if the file has changed since `face` was read.
+    Strategies `expected` and `animpho` have a LiveSynthesizer, the others the published method with
+    one of its selections of AnimPhos (units of captured mouth motion). model_path: the file from
+    which `face` was read, None: the shipped one; only parts that the strategy needs are read.
+    Raises ModelError, also if the file has changed since `face` was read.
     """
     with open_model(model_path) as file:
         if read_face(file).checksum != face.checksum:

@@ -124,7 +124,8 @@ def _drive(
 ) -> None:
     """Switch torque on and tick until stopped; report `ready` once the servos have started.
 
-    Started: each is driven, or its fault is reported. observers: get each tick's report.
+    A servo has started when it is driven, or its fault is reported. observers: get each tick's
+    report.
     """
     driven.life.start()
     began = False

@@ -166,9 +166,9 @@ def spoken_file(
 ) -> Spoken:
     """Return speech for the queue that plays a sound file from `start_s` to its end.
 
-    playout: plays it later. name: of its stream; empty: the file's name. phonemes: a file of its
-    labels, phonemes or words. channel: the one that is heard; "": all are mixed. Raises SoundError,
-    LabelError.
+    playout: plays the speech later. name: of its stream; empty: the file's name. phonemes: a file
+    with the sound's phonemes or words and their times. channel: the one that moves the mouth; "":
+    all are mixed. Raises SoundError, LabelError.
     """
     checked = checked_sound(path, channel)
     log_once(checked.warning)
@@ -187,9 +187,9 @@ def spoken_file(
 def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TEXT) -> Spoken:
     """Return speech of a text for the queue; its first sentence is synthesised before returning.
 
-    playout: plays it later. speaker: the synthesiser and voice. name: of the streams, one for each
-    sentence. Raises SynthesisError, also for a text of more than
-    `LONGEST_TEXT` characters, and PluginError.
+    playout: plays the speech later. speaker: the synthesiser and voice. name: of the streams, one
+    for each sentence. Raises SynthesisError, also for a text of more than `LONGEST_TEXT`
+    characters, and PluginError.
     """
     from lipsync.text_to_speech.synthesis import Voice, checked_text
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
@@ -395,7 +395,7 @@ def _labels_from(
 
 @contextmanager
 def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSource]:
-    """Yield a request's sound, entered: a `Playout` for a face that speaks, else its source.
+    """Yield the audio source of a request, open: a `Playout` for a face that speaks.
 
     start_s: the sound time at which a file starts. Raises SoundError.
     """

@@ -119,7 +119,7 @@ def start(face: FaceName = None, control: Control = None, as_json: Json = False)
 def _come_back(face: RunningFace) -> dict[str, Any]:
     """Poll a started face until all servos hold that are not switched off, 20 s at most.
 
-    Returns {"state", "servos", "torque"} as of a status, or {"error": why} if they do not.
+    Returns {"state", "servos", "torque"} of the last status, or {"error": reason} if they do not.
     """
     give_up_s = time.monotonic() + _START_S
     while True:

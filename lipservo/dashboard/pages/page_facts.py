@@ -80,7 +80,7 @@ class RigServo:
 def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
     """Return what each servo moves in the drawing, by name.
 
-    A servo whose channel is used already by another has none, and is drawn as a dial.
+    A servo whose channel another servo moves already has no channel, and is drawn as a dial.
     """
     taken: dict[Channel, set[Side]] = {}
     rig = {}

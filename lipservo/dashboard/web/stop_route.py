@@ -166,7 +166,7 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
 
 
 async def _parsed(receive: Receive) -> StopBody | Refusal:
-    """Return the parsed body of a stop, a soft stop for an empty one, or why it is none."""
+    """Return the parsed body of a stop, a soft stop for an empty body, or a refusal."""
     body, is_whole = b"", False
     while not is_whole:  # the server drops who sends it too slowly
         message = await receive()

@@ -51,7 +51,7 @@ class FrameHub:
     async def serve(self, socket: WebSocket) -> None:
         """Send frames to one client until it disconnects or reads none for 5 s.
 
-        Beyond 64 clients it is refused.
+        While 64 clients are connected, a further client is refused.
         """
         if self.n_clients >= MOST_CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"{MOST_CLIENTS} clients are connected already")

@@ -95,7 +95,7 @@ class KeyedJoint:
         return f"{self.name} {self.place:.0f} us ({self.pulse.deg(self.place):.1f} deg)"
 
     def press(self, key: str, bridge: Bridge, time_s: float) -> str | None:
-        """Obey a pressed key (move, agree); return "" if done, why it was refused, None: other key.
+        """Carry out a pressed key; return "" if done, why if refused, None for an unknown key.
 
         bridge: gets the jog order. time_s: monotonic time of the present tick.
         """
