@@ -146,9 +146,9 @@ def _status_line(
 ) -> dict[str, Any]:
     """Return a servo's state, readings, hardware errors and remedy, as JSON values.
 
-    at_stop: the state that the servo confirmed to a person's stop; None: there was none. state: in
-    the face's status, replaced by that in `health`, the servo's readings. is_fresh: these are
-    current; if not, state and readings are unknown.
+    at_stop: the servo's state by its answer to a person's stop; None: no such stop. state: in the
+    face's status, replaced by that in `health`, the servo's readings. is_fresh: these are current;
+    if not, state and readings are unknown.
     """
     state = at_stop or str(health.get("state") or state) if is_fresh else "unknown"
     heard = health if is_fresh else {}

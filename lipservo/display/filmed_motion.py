@@ -176,7 +176,8 @@ def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Fra
 def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
     """Synthesise a text by the face's voice into `folder`; return the sound file and a TextGrid.
 
-    The TextGrid of its phonemes is None if the voice does not report them.
+    The language is American English. The TextGrid of the phonemes is None if the voice does not
+    report them.
     """
     speaker = speaker_of(load_settings(config)[0].sound, load_settings(config)[1])
     voice = Voice("en-us", speaker.voice)

@@ -210,8 +210,8 @@ def _float(value: object) -> float:
 def _summarize(day: date, column: _Column) -> ServoDay:
     """Return a servo's figures of one day; NaN for a quantity without readings.
 
-    Load, current, voltage and the median temperature are of readings with torque on; highest and
-    latest temperature, error bits and counts are of all.
+    The medians (load, current, temperature) are of readings with torque on; extremes, the latest
+    temperature, error bits and counts are of all.
     """
     values = {key: np.array(list_) for key, list_ in column.values.items()}
     on = values["torque_on"] > 0
