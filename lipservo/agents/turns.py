@@ -332,9 +332,9 @@ class OpenStreams:
     def take_events(self, now_s: float) -> None:
         """Send clients the playout's events since the last call; start streams that wait.
 
-        Streams are started if they belong to the client that speaks now; if none speaks, the first
-        stream that waits is started. now_s: monotonic. If the playout has been empty for 1 s, all
-        its streams count as over.
+        Only streams of the client that speaks are started; if none speaks, the client of the first
+        stream that waits is next. now_s: monotonic. If the playout has been empty for 1 s, all its
+        streams count as over.
         """
         events = self._playout.events
         while events:

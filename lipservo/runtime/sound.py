@@ -167,8 +167,8 @@ def spoken_file(
     """Return speech for the queue that plays a sound file from `start_s` to its end.
 
     playout: plays the speech later. name: of its stream; empty: the file's name. phonemes: a file
-    with the sound's phonemes or words and their times. channel: the one that moves the mouth; "":
-    all are mixed. Raises SoundError, LabelError.
+    with the sound's phonemes or words and their times. channel: the one that is played and moves
+    the mouth; "": a mix of all. Raises SoundError, LabelError.
     """
     checked = checked_sound(path, channel)
     log_once(checked.warning)

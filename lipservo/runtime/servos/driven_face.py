@@ -135,7 +135,7 @@ def driven_face(
 
 @contextmanager
 def guarded(settings: FaceSettings) -> Iterator[list[int]]:
-    """Start a guard at each port of a face, which switches torque off there once the face is dead.
+    """Start a guard at each port of a face, which lets the servos go once the face is dead.
 
     Yields the descriptors that each process of the face must hold.
     """

@@ -215,7 +215,7 @@ class SpokenPhonemes:
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Commit and recognise the sound due at sound time `until_s`; return its phoneme updates.
 
-        Committed sound is what will be played, whatever a client sends later.
+        Committed sound is written to the loudspeaker, to be heard later.
         """
         blocks = self._playout.commit(until_s)
         for words in self._playout.take_words():
