@@ -146,6 +146,10 @@ class SimulatedFace:
         return [row for row in rows if "tick" in row]
 
     def _wait_until_driven(self, token: Path) -> None:
+        """Wait until the face drives its servos, and read its token from the file `token`.
+
+        Raises RuntimeError if the process ends before it listens for voice agents.
+        """
         while not self.url:
             if self._is_over.wait(_POLL_S):
                 raise RuntimeError(f"the simulated face did not start: {self.messages.strip()}")
@@ -190,6 +194,7 @@ def shared_simulated_face(simulated_face_config: str) -> Iterator[SimulatedFace]
 
 @contextmanager
 def _started(config: str) -> Iterator[SimulatedFace]:
+    """Yield a running simulated face, with files in a temporary folder; end the face afterwards."""
     # Here, since pytest loads this module for every test of every project.
     from lipservo.runtime.servos.assembly import load_settings
     from lipservo.runtime.servos.sim_process import servo_port
@@ -216,6 +221,7 @@ def _started(config: str) -> Iterator[SimulatedFace]:
 
 @contextmanager
 def _daemon(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
+    """Yield the process `lipservo daemon` with these arguments; kill it when the block ends."""
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "lipservo", "daemon", *arguments],
         stdout=subprocess.DEVNULL,

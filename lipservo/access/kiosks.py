@@ -61,6 +61,11 @@ class Kiosk(Strict):
     @field_validator("url")
     @classmethod
     def _is_safe(cls, url: str) -> str:
+        """Return the URL without a trailing slash; ValueError if a token must not be sent to it.
+
+        Valid are https:// and, on this computer alone, http://, without user name, query or
+        fragment.
+        """
         try:
             split = urlsplit(url)
             port = split.port
@@ -92,11 +97,10 @@ class _Kiosks(Strict):
 
 
 def read_kiosks(path: Path) -> dict[str, Kiosk]:
-    """Return the faces that a YAML lists, by name; paths of their files are relative to it.
+    """Return the faces that a YAML lists, by name; paths of their files are relative to the YAML.
 
-    The file must end with the line `...`: one that was copied or pulled by half would name some of
-    the faces alone, and the others would not be stopped. Raises SettingsError, a line for each
-    error.
+    The file must end with the line `...`: a list that was copied only in part would name some of
+    the faces, and the others would not be stopped. Raises SettingsError, a line for each error.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -139,11 +143,11 @@ def ask_kiosks(
     request: KioskRequest,
     tell_waiting: Callable[[Sequence[str]], None] = lambda _names: None,
 ) -> Iterator[tuple[str, Answer | KioskError, float]]:
-    """Send a request to all faces at once; yield name, answer and its seconds as each answers.
+    """Send a request to all faces at once; yield (name, answer, seconds) as each answers.
 
-    A KioskError in place of an answer says why there is none. Faces that hang come last, when the
-    request's patience is over. tell_waiting: called once, with the names of those from whom nothing
-    has come after 3 s.
+    The seconds count from the call. A KioskError in place of an answer has the reason why there is
+    none. Faces that hang come last, when the request's `patience_s` is over. tell_waiting: called
+    once, with the names of the faces that have not answered after 3 s.
     """
     began_s = time.monotonic()
     answered: SimpleQueue[tuple[str, Answer | KioskError]] = SimpleQueue()

@@ -140,6 +140,11 @@ class AgentServer:
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _run(self) -> None:
+        """Run the server until it is stopped; log an exception that ends it.
+
+        Runs in thread `agents`. `_started` is set after a failure as well, so that `__enter__` does
+        not wait for its timeout.
+        """
         try:
             asyncio.run(self._serve())
         except Exception as error:
@@ -149,6 +154,11 @@ class AgentServer:
             self._listener.close()
 
     async def _serve(self) -> None:
+        """Serve WebSocket clients until `_stopping` is set, then close all connections.
+
+        Before the connections close, all speech is interrupted, and clients are sent how much of
+        their speech was played; this takes 0.3 s at most.
+        """
         self._loop = asyncio.get_running_loop()
         server = await serve(
             self._attend,
@@ -179,6 +189,11 @@ class AgentServer:
         await _close(server)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Return the HTTP answer to an opening request; None: the WebSocket connection is opened.
+
+        Called by the websockets library as `process_request`. A refused request gets its HTTP
+        error; a plain GET gets the server's status or the protocol's schema.
+        """
         try:
             refused = self._handshake(connection, request).refused
         except ValueError:
@@ -234,6 +249,11 @@ class AgentServer:
     async def _hear(
         self, connection: ServerConnection, session: StreamSession | ControlSession, outbox: Outbox
     ) -> None:
+        """Pass each message of a client to its session, until the client disconnects.
+
+        A session's exception is logged and sent to the client as the error `internal`; the
+        connection stays open. Messages beyond `messages_per_s` wait.
+        """
         rate = MessageRate(self._settings.messages_per_s)
         async for message in self._messages(connection):
             try:

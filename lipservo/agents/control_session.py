@@ -153,6 +153,10 @@ class ControlSession:
     async def _answer(
         self, given: Command, answered: Coroutine[None, None, Mapping[str, object] | None]
     ) -> None:
+        """Await the result of the command `given`; queue it for the client, or an error event.
+
+        An OSError becomes the error `not_answering`.
+        """
         try:
             result = await answered
         except MessageError as error:
@@ -163,6 +167,11 @@ class ControlSession:
             self._outbox.put({"type": "result", "id": given.id, "result": result})
 
     async def _result(self, given: Command) -> Mapping[str, object] | None:
+        """Carry out a command other than a stop; return its result.
+
+        Requests run in threads of the pool for their kind. Raises MessageError if the face refuses
+        the command, OSError if the face does not answer.
+        """
         commands = self._commands
         path = commands.control_path
         match given:
@@ -186,6 +195,12 @@ class ControlSession:
     async def _speak(
         self, given: Say | Play, speak: Callable[[str], Utterance] | None, name: str
     ) -> Mapping[str, object]:
+        """Start the speech of a `say` or `play`; return its stream id, `duration_s` and `is_whole`.
+
+        speak: starts the speech under a stream id, called in a thread; None: not available, an
+        error. name: beginning of the stream id. Unless `is_whole`, `duration_s` counts the part
+        synthesised so far. Raises MessageError.
+        """
         if speak is None:
             raise MessageError("not_available", f"this face has no {given.type}")
         own = self._streams.open_own(self._outbox, given.id, name)

@@ -173,6 +173,11 @@ def handshake(request: Request, settings: AgentSettings, n_connected: int) -> Ha
 
 
 def _refused(request: Request, settings: AgentSettings, n_connected: int) -> Refusal | None:
+    """Return the reason to refuse full access to a request; None: it has full access.
+
+    Full access is for WebSockets of /stream and /control, and for a plain GET of the health and
+    protocol paths. n_connected: clients at present.
+    """
     refused = refusal(request, settings.policy)
     if refused is not None:
         return refused

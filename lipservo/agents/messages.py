@@ -348,6 +348,11 @@ def command(text: str) -> Command | None:
 
 
 def _parsed(text: str, known: Mapping[str, type[_Kind]]) -> _Kind | None:
+    """Parse a text as a message of one of the types in `known`, by type name.
+
+    None: a message of unknown type without an `id`, which is ignored. Raises MessageError for an
+    unknown type with an `id`, and for a malformed text.
+    """
     fields = _object(text)
     kind = known.get(str(fields["type"]))
     if kind is not None:
@@ -368,6 +373,7 @@ def id_of(text: str) -> int | float | str | None:
 
 
 def _object(text: str) -> dict[str, object]:
+    """Parse a text as a JSON object with a string `type`, or raise MessageError `bad_json`."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
@@ -378,6 +384,10 @@ def _object(text: str) -> dict[str, object]:
 
 
 def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
+    """Return a message of class `kind`, made of the fields of a JSON object.
+
+    Raises MessageError `bad_message`, which names the first field that is missing or invalid.
+    """
     try:
         return kind.model_validate(fields)
     except ValidationError as error:
@@ -390,9 +400,8 @@ def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
 def spoken_text_of(message: SpeechUnits, sample_rate_hz: int) -> SpokenText:
     """Convert a message to a `SpokenText`; phonemes and visemes become units of ARPAbet phones.
 
-    sample_rate_hz: of its stream.
-
-    Raises AlphabetError, and SpokenTextError, as for visemes without times.
+    sample_rate_hz: of the message's stream. Raises AlphabetError, and SpokenTextError, for example
+    for visemes without times.
     """
     if isinstance(message, Text):
         return SpokenText("text", (SpokenUnit(message.text, message.start_sample),), sample_rate_hz)

@@ -92,6 +92,7 @@ class StreamSession:
         self._streams.leave(self._outbox)
 
     async def _do(self, parsed: StreamMessage) -> None:
+        """Carry out a parsed message of the client, by its type. Raises MessageError."""
         match parsed:
             case Hello():
                 self._greet(parsed)
@@ -127,6 +128,11 @@ class StreamSession:
         self._outbox.put({"type": "hello", "protocol": PROTOCOL, **times})
 
     def _begin(self, start: Start) -> None:
+        """Open the stream that a `start` message requests, and send the client `ready`.
+
+        Raises MessageError if the client's previous stream has not ended, or if the stream is
+        refused.
+        """
         if self._open is not None and not self._open.speech.ended:
             open_id = self._open.stream_id
             raise MessageError("stream_open", f"stream {open_id!r} has not ended; send `end` first")
@@ -147,6 +153,12 @@ class StreamSession:
         self._open = None
 
     async def _take_audio(self, data: bytes) -> None:
+        """Decode PCM bytes and append the samples to the client's open stream.
+
+        Other clients are served after each 0.5 s of sound. Without an open stream the bytes are
+        dropped: silently after an `interrupt` or `clear`, else with a MessageError. Also raised if
+        more than 5 minutes of speech would wait.
+        """
         stream = self._open
         if stream is None:
             if self._ignores_rest:
@@ -162,6 +174,11 @@ class StreamSession:
             await asyncio.sleep(0.0)
 
     def _end(self) -> None:
+        """Mark the client's open stream as complete; speech that it still contains is played.
+
+        Raises MessageError if no stream is open, unless it was cut off, and if the audio ended
+        within a sample; then the stream is complete all the same.
+        """
         stream = self._open
         if stream is None:
             if self._ignores_rest:
@@ -198,6 +215,11 @@ class StreamSession:
     async def _apply_units(
         self, units: SpeechUnits, stream: AgentStream, before: asyncio.Task[None] | None
     ) -> None:
+        """Wait for the task `before`, then give a stream its text, words, phonemes or visemes.
+
+        Pronunciations are looked up in a thread. Raises nothing: the client is sent errors as
+        events.
+        """
         if before is not None:
             await asyncio.wait([before])
         try:
@@ -229,6 +251,10 @@ class StreamSession:
         return stream
 
     def _hear_position(self, parsed: Position) -> None:
+        """Record how much of a stream the client has played; without `played_s` send positions.
+
+        Raises MessageError for a stream that the face itself plays.
+        """
         if parsed.played_s is None:
             self._streams.tell_positions(self._outbox)
             return

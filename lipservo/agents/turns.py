@@ -215,8 +215,8 @@ class OpenStreams:
     def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
         """Create the stream that a client's `start` message requests, and return it.
 
-        owner: the client's outbox. The stream is spoken at once, or waits until others were. Raises
-        MessageError if it is refused.
+        owner: the client's outbox. now_s: monotonic. The stream is spoken at once, or waits for the
+        streams of other clients. Raises MessageError if the stream is refused.
         """
         try:
             self._check(owner, start)
@@ -332,8 +332,9 @@ class OpenStreams:
     def take_events(self, now_s: float) -> None:
         """Send clients the playout's events since the last call; start streams that wait.
 
-        Only streams of the client that speaks are started; of the next one if nothing is spoken.
-        now_s: monotonic. If the playout has been empty for 1 s, all its streams count as over.
+        Only streams of the client that speaks are started; if none speaks, the client of the first
+        stream that waits is next. now_s: monotonic. If the playout has been empty for 1 s, all its
+        streams count as over.
         """
         events = self._playout.events
         while events:
@@ -402,6 +403,7 @@ class OpenStreams:
         return [*self._playing.values(), *self._waiting]
 
     def _check(self, owner: Outbox, start: Start) -> None:
+        """Raise MessageError if the stream that client `owner` requests by `start` is refused."""
         streams = self._all()
         if start.playback == "server" and self._playout.loudspeaker is None:
             silent = "the face has no loudspeaker: start it with --play"

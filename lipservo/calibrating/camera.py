@@ -75,6 +75,7 @@ class AvCamera:
         return float(self._stream.average_rate or self._mode.rate_hz)
 
     def __enter__(self) -> "AvCamera":
+        """Open the camera in the first picture format that works, or raise CameraError."""
         import av
 
         reason = ""
@@ -193,6 +194,11 @@ class CameraFeed:
             self.camera.__exit__(*exc)
 
     def _read(self) -> None:
+        """Store the camera's pictures until the block ends or the camera fails.
+
+        Runs in thread `camera`. The failure, or the end of a file, is stored for `take_frames` to
+        raise.
+        """
         try:
             for frame in self.camera.frames():
                 if self._stopping.is_set():

@@ -182,6 +182,12 @@ def dots_folder(folder: Path) -> DotsFolder:
 
 
 def _pictures(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTracker:
+    """Return a function that makes a tracker of the pictures in `folder`, one picture a pose.
+
+    names: of the servos. read: returns the readings of a pose; runs in a thread, while the held
+    servos get goals.
+    """
+
     def tracker(face: HeldFace) -> Tracker:
         # Looking at a picture takes longer than servos may be without a word.
         return FileTracker(
@@ -199,6 +205,7 @@ def _warned_once(read: ReadPose) -> ReadPose:
     seen: Counter[str] = Counter()
 
     def readings(pose: int) -> list[Reading]:
+        """Return the readings of a pose; [] for a faulty picture."""
         try:
             return read(pose)
         except CalibrationError as error:
@@ -230,6 +237,7 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
 
 
 def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:
+    """Return the distance of the robot's outer eye corners, by option or YAML; else UserError."""
     found = mesh.eye_distance_mm or setup.settings.eye_distance_mm
     if found is None:
         raise UserError(

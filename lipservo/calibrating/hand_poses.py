@@ -213,6 +213,11 @@ def with_hand_made(
 def _with_trims(
     fresh: Calibration, before: Calibration, order: list[int]
 ) -> tuple[Calibration, list[str]]:
+    """Return `fresh` with the trims of `before`, and lines for a person on those kept and dropped.
+
+    Trims of a viseme class are dropped if one of them exceeds the whole range of its joint. order:
+    for each servo of `fresh` its index in `before`.
+    """
     span_deg = fresh.max_deg - fresh.min_deg
     trims: dict[str, Array] = {}
     lost: list[str] = []

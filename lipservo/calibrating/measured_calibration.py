@@ -68,8 +68,8 @@ class CalibrationResult:
     ) -> "CalibrationResult":
         """Return the result with a grade, measured on the robot `on` in ten poses of speech.
 
-        Unchanged if `fit` is None. setup: the face's servos, and the file of captured poses, in
-        which those to grade by come after `n_captured` others.
+        Unchanged if `fit` is None. setup: the face's servos, and `keep`, the file of captured
+        poses: poses to grade by follow in it after `n_captured` others.
         """
         if self.fit is None:
             return self
@@ -205,9 +205,10 @@ def typed_lags(
 def _measured_following(
     setup: CalibrationSetup, face: HeldFace, calibration: Calibration
 ) -> Following:
-    """Return how the servos follow; as before for those without an encoder.
+    """Return how the servos follow their goals: lags, top speeds and bandwidths, measured now.
 
-    A line names these, and how to type their lags.
+    Backlash stays, and all figures of servos without an encoder; a printed line names these servos,
+    and the command to type their lags.
     """
     joints = setup.servos.joints
     measured = np.flatnonzero(face.has_place)
@@ -406,9 +407,9 @@ def practise_in_memory(
     family: RobotFamily | None = None,
     save: Save = lambda _: None,
 ) -> CalibrationResult:
-    """Calibrate a simulated robot drawn by `seed`, in memory; `family` as `practice_robot`.
+    """Calibrate a simulated robot drawn by `seed`, without servos or a port.
 
-    save: as for `calibrate_on_servos`.
+    family: as for `practice_robot`; save: as for `calibrate_on_servos`.
     """
     robot = _drawn_robot(setup, seed, family)
     on = Robot(robot.move, robot.measure)
@@ -440,6 +441,10 @@ def practise_over_wire(
 
 
 def _drawn_robot(setup: CalibrationSetup, seed: int, family: RobotFamily | None) -> SimulatedRobot:
+    """Return the simulated robot drawn by `seed`; print the joints whose motion had to be guessed.
+
+    family: as for `practice_robot`.
+    """
     rest_mm = setup.model.markers_mm(setup.model.rest[None])[0]
     robot = practice_robot(rest_mm, setup.servos, seed, family)
     guessed = guessed_joints(setup.servos, family)

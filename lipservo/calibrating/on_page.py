@@ -119,6 +119,11 @@ class PageFront:
         return session
 
     def _tell(self, session: GuidedSession) -> None:
+        """Send the page the present pose.
+
+        That is its name, instruction, wanted mouth and servo goals in degrees, and which poses are
+        made. The robot's own mouth is sent only if it is simulated, else None.
+        """
         pose, goals_deg = session.poses[session.pose], session.positions_deg
         made_mm = None if self._seen_of is None else self._seen_of(goals_deg[None])[0]
         self._page.tell(

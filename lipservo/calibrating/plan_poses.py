@@ -68,7 +68,9 @@ def stand_in_poses(
     arrived: Callable[[int, Array], object],
     wait: Callable[[], object],
 ) -> None:
-    """Move the servos to each pose of a plan, from the side it names, and wait; then torque off.
+    """Move the servos to each pose of a plan, and wait there; switch torque off at the end.
+
+    Each joint comes from the side that the plan names, because of backlash.
 
     Parameters
     ----------

@@ -69,6 +69,10 @@ def report_lines(
 
 
 def _closing_line(calibration: Calibration, lips: LearntLips) -> str:
+    """Return a line on how lip contact was found: dots that passed, a stop in mm, or not at all.
+
+    lips: of the calibration, as learnt from its measurement.
+    """
     closing, closure = calibration.closing, calibration.closure
     pressed = "" if closure is None else f"; closures go {closure.press_mm:.1f} mm past it"
     if closing is not None and not closing.closes:
@@ -86,6 +90,11 @@ def _closing_line(calibration: Calibration, lips: LearntLips) -> str:
 
 
 def _summary(calibration: Calibration) -> str:
+    """Return a sentence on a calibration's errors, in mm or degrees, for a person.
+
+    The method decides which errors there are: `guided`, `jaw alone`, graded by poses that were
+    measured afterwards, `measured` without such a grade, or any other.
+    """
     errors, origin = calibration.errors, calibration.origin
     if origin.method == "guided":
         off_deg, servo = max(zip(errors.joint_rms_deg, calibration.servo_names, strict=True))
@@ -318,6 +327,7 @@ def servo_table(calibration: Calibration) -> Table:
 
 
 def _table(head: str, titles: Iterable[str], rows: Mapping[str, Sequence[str]]) -> Table:
+    """Return a table of `rows`, cells by row name; `head` titles the column of names."""
     table = Table(box=None, pad_edge=False)
     table.add_column(head, no_wrap=True)
     for title in titles:

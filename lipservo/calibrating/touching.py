@@ -47,10 +47,10 @@ def touch_by_markers(
     calibration: Calibration,
     make_tracker: Callable[[HeldFace], Tracker],
 ) -> tuple[Calibration, float]:
-    """Close the lips in steps, and set by markers where the calibration has them meet.
+    """Close the lips in steps; correct by markers the contact of the lips in the calibration.
 
-    Returns the new calibration, and how many mm later its lips meet than before. make_tracker:
-    makes the source of markers from held servos. Raises CalibrationError.
+    make_tracker: makes the source of markers from held servos. Returns the new calibration, and how
+    many mm later its lips meet than before. Raises CalibrationError.
     """
     plan = _plan(setup, calibration)
     with held_servos(setup) as face:
@@ -66,7 +66,7 @@ def touch_by_markers(
 def touch_by_current(
     setup: CalibrationSetup, calibration: Calibration
 ) -> tuple[Calibration, float]:
-    """Close the lips in steps, and set by motor current where the calibration has them meet.
+    """Close the lips in steps; correct by motor current the contact of the lips in the calibration.
 
     Returns the new calibration, and how many mm later its lips meet than before. Raises
     CalibrationError for servos that measure no current, or if one reaches its `max_current_ma`.
@@ -83,10 +83,11 @@ def touch_by_current(
 def touch_by_eye(
     setup: CalibrationSetup, calibration: Calibration, read_key: Callable[[], str]
 ) -> tuple[Calibration, float]:
-    """Close the lips step by step until a person presses Enter, and set where they touched.
+    """Close the lips until a person sees them meet; correct the contact in the calibration.
 
-    Any other key goes on by a step; `q` gives up. Returns the new calibration, and how many mm
-    later its lips meet than before. Raises CalibrationError where lips touched nowhere.
+    Enter: the lips just meet; `q`: give up; any other key: close by a step. Returns the new
+    calibration, and how many mm later its lips meet than before. Raises CalibrationError unless the
+    lips met in every shape.
     """
     plan = _plan(setup, calibration)
     of, touching_rows = ladders_of(plan), []
@@ -122,6 +123,10 @@ def _plan(setup: CalibrationSetup, calibration: Calibration) -> PosePlan:
 def _taken(
     setup: CalibrationSetup, face: HeldFace, plan: PosePlan, tracker: Tracker | _Efforts
 ) -> list[CapturedPose]:
+    """Move the held face through the poses of a plan; return what the tracker measured at each.
+
+    The remaining poses are left out once a servo draws 90 % of its `max_current_ma`.
+    """
     with progress_bar(setup, "steps", len(plan)) as done:
         on = Robot(
             face.move,

@@ -71,8 +71,8 @@ def within_speeds(
 def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
     """Return random speech: walks without pauses through AnimPhos that may follow each other.
 
-    AnimPhos are recorded shapes of phonemes. Each walk has eight, as some lead round in a circle,
-    and the lag of a motion that repeats itself cannot be measured.
+    AnimPhos are recorded shapes of phonemes. A walk ends after eight: some successions of AnimPhos
+    form a circle, and the lag of a motion that repeats itself cannot be measured.
 
     Parameters
     ----------
@@ -116,6 +116,11 @@ def _beyond(goals_deg: Array, speeds_deg_s: Array) -> Array:
 def _strength(
     model: FaceWithAnimPhos, calibration: Calibration, faces: Array, speeds_deg_s: Array
 ) -> float | None:
+    """Return the largest motion strength at which 99 % of frames keep within the joints' speeds.
+
+    faces: (n, n_components) at 100 Hz; speeds_deg_s: (n_servos,), the limits. Strengths from 1 down
+    to 0.4 are tried; None: not even the least of them keeps within. Backlash is left out.
+    """
     for strength in _STRENGTHS.tolist():
         goals_deg = calibration.poses_deg(model.rest + strength * (faces - model.rest))
         if _beyond(goals_deg, speeds_deg_s).any(axis=1).mean() <= _WITHIN_SHARE:
@@ -130,6 +135,12 @@ def _reached_share(
     goals_deg: Array,
     speeds_deg_s: Array,
 ) -> float | None:
+    """Return the share of reachable closures still reached at limited joint speeds, 0 to 1.
+
+    faces: (n, n_components) at 100 Hz; goals_deg: (n, n_servos), their joint angles; speeds_deg_s:
+    (n_servos,), the limits. A closure is reached if the lips come within 0.1 mm. None: the lip
+    contact is not known, or no closure is reachable.
+    """
     if calibration.closure is None:
         return None
     closes = model.lip_gaps_mm(model.markers_mm(faces)) <= CLOSED_GAP_MM

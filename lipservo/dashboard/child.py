@@ -97,6 +97,11 @@ def dashboard_child(
     over = threading.Event()
 
     def look_after() -> None:
+        """Start the dashboard's process, and again whenever it ends. Runs in thread `dashboard`.
+
+        A start waits for the face's control socket. Pauses between starts grow from 5 s to 60 s,
+        and are 5 s again after a process that ran for a minute.
+        """
         opens = ["--open"] if open_page else []
         wait_s = _RESTART_S
         while not over.wait(_LOOK_S):

@@ -38,7 +38,7 @@ def set_pulse_limit(
 ) -> dict[str, Any]:
     """Write one pulse limit (us) of a hobby servo into the face's YAML.
 
-    Returns the servo's name, all its limits, and a note on when they count.
+    Returns the servo's name, all its limits, and a note on when they count. Raises FaceError.
     """
     path = own_yaml(config)
     with face_errors():
@@ -74,8 +74,8 @@ def with_settings(path: Path, values: Mapping[str, float]) -> EditedYaml:
 def sound_choices(config: str | None) -> dict[str, Any]:
     """Return the devices, synthesisers, languages and voices to choose from, and those chosen.
 
-    inputs, outputs: names of devices, none without a sound system. languages, voices: of the
-    chosen synthesiser.
+    inputs, outputs: names of devices, none without a sound system. languages, voices: of the chosen
+    synthesiser. Raises FaceError if `config` is None.
     """
     from lipservo.runtime.servos.assembly import load_settings
     from lipsync.audio.devices import sound_devices

@@ -86,12 +86,13 @@ class FaceLink:
         clock: Callable[[], float] = time.monotonic,
         let_go: Callable[[], NothingDrivenError] | None = None,
     ) -> None:
-        """Create the link; nothing is connected yet. find: returns the face's control socket.
+        """Create the link; nothing is connected yet.
 
-        It is called in a thread, and may raise UserError, ControlError. token: what the face's
-        agent server requires; None: the token is found if the face runs on this computer.
-        control_path: the control socket, if it is known. let_go: ends a face that takes no stop,
-        and says what its servos confirmed; None: only the face can let them go.
+        find: returns the face's control socket; called in a thread, may raise UserError,
+        ControlError. token: what the face's agent server requires; None: the token is found if the
+        face runs on this computer. control_path: the control socket, if it is known. let_go: ends a
+        face that accepts no stop, and returns what its servos confirmed; None: only the face can
+        let them go.
         """
         self._find = find
         self._let_go = let_go
@@ -208,7 +209,7 @@ class FaceLink:
 
         Parameters
         ----------
-        wait_s : seconds to wait until it is driven; 0: return once the start is accepted.
+        wait_s : seconds to wait until the face is driven; 0: return once the start is accepted.
 
         Returns
         -------
@@ -306,6 +307,10 @@ class FaceLink:
             pool.shutdown(wait=False, cancel_futures=True)
 
     async def _located(self) -> Path:
+        """Find the face's control socket, in a thread; store and return its path.
+
+        Raises NothingDrivenError, and FaceError `not_answering` if no face is found.
+        """
         loop = asyncio.get_running_loop()
         try:
             self.control_path = await loop.run_in_executor(self._finding, self._find)
@@ -414,6 +419,11 @@ class FaceLink:
         return self._reader is None or (self.moment.servos_gone and self.moment.speech_gone)
 
     def _take(self, answer: dict[str, Any] | str, board: LiveBoard | None) -> None:
+        """Store the newest status, or the reason why there is none, and a newly opened live board.
+
+        board: None: the present one stays. The history of frames is cleared if the new board has
+        another layout.
+        """
         if isinstance(answer, str):
             self.trouble = answer
         else:

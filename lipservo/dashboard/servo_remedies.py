@@ -144,6 +144,12 @@ _FIGURES: Final = (
 def _status_line(
     name: str, at_stop: str | None, state: str, health: Mapping[str, Any], is_fresh: bool
 ) -> dict[str, Any]:
+    """Return a servo's state, readings, hardware errors and remedy, as JSON values.
+
+    at_stop: the servo's state by its answer to a person's stop; None: no such stop. state: in the
+    face's status, replaced by that in `health`, the servo's readings. is_fresh: these are current;
+    if not, state and readings are unknown.
+    """
     state = at_stop or str(health.get("state") or state) if is_fresh else "unknown"
     heard = health if is_fresh else {}
     bits = heard.get("hardware_errors")

@@ -173,6 +173,11 @@ class Uploads:
     async def _store(
         self, place: Path, chunks: AsyncIterator[bytes], *, replace: bool
     ) -> dict[str, Any]:
+        """Write an upload to a temporary file, and give it its name `place` once whole and checked.
+
+        The disk is used in threads. The temporary file is always removed. Raises FaceError,
+        OSError, and TimeoutError for a client that stalls for 10 s or needs more than 5 minutes.
+        """
         in_thread = partial(asyncio.get_running_loop().run_in_executor, self._writing)
         coming = await in_thread(partial(_ComingFile, place, replace=replace))
         n_bytes = 0

@@ -48,7 +48,7 @@ class Display(Protocol):
 
 
 def named_file(speech: str) -> Path | None:
-    """Return the file that is named as what is said; None: it is a text."""
+    """Return the path if `speech` is the name of a file; None: a text to speak."""
     return Path(speech) if Path(speech).suffix and " " not in speech else None
 
 

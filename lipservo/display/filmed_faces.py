@@ -127,6 +127,10 @@ def photograph(
 
 
 def _display(request: FilmRequest) -> Display:
+    """Return what draws the requested face: the twin, the robot, both, or a photograph.
+
+    Raises UserError.
+    """
     face = load_face(request.model)
     if request.face == "twin":
         return PhotoDisplay(twin_face(face, request.size))
@@ -144,6 +148,7 @@ def _display(request: FilmRequest) -> Display:
 
 
 def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
+    """Return the request for the motion of the film's speech, completed by the face's YAML."""
     settings, folder = load_settings(request.config)
     # A robot is filmed as it would move.
     stage = 0.0 if request.face in ("robot", "beside") else ON_STAGE
@@ -161,10 +166,11 @@ def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
 def _other(
     request: FilmRequest, chosen: ChosenMotion, first: FilmedMotion, stack: ExitStack
 ) -> FilmedMotion:
-    """Return the motion at the right, `request.beside`: a performance's, or by another strategy.
+    """Return the motion of the right face: of a performance, or by another strategy.
 
-    It is cut or held to the length of `first`, the motion at the left, and its sound file exists
-    until `stack` is closed. chosen: options of the motion. Raises UserError.
+    `request.beside` names performance or strategy. The motion is cut, or its last frame held, to
+    the length of `first`, the motion of the left face. Its sound file exists until `stack` is
+    closed. chosen: options of the motion. Raises UserError.
     """
     assert request.beside is not None
     if Path(request.beside).suffix == SUFFIX:

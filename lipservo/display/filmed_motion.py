@@ -119,6 +119,7 @@ def _times_s(duration_s: float, rate_hz: int) -> Array:
 
 
 def _performed(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
+    """Return the frames of a performance, interpolated to `rate_hz` pictures a second."""
     times_s = _times_s(performance.duration_s, rate_hz)
     known_s = np.arange(len(performance.coefficients)) / RATE_HZ
     columns = [np.interp(times_s, known_s, column) for column in performance.coefficients.T]
@@ -129,6 +130,11 @@ def _performed(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
 
 
 def _heard(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...]:
+    """Return the frames of a sound file, with `rate_hz` pictures a second.
+
+    Phonemes are those of the request's script or text, else recognised. Head and eyes move, and the
+    line has an expression, if the request names a head.
+    """
     labels = labels_of(path, request.script)
     spoken = SpokenSound(
         path, labels, request.motion, request.config, request.model, request.text, request.channel
@@ -149,6 +155,11 @@ def _heard(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...
 
 
 def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Frame, ...]:
+    """Return a frame for each time, with its face and expression.
+
+    times_s: (n,) seconds of sound time; faces: (n, n_components); tracks: (n,) by name, of which
+    only fields of `Expression` are used.
+    """
     known = {each.name for each in fields(Expression)} & set(tracks)
     return tuple(
         Frame(
@@ -165,7 +176,8 @@ def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Fra
 def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
     """Synthesise a text by the face's voice into `folder`; return the sound file and a TextGrid.
 
-    The TextGrid of its phonemes is None if the voice does not report them.
+    The language is American English. The TextGrid of the phonemes is None if the voice does not
+    report them.
     """
     speaker = speaker_of(load_settings(config)[0].sound, load_settings(config)[1])
     voice = Voice("en-us", speaker.voice)

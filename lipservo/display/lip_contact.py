@@ -75,7 +75,7 @@ class LipContact:
         skin_px : Array
             (n, 3) pixels and depth, changed.
         frame : Frame
-            Its coefficients give the wanted gaps.
+            Frame whose coefficients give the wanted gaps.
 
         Returns
         -------

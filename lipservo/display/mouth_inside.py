@@ -150,6 +150,12 @@ class MouthInside:
         shape: tuple[int, int],
         gaps: "_Opening",
     ) -> Pixels:
+        """Return teeth and tongue before darkness, shaded: float32 (rows, columns, 3), 255 full.
+
+        turned: rotation and shift of the head. low: (column, row) of the view's corner in the
+        picture; shape: its rows and columns. gaps: the lips' opening in the view, which sets the
+        light.
+        """
         names = self._photo.twin.components
         amounts = dict(zip(names, np.asarray(frame.coefficients).tolist(), strict=True))
         jaw = np.zeros(3)
@@ -234,7 +240,8 @@ def _placed(
 ) -> Pixels:
     """Return a sprite's pixels in a view of `shape` whose corner is at `low` in the picture.
 
-    It is moved by `moved_px` and then turned with the head, by rotation and shift.
+    moved_px: (3,), by which the sprite is moved before it turns with the head. turned: rotation and
+    shift of the head.
     """
     import cv2
 

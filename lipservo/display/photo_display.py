@@ -144,6 +144,11 @@ class PhotoDisplay:
     def _draw(
         maps: NDArray[np.float32], moved_px: Array, rest_px: Array, triangles: Indices
     ) -> None:
+        """Write into `maps` where the pixels of moved triangles come from in the photograph.
+
+        maps: (2, rows, columns), x and y in pixels, changed in place. moved_px, rest_px: (n, 2)
+        vertices in pixels of the maps and of the photograph. triangles: (m, 3) indices of vertices.
+        """
         corners = moved_px[triangles]
         found = covered(corners, *maps.shape[1:])
         flat = found.rows * maps.shape[2] + found.columns

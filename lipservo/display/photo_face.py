@@ -149,7 +149,7 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
         By number in the 478-point face mesh (2,) or (3,), x right, y down, z away from the viewer;
         all of a tracker, or those of `HAND_POINTS` at the least.
     face : FaceModel
-        The model that will move it.
+        The model that will move the head.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
     PhotoError
         The photograph cannot be used.
     TwinError
-        No head can wear the model.
+        The model's points are not numbered as in the 478-point face mesh.
     """
     missing = [name for name, number in HAND_POINTS.items() if number not in landmarks_px]
     if missing:
@@ -258,10 +258,11 @@ def lip_gaps(face: FaceModel) -> LipGaps:
 
 
 def _own_coefficients(face: FaceModel, gaps: LipGaps, worn: MeanFace) -> Array:
-    """Return the coefficients of the mouth in a photograph: rest if its lips are closed.
+    """Return the coefficients of the mouth in a photograph, (n_components,).
 
-    worn: the head fitted to it. Otherwise, of all mouths with its lip gaps, the likeliest by the
-    model's covariance; proportions that differ from the speaker's are not counted as motion.
+    The rest if the lips are closed; else, of all mouths with these lip gaps, the likeliest by the
+    model's covariance. Proportions that differ from the speaker's are not counted as motion. worn:
+    the head fitted to the photograph.
     """
     upper, lower = (list(each) for each in zip(*_LIP_PAIRS, strict=True))
     own_mm = worn.vertices_mm[upper, 1] - worn.vertices_mm[lower, 1]

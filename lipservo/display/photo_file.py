@@ -41,7 +41,8 @@ Landmarks = Mapping[int, Array]
 def read_photo(path: Path) -> tuple[Picture, float]:
     """Return a photograph, upright, RGB, at most 1920 px long, and its scale.
 
-    The scale is its width by that in the file. Raises PhotoError, MissingExtraError.
+    The scale is the width returned by the upright width in the file. Raises PhotoError,
+    MissingExtraError.
     """
     if not os.path.isfile(path):  # of a name that is too long Path raises
         raise PhotoError(f"{str(path)[:200]!r}: no such file")

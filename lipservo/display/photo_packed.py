@@ -73,6 +73,10 @@ def pack_photo(photo: PhotoFace, face: FaceModel) -> bytes:
 
 
 def _contact(contact: LipContact) -> dict[str, object]:
+    """Return the arrays of a lip contact as JSON values, from which a web page computes the same.
+
+    `felt` has rows, columns and values of two sparse matrices.
+    """
     felt = [each.tocoo() for each in contact.felt]
     return {
         "upper": contact.upper.tolist(),

@@ -155,6 +155,7 @@ class _Canvas:
                 self._line(brow, _LINE, 5.0)
 
     def _eye(self, side: str, middle: Array) -> None:
+        """Draw an eye with iris, pupil and upper lid; `middle`: (2,) in drawing units."""
         self._fill(_circle(middle, _EYE_RADIUS), _WHITE, _LINE)
         looks = np.sin(np.radians([self._deg("eye_yaw", side), -self._deg("eye_pitch", side)]))
         at = middle + 0.55 * _EYE_RADIUS * looks / 0.5
@@ -224,6 +225,11 @@ class _Canvas:
         return at * self._scale + self._shift
 
     def _fill(self, points: Array, colour: Colour, line: Colour | None, on: str = "face") -> None:
+        """Fill the polygon `points`, (n, 2) in drawing units.
+
+        line: colour of the outline; None: no outline. on: the part with which the points turn, as
+        for `_placed`.
+        """
         import cv2
 
         at = np.rint(self._placed(points, on) * 2**_BITS).astype(np.int32)[None]

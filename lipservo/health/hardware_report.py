@@ -267,6 +267,7 @@ def as_text(report: Mapping[str, Any]) -> str:
 
 
 def _lines(value: Mapping[str, Any], depth: int) -> Iterator[str]:
+    """Yield a report's entries as lines of text in the form of YAML, indented `depth` levels."""
     indent = "  " * depth
     for name, each in value.items():
         if isinstance(each, Mapping):

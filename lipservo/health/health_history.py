@@ -208,6 +208,11 @@ def _float(value: object) -> float:
 
 
 def _summarize(day: date, column: _Column) -> ServoDay:
+    """Return a servo's figures of one day; NaN for a quantity without readings.
+
+    The medians (load, current, temperature) are of readings with torque on; extremes, the latest
+    temperature, error bits and counts are of all.
+    """
     values = {key: np.array(list_) for key, list_ in column.values.items()}
     on = values["torque_on"] > 0
     warm = values["temperature_degc"]
@@ -304,6 +309,11 @@ def _troubles(name: str, days: Sequence[ServoDay]) -> list[str]:
 
 
 def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -> list[str]:
+    """Return a sentence each for a servo that gets warmer, pulls harder, or gets less voltage.
+
+    shared: by day, the warmth in degC that all servos have in common, which is subtracted; {}:
+    none. Days with few readings are left out.
+    """
     counted = [day for day in days if day.n_readings >= _FEWEST_READINGS]
     load = _change({day.day: day.load for day in counted})
     warmth = _change({day.day: day.temperature_degc - shared.get(day.day, 0.0) for day in counted})
@@ -334,9 +344,9 @@ def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -
 
 
 def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
-    """Return (change, days it took) by the linear trend; None if within twice the scatter.
+    """Return (change, days from first to last) by the linear trend of a quantity by day.
 
-    Also None for too few days with a value.
+    None if the change is within twice the scatter, and for too few days with a value.
     """
     known = sorted((day.toordinal(), v) for day, v in values.items() if math.isfinite(v))
     if len(known) < _FEWEST_DAYS:

@@ -144,6 +144,10 @@ class HealthLog:
         self.close()
 
     def _run(self) -> None:
+        """Write queued readings until the log is closed. Runs in thread `health log`.
+
+        A reading that cannot be written is lost; only the first such error is logged.
+        """
         while (offered := self._queue.get()) is not None:
             try:
                 self._append(*offered)
@@ -155,6 +159,10 @@ class HealthLog:
                     _LOG.error(complaint, self._folder, why)
 
     def _append(self, wall_s: float, servos: Sequence[ServoHealth]) -> None:
+        """Append one reading of all servos to the file of its UTC day, and prune old files.
+
+        wall_s: seconds since 1970. Raises OSError.
+        """
         moment = datetime.fromtimestamp(wall_s, UTC)
         path = self._folder / f"{moment:%Y-%m-%d}.jsonl"
         self._folder.mkdir(parents=True, exist_ok=True)

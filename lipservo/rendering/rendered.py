@@ -105,8 +105,8 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
 def is_rendered(output: Path, sound: Path, script: Script, how: Rendering) -> bool:
     """Return whether `output` is the whole performance that rendering this line would give now.
 
-    It is not where anything has changed that the performance depends on: the sound, the script, a
-    model, an option, the version of lipservo; nor where some of its content is missing or damaged.
+    False if anything has changed on which the performance depends (the sound, the script, a model,
+    an option, the version of lipservo), or if its content is missing or damaged.
     """
     try:
         found = read_performance(output)

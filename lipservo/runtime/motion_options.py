@@ -79,6 +79,7 @@ class MotionOptions:
     performed: str = ""
 
     def __post_init__(self) -> None:
+        """Raise WeightsError, PluginError or StyleError for a setting that cannot be used."""
         check_weights(self.weights)
         RECOGNIZERS.check(self.engine)
         if self.strategy not in STRATEGIES:
@@ -114,6 +115,7 @@ class MotionOptions:
         }
 
     def __str__(self) -> str:
+        """Return strategy, style and recogniser in one line, or how a performance was rendered."""
         if self.performed:
             return f"performance, rendered by {self.performed}"
         style = ", ".join(f"{name} {value:g}" for name, value in self.style_settings.items())
@@ -208,10 +210,10 @@ def make_synthesizer(
 ) -> Synthesizer:
     """Return the synthesiser for the strategy in `options`, with its style applied.
 
-    It is the live one of this project, or the published method with one of its two selections of
-    AnimPhos (units of captured mouth motion). model_path: the model file that `face` was read from,
-    None for the shipped one; only the parts that the strategy needs are read. Raises ModelError,
-    also if the file has changed since `face` was read.
+    Strategies `expected` and `animpho` have a LiveSynthesizer, the others the published method with
+    one of its selections of AnimPhos (units of captured mouth motion). model_path: the file from
+    which `face` was read, None: the shipped one; only parts that the strategy needs are read.
+    Raises ModelError, also if the file has changed since `face` was read.
     """
     with open_model(model_path) as file:
         if read_face(file).checksum != face.checksum:

@@ -124,7 +124,8 @@ def _drive(
 ) -> None:
     """Switch torque on and tick until stopped; report `ready` once the servos have started.
 
-    Started: each is driven, or its fault is reported. observers: get each tick's report.
+    A servo has started when it is driven, or its fault is reported. observers: get each tick's
+    report.
     """
     driven.life.start()
     began = False
@@ -320,6 +321,11 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
 
 
 def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> None:
+    """Print the end of a supervised face as JSON, or log it.
+
+    It is logged as an error unless all servos confirmed torque off. status: the last one of the
+    face, for the JSON.
+    """
     report = supervisor.report
     assert report is not None
     if request.as_json:

@@ -49,6 +49,7 @@ class Sound:
     pitch: int | None = None
 
     def __post_init__(self) -> None:
+        """Raise RequestError for fields that exclude each other, or lack one that they need."""
         if self.phonemes and self.kind != "file":
             raise RequestError("--phonemes needs --wav")
         if (self.tier or self.alphabet) and not self.phonemes:
@@ -159,6 +160,10 @@ class AvatarTargets:
 
 
 def _address(option: str, target: str | None, default_port: int) -> Address | None:
+    """Parse a target, HOST or HOST:PORT; None for None. The host is not resolved.
+
+    option: as typed, for the message of AvatarError, which is raised for a malformed target.
+    """
     if target is None:
         return None
     typed = f"{option} {shown(target)}"
@@ -203,6 +208,7 @@ class RunRequest:
     avatars: AvatarTargets = field(default_factory=AvatarTargets)
 
     def __post_init__(self) -> None:
+        """Raise RequestError for an impossible `rate_hz`, and for speech without a voice."""
         if self.rate_hz is not None and not LOWEST_RATE_HZ <= self.rate_hz <= HIGHEST_RATE_HZ:
             raise RequestError(
                 f"--rate-hz {self.rate_hz:g} is outside the possible {LOWEST_RATE_HZ:g} to "

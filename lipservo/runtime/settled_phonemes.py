@@ -25,8 +25,8 @@ _TAIL_S = 0.15
 def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Iterator[PhonemeEvent]:
     """Yield every phoneme of a source, with start and end, once the recogniser keeps it for good.
 
-    A file is recognised to its end, as fast as the computer can; a microphone until the caller
-    stops iterating; its recogniser needs a clock.
+    A file is recognised to its end, as fast as the computer can. A microphone is recognised until
+    the caller stops iterating; the recogniser then needs a clock, to notice that it is too slow.
     """
     length_s = source.duration_s
     sound = source if length_s is None else SilenceAfter(source)

@@ -166,9 +166,9 @@ def spoken_file(
 ) -> Spoken:
     """Return speech for the queue that plays a sound file from `start_s` to its end.
 
-    playout: plays it later. name: of its stream; empty: the file's name. phonemes: a file of its
-    labels, phonemes or words. channel: the one that is heard; "": all are mixed. Raises SoundError,
-    LabelError.
+    playout: plays the speech later. name: of its stream; empty: the file's name. phonemes: a file
+    with the sound's phonemes or words and their times. channel: the one that is played and moves
+    the mouth; "": a mix of all. Raises SoundError, LabelError.
     """
     checked = checked_sound(path, channel)
     log_once(checked.warning)
@@ -187,9 +187,9 @@ def spoken_file(
 def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TEXT) -> Spoken:
     """Return speech of a text for the queue; its first sentence is synthesised before returning.
 
-    playout: plays it later. speaker: the synthesiser and voice. name: of the streams, one for each
-    sentence. Raises SynthesisError, also for a text of more than
-    `LONGEST_TEXT` characters, and PluginError.
+    playout: plays the speech later. speaker: the synthesiser and voice. name: of the streams, one
+    for each sentence. Raises SynthesisError, also for a text of more than `LONGEST_TEXT`
+    characters, and PluginError.
     """
     from lipsync.text_to_speech.synthesis import Voice, checked_text
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
@@ -200,6 +200,7 @@ def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TE
     sentences = speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice)
 
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
+        """Return a complete stream of one sentence: sound, and phonemes or words with times."""
         rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
         stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
         stream.push(sentence.samples)
@@ -327,6 +328,10 @@ class SpeechQueue:
             self._thread.join(timeout=_END_S)
 
     def _read(self) -> None:
+        """Decode or synthesise the queued items, one after the other, until the queue is closed.
+
+        Runs in thread `speech queue`; pauses while enough of an item waits to be played.
+        """
         while True:
             with self._changed:
                 while not self._unread and not self._closed:
@@ -358,6 +363,7 @@ class SpeechQueue:
         return stream is not None
 
     def _finish(self, spoken: Spoken) -> None:
+        """Mark all streams of an item as complete; remove the item from those still to be read."""
         spoken.pieces.close()
         for stream in spoken.streams:
             stream.end()
@@ -389,7 +395,7 @@ def _labels_from(
 
 @contextmanager
 def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSource]:
-    """Yield a request's sound, entered: a `Playout` for a face that speaks, else its source.
+    """Yield the audio source of a request, open: a `Playout` for a face that speaks.
 
     start_s: the sound time at which a file starts. Raises SoundError.
     """
@@ -433,6 +439,7 @@ def _of_the_face(sound: Sound, settings: SoundSettings) -> Sound:
 def _entered_loudspeaker(
     settings: SoundSettings, voice: VoiceOptions, stack: ExitStack
 ) -> Loudspeaker | None:
+    """Return the chosen loudspeaker, open until `stack` closes; None: no sound is played."""
     if voice.output is None:
         return None
     if voice.output == SILENT_OUTPUT:
@@ -448,6 +455,10 @@ def _entered_loudspeaker(
 def _first_words(
     sound: Sound, playout: Playout, start_s: float, stack: ExitStack, speaker: Speaker
 ) -> Spoken | None:
+    """Return the speech of a requested text, file or bundled clip; None: the face begins silent.
+
+    start_s: where a file begins, in s. stack: keeps the clip's file until it closes.
+    """
     if sound.kind == "text":
         changed = speaker.changed(sound.language, sound.voice, sound.rate_wpm, sound.pitch)
         return spoken_text(sound.name, playout, changed)

@@ -125,7 +125,8 @@ class Tally:
     def summary(self, status: Status, duration_s: float, seconds: float) -> Summary:
         """Return the figures of the run.
 
-        status: at the end of the run; duration_s: of its sound; seconds: that the run really took.
+        status: at the end of the run; duration_s: seconds of its sound; seconds: real duration of
+        the run.
         """
         speech = self._street.speech
         n_frames = max(self.frames_sent, 1)

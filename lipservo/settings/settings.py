@@ -137,6 +137,7 @@ class FaceSettings(Strict):
 
     @model_validator(mode="after")
     def _rules_name_known_joints(self) -> Self:
+        """Raise ValueError if a rule of `prevent` names an unknown joint or forbids neutral."""
         known = set(self.servos)
         for n, rule in enumerate(self.prevent):
             unknown = sorted(set(rule.joints) - known)
@@ -153,6 +154,7 @@ class FaceSettings(Strict):
     def _every_servo_has_its_own_address(
         cls, servos: Mapping[str, ServoSettings]
     ) -> Mapping[str, ServoSettings]:
+        """Raise ValueError if there is no servo, or two on one bus have the same address."""
         if not servos:
             raise ValueError("at least one servo is needed")
         first: dict[tuple[str, int], str] = {}
@@ -171,6 +173,7 @@ class FaceSettings(Strict):
 
     @model_validator(mode="after")
     def _every_bus_is_a_bus_of_its_own(self) -> Self:
+        """Raise ValueError for a bus without a servo, and for two with the same port and board."""
         first: dict[tuple[str, str], str] = {}
         for name, bus in self.buses.items():
             if name not in self.bus_of:
@@ -245,6 +248,10 @@ class FaceSettings(Strict):
         return self.model_copy(update={"bus": bus})
 
     def _at_named_ports(self, text: str) -> Self:
+        """Return the face with its buses at the ports in `text`, as `lips=PORT,neck=PORT`.
+
+        Raises SettingsError if `text` names no buses, or an unknown one.
+        """
         ports = named_ports(text)
         if ports is None:
             options = " ".join(f"--port {name}=PORT" for name in self.buses)
@@ -312,6 +319,7 @@ def _schema(kind: object) -> type[FaceSettings]:
 
 @cache
 def _schema_of(kind: BusKind) -> type[FaceSettings]:
+    """Return the schema of a face with one bus of `kind`: that kind's keys of bus and servos."""
     bus = kind.settings
     servo = _servo_of(kind)
     needs_keys = any(field.is_required() for field in bus.model_fields.values())
@@ -487,6 +495,7 @@ def parse_face(text: str, file_name: str) -> FaceSettings:
 
 
 def _load(file: Traversable) -> FaceSettings:
+    """Read and parse a face YAML. Raises SettingsError, also for a file that cannot be read."""
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:

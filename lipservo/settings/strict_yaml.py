@@ -169,6 +169,11 @@ def _path(file_name: str, detail: ErrorDetails) -> str:
 
 
 def _lines(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
+    """Yield the lines that explain one error of pydantic's to the author of a YAML.
+
+    File and key are left out: `explain` adds them. schema: the model that was validated, for the
+    names of known keys.
+    """
     kind, value = detail["type"], detail["input"]
     if kind == "missing":
         yield "is missing"

@@ -119,5 +119,6 @@ class PressedKeys:
         error: BaseException | None,
         where: TracebackType | None,
     ) -> None:
+        """Restore the terminal's mode; stdin that is no terminal needs nothing."""
         if self._before is not None:
             termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)

@@ -220,6 +220,10 @@ class TerminalView:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Draw the mouth at rest, unless an error ended the block, and end the drawing.
+
+        Waits 0.5 s at most: a terminal that takes no output would block for ever.
+        """
         tick = self._tick
         if tick is not None and kind is None:
             report = replace(tick.report, sent_deg=np.zeros(len(self._joints)))
@@ -231,6 +235,10 @@ class TerminalView:
         last.join(_LAST_PICTURE_S)
 
     def _draw(self) -> RenderableType:
+        """Return the picture of the newest tick; before the first, the title.
+
+        Called by rich's thread, ten times a second.
+        """
         if self._console.size != self._size:
             # A terminal that is made narrower breaks the lines of the last picture.
             self._size = self._console.size
@@ -253,6 +261,7 @@ class TerminalView:
         return f"{self._status.speech.sound} -> {self._status.bridge.name}"
 
     def _head(self, tick: StreetTick) -> Table:
+        """Return the rows above the servos: sound time, latest phonemes and lip gap of a tick."""
         gap_mm = self._model.lip_gap_mm(tick.coefficients)
         spoken = Text(" ".join(list(self._phonemes)[:-1]) + " ", style="dim")
         spoken.append(tick.phoneme, style="bold cyan")

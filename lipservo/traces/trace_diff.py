@@ -251,7 +251,7 @@ class _Closure:
 def _closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
     """Return each closure of the lips, an interval in which their gap is below 1 mm.
 
-    It has its start, interpolated between ticks, and the times of its ticks. One that is there at
+    A closure has its start, interpolated between ticks, and the times of its ticks. A closure at
     the first tick is left out. times_s: (n_ticks,) sound times; gaps_mm: (n_ticks,) lip gaps.
     """
     closed = gaps_mm < CLOSED_GAP_MM
@@ -269,9 +269,10 @@ def _closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
 def _match_closures(
     laid: Overlay, margin_mm: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Return shifts of closures in both traces, and starts of those in only the first, second.
+    """Return shifts of the closures in both traces, and starts of those in one alone, all in s.
 
-    In s. margin_mm: one is missing in a trace whose lips stay open by more.
+    The starts are of closures in only the first trace, and in only the second. margin_mm: a closure
+    is missing in a trace whose lips stay open by more than that beyond a closure's limit.
     """
     span_s = laid.sound_s[0], laid.sound_s[-1]
     ours, theirs = (

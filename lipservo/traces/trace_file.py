@@ -142,6 +142,10 @@ class BackgroundTrace:
         self._file.close(self._dropped)
 
     def _run(self) -> None:
+        """Write queued ticks until the block ends. Runs in thread `trace`.
+
+        After an error of the disk the ticks are dropped; the face goes on.
+        """
         while (tick := self._queue.get()) is not None:
             try:
                 if self._error is None:
@@ -152,6 +156,10 @@ class BackgroundTrace:
 
 
 def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
+    """Return a tick's record in a trace, for JSON. number: of the tick, from 0.
+
+    `range_hits` and `rate_hits` are indices of servos that the gate clamped or slowed.
+    """
     report = tick.report
     return {
         "tick": number,
@@ -232,6 +240,11 @@ def _trace(
     *,
     torn: bool,
 ) -> Trace:
+    """Return the trace made of a file's parsed lines.
+
+    head: the first line; end: the last one, None: cut short; torn: a line is incomplete. Raises
+    TraceError for fewer than two ticks; KeyError, TypeError or ValueError for damaged lines.
+    """
     if len(ticks) < 2:
         raise TraceError(f"{path}: has only {len(ticks)} ticks; two are needed")
     notes = []

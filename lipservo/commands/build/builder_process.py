@@ -151,6 +151,10 @@ def _set_up(request: Request, _page: "PageLine") -> None:
 
 
 def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
+    """Return the calibration setup that the page requests, which reports progress to the page.
+
+    Raises UserError if the files to read or write cannot be used.
+    """
     from lipservo.calibrating.on_page import PageWatch
     from lipservo.commands.calibrate.making import check_files, load_setup
 

@@ -257,6 +257,11 @@ def _consent(question: str, *, yes: bool) -> None:
 
 
 def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
+    """Switch torque off; read and write the limp servos for `seconds`, and return measurements.
+
+    They are those of `hardware_report.limp_loop`, and `n_confirmed_limp`. Servos that do not
+    confirm torque off are printed.
+    """
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.stopping import named_by_reason
     from lipservo.health.hardware_report import limp_loop

@@ -94,6 +94,10 @@ def _settings(port: str | None, config: str) -> "FaceSettings":
 
 
 def _finish(moved: "Moved", joints: Iterable[str], settings: "FaceSettings") -> None:
+    """Print the position at which each joint ended, in degrees, of a hobby servo in us as well.
+
+    Raises typer.Exit with 1 if a joint did not hold, with 3 if a servo did not confirm torque off.
+    """
     limp = 0
     for joint in joints:
         if not moved.is_held[joint]:
@@ -136,6 +140,10 @@ def _jog_on_page(settings: "FaceSettings", config: str, *, open_page: bool) -> N
 
 
 def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
+    """Move the joint `name` by keys of the terminal until `q` or a stop; then switch torque off.
+
+    The keys 1, 2 and 3 write a hobby servo's limits into the face's YAML, `config`.
+    """
     from firmware_bridge.clock import MonotonicClock
     from lipservo.runtime.servos.hand_driven import KeyedJoint, drive_by_hand
     from lipservo.settings.found_limits import WARNING
@@ -151,6 +159,10 @@ def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
     with PressedKeys() as keys:
 
         def act(bridge: "Bridge", time_s: float) -> bool:
+            """Carry out the next pressed key, if any; return False for `q`, the end.
+
+            Called in each tick, at monotonic `time_s`.
+            """
             if not hand.renew(bridge, time_s):
                 RESULTS.print(f"{hand.shown}: back within its limits")
             key = keys.next_key(0.0)
@@ -266,6 +278,11 @@ def _watch(
 
 
 def _write_ranges(turned: "TurnedRange", config: str) -> None:
+    """Write the ranges through which a person turned limp joints into the face's YAML.
+
+    A joint whose range is refused stays as it is, and is printed. Raises UserError if no joint is
+    left.
+    """
     from lipservo.settings.found_limits import (
         own_yaml,
         range_values,

@@ -110,6 +110,12 @@ def _say_nothing_to_set_up(kind: str, unknown: list[str], *, as_json: bool) -> N
 
 
 def _set_up(work: _Work, servos: list[Any], signals: "DeferredSignals", *, ask: bool) -> None:
+    """Write settings into `servos`, all connected together or one at a time; add plans to `work`.
+
+    ask: if the chain is not complete, prompt for each servo to be connected alone; False: take the
+    one connected servo for the first that is missing. Raises ServoError if several servos answer
+    then.
+    """
     tools = work.tools
     with tools.unhurried_line(work.port, work.baud_rate) as line:
         found = tools.find_servos(line, [servo.joint.servo_id for servo in servos], work.baud_rate)

@@ -42,11 +42,12 @@ class FaceCost:
 def face_cost(
     config: str, timer_s: Callable[[], float], *, sound: Sound = CLIP, seconds: float = 0.7
 ) -> FaceCost:
-    """Let a face of one bus hear `seconds` of a sound, block by block as live; return its cost.
+    """Feed a face of one bus `seconds` of a sound, block by block as live; return its cost.
 
     config: the face's name or YAML path. timer_s: the clock by which work is measured, s. The
-    servos are simulated to the byte, which is counted: a real bus makes a tick no dearer. Raises
-    UserError for a face that cannot be loaded, BusError for a bus that cannot be simulated.
+    servos are simulated byte by byte, and the simulator's work counts, so a tick costs no more on a
+    real bus. Raises UserError for a face that cannot be loaded, BusError for a bus that cannot be
+    simulated.
     """
     settings, folder = load_settings(config)
     motion = motion_options(ChosenMotion(), settings.motion, folder)

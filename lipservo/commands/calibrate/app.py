@@ -37,6 +37,10 @@ _STEPS = (
 
 
 def _commands(rows: Iterable[tuple[str, str, str, str]], section: str) -> dict[str, Command]:
+    """Return commands by name, listed in the help under `section`.
+
+    rows: name, module, line of help and example arguments of each.
+    """
     return {
         name: Command(
             f"{_HERE}.{module}:{name.replace('-', '_')}", text, section, name == "trim",

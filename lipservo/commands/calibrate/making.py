@@ -186,10 +186,11 @@ def keep_beside(output: Path, keep: Path | None) -> Path:
 
 @contextmanager
 def going_on(output: Path, keep: Path | None) -> Iterator[Path]:
-    """Yield the file in which captured poses are kept, so that the same command goes on with them.
+    """Yield the file of captured poses, from which the same command, if run again, continues.
 
-    keep: as the user named it; None: one beside the calibration `output`, which is renamed to
-    `.previous` when the block ends without an error. A refusal says what to do with the poses.
+    keep: as the user named the file; None: a file beside the calibration `output`; when the block
+    ends without an error, that file is renamed to `.previous`. A CalibrationError of the block is
+    raised with a hint what to do with the poses.
     """
     kept = keep_beside(output, keep)
     if kept.exists():
@@ -216,9 +217,10 @@ def making(
     sim: str | None,
     config: str,
 ) -> Iterator["tuple[CalibrationSetup, Callable[[CalibrationResult], None]]"]:
-    """Yield the setup at its servos' port with its kept poses, and a function that saves so far.
+    """Yield the setup at its servos' port, and a function that saves an unfinished calibration.
 
-    As `going_on` and `setup_at_port`. The function takes a calibration that is not yet whole.
+    keep, output: as for `going_on`, whose file the setup continues; port, sim, config: as for
+    `setup_at_port`.
     """
     with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
         at = replace(at, keep=kept)

@@ -104,6 +104,10 @@ def _render_one(
     *,
     as_json: bool,
 ) -> None:
+    """Render a sound file to the performance file `output`; print duration, phonemes and method.
+
+    script: the words or phones of the sound, if known. how: method and models.
+    """
     from lipservo.rendering.rendered import render as render_line
     from lipsync.offline.performance import is_performance
     from lipsync.output_file import check_output

@@ -119,6 +119,7 @@ def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
     meant = [face]
 
     def find() -> Path:
+        """Return the path of the face's control socket; keep the face's name for later calls."""
         faces = chosen_faces(meant[0], control)
         if not faces:
             raise UserError("no face runs; start one with `lipservo daemon`")

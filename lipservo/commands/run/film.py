@@ -134,6 +134,7 @@ def _is_file(path: Path | None) -> bool:
 
 
 def _size(text: str) -> tuple[int, int]:
+    """Parse `WIDTHxHEIGHT`, even numbers of pixels from 128 to 1920, or raise BadParameter."""
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise typer.BadParameter(f"--size {text}: write WIDTHxHEIGHT, for example 640x480")

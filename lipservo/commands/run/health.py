@@ -62,6 +62,7 @@ def health(
 
 
 def _print(name: str, history: History) -> None:
+    """Print a face's servos and what is getting worse; without readings, only unreadable files."""
     for line in history.bad_files:
         MESSAGES.print(line)
     if history.n_bad_lines:
@@ -120,6 +121,7 @@ def _text(value: float, form: str) -> str:
 
 
 def _as_dict(name: str, history: History) -> dict[str, object]:
+    """Return a face's history and findings as JSON values; the figures of servos are by day."""
     return {
         "face": name,
         "n_readings": history.n_readings,

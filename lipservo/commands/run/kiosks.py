@@ -31,6 +31,11 @@ def status_of_kiosks(on: Path, *, as_json: bool) -> None:
     here = version("lipservo")
 
     def report_of(name: str, answer: dict[str, Any]) -> _Report:
+        """Return a dashboard's answer, its text for a person, and whether versions are equal.
+
+        Raises KioskError if the face behind the dashboard does not answer, or its version is too
+        old.
+        """
         if "version" in answer and not answer.get("face_answers"):
             raise KioskError(f"its dashboard answers, but not its face: {answer.get('trouble')}")
         if not isinstance(answer.get("state"), str):

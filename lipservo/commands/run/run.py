@@ -267,6 +267,11 @@ def _sound(
     labels: LabelFile | None = None,
     text: str = "",
 ) -> Sound:
+    """Return the sound that a command's options choose: a file, a microphone, else `otherwise`.
+
+    labels, text: phones or words of the file. Raises BadParameter for options that exclude each
+    other, and without the file that they need; RequestError for both labels and text.
+    """
     if wav is not None and mic is not None:
         raise typer.BadParameter("give --wav or --mic, not both")
     if labels is not None and wav is None:

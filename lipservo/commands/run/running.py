@@ -64,6 +64,7 @@ def ask_faces(
 
 
 def _answered(face: RunningFace, ask_one: Callable[[RunningFace], Answer]) -> Answer:
+    """Return a face's answer to `ask_one`; {"error": reason} if the face cannot be queried."""
     try:
         return ask_one(face)
     except TimeoutError:

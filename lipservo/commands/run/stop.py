@@ -119,7 +119,7 @@ def start(face: FaceName = None, control: Control = None, as_json: Json = False)
 def _come_back(face: RunningFace) -> dict[str, Any]:
     """Poll a started face until all servos hold that are not switched off, 20 s at most.
 
-    Returns {"state", "servos", "torque"} as of a status, or {"error": why} if they do not.
+    Returns {"state", "servos", "torque"} of the last status, or {"error": reason} if they do not.
     """
     give_up_s = time.monotonic() + _START_S
     while True:
@@ -219,6 +219,7 @@ def limp(
 
 
 def _status_of(face: RunningFace) -> dict[str, Any]:
+    """Return a face's status; if it does not answer, its name, pid, and the reason as `state`."""
     found: dict[str, Any] = {"name": face.name, "pid": face.pid, "port": None}
     try:
         answer = ask(face.path, "status", _STATUS_S)
@@ -232,6 +233,10 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
 
 
 def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:
+    """Print the outcomes of a stop; raise typer.Exit with 1 unless every servo has confirmed.
+
+    done: the state reached, such as "limp".
+    """
     if as_json:
         print_json({"faces": [outcome.as_dict() for outcome in outcomes]})
     else:

@@ -128,6 +128,7 @@ def _delay_note(first: Trace, second: Trace) -> list[str]:
 
 
 def _figures(first: Trace, found: Difference) -> dict[str, object]:
+    """Return the figures of a difference for JSON, with those of each servo under its name."""
     servos = {
         name: {"most_deg": most, "rms_deg": rms}
         for name, most, rms in zip(
@@ -142,6 +143,10 @@ def _figures(first: Trace, found: Difference) -> dict[str, object]:
 def _print(
     first: Trace, second: Trace, found: Difference, beyond: Sequence[str], notes: Sequence[str]
 ) -> None:
+    """Print how two traces differ: overlap, lips, lag, closures, servos, and the worst times.
+
+    beyond: lines on figures beyond their tolerance; notes: remarks on the traces.
+    """
     for note in notes:
         MESSAGES.print(note)
     start_s, end_s = found.overlap_s
@@ -176,6 +181,7 @@ def _servo_table(first: Trace, found: Difference) -> Table:
 
 
 def _moment_table(found: Difference) -> Table:
+    """Return a table of the times at which two traces differ most."""
     table = Table(title="worst moments", title_justify="left", box=None)
     for header in ("sound s", "phoneme", "lips mm", "gap mm", "servo", "off deg"):
         left = header in ("phoneme", "servo")

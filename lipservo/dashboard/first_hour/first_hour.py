@@ -506,6 +506,7 @@ def _servo_values(servo: ServoSettings) -> JsonObject:
 
 
 def _step_values(step: StepProcess) -> JsonObject:
+    """Return the present state of a step of the setup, as JSON values for the page."""
     return {
         "name": step.step,
         "runs": step.runs,

@@ -112,6 +112,7 @@ class StepProcess:
         self._is_over.wait(self._end_s + 2.0)
 
     def _run(self) -> None:
+        """Start the process, follow it to its end, and store how it ended. Runs in a thread."""
         command = [sys.executable, "-P", "-m", "lipservo", "builder-process", self.step]
         command += [self._request, "--parent", str(os.getpid())]
         pipe = subprocess.PIPE
@@ -166,6 +167,11 @@ class StepProcess:
         self._is_over.set()
 
     def _why(self, status: int, *, signalled: bool) -> str | None:
+        """Return in one line why the process failed; None if it ended well or on request.
+
+        status: as `Popen.returncode`, negative for a signal. signalled: it was requested to end;
+        one that had to be killed for that has failed.
+        """
         if self.was_killed:
             return (
                 f"the step did not end within {self._end_s:g} s and was killed: its servos may "
@@ -181,6 +187,10 @@ class StepProcess:
         return f"the step {how}{last}"
 
     def _read_events(self, process: "subprocess.Popen[bytes]") -> None:
+        """Store the events that the process writes to stdout until it ends. Runs in a thread.
+
+        A line that is not an event, a JSON object with its name, is stored as a note.
+        """
         assert process.stdout is not None
         with process.stdout:
             while line := process.stdout.readline(_LONGEST_LINE):

@@ -65,6 +65,10 @@ def _origin(values: JsonObject | None) -> str:
 
 
 def _summary(errors: JsonObject) -> str:
+    """Return HTML of a calibration's lip error and its gap of closed lips, both in mm.
+
+    errors: on motion left out of the fit; a figure that was not measured is shown as `?`.
+    """
     is_measured = errors["n_frames"] > 0
     has_closures = is_measured and errors["n_closures"] > 0
     facts = (
@@ -83,6 +87,10 @@ def _summary(errors: JsonObject) -> str:
 
 
 def _joint_bar(name: str, values: JsonObject) -> str:
+    """Return HTML of a bar for a joint's error, with its range and how its servo follows goals.
+
+    values: of the joint, as in `calibrate show --json`.
+    """
     error_deg = values["hold_out_rms_deg"]
     share = 0.0 if error_deg is None else min(1.0, error_deg / _WORST_DEG)
     tone = "bad" if share > _RED else "warn" if share > _AMBER else "good"
@@ -95,6 +103,7 @@ def _joint_bar(name: str, values: JsonObject) -> str:
 
 
 def _shape_bars(values: JsonObject) -> str:
+    """Return HTML of bars for the measured or trimmed viseme classes, and how to trim a shape."""
     shown = [
         one for one in VISEME_CLASSES if one[0] in values["coverage"] or one[0] in values["trim"]
     ]
@@ -112,6 +121,7 @@ def _shape_bars(values: JsonObject) -> str:
 
 
 def _shape_bar(phonemes: tuple[str, ...], values: JsonObject) -> str:
+    """Return HTML of a bar for one viseme class: its share within reach, distance in mm, trims."""
     reach = values["coverage"].get(phonemes[0])
     trims = values["trim"].get(phonemes[0], {})
     more = [] if reach is None else [f"{reach['off_mm']:.2f} mm off"]

@@ -80,7 +80,7 @@ class RigServo:
 def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
     """Return what each servo moves in the drawing, by name.
 
-    A servo whose channel is used already by another has none, and is drawn as a dial.
+    A servo whose channel another servo moves already has no channel, and is drawn as a dial.
     """
     taken: dict[Channel, set[Side]] = {}
     rig = {}
@@ -97,6 +97,10 @@ def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
 
 
 def _found(name: str, settings: ServoSettings) -> RigServo:
+    """Return what a servo moves in the drawing, by its part, its name and its setting `positive`.
+
+    The channel is None if they name no known motion, or its direction is not clear.
+    """
     side_status = side_of(name)
     # What moves the middle is drawn on both sides.
     side: Side = "both" if side_status == "middle" else side_status

@@ -113,6 +113,10 @@ def command(text: str) -> str:
 
 
 def _head(here: str, status: Mapping[str, Any], places: Mapping[str, str]) -> str:
+    """Return HTML of the header of a page: face, port, links to all pages, and the stop button.
+
+    here: the page's own path. places: titles of pages by path.
+    """
     name = escape(str(status.get("name") or "no face yet"))
     port = status.get("port")
     where = '<span class="port sim">SIMULATED</span>'

@@ -77,10 +77,14 @@ def build_pages(link: FaceLink, new_config: Path | None = None) -> None:
 def _add(
     link: FaceLink, new_config: Path | None, path: str, scripts: Sequence[str], fill: Fill
 ) -> None:
-    """Serve one page at `path`; before a face runs, with what the first hour has written."""
+    """Register one page at `path`, whose content `fill` draws.
+
+    new_config: the YAML from which the page has its facts while no face runs; None: there is none.
+    """
 
     @ui.page(path, dark=None, reconnect_timeout=_PATIENCE_S)
     async def page() -> None:
+        """Draw the page for one browser, with what is known of the face as the page is opened."""
         status = link.status
         config = None if status is None else status.get("config")
         if config is None and new_config is not None and new_config.exists():

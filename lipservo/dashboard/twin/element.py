@@ -47,6 +47,10 @@ def twin_routes(app: FastAPI, face: FaceModel) -> None:
     # Not async: FastAPI runs it in a thread of its own, so that other answers do not wait.
     @app.get(HEAD_PATH, include_in_schema=False)
     def serve(request: Request) -> Response:
+        """Return the packed head, compressed for a browser that can unpack it; 304: unchanged.
+
+        Blocks until the head is made.
+        """
         packed, tag = head.get()
         headers = {"ETag": tag, "Cache-Control": _CACHE, "Vary": "Accept-Encoding"}
         if tag in request.headers.get("if-none-match", ""):

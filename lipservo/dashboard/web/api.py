@@ -93,6 +93,7 @@ def docs_html(openapi: Mapping[str, Any]) -> str:
 
 
 def _operations(openapi: Mapping[str, Any]) -> Iterator[str]:
+    """Yield HTML of each operation of an OpenAPI schema: method, path, description, input."""
     for path, methods in openapi["paths"].items():
         for method, operation in methods.items():
             description = escape(operation.get("description", ""))

@@ -82,6 +82,10 @@ class FaceCollector(Collector):
         yield from self._servos(is_fresh and not link.moment.servos_gone)
 
     def _servos(self, is_fresh: bool) -> Iterable[Metric]:
+        """Yield the metrics of all servos; figures that are not known are left out.
+
+        is_fresh: the face's status and servo records are current.
+        """
         servos = listed_servos(self._link.status, is_fresh=is_fresh)
         answers = GaugeMetricFamily(
             "lipservo_servo_answers", "1: something is known of it now", labels=["servo"]

@@ -55,6 +55,10 @@ def photo_routes(app: FastAPI, face: FaceModel) -> None:
     one_at_a_time = threading.Lock()
 
     def warp(landmarks: "Landmarks", size: tuple[int, int]) -> Response:
+        """Return the warp of a picture of `size` (width, height) with these landmarks, gzipped.
+
+        Blocks while another warp is computed.
+        """
         # The warp is that of any pixels: there are none here.
         no_pixels = np.broadcast_to(np.uint8(0), (size[1], size[0], 3))
         with one_at_a_time:

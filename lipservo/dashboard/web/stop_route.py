@@ -66,6 +66,7 @@ def http_connections(heads: Doorway, stops: Doorway) -> type[asyncio.Protocol]:
             stops.leave(self.transport)
 
         def _wait(self) -> None:
+            """Enter the doorway of what the connection waits for, if any; leave the other one."""
             cycle, room = self.cycle, None
             if cycle is None or cycle.response_complete:
                 # What has become a WebSocket sends no further head.
@@ -104,6 +105,10 @@ class StopRoute:
     async def _answer(
         self, request: Request, policy: Policy, receive: Receive
     ) -> tuple[int, dict[str, Any]]:
+        """Check a request to stop the face, send the stop, and return (HTTP status, JSON answer).
+
+        A stop from this computer needs no token, unless it also ends the face.
+        """
         try:
             stop = refusal(request, policy, is_stop=True) or await _parsed(receive)
             if isinstance(stop, StopBody) and stop.end:  # it ends the face: needs the token
@@ -161,7 +166,7 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
 
 
 async def _parsed(receive: Receive) -> StopBody | Refusal:
-    """Return the parsed body of a stop, a soft stop for an empty one, or why it is none."""
+    """Return the parsed body of a stop, a soft stop for an empty body, or a refusal."""
     body, is_whole = b"", False
     while not is_whole:  # the server drops who sends it too slowly
         message = await receive()

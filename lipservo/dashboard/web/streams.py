@@ -51,7 +51,7 @@ class FrameHub:
     async def serve(self, socket: WebSocket) -> None:
         """Send frames to one client until it disconnects or reads none for 5 s.
 
-        Beyond 64 clients it is refused.
+        While 64 clients are connected, a further client is refused.
         """
         if self.n_clients >= MOST_CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"{MOST_CLIENTS} clients are connected already")
@@ -70,6 +70,10 @@ class FrameHub:
             self.n_clients -= 1
 
     async def _send_all(self, socket: WebSocket) -> None:
+        """Send a client each newest frame until it disconnects; before the first, the layout.
+
+        The layout is sent again when it changes.
+        """
         sent_layout: BoardLayout | None = None
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:

@@ -134,9 +134,9 @@ def driven_face(
 
 @contextmanager
 def guarded(settings: FaceSettings) -> Iterator[list[int]]:
-    """Have a guard at each port of a face, which lets its servos go once the face is dead.
+    """Start a guard at each port of a face, which lets the servos go once the face is dead.
 
-    Yield the descriptors that each process of the face must hold.
+    Yields the descriptors that each process of the face must hold.
     """
     with ExitStack() as stack:
         yield [

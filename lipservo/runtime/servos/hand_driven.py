@@ -95,7 +95,7 @@ class KeyedJoint:
         return f"{self.name} {self.place:.0f} us ({self.pulse.deg(self.place):.1f} deg)"
 
     def press(self, key: str, bridge: Bridge, time_s: float) -> str | None:
-        """Obey a pressed key (move, agree); return "" if done, why it was refused, None: other key.
+        """Carry out a pressed key; return "" if done, why if refused, None for an unknown key.
 
         bridge: gets the jog order. time_s: monotonic time of the present tick.
         """
@@ -127,6 +127,11 @@ class KeyedJoint:
         return True
 
     def _go(self, place: float, bridge: Bridge, time_s: float) -> str:
+        """Order the joint to go to `place`; return why that was refused, "" if it was not.
+
+        place: in us for a hobby servo, in degrees for others. Beyond the limits of a hobby servo, a
+        person first has to agree by a key.
+        """
         if not (self._is_within(place) or self._may_go_beyond):
             self._may_confirm = True
             return f"press {AGREE_KEY} to go beyond its limits"

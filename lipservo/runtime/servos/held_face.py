@@ -274,6 +274,10 @@ class HeldFace:
             raise RuntimeError("the face is held no more")
 
         def next_call() -> None:
+            """Run the calls that the job has queued; return their results and errors to the job.
+
+            Called between two ticks. FaceStopped is raised here as well.
+            """
             while True:
                 try:
                     call, done = calls.get_nowait()
@@ -350,6 +354,10 @@ class HeldFace:
         return _filled(seen_deg)
 
     def __enter__(self) -> Self:
+        """Switch torque on, and return when all servos hold, in neutral if `from_neutral`.
+
+        Raises FaceStopped if a person stops the face meanwhile, ServoError if a servo stays limp.
+        """
         try:
             self._arm()
         except BusError as error:
@@ -360,6 +368,11 @@ class HeldFace:
         return self
 
     def _arm(self) -> None:
+        """Open the bus and its bridge, switch torque on, and move to neutral if `from_neutral`.
+
+        After an error all is closed again. With `config`, a live board is made for pages that
+        watch.
+        """
         with ExitStack() as leaving:
             control = ControlOptions()
             if self._config is not None:
@@ -411,6 +424,11 @@ class HeldFace:
             raise FaceStopped(report, life.signal_number) from error
 
     def _move_all(self, whole_deg: Array) -> None:
+        """Move all joints to `whole_deg` (n_servos,) along a ramp, and tick until it is over.
+
+        Stores until when servos without encoders, which may be slower than the ramp, can still
+        move.
+        """
         start_s = self._clock.now()
         way_s = float((np.abs(whole_deg - self._goal_deg) / self._blind_speed_deg_s).max())
         ramp = Ramp.at_speed(self._goal_deg, whole_deg, start_s, self._speed_deg_s)

@@ -107,6 +107,7 @@ class Outcome:
         return line
 
     def _line(self, done: str) -> str:
+        """Return name and result in one line, without `not_kept`; `done` is the state reached."""
         if self.problem:
             return f"{self.name}: {self.problem}"
         if self.holds or self.limp or self.unknown:
@@ -301,6 +302,10 @@ def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
     real = {os.path.realpath(each) for each in ports_in(port)}
 
     def is_there(face: RunningFace) -> bool:
+        """Return whether a face has locked the port, or else names it in its status.
+
+        Blocks while the face is queried.
+        """
         if real & set(_ports_of(face)):
             return True
         try:
@@ -338,6 +343,11 @@ def _free(port: str) -> None:
 
 
 def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outcome:
+    """Kill the processes of a face that hangs, switch torque off at its ports; return `outcome`.
+
+    Nothing is killed for a freeze, nor where a process is another user's; the outcome's `problem`
+    has the reason.
+    """
     if level is StopLevel.FREEZE:
         outcome.problem = "hangs: does not answer, and was not frozen; `lipservo stop --limp`"
         return outcome

@@ -150,8 +150,8 @@ def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> i
     """Move one servo by 3 degrees and back, limp at the end; return its start in encoder ticks.
 
     All goals pass the safety gate. tools: module for single servos of its kind of bus
-    (`BusKind.workshop`). rate: baud. Raises FaceStopped if a person stops it, or torque off is not
-    confirmed.
+    (`BusKind.workshop`). rate: baud. Raises FaceStopped if a person stops the motion, or torque off
+    is not confirmed.
     """
     channel, clock = MemoryTargetChannel(), MonotonicClock()
     place: int
@@ -377,6 +377,11 @@ def parts_of(
 
 
 def _by_bus(option: str, given: Sequence[str], known: Sequence[str] | None) -> dict[str, str]:
+    """Return the values of an option by bus, from texts NAME=VALUE.
+
+    known: the buses that may be named; None: any. Raises UserError for a malformed text, and for an
+    unknown or repeated name.
+    """
     found: dict[str, str] = {}
     for each in given:
         name, is_named, value = each.partition("=")

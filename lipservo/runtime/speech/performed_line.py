@@ -121,6 +121,10 @@ def _line(
     sound_s: float,
     sample_rate_hz: int,
 ) -> PerformedLine:
+    """Return the line of a performance; phonemes are moved by the silence before the sound.
+
+    sounds: as in `PerformedLine`. sound_s: duration of the sound.
+    """
     return PerformedLine(
         name,
         sounds,

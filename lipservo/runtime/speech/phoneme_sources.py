@@ -197,7 +197,7 @@ class SpokenPhonemes:
         return self._follower.saying
 
     def note_servo_speeds(self, _sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass servo speeds to the recogniser while it hears the microphone: servo noise is in it.
+        """Pass servo speeds to a recogniser that listens to the microphone, which has servo noise.
 
         What the microphone captures now lies ahead of what is heard now, on the same timeline.
 
@@ -213,7 +213,10 @@ class SpokenPhonemes:
             self._recognizer.note_servo_speeds(captured_s, speeds_deg_s)
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Fix and recognise the sound due at sound time `until_s`; return its phoneme updates."""
+        """Commit and recognise the sound due at sound time `until_s`; return its phoneme updates.
+
+        Committed sound is written to the loudspeaker, to be heard later.
+        """
         blocks = self._playout.commit(until_s)
         for words in self._playout.take_words():
             if self._follower is not None:
@@ -236,7 +239,11 @@ class SpokenPhonemes:
         return updates
 
     def _with_timed(self, update: PhonemeUpdate) -> PhonemeUpdate:
-        """Return the update with what is known, and what was sent as far as the sound agrees."""
+        """Return a recogniser's update with phonemes and visemes that came with the streams put in.
+
+        Units that clients sent with times replace recognised phonemes only where they agree with
+        the sound; while there are such units, phonemes become final later.
+        """
         self._ears.apply(update)
         if update.evidence is not None:
             self._units.hear(update.evidence)

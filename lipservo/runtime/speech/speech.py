@@ -68,6 +68,7 @@ class Delay:
         return self.synthesis_s + self.publish_period_s + self.actuation_s
 
     def __str__(self) -> str:
+        """Return the total delay and each part of it that is not 0, in ms, for a person."""
         parts = {
             "recogniser": self.recognizer_s,
             "look-ahead": self.lookahead_s,
@@ -494,6 +495,11 @@ class Speech:
             self._publish(ServoTargets(self._newest_goal_s, goals_deg))
 
     def _targets(self, sound_s: float) -> ServoTargets:
+        """Compute the servo goals, in degrees, that show the face of sound time `sound_s`.
+
+        Called once for every period of 10 ms, in order: trim, backlash, joint plan and lag go on by
+        a period in each call. A still mouth gets its last goals again, at little cost.
+        """
         phoneme, frame = self.shown_at(sound_s)
         window = frame_alone(frame) if self._plan is None else self._synthesizer.window_after(frame)
         goal_s, shown_s = self._goal_s(sound_s)

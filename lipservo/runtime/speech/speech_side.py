@@ -101,10 +101,10 @@ class OwnVoice:
         *,
         quiet_s: float = 0.0,
     ) -> None:
-        """Link the parts; the clock leads by the speech's delay. clock: the one that `speech` uses.
+        """Link the parts of the voice; set the clock to lead by the delay of `speech`.
 
-        rest: the face (n_components,) of a mouth at rest. quiet_s: seconds of silence at the
-        beginning, as servos are slow at first.
+        clock: the one that `speech` uses. rest: the face (n_components,) of a mouth at rest.
+        quiet_s: seconds of silence at the beginning, as servos are slow at first.
         """
         self._quiet_s = quiet_s
         self.playout = playout
@@ -302,11 +302,12 @@ class SpeechSide:
         self._go_on(now_s)
 
     def hold(self, now_s: float, *, has_news: bool) -> bool:
-        """Publish what is due at monotonic `now_s` of a face at rest; False: call `advance`.
+        """Publish the unchanged goals due at monotonic `now_s` of a face at rest; save computing.
 
-        Of five periods one is worked out: nothing is spoken, no microphone is open, and all goals
-        stay. has_news: a stop or a setting is to be followed. With that, or a request, what was put
-        off is done first, so that all comes as it would have in every period.
+        Return False if the caller has to call `advance`: something is spoken, a microphone is open,
+        a goal still changes, or `has_news` (a stop or a setting is to be followed). At rest the
+        speech side computes only every 50 ms. What was put off is done before False is returned, so
+        that all comes as it would have in every period.
         """
         voice, is_still = self.voice, self.speech.is_still
         if not is_still or voice is None or has_news or not (voice.is_idle and self._is_settled):

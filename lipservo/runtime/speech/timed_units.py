@@ -74,7 +74,7 @@ class FollowedUnits:
         return next(kinds, None)
 
     def take(self) -> None:
-        """Take the units of the sound that the playout has committed."""
+        """Add the timed units of the sound that the playout has committed; drop units long past."""
         now_s = self._playout.committed_s
         for timed in self._playout.take_timed():
             last = self._followed[-1] if self._followed else None
@@ -98,7 +98,10 @@ class FollowedUnits:
             each.follower.hear(heard)
 
     def newly_shifted(self) -> tuple[str, float] | None:
-        """Return (stream, seconds later than sent) once that has changed and stays."""
+        """Return (stream, shift) once the newest units' shift has changed and stays; else None.
+
+        Shift: seconds by which units sound later than sent.
+        """
         if not self._followed:
             return None
         last, (name, reported_s) = self._followed[-1], self._shifted
@@ -155,16 +158,16 @@ class MoverNews:
         self._heard_s = 0.0
 
     def shifted(self, stream: str, by_s: float) -> None:
-        """Tell that units sound so much later than sent."""
+        """Report that units of a stream sound `by_s` seconds later than sent."""
         self._put("units_shifted", stream, shifted_s=by_s)
 
     def moved(
         self, moved_by: MovedBy | None, *, is_speech: bool, has_text: bool, are_spoken: bool
     ) -> None:
-        """Tell what moves the mouth, where it is another than before; and of a text not spoken.
+        """Report what moves the mouth if it has changed, and a text that is not spoken.
 
-        has_text: words are known that may come next. are_spoken: the units are what is heard, if
-        there are any.
+        has_text: words are known that may come next. are_spoken: units sent with times, if there
+        are any, agree with what is heard.
         """
         stream, now_s = self._playout.speaking, self._playout.committed_s
         passed_s, self._heard_s = now_s - self._heard_s, now_s
@@ -193,6 +196,11 @@ class MoverNews:
         reason: MoverReason = "told",
         shifted_s: float = 0.0,
     ) -> None:
+        """Append an event on a stream to the playout's events; do nothing if the stream is over.
+
+        name: what moves the mouth; reason: why. shifted_s: seconds by which units sound later than
+        sent.
+        """
         n_played = self._playout.n_played(stream)
         if n_played is None:  # it is over
             return

@@ -102,6 +102,10 @@ class _Ring:
         return self._slot_bytes * _N_SLOTS
 
     def write(self, values: Mapping[str, object]) -> None:
+        """Set fields by name, and write the record into the next slot with its number and checksum.
+
+        Called in the tick; never waits.
+        """
         for name, value in values.items():
             self.fields[name][...] = value
         raw = self._record.tobytes()

@@ -37,6 +37,7 @@ class _Note:
         self._value: dict[str, object] = {}
 
     def write(self, value: Mapping[str, object]) -> None:
+        """Replace the note's value by `value`; do nothing if its JSON is longer than 16 kB."""
         text = json.dumps(value).encode()
         if len(text) > _NOTE_BYTES - _HEAD.size:
             return
