@@ -36,6 +36,8 @@ _MOST_LISTED_BYTES: Final = 128 * _MOST_MEMBERS
 #: "PK\5\6", of which the size of the list, and the length of a comment, which NumPy never writes.
 _END: Final = struct.Struct("<4s8xL4xH")
 _END_64_BYTES: Final = 20
+#: Before a member: the lengths of its name and of what follows the name (APPNOTE.TXT, 4.3.7).
+_LOCAL_HEAD: Final = struct.Struct("<26xHH")
 _CHUNK_BYTES: Final = 1 << 20
 #: Magic and length before the header of an array; of version 1 with 2 bytes of length.
 _HEAD_BYTES: Final = 10
@@ -43,6 +45,20 @@ _HEADER: Final = re.compile(
     r"\{'descr': '([<>|=][biufU]\d{1,6})', 'fortran_order': (True|False), "
     r"'shape': \(((?:\d{1,12}, ?){0,8}(?:\d{1,12})?)\), \} *\n"
 )
+
+
+def about_in(head: bytes) -> bytes:
+    """Return what the first bytes of an archive hold of its array `about`; b"": it is not first."""
+    if not head.startswith(b"PK\3\4") or len(head) < _LOCAL_HEAD.size:
+        return b""
+    n_name, n_extra = _LOCAL_HEAD.unpack_from(head)
+    name_end = _LOCAL_HEAD.size + n_name
+    if head[_LOCAL_HEAD.size : name_end] != b"about.npy":
+        return b""
+    try:
+        return zlib.decompressobj(-zlib.MAX_WBITS).decompress(head[name_end + n_extra :])
+    except zlib.error:
+        return b""
 
 
 class ArrayArchive:

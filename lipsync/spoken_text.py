@@ -144,6 +144,11 @@ class SpokenText:
                 units = units[1:]
         return _joined(self.kind, units, self.sample_rate_hz)
 
+    def is_corrected_by(self, later: "SpokenText") -> bool:
+        """Return whether `revised` puts units of `later` in place of units, not only after them."""
+        start = later.units[0].start_sample if later.units else None
+        return start is not None and len(_before(self.units, start)) < len(self.units)
+
     def events(
         self, from_sample: int = 0, until_sample: int | None = None
     ) -> tuple[PhonemeEvent, ...]:

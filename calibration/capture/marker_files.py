@@ -320,7 +320,7 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
         if not set(own) <= {1.0, -1.0}:
             raise CalibrationError(f"{place}: sides must be 1 (from below) or -1 (from above)")
     shape = (len(poses), len(servo_names))
-    ladders = [_whole(row.get(_LADDER, 0), place) for place, row in rows]
+    ladders = [_whole(row.get(_LADDER, 0), place, _LADDER) for place, row in rows]
     return (
         poses,
         np.array(goals).reshape(shape),
@@ -440,8 +440,8 @@ def number_in(value: object, place: str, *, lost: bool = False) -> float:
     return number
 
 
-def _whole(value: object, place: str) -> int:
+def _whole(value: object, place: str, what: str = "pose") -> int:
     number = number_in(value, place)
     if number != int(number):
-        raise CalibrationError(f"{place}: pose {shown(value)} is not a whole number")
+        raise CalibrationError(f"{place}: {what} {shown(value)} is not a whole number")
     return int(number)

@@ -14,7 +14,7 @@ from lipservo.rendering.line_expression import line_expression
 from lipservo.rendering.spoken_sound import SpokenSound, labels_of
 from lipservo.runtime.motion_options import MotionOptions
 from lipservo.runtime.servos.assembly import load_settings
-from lipservo.runtime.sound import speaker_of
+from lipservo.runtime.sound import speaker_of, voice_of
 from lipservo.traces.trace_file import read_trace
 from lipsync.arrays import Array
 from lipsync.audio.file import checked_sound, read_speech
@@ -24,7 +24,7 @@ from lipsync.face.model import load_face
 from lipsync.offline.line_methods import Line
 from lipsync.offline.performance import RATE_HZ, SUFFIX, Performance, read_performance, sound_file
 from lipsync.phoneme_files.label_file import LabelFile
-from lipsync.text_to_speech.synthesis import SynthesizedSpeech, Voice
+from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 from lipsync.textgrid import write_tiers
 
@@ -176,12 +176,12 @@ def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Fra
 def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
     """Synthesise a text by the face's voice into `folder`; return the sound file and a TextGrid.
 
-    The language is American English. The TextGrid of the phonemes is None if the voice does not
-    report them.
+    The TextGrid of the phonemes is None if the voice does not report them.
     """
-    speaker = speaker_of(load_settings(config)[0].sound, load_settings(config)[1])
-    voice = Voice("en-us", speaker.voice)
-    sentences = list(speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice))
+    settings, folder_of_yaml = load_settings(config)
+    speaker = speaker_of(settings.sound, folder_of_yaml)
+    synthesizer = synthesizer_for(speaker.synthesizer)
+    sentences = list(speak_in_pieces(synthesizer, text, voice_of(speaker)))
     rate_hz = sentences[0].sample_rate_hz
     sound = folder / "spoken.wav"
     soundfile.write(sound, np.concatenate([each.samples for each in sentences]), rate_hz)

@@ -55,14 +55,12 @@ class LipContact:
         self.own_gap_mm = max(self._widest_mm(photo.own), 1e-3)
         reach_px = _LIP_MM * photo.px_per_mm
         self.felt = [
-            _felt_by(own_px[:, :2], rim, reach_px, side * self.down) for rim, side in self._sides()
+            _felt_by(own_px[:, :2], rim, reach_px, side * self.down)
+            for rim, side in ((self.upper, -1.0), (self.lower, 1.0))
         ]
 
     def _gap_px(self, skin_px: Array) -> Array:
         return np.asarray((skin_px[self.lower, :2] - skin_px[self.upper, :2]) @ self.down)
-
-    def _sides(self) -> tuple[tuple[Indices, float], tuple[Indices, float]]:
-        return (self.upper, -1.0), (self.lower, 1.0)
 
     def _widest_mm(self, coefficients: Array) -> float:
         return float(self.gaps.gaps_mm(coefficients).max())

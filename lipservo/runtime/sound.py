@@ -36,7 +36,7 @@ from lipsync.spoken_text import LONGEST_LABEL, LONGEST_TEXT, SpokenText, SpokenU
 if TYPE_CHECKING:
     from lipservo_client.vendors import TimedUnit
 
-    from lipsync.text_to_speech.synthesis import SynthesizedSpeech
+    from lipsync.text_to_speech.synthesis import SynthesizedSpeech, Voice
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -191,12 +191,11 @@ def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TE
     for each sentence. Raises SynthesisError, also for a text of more than `LONGEST_TEXT`
     characters, and PluginError.
     """
-    from lipsync.text_to_speech.synthesis import Voice, checked_text
+    from lipsync.text_to_speech.synthesis import checked_text
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
     checked_text(text, LONGEST_TEXT)
-    language = speaker.language or _LANGUAGE
-    voice = Voice(language, speaker.voice, speaker.rate_wpm, speaker.pitch)
+    voice = voice_of(speaker)
     sentences = speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice)
 
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
@@ -222,7 +221,8 @@ def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TE
             last = stream
 
     first = stream_of(next(sentences))
-    return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S, _sounding_s(first))
+    sounding_s = first.n_received / first.sample_rate_hz
+    return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S, sounding_s)
 
 
 def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
@@ -272,8 +272,11 @@ def speaker_of(settings: SoundSettings, folder: Path | None) -> Speaker:
     return Speaker(settings.synthesizer, voice, settings.language)
 
 
-def _sounding_s(stream: PlayoutStream) -> float:
-    return stream.n_received / stream.sample_rate_hz
+def voice_of(speaker: Speaker) -> "Voice":
+    """Return a speaker's voice; its language is American English where none is set."""
+    from lipsync.text_to_speech.synthesis import Voice
+
+    return Voice(speaker.language or _LANGUAGE, speaker.voice, speaker.rate_wpm, speaker.pitch)
 
 
 class SpeechQueue:
@@ -359,7 +362,7 @@ class SpeechQueue:
         if stream is not None and stream is not spoken.streams[-1]:
             spoken.streams.append(stream)
             spoken.n_streams += 1
-            spoken.duration_s += _sounding_s(stream)
+            spoken.duration_s += stream.n_received / stream.sample_rate_hz
         return stream is not None
 
     def _finish(self, spoken: Spoken) -> None:

@@ -164,7 +164,8 @@ class PublishedSynthesizer:
         event = self._timeline.event_at(start_s)
         end_s = math.inf if event is None or event.end_s is None else event.end_s
         remaining_s = end_s - start_s
-        if event is None or (event.phoneme == SILENCE and self._is_pause(remaining_s)):
+        is_pause = remaining_s > PAUSE_S or SILENCE not in self._known
+        if event is None or (event.phoneme == SILENCE and is_pause):
             self._choice = None
             self._rest(start_s, event, self._units.rest)
         elif remaining_s < _SHORTEST_PHONE_S:
@@ -174,9 +175,6 @@ class PublishedSynthesizer:
             self._speak(event.phoneme, start_s, played_s)
             if played_s < remaining_s:
                 self._rest(start_s + played_s, event, self._stretches[-1].trajectory.samples[-1])
-
-    def _is_pause(self, duration_s: float) -> bool:
-        return duration_s > PAUSE_S or SILENCE not in self._known
 
     def _rest(self, start_s: float, event: PhonemeEvent | None, position: Array) -> None:
         """Append motion that eases to `position` and holds it until a phoneme starts after `event`.

@@ -264,11 +264,6 @@ class LoudspeakerOutput:
         """The number of underruns inside the device: the computer was too slow for it."""
         return self._n_device_underruns
 
-    @property
-    def n_lost_samples(self) -> int:
-        """The number of samples overwritten before they reached the device, as over 2 s waited."""
-        return self._ring.n_lost
-
     def write(self, samples: Samples) -> None:
         """Write the next samples (n,) float32 mono of the timeline, scaled by the volume."""
         self._ring.write(samples if self._volume == 1.0 else samples * self._volume)

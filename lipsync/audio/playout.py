@@ -37,7 +37,6 @@ from lipsync.audio.playout_stream import (
 )
 from lipsync.audio.source import BLOCK_SAMPLES, AudioSource, Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
-from lipsync.spoken_text import PronouncedWord, SpokenUnit
 
 Samples = NDArray[np.float32]
 
@@ -354,7 +353,8 @@ class Playout:
         if playing is None or words is None or not words.is_timed:
             return None
         n_played = playing.n_played(self._position_s)
-        number = max(0, bisect_right(words.units, n_played, key=_start_sample) - 1)
+        n_begun = bisect_right(words.units, n_played, key=lambda unit: unit.start_sample or 0)
+        number = max(0, n_begun - 1)
         first = max(0, number - _WORDS_BEFORE)
         around = words.units[first : number + _WORDS_AFTER]
         return tuple(unit.label for unit in around), number - first
@@ -427,7 +427,8 @@ class Playout:
             shift_s, behind_s, given = playing.shift_s, 0.0, passed.words
             began_s = given[0].start_s if passed.kind == "text" and given else None
             if began_s is not None and began_s + shift_s < start_s:
-                behind_s, given = start_s - began_s - shift_s, (_untimed(given[0]), *given[1:])
+                behind_s = start_s - began_s - shift_s
+                given = (replace(given[0], start_s=None), *given[1:])
             words = tuple(
                 each if each.start_s is None else replace(each, start_s=each.start_s + shift_s)
                 for each in given
@@ -571,14 +572,6 @@ class Playout:
             self._playing.popleft()
             self._is_paused = self._is_paused and bool(self._playing)
             self._quiet_from_s = position_s + _ECHO_S
-
-
-def _untimed(word: PronouncedWord) -> PronouncedWord:
-    return replace(word, start_s=None)
-
-
-def _start_sample(unit: SpokenUnit) -> int:
-    return unit.start_sample or 0
 
 
 def _is_ready(playing: PlayingStream) -> bool:

@@ -198,27 +198,20 @@ class PlayoutStream:
             is_better = spoken.kind != "text" and "text" in self.spoken and before is None
             is_worse = spoken.kind == "text" and "word" in self.spoken
             if not is_worse:
-                self._note_words(spoken, words, whole, is_better=is_better)
+                self._note_words(spoken, words, is_better=is_better)
         if spoken.is_timed or not spoken.moves_mouth:
             self.spoken = {**self.spoken, spoken.kind: whole}
 
     def _note_words(
-        self,
-        spoken: SpokenText,
-        words: Sequence[PronouncedWord],
-        whole: SpokenText,
-        *,
-        is_better: bool,
+        self, spoken: SpokenText, words: Sequence[PronouncedWord], *, is_better: bool
     ) -> None:
         """Queue the words of `spoken` in `started_words`, after earlier words or in their place.
 
-        whole: all units of this kind, `spoken` included. All earlier words are replaced if
-        `is_better`, as by words in place of a text; those from the start of `spoken` on, if it
-        corrects earlier units.
+        All earlier words are replaced if `is_better`, as by words in place of a text; if `spoken`
+        corrects earlier units, those from its start on.
         """
         before = self.spoken.get(spoken.kind)
-        n_units = 0 if before is None else len(before.units)
-        is_correction = len(whole.units) < n_units + len(spoken.units)
+        is_correction = before is not None and before.is_corrected_by(spoken)
         from_s = (spoken.units[0].start_sample or 0) / self.sample_rate_hz
         if is_better or is_correction:
             self._words = tuple(

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +105,7 @@ def motion_cues(
     cues = joined(
         MouthCue(_NAMES[shape], start, end) for shape, start, end in _segments(costs, SHORTEST_CS)
     )
-    return [_at_rest(cue) if _is_pause(cue, n) else cue for cue in cues]
+    return [replace(cue, shape="X") if _is_pause(cue, n) else cue for cue in cues]
 
 
 def lips_shut(measures: LipMeasures, coefficients: Array) -> NDArray[np.bool_]:
@@ -193,7 +193,3 @@ def _is_pause(cue: MouthCue, n: int) -> bool:
     """Return whether a cue A is a pause: over 0.35 s long, or at 0, or until `n` centiseconds."""
     is_long = cue.end_cs - cue.start_cs > _PAUSE_CS
     return cue.shape == "A" and (is_long or cue.start_cs == 0 or cue.end_cs == n)
-
-
-def _at_rest(cue: MouthCue) -> MouthCue:
-    return MouthCue("X", cue.start_cs, cue.end_cs)

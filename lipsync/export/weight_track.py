@@ -75,7 +75,8 @@ def track_lines(track: WeightTrack) -> Iterator[str]:
     }
     yield json.dumps(header) + "\n"
     for time_s, values in zip(track.times_s, track.values, strict=True):
-        row = {"time_s": round(float(time_s), 6), "values": _rounded(values)}
+        rounded = [round(float(value), _DECIMALS) for value in values]
+        row = {"time_s": round(float(time_s), 6), "values": rounded}
         yield json.dumps(row) + "\n"
 
 
@@ -112,10 +113,6 @@ def _timecode(time_s: float, rate_hz: float) -> str:
     minutes, second = divmod(seconds, 60)
     hour, minute = divmod(minutes, 60)
     return f"{hour:02d}:{minute:02d}:{second:02d}:{rest // 1000:02d}.{rest % 1000:03d}"
-
-
-def _rounded(values: Array) -> list[float]:
-    return [round(float(value), _DECIMALS) for value in values]
 
 
 def _fixed(values: Array) -> list[str]:

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.array_archive import UNREADABLE, ArrayArchive
+from lipsync.array_archive import UNREADABLE, ArrayArchive, about_in
 from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.markers import PointLayout, layout_of
@@ -179,8 +179,9 @@ def write_model(
 
 
 def is_model(head: bytes) -> bool:
-    """Return whether a file that begins with `head` seems a model: a zip archive with `about`."""
-    return head.startswith(b"PK") and b"about.npy" in head
+    """Return whether a file's first bytes are those of a face model."""
+    about = about_in(head)
+    return b'"layout"' in about and b'"kind"' not in about
 
 
 #: The part of a model file that holds a face.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.array_archive import UNREADABLE, ArrayArchive
+from lipsync.array_archive import UNREADABLE, ArrayArchive, about_in
 from lipsync.offline.offline_model import (
     OfflineModel,
     OfflineModelError,
@@ -71,8 +71,8 @@ def _narrow(name: str, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def is_offline_model(head: bytes) -> bool:
-    """Return whether a file's first bytes are of a zip with `about.npy`, as offline models are."""
-    return head.startswith(b"PK") and b"about.npy" in head
+    """Return whether a file's first bytes are those of an offline model."""
+    return _KIND.encode() in about_in(head)
 
 
 def load_offline_model(path: Path | None = None) -> OfflineModel:

@@ -20,7 +20,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.array_archive import UNREADABLE, ArrayArchive
+from lipsync.array_archive import UNREADABLE, ArrayArchive, about_in
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
 from lipsync.output_file import write_whole
@@ -179,8 +179,8 @@ def performance_bytes(performance: Performance) -> bytes:
 
 
 def is_performance(head: bytes) -> bool:
-    """Return whether a file's first bytes are of a zip with `about.npy`, as performances are."""
-    return head.startswith(b"PK") and b"about.npy" in head
+    """Return whether a file's first bytes are those of a performance."""
+    return _KIND.encode() in about_in(head)
 
 
 def read_performance(path: Path) -> Performance:

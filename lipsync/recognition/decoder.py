@@ -158,15 +158,12 @@ class ViterbiDecoder:
         if oldest >= 0:
             self._best = best - best.max()
         path = self._path(best, frames[1:])
-        if not self.is_awake and not self._is_believed(path):
+        if not self.is_awake and SILENCE_INDEX in path[: self._settings.waking_frames]:
             path = [SILENCE_INDEX] * len(path)
         if oldest < 0:
             return None, path
         self._n_silent = self._n_silent + 1 if path[0] == SILENCE_INDEX else 0
         return path[0], path[1:]
-
-    def _is_believed(self, path: list[int]) -> bool:
-        return SILENCE_INDEX not in path[: self._settings.waking_frames]
 
     def _changed(self, best: Array32) -> tuple[Array32, Array32, int]:
         """Return each phoneme's best score on entering the next frame, by staying or by a change.

@@ -267,7 +267,8 @@ class UnitFollower:
             event = unit.later(by_s)
             end_s = math.inf if event.end_s is None else event.end_s
             if 0.0 < event.start_s - before_s <= _GAP_S:
-                found.append((before_s, event.start_s, (_silence(before_s, event.start_s),)))
+                silence = PhonemeEvent(SILENCE, before_s, event.start_s)
+                found.append((before_s, event.start_s, (silence,)))
             if event.start_s >= until_s:
                 break
             found.append((event.start_s, end_s, (event,)))
@@ -295,10 +296,6 @@ class UnitFollower:
         for start_s, end_s, (event,) in self._moved(*times_s, 0.0):
             cells = slice(*(round(t * _FRAMES_PER_S) - first_cell for t in (start_s, end_s)))
             self._cells[cells] = VISEME_OF[event.phoneme]
-
-
-def _silence(start_s: float, end_s: float) -> PhonemeEvent:
-    return PhonemeEvent(SILENCE, start_s, end_s)
 
 
 def _joined(stretches: Sequence[Stretch], from_s: float, until_s: float) -> list[Stretch]:

@@ -14,6 +14,7 @@ from lipservo_lab.scans.head_alignment import Template
 from lipservo_lab.scans.scan_import import RegisteredTake
 from lipservo_lab.scans.takes import TakeSound
 from lipservo_lab.video.face_track import RIGID
+from lipsync.array_archive import about_in
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.output_file import write_whole
 from lipsync.textgrid import write_tiers
@@ -109,7 +110,7 @@ def write_motion(
 
 def is_motion(head: bytes) -> bool:
     """Whether a file that begins so looks like one of `write_motion`."""
-    return head.startswith(b"PK") and b"about.npy" in head
+    return _KIND.encode() in about_in(head)
 
 
 def _mesh(template: Template) -> dict[str, NDArray[Any]]:

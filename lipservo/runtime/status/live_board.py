@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -130,7 +131,7 @@ class _Ring:
             raw = self._memory[start + _HEAD.size : start + self._slot_bytes]
             if zlib.crc32(raw) == _HEAD.unpack_from(self._memory, start)[1]:
                 found.append((n, np.frombuffer(raw, self._kind)[0]))
-        return sorted(found, key=_number)
+        return sorted(found, key=itemgetter(0))
 
     def _slots(self) -> list[tuple[int, int]]:
         starts = (self._offset + i * self._slot_bytes for i in range(_N_SLOTS))
@@ -231,10 +232,6 @@ def expression_values(expression: Expression = NO_EXPRESSION) -> list[float]:
 def _layout(record: Mapping[str, Any]) -> BoardLayout:
     lists = {name: tuple(record[name]) for name in ("servos", "states", "phonemes")}
     return BoardLayout(**{**record, **lists})
-
-
-def _number(found: tuple[int, Record]) -> int:
-    return found[0]
 
 
 #: Of a face, by their numbers on the board.

@@ -44,7 +44,7 @@ with MicrophoneSource() as microphone, LoudspeakerOutput() as speaker:
             captured.append(microphone.captured)
         time.sleep(0.005)
     underruns = speaker.n_device_underruns
-    assert (microphone.n_losses, speaker.n_losses, speaker.n_lost_samples) == (0, 0, 0)
+    assert (microphone.n_losses, speaker.n_losses, speaker._ring.n_lost) == (0, 0, 0)
 np.savez(sys.argv[2], heard=np.concatenate(heard), reports=reports, captured=captured,
          counts=[underruns, microphone.lost_blocks])
 """

@@ -20,11 +20,11 @@ from lipservo_lab.bench.bus.pulse_tick_figures import (
     Call,
     bus_tick,
     calls_us,
-    moving_deg,
     settled,
     timed,
     whole_tick,
 )
+from lipservo_lab.bench.bus.tick_cpu_figures import moving_deg
 
 _RATE_HZ: Final = 50.0
 _BAUD_RATE: Final = 1_000_000
@@ -138,7 +138,7 @@ def _by_hand(name: str) -> Iterator[Call]:
             return places
 
         assert len(work([0.0] * N_SERVOS)) == N_SERVOS
-        yield lambda n: timed(work, moving_deg(n).tolist())
+        yield lambda n: timed(work, moving_deg(n / _RATE_HZ, N_SERVOS).tolist())
 
 
 def _packet(instruction: int, parameters: list[int]) -> bytes:

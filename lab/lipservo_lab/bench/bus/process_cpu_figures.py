@@ -34,6 +34,7 @@ from lipservo.runtime.status.status_board import StatusBoard
 from lipservo_lab.bench.bus import servo_clients
 from lipservo_lab.bench.bus.host_witness import HostWitness
 from lipservo_lab.bench.bus.servo_clients import canned_peer
+from lipservo_lab.bench.bus.tick_cpu_figures import moving_deg
 from lipservo_lab.own_processes import started_alone
 from lipsync.errors import UserError
 
@@ -48,11 +49,6 @@ _STARTS_S: Final = 30.0
 #: Full strength comes a second after torque, and is repeated.
 _FULL_STRENGTH_S: Final = 2.0
 _COUNT: Final = struct.Struct("<Q")
-
-
-def moving_deg(time_s: float) -> np.ndarray:
-    """Return the joints' targets: 4 degrees to and fro at 2 Hz, (n_servos,)."""
-    return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * time_s + 0.3 * np.arange(N_SERVOS)))
 
 
 class Rounds(Protocol):
@@ -108,7 +104,7 @@ class MeasuredProcess:
             os.kill(self.pid, signal.SIGSTOP)
 
     def _publish(self, time_s: float) -> None:
-        self.channel.publish(ServoTargets(time_s + _AHEAD_S, moving_deg(time_s)))
+        self.channel.publish(ServoTargets(time_s + _AHEAD_S, moving_deg(time_s, N_SERVOS)))
 
 
 class _CountedRounds:

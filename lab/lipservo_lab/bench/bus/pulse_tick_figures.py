@@ -31,6 +31,7 @@ from firmware_bridge.pca9685.settings import Pca9685Settings
 from firmware_bridge.pulse_bus import PulseBus, PulseController
 from firmware_bridge.pulse_servos import PulseServo
 from firmware_bridge.serial_servos.serial_transport import open_port
+from lipservo_lab.bench.bus.tick_cpu_figures import moving_deg
 
 N_SERVOS: Final = 16
 _RATE_HZ: Final = 50.0
@@ -94,12 +95,6 @@ def timed(work: Callable[[Any], object], argument: object) -> int:
     begun_ns = time.thread_time_ns()
     work(argument)
     return time.thread_time_ns() - begun_ns
-
-
-def moving_deg(n: int) -> np.ndarray:
-    """Return the joints' targets in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
-    phase = 0.3 * np.arange(N_SERVOS)
-    return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + phase))
 
 
 def _wiring(settings: object) -> Wiring:
@@ -182,7 +177,7 @@ def bus_tick(bus: ServoBus) -> Call:
         bus.feedback()
         bus.look_after()
 
-    return lambda n: timed(work, moving_deg(n))
+    return lambda n: timed(work, moving_deg(n / _RATE_HZ, N_SERVOS))
 
 
 def whole_tick(bus: ServoBus, wiring: Wiring, clock: Clock) -> tuple[Bridge, Call]:
@@ -193,7 +188,7 @@ def whole_tick(bus: ServoBus, wiring: Wiring, clock: Clock) -> tuple[Bridge, Cal
 
     def tick(n: int) -> int:
         time_s = clock.now()
-        channel.publish(ServoTargets(time_s, moving_deg(n)))
+        channel.publish(ServoTargets(time_s, moving_deg(n / _RATE_HZ, N_SERVOS)))
         return timed(bridge.tick, time_s)
 
     return bridge, tick
@@ -217,7 +212,7 @@ def _loop(send: Callable[[list[float]], None]) -> Call:
             pulses_us.append(min(max(wanted_us, each.min_us), each.max_us))
         send(pulses_us)
 
-    return lambda n: timed(work, moving_deg(n).tolist())
+    return lambda n: timed(work, moving_deg(n / _RATE_HZ, N_SERVOS).tolist())
 
 
 def _maestro_by_hand(stack: ExitStack) -> Callable[[list[float]], None]:

@@ -91,9 +91,9 @@ def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:
     return spent_us
 
 
-def moving_deg(n: int) -> np.ndarray:
-    """Return the joints' targets in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
-    return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + 0.3 * np.arange(N_SERVOS)))
+def moving_deg(time_s: float, n_servos: int = N_SERVOS) -> np.ndarray:
+    """Return the joints' targets at a time: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * time_s + 0.3 * np.arange(n_servos)))
 
 
 @contextmanager
@@ -139,7 +139,7 @@ class OwnTick:
         """Wait for the next grid time and publish a target half a tick later."""
         self._time_s = max(self._time_s + 1.0 / _RATE_HZ, self._clock.now())
         self._clock.sleep_until(self._time_s)
-        self._channel.publish(ServoTargets(self._time_s + 0.5 / _RATE_HZ, moving_deg(n)))
+        self._channel.publish(ServoTargets(self._time_s + 0.5 / _RATE_HZ, moving_deg(n / _RATE_HZ)))
 
     def work(self) -> object:
         """Run one tick of the bridge."""
@@ -155,7 +155,7 @@ class OthersTick:
 
     def prepare(self, n: int) -> None:
         """Prepare twenty registers."""
-        pulses = _MODEL.center_pulse + moving_deg(n) * _MODEL.pulses_per_deg
+        pulses = _MODEL.center_pulse + moving_deg(n / _RATE_HZ) * _MODEL.pulses_per_deg
         self._goals = pulses.astype(np.int64).tolist()
 
     def work(self) -> object:
