@@ -300,8 +300,8 @@ class Bridge:
                 targets.follow()
         silence_s = targets.silence_s(time_s)
         level = self._settings.stale.level(silence_s)
-        is_stale = port.is_open and self._state is _DRIVEN and targets.was_spoken_to
-        self.counts.add(late, is_stale=is_stale and level is not _FRESH)
+        waits = port.is_open and self._state in (_DRIVEN, _SILENT) and targets.was_spoken_to
+        self.counts.add(late, is_stale=waits and level is not _FRESH)
         acted = None
         if port.is_open:
             try:

@@ -15,11 +15,12 @@ _STALE: Final = "no new motion came from speech in {:.0%} of the last ticks (com
 class TickCounts:
     """Counts of ticks since a bridge was made, and shares of late and stale ones lately.
 
-    rate_hz: nominal rate of the ticks. n_late: ticks that were missed. n_stale: ticks of a driven
-    face whose target was no longer fresh; the wait for the first target after a start does not
-    count. n_armed: how often the face was brought up: started, sent targets again after a silence,
-    plugged in again. n_unplugged: how often the port was lost. late_share, stale_share: of the
-    ticks of the last seconds. keeps_up: False while one of the two is too large.
+    rate_hz: nominal rate of the ticks. n_late: ticks that were missed. n_stale: ticks of a face
+    that is driven, or limp since no targets come, whose target was no longer fresh; the wait for
+    the first target after a start does not count. n_armed: how often the face was brought up:
+    started, sent targets again after a silence, plugged in again. n_unplugged: how often the port
+    was lost. late_share, stale_share: of the ticks of the last seconds. keeps_up: False while one
+    of the two is too large.
     """
 
     rate_hz: float

@@ -390,7 +390,9 @@ class Supervisor:
             case StartFace():
                 return "the face is being started already"
             case ServoOrder(name, ServoSwitch.OFF | ServoSwitch.ON) if name in self._servo_names:
-                return ""  # it is done when the face is started
+                # The next bridge is told; one that starts has been told already.
+                starts = self._bridge.child.pid is not None
+                return "the bridge is being started: ask again in a moment" if starts else ""
         return f"{self._phase.value}: ask again once the face is driven"
 
     def _obey_start(self, order: StartFace, *, is_stopped_now: bool) -> None:

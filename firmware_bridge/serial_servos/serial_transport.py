@@ -116,8 +116,6 @@ class SerialTransport(PyserialTransport):
             while written < len(data):
                 select.select([], [self._fd], [], 0.1)
                 written += os.write(self._fd, data[written:])
-        except BlockingIOError as error:
-            raise self._gone(error) from error
         except OSError as error:
             raise self._gone(error) from error
 

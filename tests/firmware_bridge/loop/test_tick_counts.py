@@ -40,7 +40,7 @@ def test_what_is_in_time_is_not_named_beside_what_is_late():
 
 
 def test_speech_that_sends_nothing_is_told_in_status_and_log_before_torque_goes():
-    robot = Robot(stops=[(25.0, "soft")])
+    robot = Robot(stops=[(35.0, "soft")])
     publish, told = robot.channel.publish, {}
 
     def hang():
@@ -52,9 +52,11 @@ def test_speech_that_sends_nothing_is_told_in_status_and_log_before_torque_goes(
     def recover():
         robot.channel.publish = publish
 
-    robot.live(60.0, {2.0: hang, 2.9: look("early"), 5.0: look("late"), 5.1: recover})
+    times = {2.0: hang, 2.9: look("early"), 5.0: look("late"), 9.0: look("silent"), 9.1: recover}
+    robot.live(60.0, times)
 
-    assert (told["early"]["state"], told["late"]["state"]) == ("driven", "driven")
+    assert [told[each]["state"] for each in told] == ["driven", "driven", "silent"]
+    assert told["silent"]["n_stale"] > told["late"]["n_stale"] + 100
     assert told["early"]["troubles"] == []
     (line,) = told["late"]["troubles"]
     assert "no new motion came from speech" in line

@@ -221,6 +221,25 @@ def test_a_start_is_refused_while_the_face_stops_and_while_it_starts(face):
     assert "started already" in order(face, "start")["error"]
 
 
+@pytest.mark.parametrize("word", ["servo left off", "servo left on"])
+def test_no_servo_is_switched_while_a_bridge_starts_that_would_not_know_of_it(starting_face, word):
+    face = starting_face
+    face.bridge.beats = False
+    face.play()
+
+    assert order(face, word)["error"] == "the bridge is being started: ask again in a moment"
+    assert face.bridge.starts == [[]]
+
+
+def test_a_servo_switched_off_between_two_bridges_stays_off(face):
+    face.bridge.status = -9
+    face.play(0.05)
+
+    assert order(face, "servo left off") == {"servo": "left", "asked": "off"}
+    face.play(1.0)
+    assert face.bridge.starts[-1] == ["--switched-off", "1"]
+
+
 def test_of_a_start_and_a_stop_that_come_at_once_the_stop_is_obeyed(stopped_face):
     face = stopped_face
     clients = [face.ask_to_stop("start"), face.ask_to_stop("soft")]
