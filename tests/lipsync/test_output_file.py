@@ -6,10 +6,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
+from places import ROOT
 
 from lipservo.traces.trace_file import TraceFile
 from lipsync.errors import UserError
+from lipsync.face.model import is_model
+from lipsync.offline.offline_model_file import is_offline_model
+from lipsync.offline.performance import (
+    Performance,
+    PerformedSound,
+    is_performance,
+    write_performance,
+)
 from lipsync.output_file import OutputError, check_output, write_whole, written_whole
 
 
@@ -55,6 +65,24 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path, name, said)
     assert "\n" not in str(raised.value)
     assert listed(tmp_path) == before
     assert (tmp_path / "file").read_text() == "my own"
+
+
+def test_each_kind_of_archive_replaces_its_own_kind_alone(tmp_path):
+    models = ROOT / "lipsync" / "models"
+    kinds = {
+        is_model: (models / "grid_s1.npz").read_bytes(),
+        is_offline_model: (models / "grid_s1_offline.npz").read_bytes(),
+    }
+    path = tmp_path / "line.perf"
+    sound = PerformedSound("a.wav", "0" * 64, b"RIFF")
+    faces = np.zeros((2, 5), np.float32)
+    write_performance(Performance("0" * 16, faces, (), sound, "heard"), path)
+    kinds[is_performance] = path.read_bytes()
+    for replaces, own in kinds.items():
+        found = [replaces(content[:4096]) for content in kinds.values()]
+        assert found == [content is own for content in kinds.values()]
+        assert not replaces(b"PK\3\4")
+        assert not replaces(own[:36] + bytes(100))
 
 
 def test_what_a_command_reads_is_never_written_over(tmp_path):

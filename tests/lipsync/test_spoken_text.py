@@ -76,6 +76,17 @@ def test_of_more_text_than_an_hour_has_the_newest_is_kept():
     assert len(said.units) == MOST_CHARACTERS // LONGEST_TEXT
 
 
+def test_text_that_goes_on_corrects_nothing_however_long_it_was():
+    page = SpokenText("text", (SpokenUnit("x" * LONGEST_TEXT, 0),), RATE_HZ)
+    said = page
+    for n in range(1, 9):
+        later = SpokenText("text", (SpokenUnit("x" * LONGEST_TEXT, 100 * n),), RATE_HZ)
+        assert not said.is_corrected_by(later)
+        said = said.revised(later)
+
+    assert said.is_corrected_by(SpokenText("text", (SpokenUnit("y", 750),), RATE_HZ))
+
+
 def test_visemes_at_a_thousand_a_second_are_a_hundred():
     labels = ("M", "AA")
     said = SpokenText(

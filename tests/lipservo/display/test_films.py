@@ -1,6 +1,7 @@
 """Films: sound on its pictures, nothing half-written, and every kind of photograph."""
 
 import errno
+import json
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ pytest.importorskip("av", reason="films need PyAV, the extra `film`")
 pytest.importorskip("cv2", reason="films need OpenCV, the extra `film`")
 
 from PIL import Image
+from places import ROOT
 from speech import CLIP_LABELS_PATH, CLIP_PATH
 from written_performance import written_performance
 
@@ -284,6 +286,23 @@ def test_a_sound_that_is_not_there_is_no_text_to_be_spoken(tmp_path):
     asked = FilmRequest("hello.wav", tmp_path / "film.mp4", "robot", SIZE, 25, "face_sim", None)
     with pytest.raises(UserError, match=r"hello\.wav: no such file"):
         make_film(asked, ChosenMotion(), quiet)
+
+
+def test_a_text_is_spoken_in_the_language_of_the_face(tmp_path):
+    """A voice of the user's own that notes its language, and speaks a recording."""
+    clip = tmp_path / "clip.wav"
+    samples, rate_hz = soundfile.read(CLIP_PATH)
+    soundfile.write(clip, samples, rate_hz)
+    own = tmp_path / "voice.sh"
+    own.write_text(f'echo "$2" > {tmp_path}/language\ncp {clip} "$1"\n')
+    yaml = tmp_path / "face.yaml"
+    shipped = (ROOT / "config" / "face_sim.yaml").read_text()
+    sound = {"synthesizer": "command", "voice": f"sh {own} {{wav}} {{language}}", "language": "de"}
+    yaml.write_text(f"{shipped}\nsound: {json.dumps(sound)}\n")
+
+    request = SpeechRequest(MotionOptions(), str(yaml), None)
+    with filmed("Guten Morgen.", request, 25):
+        assert (tmp_path / "language").read_text().strip() == "de"
 
 
 def test_a_head_that_moves_tucks_its_lip_for_f_and_v_and_not_for_m():
