@@ -187,7 +187,7 @@ def _check(
         raise ValueError("samples have values that are not finite")
     for lists, n_rows in ((successors, m), (phoneme_table, len(PHONEMES))):
         if len(lists) != n_rows:
-            raise ValueError(f"a table of AnimPhos has {len(lists)} rows, expected {n_rows}")
+            raise ValueError(f"the file's table of AnimPhos has {len(lists)} rows, not {n_rows}")
         ends_right = lists.starts[0] == 0 and lists.starts[-1] == len(lists.indices)
         if not ends_right or (np.diff(lists.starts) < 0).any():
             raise ValueError("the rows of a table of AnimPhos are out of order")
@@ -240,7 +240,7 @@ def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
             if not {moves_with, opposite} <= set(at):
                 raise LayoutError(
                     f"landmark {landmark} is unknown in a model of {model.layout.name}; train one "
-                    f"with --markers {layout.n_points}"
+                    f"by `lipservo learn face --markers {layout.n_points}`"
                 )
             thickness_mm = (rest_mm[at[opposite]] - rest_mm[at[moves_with]]) / 2.0
             mean_mm = model.mean_mm[at[moves_with]] + thickness_mm

@@ -135,8 +135,7 @@ def open_model(path: Path | None = None) -> Iterator[ModelFile]:
             archive = stack.enter_context(ArrayArchive(stream, _MOST_BYTES))
         except UNREADABLE as error:
             raise ModelError(
-                f"{name}: damaged or not a lipservo model ({error}); get a fresh copy or train one "
-                "again"
+                f"{name}: damaged or not a lipservo model ({error}); get it anew or train one"
             ) from error
         yield ModelFile(name, archive)
 

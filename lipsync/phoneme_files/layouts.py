@@ -90,7 +90,9 @@ def tiers_in(text: str, alphabet: str = "") -> tuple[Tier, ...]:
             return _of_rows(layout, [(n, row.groupdict("")) for n, row in rows if row])
     for layout in begun:
         number, line = next(e for e in lines if not re.fullmatch(layout.row, e[1]))
-        raise LabelError(f"line {number}: {shown(line)} is unlike the lines before; correct it")
+        raise LabelError(
+            f"line {number}: {shown(line)} lacks columns of the lines before; correct it"
+        )
     return _of_json(_documents(text), alphabet)
 
 

@@ -111,8 +111,8 @@ def _check(voice: Voice) -> None:
         raise SynthesisError("rate and pitch of a command are options in it")
     if voice.language != DEFAULT_VOICE.language and _LANGUAGE not in voice.name:
         raise SynthesisError(
-            f"the voice's command speaks one language; write {_LANGUAGE} into it so that it gets "
-            f"{voice.language!r}"
+            f"`sound: {{voice: ...}}` in the face's YAML is a command without {_LANGUAGE}, so it "
+            f"cannot be told to speak {voice.language!r}; write {_LANGUAGE} into it"
         )
     try:
         shlex.split(voice.name)
