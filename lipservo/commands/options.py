@@ -279,7 +279,7 @@ LiveLink = Annotated[
     str | None,
     typer.Option(
         metavar="HOST[:PORT]",
-        help="Also send the face to Unreal Engine (Live Link Face): HOST[:PORT], default port 11111.",
+        help="Also send the face to Unreal Engine (Live Link Face) at HOST[:PORT], default 11111.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
