@@ -187,7 +187,7 @@ class ControlSession:
         self, given: Say | Play, speak: Callable[[str], Utterance] | None, name: str
     ) -> Mapping[str, object]:
         if speak is None:
-            raise MessageError("not_available", f"this face has no {given.type}")
+            raise MessageError("not_available", f"this face does not accept `{given.type}`")
         own = self._streams.open_own(self._outbox, given.id, name)
         loop = asyncio.get_running_loop()
         try:

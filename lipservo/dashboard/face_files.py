@@ -140,7 +140,7 @@ def face_errors() -> Iterator[None]:
 def _place(name: str) -> Place:
     """Return the YAML section and key of setting `name`. Raises FaceError if it is never saved."""
     if name in ExpressionRequests.PASSING:
-        raise FaceError("refused", f"{name} is only for the moment, so it is not saved")
+        raise FaceError("refused", f"{name} lasts only while the face runs and is never saved")
     return ("expression", "amount") if name == "expression" else ("motion", name)
 
 

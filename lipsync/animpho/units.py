@@ -190,11 +190,11 @@ def _check(
             raise ValueError(f"the file's table of AnimPhos has {len(lists)} rows, not {n_rows}")
         ends_right = lists.starts[0] == 0 and lists.starts[-1] == len(lists.indices)
         if not ends_right or (np.diff(lists.starts) < 0).any():
-            raise ValueError("the rows of a table of AnimPhos are out of order")
+            raise ValueError("the file's table of AnimPhos has rows out of order")
         if len(lists.indices) and not 0 <= lists.indices.min() <= lists.indices.max() < m:
-            raise ValueError("a table names an AnimPho that does not exist")
+            raise ValueError("the file's table names an AnimPho that does not exist")
     if m == 0 or not len(phoneme_table.indices):
-        raise ValueError("it has no AnimPhos")
+        raise ValueError("the file has no AnimPhos (recorded pieces of motion)")
 
 
 #: For each point of the inner lips the outer one that it moves with, and the one opposite to it.

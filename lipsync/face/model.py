@@ -64,7 +64,7 @@ class ModelFile:
             )
         try:
             if self.about["phonemes"] != list(PHONEMES):
-                raise ValueError("its phonemes are not those of this lipservo version")
+                raise ValueError("the model's phonemes are not those of this lipservo version")
             self.layout: PointLayout = layout_of(self.about["layout"])
         except (KeyError, TypeError, ValueError, AttributeError, UserError) as error:
             raise self._damaged(error) from error

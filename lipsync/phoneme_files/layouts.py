@@ -111,7 +111,7 @@ def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Ti
         end = row.get("end") or after.get("start")
         end_s = start_s + float(lasts) if lasts else layout.unit_s * float(end) if end else None
         if start_s < 0 or (end_s or start_s) < start_s:
-            raise LabelError(f"line {number}: from {start_s:g} to {end_s or 0:g} s; correct it")
+            raise LabelError(f"line {number}: {start_s:g} to {end_s or 0:g} s cannot be; fix it")
         name = f"{row['speaker']} - {row['tier']}" if several else row.get("tier", layout.name)
         unit = TimedUnit(row["label"].strip(' \t"'), start_s, end_s)
         tiers.setdefault(name, []).append(unit)

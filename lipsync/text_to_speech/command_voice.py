@@ -108,7 +108,7 @@ def _check(voice: Voice) -> None:
             "--out {wav}\"}` in the face's YAML"
         )
     if (voice.rate_wpm, voice.pitch) != (DEFAULT_VOICE.rate_wpm, DEFAULT_VOICE.pitch):
-        raise SynthesisError("rate and pitch of a command are options in it")
+        raise SynthesisError("give rate and pitch as options in the voice's own command")
     if voice.language != DEFAULT_VOICE.language and _LANGUAGE not in voice.name:
         raise SynthesisError(
             f"`sound: {{voice: ...}}` in the face's YAML is a command without {_LANGUAGE}, so it "

@@ -98,7 +98,7 @@ def _finish(moved: "Moved", joints: Iterable[str], settings: "FaceSettings") -> 
     for joint in joints:
         if not moved.is_held[joint]:
             limp = 1
-            complain(f"{joint} is not known to have held, so nothing is said of where it is")
+            complain(f"{joint}: its servo did not confirm that it held, so its angle is unknown")
             continue
         where = "stands at" if moved.is_measured[joint] else "was sent to"
         deg, pulse = moved.reached_deg[joint], settings.servos[joint].pulse

@@ -264,7 +264,7 @@ def lags(
     # Trims may have been set while servos chirped.
     now = load_calibration(file)
     if now.origin != before.origin or now.servo_names != before.servo_names:
-        raise CalibrationError(f"{file}: was replaced meanwhile, so it stays as it is; try again")
+        raise CalibrationError(f"{file}: was replaced while servos were measured; measure again")
     found = replace(now, following=found.following)
     save_calibration(found, file)
     if as_json:
