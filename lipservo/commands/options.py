@@ -272,7 +272,7 @@ Osc = Annotated[
     typer.Option(
         metavar="HOST[:PORT][/vowels]",
         help="Also send the face to an avatar (VMC protocol over OSC): HOST[:PORT][/vowels], "
-        "default port 39540; add /vowels if it only has the mouth shapes A I U E O.",
+        "default port 39540; add /vowels for avatars with mouth shapes A I U E O alone.",
     ),
 ]
 LiveLink = Annotated[

@@ -42,7 +42,7 @@ Keep = Annotated[
         "interruption; default: FILE.poses beside the calibration FILE."
     ),
 ]
-Lags = Annotated[bool, typer.Option(help="Measure each servo's lag (default), or leave that out.")]
+Lags = Annotated[bool, typer.Option(help="Measure how late each servo is; --no-lags: do not.")]
 Speed = Annotated[
     float, typer.Option(min=5.0, max=400.0, help="Speed of the servos between poses, degrees/s.")
 ]
@@ -71,7 +71,7 @@ Accept = Annotated[
     bool,
     typer.Option(
         "--accept",
-        help="Only warn if a joint seems dead or reversed, the size is odd or the grade bad.",
+        help="Warn, do not refuse, if a joint seems dead, the face's size odd or the grade bad.",
     ),
 ]
 

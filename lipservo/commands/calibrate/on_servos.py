@@ -145,8 +145,8 @@ def practise(
     family: Annotated[
         RobotFamily | None,
         typer.Option(
-            help="own: compliant skin and backlash, for a face whose joints are named as those of "
-            "face_sim; elastic: lips that touch, for any joints. Default: own if the names fit."
+            help="Kind of robot. own: soft skin and backlash, for faces with face_sim's joint "
+            "names; elastic: lips that touch, for any joints. Default: own if the names fit."
         ),
     ] = None,
     poses: Poses = 60,

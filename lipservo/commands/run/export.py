@@ -65,7 +65,7 @@ def export(
     channel: Channel = "",
     shapes: Annotated[
         ShapeSource,
-        typer.Option(help="Mouth shapes of rhubarb: by the robot's motion, or Rhubarb's rules."),
+        typer.Option(help="Shapes of rhubarb. motion: as the robot's; rules: by its own rules."),
     ] = "motion",
     rate_hz: Annotated[
         float, typer.Option(min=10.0, max=200.0, help="Frames per second of arkit and ovr.")

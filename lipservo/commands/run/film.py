@@ -73,7 +73,7 @@ def film(
         bool, typer.Option("--still-head", help="Head, eyes and lids do not move.")
     ] = False,
     size: Annotated[
-        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of one face, pixels.")
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of one face, WIDTHxHEIGHT pixels.")
     ] = "640x480",
     rate_hz: Annotated[int, typer.Option(min=10, max=60, help="Pictures per second.")] = 25,
     config: Config = DEFAULT_FACE,
