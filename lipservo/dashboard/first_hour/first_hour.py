@@ -220,7 +220,7 @@ class FirstHour:
         """Send an order, the fields of an `OrderBody`, to the step that runs. Raises FaceError."""
         step = self._step
         if step is None or not step.runs:
-            raise FaceError("not_available", "no set-up step is running; start the one meant")
+            raise FaceError("not_available", "no set-up step is running to do this; start it first")
         step.order(order)
 
     def end(self) -> None:
