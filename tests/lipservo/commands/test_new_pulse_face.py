@@ -94,7 +94,7 @@ def test_a_face_on_two_buses_is_written_and_can_be_moved(tmp_path):
         ((*TWO, "--bus", "lips=maestro"), "--bus: lips is given twice"),
         ((*TWO, "--bus", "maestro"), "--bus 'maestro': write NAME=..."),
         ((*TWO, "--port", "/dev/ttyACM0"), "--port '/dev/ttyACM0': write NAME=..."),
-        ((*TWO, "--board", "neck=nano"), "no --bus of this name; known: lips, eyes"),
+        ((*TWO, "--board", "neck=nano"), "no --bus is so named; known: lips, eyes"),
         ((*TWO, *JAW), "'jaw=0:opens': add its bus, as lips/jaw=0:opens"),
         ((*TWO, "--channel", "neck/jaw=0:opens"), "buses of hobby servos: lips, eyes"),
         ((*TWO, "--channel", "lips/jaw=0:opens"), "no servos given; add --channel"),
