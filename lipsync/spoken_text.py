@@ -135,8 +135,8 @@ class SpokenText:
         newest = next((t for unit in reversed(kept) for t in reversed(_times(unit))), 0)
         if first is not None and first < newest:
             raise SpokenTextError(
-                f"sample {first} comes after sample {newest} was sent; to correct earlier units, "
-                "give the first corrected one a start time"
+                f"these {later.kind}s start at sample {first}, before sample {newest}, which was "
+                "sent already; to correct what was sent, give the first of them a start time"
             )
         units = (*kept, *later.units)[-MOST_UNITS:]
         if self.kind == "text":

@@ -74,7 +74,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
 def _interval(start: object, end: object, label: object) -> Interval:
     start_s, end_s = float(str(start)), float(str(end))
     if not 0 <= start_s <= end_s < 1e9:
-        raise LabelError(f"{shown(label)} is from {shown(start)} to {shown(end)} s; correct it")
+        raise LabelError(f"{shown(label)}: {shown(start)} to {shown(end)} s cannot be; correct it")
     return str(label).strip(), start_s, end_s
 
 

@@ -264,7 +264,7 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
         )
     for name in (*_MIDDLE_GAP, *_CORNERS):
         if name not in names:
-            raise CalibrationError(f"the needed marker {name!r} was not captured")
+            raise CalibrationError(f"marker {name!r} is needed but was not captured; add it")
     human = tuple(MARKERS_47.names.index(name) for name in names)
     lips = tuple(i for i, h in enumerate(human) if h in MARKERS_47.lips)
     gaps = tuple(

@@ -43,7 +43,7 @@ def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthS
     frames = model.animphos.frames
     frames = frames[model.lip_gaps_mm(model.markers_mm(frames)) <= CLOSED_GAP_MM]
     if not len(frames):
-        raise CalibrationError("the model never closes the lips; give another")
+        raise CalibrationError("the face model never closes the lips; give another with --model")
     n_shapes = min(_N_SHAPES, len(np.unique(frames, axis=0)))
     shapes = KMeans(n_shapes, n_init=2, random_state=0).fit(frames).cluster_centers_
     goals, sides, ladders = [], [], []
@@ -69,7 +69,7 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
     closure, lips = _closure_of(calibration), calibration.learnt_lips
     apertures = apertures_of(seen)
     if apertures is None or lips is None:
-        raise CalibrationError("touch needs markers on both lips, one above the other")
+        raise CalibrationError("contact needs markers on both lips, one above the other; add them")
     noise_mm = apertures.share * lips.noise_mm
     closes = [_closes_mm(calibration, seen, rows) for rows in apertures.rows]
     # Contact is believed to be at 0; a ladder for the kink begins there.

@@ -302,7 +302,7 @@ class AsyncFace:
     def wire(self) -> Wire:
         """The open WebSocket to `/stream`. Raises FaceError while there is none."""
         if self._connection is None:
-            raise FaceError("disconnected", f"{self._url}: not connected; it is tried again")
+            raise FaceError("disconnected", f"{self._url}: not connected; connecting again")
         return self._connection
 
     @property

@@ -167,7 +167,7 @@ def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> 
         yield Finding(Severity.WARNING, what, _UDEV)
     if line.echoes:
         what = "the adapter gives back what is sent (echo); that is swallowed"
-        yield Finding(Severity.WARNING, what, "nothing to do, unless it has a switch for it")
+        yield Finding(Severity.WARNING, what, "nothing to do; switch echo off if the adapter can")
 
 
 def _fast_read(line: Line, ids: Sequence[int]) -> Iterator[Finding]:

@@ -89,7 +89,7 @@ def _lacking(line: Line, servo: MountedServo, servo_id: int, baud_rate: int) -> 
 def _unlock(line: Line, servo_id: int, model: ServoModel) -> None:
     """Switch torque off and unlock the EEPROM. Raises ServoError unless reads confirm both."""
     if not torque_verified(line, servo_id, on=False):
-        raise ServoError(f"servo id {servo_id} does not switch its torque off")
+        raise ServoError(f"servo id {servo_id} keeps its torque on; switch its power off and on")
     if not write_verified(line, servo_id, model.dialect.registers["lock"].address, b"\0"):
         raise ServoError(
             f"servo id {servo_id} keeps its EEPROM locked, so no setting would last; switch its "

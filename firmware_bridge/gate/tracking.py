@@ -55,7 +55,7 @@ class TrackingRule:
     def __post_init__(self) -> None:
         if not ((self.error_deg is None or self.error_deg > 0.0) and self.after_s > 0.0):
             raise ValueError(
-                f"needs error_deg > 0 and after_s > 0, got {self.error_deg} and {self.after_s}"
+                f"tracking: error_deg is {self.error_deg}, after_s {self.after_s}; both must be > 0"
             )
 
     def allowed_deg(self, joint: Joint) -> float:

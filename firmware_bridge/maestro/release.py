@@ -45,7 +45,9 @@ class MaestroRelease:
             if not left:
                 return
             self._maestro.check(self._port)
-        raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
+        raise PortError(
+            f"{self._port}: the Maestro still drives channels {left}; switch the servos' power off"
+        )
 
     def ask(self, address: int) -> str:
         """Return why the servo of channel `address` never counts as limp: it reports nothing."""

@@ -270,8 +270,7 @@ class SameAdapter:
         if self._identity is not None and found != self._identity:
             raise PortError(
                 f"{self._port}: another adapter is there ({found or 'not USB'}, not "
-                f"{self._identity}); plug the face's own one in where it was, or start again for "
-                "this one"
+                f"{self._identity}); plug the face's own one in where it was, or restart"
             )
         transport = open_port(self._port, self._baud_rate)
         self._identity = found

@@ -82,7 +82,7 @@ def _load(text: str) -> object:
     except RecursionError as error:
         raise FaultScriptError("not a fault script: nested too deep") from error
     except ValueError as error:  # a date of month 13, a number of 5,000 digits
-        raise FaultScriptError("not a fault script: it has a bad number or date") from error
+        raise FaultScriptError("a number or date is impossible; correct it") from error
 
 
 def _bracket_depth(text: str) -> int:

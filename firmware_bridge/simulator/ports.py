@@ -105,7 +105,7 @@ class MemoryTransport:
         self._chain.advance(self.clock.now())
         if self._closed or not self._chain.plugged:
             self._closed = True
-            raise PortGone("the simulated port is gone; plug the chain in again")
+            raise PortGone("the simulated port is closed or unplugged; open it again")
 
 
 _TERMINALS: Final = Path("/dev/pts")
@@ -129,8 +129,7 @@ class PortLink:
             raise PortError(f"--link {self._path}: is a folder, not the name of a link")
         if not self._may_take(port):
             raise PortError(
-                f"--link {self._path}: does not replace what is there; remove that or give another "
-                "path"
+                f"--link {self._path}: a file or another program's link is there; give another path"
             )
         # Beside it under a name that nobody has, then in one step to its place.
         fresh = self._path.with_name(f"{self._path.name}.{secrets.token_hex(8)}")

@@ -202,7 +202,7 @@ class ControlSession:
         synthesised so far. Raises MessageError.
         """
         if speak is None:
-            raise MessageError("not_available", f"this face has no {given.type}")
+            raise MessageError("not_available", f"this face does not accept `{given.type}`")
         own = self._streams.open_own(self._outbox, given.id, name)
         loop = asyncio.get_running_loop()
         try:

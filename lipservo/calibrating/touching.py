@@ -76,7 +76,7 @@ def touch_by_current(
         efforts = _Efforts(face)
         poses = _taken(setup, face, plan, efforts)
     if len(poses) < len(plan):
-        raise CalibrationError("a servo reached its max_current_ma before the last step")
+        raise CalibrationError("the lips did not close: a servo drew its max_current_ma before")
     return touched_by_current(calibration, plan, np.array(efforts.seen))
 
 

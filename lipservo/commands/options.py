@@ -52,7 +52,7 @@ Bus = Annotated[
 ]
 Sim = Annotated[
     str | None,
-    typer.Option(help="`pty`: simulated servos, behind a serial port made for this command."),
+    typer.Option(help="`pty` simulates the servos, at a serial port made for this command."),
 ]
 Rate = Annotated[
     float | None,
@@ -66,13 +66,13 @@ FaceName = Annotated[
     str | None, typer.Option("--face", help="Only the face of this name (see `lipservo status`).")
 ]
 Control = Annotated[
-    Path | None, typer.Option(help="Path of the face's control socket; default: by its name.")
+    Path | None, typer.Option(help="Control socket of the face; default: found by its name.")
 ]
 On = Annotated[
     Path | None,
     typer.Option(
         metavar="KIOSKS.yaml",
-        help="Instead: the faces on other computers that this file lists (docs/dashboard.md).",
+        help="Only the faces on other computers that this file lists (docs/dashboard.md).",
     ),
 ]
 
@@ -85,7 +85,7 @@ Channel = Annotated[
     str,
     typer.Option(
         metavar="left|right|mix|N",
-        help="Channel of the sound to use; default: the channel in the face's YAML, or mix.",
+        help="Channel of the sound: left, right, mix or 1 to 32; default: the face's, or mix.",
         show_default=False,
         callback=_channel,
     ),
@@ -106,7 +106,7 @@ Play = Annotated[
     typer.Option(
         metavar="[DEVICE]",
         help="Also play the sound, delayed to match the lips. DEVICE: a loudspeaker's number or "
-        "part of its name, or `silent` (play without a sound device).",
+        "part of its name, or `silent` (as if played, without a sound device).",
     ),
 ]
 Output = Annotated[
@@ -126,8 +126,7 @@ Phonemes = Annotated[
 Tier = Annotated[
     str,
     typer.Option(
-        help="Tier to read in the label file, such as `words`; default: phonemes, else visemes, "
-        "else words."
+        help="Tier of the label file, by name; default: phonemes, else visemes, else words."
     ),
 ]
 Alphabet = Annotated[str, typer.Option(help="Label file's alphabet: arpabet, ipa, x-sampa, ...")]
@@ -135,7 +134,7 @@ SpokenText = Annotated[
     str,
     typer.Option(
         "--text",
-        help="English text that the sound file says, or @FILE; recognition then uses it.",
+        help="English text of the sound, or @FILE; the recogniser then only finds its times.",
         show_default=False,
     ),
 ]
@@ -143,7 +142,7 @@ Listen = Annotated[
     str | None,
     typer.Option(
         metavar="HOST:PORT",
-        help="Address for voice agents, or `none`; agents on other computers need the token.",
+        help="Address for voice agents, HOST:PORT or `none`; other computers need the token.",
         show_default="127.0.0.1:8765, or the next free port",
     ),
 ]
@@ -171,7 +170,7 @@ Through = Annotated[
     typer.Option(
         "--through",
         metavar="URL",
-        help="Address of the running face that speaks; `lipservo status` shows it.",
+        help="Let the running face at this address (`lipservo status`) speak.",
     ),
 ]
 # ---- who watches ----
@@ -206,7 +205,8 @@ _ENGINE = typer.Option(
     show_default=False,
 )
 _WEIGHTS = typer.Option(
-    help="Recogniser's network weights: default, grid, or a weights file.", show_default=False
+    help="Recogniser's weights: default, grid (for corpus GRID's speaker), or a .npz file.",
+    show_default=False,
 )
 EngineChoice = Annotated[str, _ENGINE]
 MeasuredEngineChoice = Annotated[
@@ -220,8 +220,9 @@ FaceWeights = Annotated[str | None, _WEIGHTS]
 FaceStrategy = Annotated[
     Strategy | None,
     typer.Option(
-        help="How phonemes become motion: animpho (recorded pieces), expected (predicted faces), "
-        f"or Wei and Deng's priority or naive; default: the face's, or {DEFAULT_STRATEGY}."
+        help="Motion of a phoneme. animpho: recorded pieces near a prediction; expected: the "
+        "prediction; Wei and Deng's priority: the longest recorded chains, and naive: the "
+        f"smoothest joins. Default: the face's, or {DEFAULT_STRATEGY}."
     ),
 ]
 Lookahead = Annotated[
@@ -229,14 +230,14 @@ Lookahead = Annotated[
     typer.Option(
         min=0.0,
         max=LONGEST_LOOKAHEAD_MS,
-        help="How much following sound the motion may use, ms; it delays the face. Default: the "
+        help="Sound after a phoneme that its motion may use, ms; it delays the face. Default: the "
         "face's, or 100.",
     ),
 ]
 LowLatency = Annotated[
     bool,
     typer.Option(
-        "--low-latency", help="Goals within 150 ms of the sound, for puppeteers; less precise."
+        "--low-latency", help="Follow the sound within 150 ms, for live puppetry; less precise."
     ),
 ]
 Strength = Annotated[
@@ -249,36 +250,36 @@ Strength = Annotated[
 ]
 Smoothness = Annotated[
     float | None,
-    typer.Option(min=0.0, max=SMOOTHEST, help="0: crisp (default), 1: slow and smooth motion."),
+    typer.Option(min=0.0, max=SMOOTHEST, help="0: crisp motion (default); 1: slow and smooth."),
 ]
 UnitShare = Annotated[
     float | None,
     typer.Option(
         min=0.0,
         max=ONLY_UNITS,
-        help="For strategy animpho: share of recorded motion, 0 to 1, rest predicted; default: "
-        "the face's, or 1.",
+        help="For strategy animpho: share of recorded pieces in the motion, 0 to 1; the rest is "
+        "predicted. Default: the face's, or 1.",
     ),
 ]
 
 # ---- what comes out ----
 
 Trace = Annotated[
-    Path | None, typer.Option(help="Record every tick in this file (docs/traces.md).")
+    Path | None, typer.Option(help="File to record the servo loop's ticks in (docs/traces.md).")
 ]
 Osc = Annotated[
     str | None,
     typer.Option(
         metavar="HOST[:PORT][/vowels]",
-        help="Also send the face to an avatar: VMC protocol over OSC, default port 39540; "
-        "/vowels: shapes A I U E O, for avatars without ARKit's shapes.",
+        help="Also send the face to an avatar (VMC protocol over OSC): HOST[:PORT][/vowels], "
+        "default port 39540; add /vowels for avatars with mouth shapes A I U E O alone.",
     ),
 ]
 LiveLink = Annotated[
     str | None,
     typer.Option(
         metavar="HOST[:PORT]",
-        help="Also send the face to Unreal Engine (Live Link Face); default port 11111.",
+        help="Also send the face to Unreal Engine (Live Link Face) at HOST[:PORT], default 11111.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
@@ -290,8 +291,7 @@ Landmarker = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Face tracker's file face_landmarker.task (docs/own-face.md); default: that of "
-        "mediapipe.",
+        help="Face tracker's file face_landmarker.task (docs/own-face.md); else mediapipe's.",
     ),
 ]
 

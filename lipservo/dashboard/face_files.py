@@ -26,7 +26,7 @@ from lipsync.output_file import write_whole
 def own_yaml(config: str | None) -> Path:
     """Return the YAML path of a user's own face. Raises FaceError for a shipped face, or None."""
     if config is None:
-        raise FaceError("refused", "the place of this face's YAML is unknown")
+        raise FaceError("refused", "this face has not told where its YAML is; try again")
     try:
         return found_limits.own_yaml(config)
     except UserError as error:
@@ -85,7 +85,7 @@ def sound_choices(config: str | None) -> dict[str, Any]:
     from lipsync.text_to_speech.synthesizers import synthesizer_for
 
     if config is None:
-        raise FaceError("not_available", "the place of this face's YAML is unknown")
+        raise FaceError("not_available", "this face has not told where its YAML is; try again")
     chosen = load_settings(config)[0].sound
     found: dict[str, Any] = {"inputs": [], "outputs": [], "languages": [], "voices": []}
     with suppress(SoundError):
@@ -120,7 +120,7 @@ def copy_shipped(config: str | None) -> dict[str, Any]:
         raise FaceError("refused", "this face's YAML is already your own; change it as it is")
     path = Path.cwd() / f"my_{config}.yaml"
     if path.exists():
-        raise FaceError("refused", f"{path} already exists; start that face, or move it")
+        raise FaceError("refused", f"{path} already exists; start that face, or move the file away")
     with face_errors():
         write_whole(path, (resources.files("lipservo.config") / f"{config}.yaml").read_bytes())
     return {"file": str(path), "command": f"lipservo run --config {path.name} --dashboard"}
@@ -140,7 +140,7 @@ def face_errors() -> Iterator[None]:
 def _place(name: str) -> Place:
     """Return the YAML section and key of setting `name`. Raises FaceError if it is never saved."""
     if name in ExpressionRequests.PASSING:
-        raise FaceError("refused", f"{name} is only for the moment, so it is not saved")
+        raise FaceError("refused", f"{name} lasts only while the face runs and is never saved")
     return ("expression", "amount") if name == "expression" else ("motion", name)
 
 
@@ -162,7 +162,7 @@ def calibration_values(config: str | None) -> dict[str, Any]:
     from lipservo.settings.settings import calibration_file
 
     if config is None:
-        raise FaceError("not_available", "the place of this face's YAML is unknown")
+        raise FaceError("not_available", "this face has not told where its YAML is; try again")
     try:
         settings, folder = load_settings(config)
         file = calibration_file(settings, folder)

@@ -88,7 +88,7 @@ class SoundLines:
         except OSError:
             is_file = False
         if not is_file:
-            raise FaceError("not_found", f"{shown(name)}: this line does not exist")
+            raise FaceError("not_found", f"no file of the face is called {shown(name)}")
         return path
 
     def remove(self, name: str) -> None:

@@ -62,7 +62,7 @@ def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[
             f"{other} first"
         )
     if found["min"] == found["max"]:
-        raise SettingsError(f"{limit}: {pulse_us:.0f} us would make min and max equal")
+        raise SettingsError(f"{limit}: {pulse_us:.0f} us makes min equal max; take another")
     ends_deg = sorted((found[end] - found["neutral"]) / pulse.us_per_deg for end in ("min", "max"))
     low_deg, high_deg = _inside(*ends_deg)
     return {

@@ -188,14 +188,14 @@ def _check(
         raise ValueError("samples have values that are not finite")
     for lists, n_rows in ((successors, m), (phoneme_table, len(PHONEMES))):
         if len(lists) != n_rows:
-            raise ValueError(f"a table of AnimPhos has {len(lists)} rows, expected {n_rows}")
+            raise ValueError(f"the file's table of AnimPhos has {len(lists)} rows, not {n_rows}")
         ends_right = lists.starts[0] == 0 and lists.starts[-1] == len(lists.indices)
         if not ends_right or (np.diff(lists.starts) < 0).any():
-            raise ValueError("the rows of a table of AnimPhos are out of order")
+            raise ValueError("the file's table of AnimPhos has rows out of order")
         if len(lists.indices) and not 0 <= lists.indices.min() <= lists.indices.max() < m:
-            raise ValueError("a table names an AnimPho that does not exist")
+            raise ValueError("the file's table names an AnimPho that does not exist")
     if m == 0 or not len(phoneme_table.indices):
-        raise ValueError("it has no AnimPhos")
+        raise ValueError("the file has no AnimPhos (recorded pieces of motion)")
 
 
 #: For each point of the inner lips the outer one that it moves with, and the one opposite to it.
@@ -241,7 +241,7 @@ def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
             if not {moves_with, opposite} <= set(at):
                 raise LayoutError(
                     f"landmark {landmark} is unknown in a model of {model.layout.name}; train one "
-                    f"with --markers {layout.n_points}"
+                    f"by `lipservo learn face --markers {layout.n_points}`"
                 )
             thickness_mm = (rest_mm[at[opposite]] - rest_mm[at[moves_with]]) / 2.0
             mean_mm = model.mean_mm[at[moves_with]] + thickness_mm

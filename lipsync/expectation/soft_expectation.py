@@ -250,9 +250,9 @@ class SoftExpectation:
         for name, expected in shapes.items():
             found: Array32 = getattr(self, name)
             if found.shape != expected:
-                raise ValueError(f"array soft {name} has shape {found.shape}, expected {expected}")
+                raise ValueError(f"array soft/{name} has shape {found.shape}, not {expected}")
             if not np.isfinite(found).all():
-                raise ValueError(f"array soft {name} has values that are not finite")
+                raise ValueError(f"array soft/{name} of the file has values that are not finite")
 
 
 #: A line is gone through in stretches that are remembered with all that their windows reach.

@@ -64,7 +64,7 @@ class ModelFile:
             )
         try:
             if self.about["phonemes"] != list(PHONEMES):
-                raise ValueError("its phonemes are not those of this lipservo version")
+                raise ValueError("the model's phonemes are not those of this lipservo version")
             self.layout: PointLayout = layout_of(self.about["layout"])
         except (KeyError, TypeError, ValueError, AttributeError, UserError) as error:
             raise self._damaged(error) from error
@@ -135,8 +135,7 @@ def open_model(path: Path | None = None) -> Iterator[ModelFile]:
             archive = stack.enter_context(ArrayArchive(stream, _MOST_BYTES))
         except UNREADABLE as error:
             raise ModelError(
-                f"{name}: damaged or not a lipservo model ({error}); get a fresh copy or train one "
-                "again"
+                f"{name}: damaged or not a lipservo model ({error}); get it anew or train one"
             ) from error
         yield ModelFile(name, archive)
 

@@ -118,7 +118,7 @@ def _assembled(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> 
     Raises ValueError for a model of other phonemes, KeyError for a missing array.
     """
     if about["phonemes"] != list(PHONEMES):
-        raise ValueError("its phonemes are not those of this lipservo version")
+        raise ValueError("the model's phonemes are not those of this lipservo version")
     wide: dict[str, Any] = {n: _wide(arrays[f"states/{n}"]) for n in _STATES}
     wide["cepstra"] = arrays["states/cepstra"].astype(np.float32)
     units = Units(**{n: arrays[f"units/{n}"].astype(np.int64) for n in _UNITS})

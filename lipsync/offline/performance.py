@@ -237,8 +237,7 @@ def sound_file(sound: PerformedSound, path: Path) -> Iterator[Path]:
                     digest.update(chunk)
         if digest.hexdigest() != sound.sha256:
             raise PerformanceError(
-                f"{path}: its sound {sound.name} is not the one it was rendered from; render it "
-                "again"
+                f"{path}: its sound {sound.name} is not the one it was rendered from; render again"
             )
         yield place
 

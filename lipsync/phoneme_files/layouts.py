@@ -90,7 +90,9 @@ def tiers_in(text: str, alphabet: str = "") -> tuple[Tier, ...]:
             return _of_rows(layout, [(n, row.groupdict("")) for n, row in rows if row])
     for layout in begun:
         number, line = next(e for e in lines if not re.fullmatch(layout.row, e[1]))
-        raise LabelError(f"line {number}: {shown(line)} is unlike the lines before; correct it")
+        raise LabelError(
+            f"line {number}: {shown(line)} lacks columns of the lines before; correct it"
+        )
     return _of_json(_documents(text), alphabet)
 
 
@@ -112,7 +114,7 @@ def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Ti
         end = row.get("end") or after.get("start")
         end_s = start_s + float(lasts) if lasts else layout.unit_s * float(end) if end else None
         if start_s < 0 or (end_s or start_s) < start_s:
-            raise LabelError(f"line {number}: from {start_s:g} to {end_s or 0:g} s; correct it")
+            raise LabelError(f"line {number}: {start_s:g} to {end_s or 0:g} s cannot be; fix it")
         name = f"{row['speaker']} - {row['tier']}" if several else row.get("tier", layout.name)
         unit = TimedUnit(row["label"].strip(' \t"'), start_s, end_s)
         tiers.setdefault(name, []).append(unit)

@@ -200,7 +200,8 @@ class NetworkRecognizer:
         prepared = self._prepared.popleft()
         if prepared.start_s != block.start_s:
             raise ValueError(
-                f"a block starts at {block.start_s} s, the prepared one at {prepared.start_s} s"
+                f"feed() got the block of sound at {block.start_s} s, but prepare() that at "
+                f"{prepared.start_s} s; feed blocks as prepared"
             )
         self._decode(prepared.silence)
         # All that the decoder still holds is silence by now.

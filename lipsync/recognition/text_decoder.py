@@ -173,7 +173,7 @@ class TextDecoder:
         n_waiting = self._words.n_words - self.place + len(words)
         if n_waiting > MOST_WORDS:
             raise TextError(
-                f"{n_waiting} words wait to be spoken, {MOST_WORDS} may; send fewer at once"
+                f"{n_waiting} words wait to be spoken, at most {MOST_WORDS} may; send fewer at once"
             )
         n_behind = min(len(words), int(behind_s * _WORDS_PER_S))
         is_timed = any(word.start_s is not None for word in words)

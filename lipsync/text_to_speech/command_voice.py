@@ -112,11 +112,11 @@ def _check(voice: Voice) -> None:
             "--out {wav}\"}` in the face's YAML"
         )
     if (voice.rate_wpm, voice.pitch) != (DEFAULT_VOICE.rate_wpm, DEFAULT_VOICE.pitch):
-        raise SynthesisError("rate and pitch of a command are options in it")
+        raise SynthesisError("give rate and pitch as options in the voice's own command")
     if voice.language != DEFAULT_VOICE.language and _LANGUAGE not in voice.name:
         raise SynthesisError(
-            f"the voice's command speaks one language; write {_LANGUAGE} into it so that it gets "
-            f"{voice.language!r}"
+            f"`sound: {{voice: ...}}` in the face's YAML is a command without {_LANGUAGE}, so it "
+            f"cannot be told to speak {voice.language!r}; write {_LANGUAGE} into it"
         )
     try:
         shlex.split(voice.name)

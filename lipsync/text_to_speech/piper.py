@@ -64,7 +64,7 @@ class Piper:
                 f"{{synthesizer: piper, voice: NAME.onnx}}` in the face's YAML"
             )
         if voice.rate_wpm not in _RATES_WPM or voice.pitch != DEFAULT_VOICE.pitch:
-            raise SynthesisError("Piper speaks 80 to 400 words a minute, at one pitch")
+            raise SynthesisError("Piper speaks 80 to 400 words a minute, and only at pitch 50")
         answer, sound = self._process.request(
             {
                 "text": written,

@@ -58,8 +58,7 @@ def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedW
     """
     if len(text) > LONGEST_TEXT:
         raise PronunciationError(
-            f"a text of {len(text)} characters is too long; send it in pieces of {LONGEST_TEXT} at "
-            "most"
+            f"a text of {len(text)} characters is too long; send it in pieces of {LONGEST_TEXT}"
         )
     written = "".join(
         " " if unicodedata.category(each) in _UNSPOKEN and each != "\n" else each

@@ -86,7 +86,8 @@ class LitertTracker:
             self._landmarks = _Network(networks[_LANDMARKS])
         except (ValueError, RuntimeError) as error:
             raise TrackerError(
-                f"{landmarker}: its networks cannot be run ({str(error).splitlines()[0]})"
+                f"{landmarker}: its networks cannot be run ({str(error).splitlines()[0]}); get the "
+                "file again (docs/own-face.md)"
             ) from error
         self._name = f"{landmarker.name} by ai-edge-litert"
 
@@ -169,8 +170,7 @@ def _networks(landmarker: Path) -> dict[str, bytes]:
         ) from None
     except (KeyError, *UNREADABLE) as error:
         raise TrackerError(
-            f"{landmarker}: not a face_landmarker.task ({error}); docs/own-face.md says how to "
-            "get one"
+            f"{landmarker}: not a face_landmarker.task ({error}); get one (docs/own-face.md)"
         ) from error
 
 
@@ -220,7 +220,7 @@ def open_tracker(landmarker: Path | None) -> FaceTracker:
         return MediapipeTracker()
     except (ImportError, AttributeError) as error:
         raise TrackerError(
-            f"no usable mediapipe below 0.10.30 ({error}): up to Python 3.12 `pip install "
-            "'lipservo[video]'` brings it, or give --landmarker FILE, a face_landmarker.task "
-            "(docs/own-face.md says how to get one)"
+            f"mediapipe older than 0.10.30 is needed and cannot be loaded ({error}): up to Python "
+            "3.12 `pip install 'lipservo[video]'` brings it; or give --landmarker FILE, a "
+            "face_landmarker.task (docs/own-face.md)"
         ) from error

@@ -82,7 +82,7 @@ def new_face(
     check_face_file(output)
     parts = parts_of(bus or [], port or [], board or [], channel or [])
     if not parts:
-        raise UserError("no port; give --port, or --bus for a board that is not plugged in yet")
+        raise UserError("no port: give --port, or --bus KIND (maestro) if no board is plugged in")
     for given, name, is_wired in ((yes, "--yes", True), (ranges is not None, "--ranges", False)):
         if given and all(bool(part.kind.board_key) is not is_wired for part in parts.values()):
             raise UserError(f"{name} is not for a {next(iter(parts.values())).kind.name} bus")

@@ -103,8 +103,7 @@ def doctor(
         Path | None,
         typer.Option(
             metavar="FILE.json",
-            help="Also measure the hardware, and write a report for the developers, without names "
-            "or paths.",
+            help="Measure the hardware, and write a report for developers, without names or paths.",
         ),
     ] = None,
     seconds: Annotated[
@@ -117,12 +116,12 @@ def doctor(
         bool, typer.Option("--yes", help="With --report: ask no questions; needed in a script.")
     ] = False,
 ) -> None:
-    """Examine port, adapter and every servo; print each fault and its remedy. Changes nothing.
+    """Examine port, adapter and every servo; print each fault and its remedy.
 
-    The last lines tell whether this computer can recognise speech live, at which servo rate, and
-    with the dashboard. Exit status 1 if a finding is bad. --report switches torque off and reads
-    and writes the servos for some seconds; if you agree, one joint then moves 5 degrees to and fro,
-    within its limits.
+    The last lines say whether this computer is fast enough: for live recognition, for the servo
+    loop and up to which rate, for the dashboard. Exit status 1 if a finding is bad. Without
+    --report nothing changes. --report switches torque off and reads and writes the servos for some
+    seconds; if you agree, one joint then moves 5 degrees to and fro, within its limits.
     """
     from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.runtime.servos.assembly import load_settings

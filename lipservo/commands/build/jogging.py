@@ -27,23 +27,23 @@ def jog(
     joint: Annotated[str | None, typer.Argument(help="Joint to move.")] = None,
     deg: Annotated[
         float | None,
-        typer.Argument(help="Angle to move to, joint degrees; default: move with keys."),
+        typer.Argument(help="Angle to move to, joint degrees; default: move by keys."),
     ] = None,
     port: Port = None,
     config: Config = DEFAULT_FACE,
-    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="Seconds to stay.")] = 1.0,
+    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="Seconds to stay at DEG.")] = 1.0,
     limp: Annotated[
         bool, typer.Option("--limp", help="Torque off: turn joints by hand, and see how far.")
     ] = False,
     dashboard: Dashboard = False,
     open_page: OpenPage = False,
 ) -> None:
-    """Move one joint through the safety gate, while the others hold; then switch torque off.
+    """Move one joint within its limits, while the others hold; then switch torque off.
 
-    JOINT alone: you move it with keys, a hobby servo also a little beyond its limits, to find them.
-    --dashboard: the same on a web page, for all joints. --limp: torque is off, and the command
-    shows how far you turn each joint by hand. You can write the limits found into the face's YAML.
-    No calibration is needed.
+    JOINT without DEG: you move it with keys, a hobby servo also a little beyond its limits, to find
+    them. --dashboard: the same on a web page, for all joints. --limp: torque is off, and the
+    command shows how far you turn each joint by hand. You can write the limits found into the
+    face's YAML. No calibration is needed.
     """
     from lipservo.commands.run.dashboard_beside import check_page_options
 
@@ -77,7 +77,7 @@ def neutral(
         bool, typer.Option("--yes", help="Hobby servos without a pulse so far may jump to neutral.")
     ] = False,
 ) -> None:
-    """Move every joint to its neutral through the safety gate; then switch torque off."""
+    """Move every joint to its neutral, within limits and speeds; then switch torque off."""
     from lipservo.runtime.servos.moving import move_to
 
     settings = _settings(port, config)
@@ -102,7 +102,7 @@ def _finish(moved: "Moved", joints: Iterable[str], settings: "FaceSettings") -> 
     for joint in joints:
         if not moved.is_held[joint]:
             limp = 1
-            complain(f"{joint} is not known to have held, so nothing is said of where it is")
+            complain(f"{joint}: its servo did not confirm that it held, so its angle is unknown")
             continue
         where = "stands at" if moved.is_measured[joint] else "was sent to"
         deg, pulse = moved.reached_deg[joint], settings.servos[joint].pulse

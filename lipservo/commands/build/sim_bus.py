@@ -31,31 +31,35 @@ def sim_bus(
         str, typer.Option(help="Without --config: kind of servos: dynamixel, maestro, feetech.")
     ] = _SIMULATED,
     servos: Annotated[
-        int, typer.Option(min=1, max=252, help="Number of servos, without --config.")
+        int, typer.Option(min=1, max=252, help="Without --config: number of servos.")
     ] = _N_SERVOS,
     model: Annotated[
         str | None,
         typer.Option(help="Without --config: model of the servos; default: XL330-M288 or STS3215."),
     ] = None,
     first_id: Annotated[
-        int, typer.Option(min=0, max=252, help="Id of the first servo; the others count up.")
+        int, typer.Option(min=0, max=252, help="Without --config: id of the first servo.")
     ] = 1,
     baud_rate: Annotated[
         int | None,
-        typer.Option(help="Servos are set up for this rate; default: new, 57600 baud.", min=9600),
+        typer.Option(
+            min=9600,
+            help="Baud rate set in the servos; default: the face's, or as delivered "
+            "(Dynamixel: 57600).",
+        ),
     ] = None,
     faults: Annotated[
         Path | None, typer.Option(help="YAML file with faults to simulate (docs/simulator.md).")
     ] = None,
     log: Annotated[
         Path | None,
-        typer.Option(help="Write pulses, or Feetech servos' torque and goals, to this file."),
+        typer.Option(help="File to log pulses in, or torque and goals of Feetech servos."),
     ] = None,
     link: Annotated[
         Path | None, typer.Option(help="Make this path a link to the serial port.")
     ] = None,
     chain_stops: Annotated[
-        bool, typer.Option(help="Servos behind a servo that is silent do not answer.")
+        bool, typer.Option(help="A servo that does not answer also silences those behind it.")
     ] = False,
     on_time: Annotated[
         bool, typer.Option(help="Ask the operating system for real-time scheduling.")

@@ -11,7 +11,6 @@ from lipservo.commands.calibrate.making import (
     CalibrationFile,
     EyeDistance,
     Lags,
-    Landmarker,
     Markers,
     Output,
     Plots,
@@ -23,7 +22,7 @@ from lipservo.commands.calibrate.making import (
     load_setup,
     mesh_options,
 )
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Landmarker, Model, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError, check_inputs
 from lipsync.output_file import check_output
@@ -38,8 +37,8 @@ def plan(
         Path | None,
         typer.Option(
             metavar="PLAN",
-            help="Plan that --markers were recorded at: write it with more poses, of speech or of "
-            "joints whose effect is still unclear.",
+            help="Plan at whose poses --markers were recorded. FILE gets these poses and more, of "
+            "speech or of joints whose effect is still unclear.",
         ),
     ] = None,
     markers: Markers = None,
@@ -88,7 +87,8 @@ def fit(
     config: Config = DEFAULT_FACE,
     model: Model = None,
     plan: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The plan that --markers were recorded at.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Plan at whose poses --markers were recorded."),
     ] = None,
     markers: Markers = None,
     axes: Axes = "x y z",

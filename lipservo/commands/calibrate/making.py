@@ -29,34 +29,30 @@ Markers = Annotated[
     ),
 ]
 Axes = Annotated[
-    str, typer.Option(help="C3D axes to the robot's left, up and forward, such as `x z -y`.")
+    str,
+    typer.Option(
+        help="Axes in C3D files that point to the robot's left, up and forward, such as `x z -y`."
+    ),
 ]
 Poses = Annotated[int, typer.Option(min=1, help="Number of poses to move to.")]
 Keep = Annotated[
     Path | None,
     typer.Option(
-        help="File that keeps every captured pose; the same command then continues an interrupted "
-        "capture. Default: FILE.poses beside the calibration FILE."
+        help="File that keeps every captured pose, so that the same command continues after an "
+        "interruption; default: FILE.poses beside the calibration FILE."
     ),
 ]
-Lags = Annotated[bool, typer.Option(help="Also measure how late each servo follows its goals.")]
+Lags = Annotated[bool, typer.Option(help="Measure how late each servo is; --no-lags: do not.")]
 Speed = Annotated[
     float, typer.Option(min=5.0, max=400.0, help="Speed of the servos between poses, degrees/s.")
 ]
 Ranges = Annotated[
     Path | None,
-    typer.Option(help="LeRobot range file; the face's limits must lie within its ranges."),
+    typer.Option(help="LeRobot range file; limits of the face beyond its ranges are refused."),
 ]
 Plots = Annotated[
     Path | None,
     typer.Option(help="Folder for a picture of the mouth shapes that the robot reaches."),
-]
-Landmarker = Annotated[
-    Path | None,
-    typer.Option(
-        help="Face tracker's file face_landmarker.task (docs/own-face.md); default: that of "
-        "mediapipe."
-    ),
 ]
 EyeDistance = Annotated[
     float | None,
@@ -68,13 +64,14 @@ EyeDistance = Annotated[
     ),
 ]
 Camera = Annotated[
-    str, typer.Option(help="For --tracker camera: number or device path; a video file to try.")
+    str, typer.Option(help="For --tracker camera: the camera's number or device, or a video file.")
 ]
 CalibrationFile = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration file.")]
 Accept = Annotated[
     bool,
     typer.Option(
-        "--accept", help="Only warn of odd joints, an odd size or a bad grade; do not refuse them."
+        "--accept",
+        help="Warn, do not refuse, if a joint seems dead, the face's size odd or the grade bad.",
     ),
 ]
 

@@ -15,7 +15,6 @@ from lipservo.commands.calibrate.making import (
     EyeDistance,
     Keep,
     Lags,
-    Landmarker,
     Output,
     Plots,
     Poses,
@@ -29,12 +28,29 @@ from lipservo.commands.calibrate.making import (
     mesh_options,
     setup_at_port,
 )
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
+from lipservo.commands.options import (
+    DEFAULT_FACE,
+    Config,
+    Json,
+    Landmarker,
+    Model,
+    Port,
+    Quiet,
+    Sim,
+)
 from lipservo.terminal.output import RESULTS, print_json, say_simulated
 from lipsync.errors import check_inputs
 
 if TYPE_CHECKING:
     from lipsync.arrays import Array
+
+Tracker = Annotated[
+    str | None,
+    typer.Option(
+        help="Source of markers: `camera`, or a .csv or .json file or a folder (of C3D files or "
+        "pictures) that your tracker fills during the run."
+    ),
+]
 
 
 def measure(
@@ -43,13 +59,7 @@ def measure(
     model: Model = None,
     port: Port = None,
     sim: Sim = None,
-    tracker: Annotated[
-        str | None,
-        typer.Option(
-            help="Source of marker positions: `camera`, or a .csv or .json file or a folder that "
-            "your tracker fills during the run."
-        ),
-    ] = None,
+    tracker: Tracker = None,
     axes: Axes = "x y z",
     landmarker: Landmarker = None,
     eye_distance_mm: EyeDistance = None,
@@ -64,10 +74,10 @@ def measure(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Move the servos through poses, measure markers at each, fit, and measure the servos' lags.
+    """Move the servos through poses, measure markers at each, and fit a calibration to them.
 
-    With --sim pty and no --tracker the markers are computed: a rehearsal of everything but real
-    skin.
+    Unless you give --no-lags, each servo's lag is measured, too. With --sim pty and no --tracker
+    the markers are computed: a rehearsal of everything but real skin.
     """
     if tracker is None and sim is None:
         raise typer.BadParameter(
@@ -135,8 +145,8 @@ def practise(
     family: Annotated[
         RobotFamily | None,
         typer.Option(
-            help="Kind of robot. own: compliant skin and backlash, for the joint names of "
-            "face_sim; elastic: lips in contact, for any joints. Default: own if the names fit."
+            help="Kind of robot. own: soft skin and backlash, for faces with face_sim's joint "
+            "names; elastic: lips that touch, for any joints. Default: own if the names fit."
         ),
     ] = None,
     poses: Poses = 60,
@@ -220,18 +230,17 @@ def lags(
         list[str] | None,
         typer.Option(
             metavar="JOINT=MS",
-            help="Lag of a servo that reports no position, ms, as seen in a film; once for each "
-            "servo.",
+            help="JOINT=MS: lag of a servo without encoder, seen in a film; once for each servo.",
         ),
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how late each servo follows its goals, by chirps and steps; store it in the file.
+    """Measure how late each servo follows its goals, and store these lags in the calibration.
 
-    It takes 14 s for each joint. The rest of the calibration does not change; the old file is kept
-    as `.previous`. Servos without encoders cannot be measured: give their lags with --lag-ms
-    (docs/calibration.md).
+    Each joint moves to and fro, faster and faster, then in steps, for 14 s. The rest of the
+    calibration does not change; the old file is kept as `.previous`. Servos without encoders cannot
+    be measured: give their lags with --lag-ms (docs/calibration.md).
     """
     from calibration.calibration import CalibrationError
     from calibration.files.calibration_file import load_calibration, save_calibration
@@ -255,7 +264,7 @@ def lags(
     # Trims may have been set while servos chirped.
     now = load_calibration(file)
     if now.origin != before.origin or now.servo_names != before.servo_names:
-        raise CalibrationError(f"{file}: was replaced meanwhile, so it stays as it is; try again")
+        raise CalibrationError(f"{file}: was replaced while servos were measured; measure again")
     found = replace(now, following=found.following)
     save_calibration(found, file)
     if as_json:
@@ -271,13 +280,7 @@ def touch(
     model: Model = None,
     port: Port = None,
     sim: Sim = None,
-    tracker: Annotated[
-        str | None,
-        typer.Option(
-            help="Source of marker positions: `camera`, or a .csv or .json file or a folder that "
-            "your tracker fills during the run."
-        ),
-    ] = None,
+    tracker: Tracker = None,
     by_eye: Annotated[
         bool,
         typer.Option(

@@ -78,8 +78,8 @@ def perform(
 ) -> None:
     """Play a performance file: its sound, and the motion that was rendered for it.
 
-    No recogniser runs, and nothing is planned any more: `lines render --strength` has set the
-    amplitude. With --dashboard, in a terminal, the face then continues until Ctrl-C, and listens
+    The motion is played as rendered: no recogniser runs, and its amplitude is that of `lines render
+    --strength`. With --dashboard, in a terminal, the face then continues until Ctrl-C, and listens
     and speaks like any other running face.
     """
     if mute and output is not None:

@@ -43,7 +43,7 @@ def dashboard(
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Serve a web page of a running face: watch it, set it up, stop it. An API is at /docs.
+    """Serve a web page of a running face: watch it, set it up, stop it; /docs describes its API.
 
     The page is a separate process: the face continues if the page ends.
     """

@@ -54,8 +54,8 @@ def export(
         Format | None,
         typer.Option(
             "--format",
-            help="rhubarb: mouth shapes; arkit: 52 blendshapes; ovr: 15 visemes; default: from "
-            "the ending of the output file.",
+            help="rhubarb: mouth shapes; arkit: 52 blendshapes; ovr: 15 visemes; default: by the "
+            "ending of the output file.",
         ),
     ] = None,
     phonemes: Phonemes = None,
@@ -65,7 +65,7 @@ def export(
     channel: Channel = "",
     shapes: Annotated[
         ShapeSource,
-        typer.Option(help="Rhubarb mouth shapes from the robot's motion, or from Rhubarb's rules."),
+        typer.Option(help="Shapes of rhubarb. motion: as the robot's; rules: by its own rules."),
     ] = "motion",
     rate_hz: Annotated[
         float, typer.Option(min=10.0, max=200.0, help="Frames per second of arkit and ovr.")

@@ -11,6 +11,7 @@ from lipservo.commands.options import (
     Channel,
     Config,
     Json,
+    Landmarker,
     Model,
     Phonemes,
     Quiet,
@@ -49,21 +50,18 @@ def film(
             "(docs/film.md)."
         ),
     ] = None,
-    landmarker: Annotated[
-        Path | None,
-        typer.Option(help="The face tracker's file face_landmarker.task (docs/own-face.md)."),
-    ] = None,
+    landmarker: Landmarker = None,
     beside: Annotated[
         str | None,
         typer.Option(
             metavar="STRATEGY|PERF",
-            help="A second face at the right, moved by this strategy or performance.",
+            help="Show a second face at the right, moved by this strategy or performance.",
         ),
     ] = None,
     trace: Annotated[
         Path | None,
         typer.Option(
-            help="Film the recorded run in this trace; the argument is its sound file, if any."
+            help="Film the run recorded in this trace; SPEECH is then its sound file, if any."
         ),
     ] = None,
     phonemes: Phonemes = None,
@@ -75,7 +73,7 @@ def film(
         bool, typer.Option("--still-head", help="Head, eyes and lids do not move.")
     ] = False,
     size: Annotated[
-        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of one face, pixels.")
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of one face, WIDTHxHEIGHT pixels.")
     ] = "640x480",
     rate_hz: Annotated[int, typer.Option(min=10, max=60, help="Pictures per second.")] = 25,
     config: Config = DEFAULT_FACE,
@@ -84,7 +82,7 @@ def film(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Film a face that speaks a sound file, a text or a scripted line, or show a recorded run.
+    """Film a face that speaks a sound file, a text or a performance, or one in a recorded run.
 
     The film has the sound. It is made faster than real time; no incomplete file is left.
     """

@@ -147,7 +147,7 @@ class FirstHour:
         if path is not None:
             return path
         if step is not None and step.runs:
-            raise UserError(f"'{step.step.replace('_', ' ')}' starts; stop it in a moment")
+            raise UserError(f"'{step.step}' is still starting and cannot stop yet; try again soon")
         raise self._nothing_driven()
 
     def let_go(self) -> NothingDrivenError:
@@ -220,7 +220,7 @@ class FirstHour:
         """Send an order, the fields of an `OrderBody`, to the step that runs. Raises FaceError."""
         step = self._step
         if step is None or not step.runs:
-            raise FaceError("not_available", "no step runs that could take this; start the step")
+            raise FaceError("not_available", "no set-up step is running to do this; start it first")
         step.order(order)
 
     def end(self) -> None:

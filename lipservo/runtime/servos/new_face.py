@@ -389,7 +389,7 @@ def _by_bus(option: str, given: Sequence[str], known: Sequence[str] | None) -> d
             raise UserError(f"{option} {shown(each)}: write NAME=..., as in {option} lips=...")
         if known is not None and name not in known:
             raise UserError(
-                f"{option} {shown(each)}: unknown bus; use one of {', '.join(known) or 'none'}"
+                f"{option} {shown(each)}: no --bus is so named; known: {', '.join(known) or 'none'}"
             )
         if name in found:
             raise UserError(f"{option}: {name} is given twice; give it once")

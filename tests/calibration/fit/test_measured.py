@@ -170,7 +170,7 @@ def test_the_run_time_map_finds_a_quadratic_law_again():
 def test_markers_that_no_model_knows_or_that_are_missing_are_named():
     with pytest.raises(CalibrationError, match="unknown marker 'dot_7'"):
         correspond((*MARKERS_47.names, "dot_7"))
-    with pytest.raises(CalibrationError, match="the needed marker 'outer_lip_61'"):
+    with pytest.raises(CalibrationError, match="marker 'outer_lip_61' is needed"):
         correspond([name for name in MARKERS_47.names if name != "outer_lip_61"])
 
 

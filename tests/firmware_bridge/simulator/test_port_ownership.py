@@ -212,7 +212,7 @@ def others(tmp_path):
 def test_a_link_never_replaces_what_it_did_not_make(others, name):
     before = sorted(os.listdir(others))
 
-    with pytest.raises(UserError, match="does not replace what is there"):
+    with pytest.raises(UserError, match="link is there; give another path"):
         sim_bus(link=others / name)
 
     assert (others / "file").read_text() == "mine"
@@ -248,7 +248,7 @@ def test_a_link_that_a_killed_simulator_left_behind_is_taken_over(tmp_path):
 def test_a_link_that_leads_to_another_simulator_is_left_alone(tmp_path):
     link = tmp_path / "servos"
     with served(link) as (_, host):
-        with pytest.raises(UserError, match="does not replace what is there"):
+        with pytest.raises(UserError, match="link is there; give another path"):
             sim_bus(link=link)
         assert os.readlink(link) == host.port
 

@@ -55,7 +55,7 @@ def test_a_face_is_written_with_narrow_limits_and_can_be_moved(tmp_path, bus):
         (("--bus", "dynamixel", *JAW), "--channel is not for a dynamixel bus"),
         (("--bus", "dynamixel"), "no port given; add --port"),
         ((*MAESTRO, *JAW, "--ranges", "x.json"), "--ranges is not for a maestro bus"),
-        ((), "no port; give --port, or --bus for a board that is not plugged in yet"),
+        ((), "no port: give --port, or --bus KIND (maestro) if no board is plugged in"),
     ],
 )
 def test_bad_input_is_one_line_and_no_file(tmp_path, arguments, words):
@@ -94,7 +94,7 @@ def test_a_face_on_two_buses_is_written_and_can_be_moved(tmp_path):
         ((*TWO, "--bus", "lips=maestro"), "--bus: lips is given twice"),
         ((*TWO, "--bus", "maestro"), "--bus 'maestro': write NAME=..."),
         ((*TWO, "--port", "/dev/ttyACM0"), "--port '/dev/ttyACM0': write NAME=..."),
-        ((*TWO, "--board", "neck=nano"), "unknown bus; use one of lips, eyes"),
+        ((*TWO, "--board", "neck=nano"), "no --bus is so named; known: lips, eyes"),
         ((*TWO, *JAW), "'jaw=0:opens': add its bus, as lips/jaw=0:opens"),
         ((*TWO, "--channel", "neck/jaw=0:opens"), "buses of hobby servos: lips, eyes"),
         ((*TWO, "--channel", "lips/jaw=0:opens"), "no servos given; add --channel"),

@@ -294,16 +294,16 @@ def test_half_a_file_is_refused_or_told(name):
     [
         (
             LABEL_TRACK.replace("\t0.350000", "\tsoon", 1),
-            "line 2: '0.200000\\tsoon\\tah' is unlike the lines",
+            "line 2: '0.200000\\tsoon\\tah' lacks columns",
         ),
-        ("-0.5\t0.2\tHH\n", "line 1: from -0.5 to 0.2 s"),
+        ("-0.5\t0.2\tHH\n", "line 1: -0.5 to 0.2 s cannot be"),
         (
             CSV.replace("0.1,0.2,HH", "0.1,soon,HH"),
-            "line 4: '0.1,soon,HH,phones,mary' is unlike the lines before",
+            "line 4: '0.1,soon,HH,phones,mary' lacks columns of the lines before",
         ),
         (
             CSV.replace("0.1,0.2,HH,phones,mary", "0.1"),
-            "line 4: '0.1' is unlike the lines before",
+            "line 4: '0.1' lacks columns of the lines before",
         ),
         (GRID.replace("xmin = 0.1\n", "xmin = -0.1\n"), "time -0.1 s is before the sound begins"),
         (b"\xff\xfe\x00", "neither a TextGrid nor UTF-8 text"),

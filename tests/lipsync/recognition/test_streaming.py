@@ -113,7 +113,9 @@ def test_another_block_than_the_one_prepared_is_refused():
     recognizer = NetworkRecognizer(WEIGHTS)
     first, second = blocks_of(np.zeros(320, np.float32))
     recognizer.prepare([first, second])
-    with pytest.raises(ValueError, match=r"starts at 0\.01 s, the prepared one at 0\.0 s"):
+    with pytest.raises(
+        ValueError, match=r"block of sound at 0\.01 s, but prepare\(\) that at 0\.0 s"
+    ):
         recognizer.feed(second)
 
 

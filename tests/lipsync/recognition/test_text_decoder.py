@@ -129,7 +129,7 @@ def test_a_word_with_a_time_is_not_looked_for_elsewhere():
 
 def test_words_without_end_are_refused_and_those_that_were_said_are_forgotten():
     decoder = TextDecoder(FORMAT, 100)
-    with pytest.raises(TextError, match="words wait to be spoken, 2000 may"):
+    with pytest.raises(TextError, match="words wait to be spoken, at most 2000 may"):
         decoder.tell([BIG] * (MOST_WORDS + 1))
     scores = log_scores(said(["B", "IH", "G", *SILENCE]), SMOOTH)
     for _ in range(3):

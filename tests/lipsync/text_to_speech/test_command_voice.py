@@ -103,7 +103,7 @@ def test_times_that_cannot_be_used_are_one_line(tts):
 
 
 def test_another_language_needs_its_place_in_the_command(tts):
-    with pytest.raises(SynthesisError, match=r"write \{language\} into it so that it gets 'de'"):
+    with pytest.raises(SynthesisError, match=r"told to speak 'de'; write \{language\} into it"):
         speak(tts, language="de")
     assert len(speak(f"sh -c 'test {{language}} = de; {tts}'", language="de").samples)
 

@@ -27,7 +27,7 @@ def test_the_calibration_of_a_shipped_face_is_read():
 @pytest.mark.parametrize(
     ("config", "why"),
     [
-        (None, "the place of this face's YAML is unknown"),
+        (None, "this face has not told where its YAML is"),
         ("nobody", "no shipped face is called 'nobody'"),
     ],
 )
