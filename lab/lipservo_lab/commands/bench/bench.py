@@ -96,21 +96,18 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
 def faults(
     every: Annotated[int, typer.Option(min=1, help="Play only every Nth case.")] = 1,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Every fault with every arming and stop: 8 times more.")
+        bool, typer.Option("--whole", help="Combine all faults, starts and stops: 8 times as many.")
     ] = False,
     stops: Annotated[
         bool,
         typer.Option(
-            "--stops",
-            help="Instead: stops by every client in every trouble, on real processes, 10 s each.",
+            "--stops", help="Instead: stop real faces in every way and in every trouble, 10 s each."
         ),
     ] = False,
     signals: Annotated[
         bool,
         typer.Option(
-            "--signals",
-            help="Instead: signals to every command that moves servos, on real processes, 8 s "
-            "each.",
+            "--signals", help="Instead: end every command that moves servos by signals; 8 s each."
         ),
     ] = False,
     starved: Annotated[
@@ -118,10 +115,11 @@ def faults(
         typer.Option("--starved", help="Instead: a face with a tenth of a processor; needs root."),
     ] = False,
     minutes: Annotated[
-        float, typer.Option(min=1.0, help="Minutes that --starved takes; then 40 starts follow.")
+        float, typer.Option(min=1.0, help="Minutes of --starved; then it starts up to 40 faces.")
     ] = 20.0,
     only: Annotated[
-        str, typer.Option(help="With --stops: only stops, freezes, statements, restarts or idle.")
+        str,
+        typer.Option(help="With --stops: one part: stops, freezes, statements, restarts, idle."),
     ] = "",
     bus: Annotated[
         str, typer.Option(help="Kind of bus: dynamixel, feetech, maestro or pca9685.")
@@ -228,13 +226,13 @@ def endurance(
 
 def calibration(
     seeds: Annotated[
-        str, typer.Option(metavar="A-B", help="Random seeds, one robot for each.")
+        str, typer.Option(metavar="A-B", help="Random seeds, such as 0-19; a robot for each.")
     ] = "0-19",
     family: Annotated[
         RobotFamily | None,
         typer.Option(
-            help="own: compliant skin and backlash; elastic: lips in contact, and more. Default: "
-            "both."
+            help="Kind of robot: own: compliant skin and backlash; elastic: lips that touch, any "
+            "joints. Default: both."
         ),
     ] = None,
     ways: Annotated[
@@ -242,12 +240,12 @@ def calibration(
         typer.Option(
             "--ways",
             help="With family elastic: also test every way to calibrate (measured, guided, "
-            "practise, port, hobby, dots) on robots of 1 to 12 servos, drawn by the first seed.",
+            "practise, port, hobby, dots) on robots of 1 to 12 servos that the first seed makes.",
         ),
     ] = False,
     kills: Annotated[
         int,
-        typer.Option(min=0, help="Captures to interrupt and resume, with each of three trackers."),
+        typer.Option(min=0, help="Number of captures to kill and resume, for each of 3 trackers."),
     ] = 0,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -42,10 +42,10 @@ def closures(
     limit: Limit = None,
     cache: Cache = None,
     lookahead_ms: Annotated[
-        float, typer.Option(min=0.0, max=1000.0, help="Look-ahead of the motion, ms.")
+        float, typer.Option(min=0.0, max=1000.0, help="Following sound the motion may use, ms.")
     ] = DEFAULT_LOOKAHEAD_S * 1e3,
     latency_ms: Annotated[
-        float, typer.Option(min=0.0, help="Delay at which a label is read, ms: 45, 95 or 145.")
+        float, typer.Option(min=0.0, help="Recogniser's delay, ms: 45, 95 or 145.")
     ] = LATENCY_S * 1e3,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     model: Model = None,
@@ -183,7 +183,7 @@ _OPENINGS = {
 
 def nonspeech(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of sound files without speech; subfolders count, too.")
+        Path, typer.Argument(help="Folder of sound files without speech, with subfolders.")
     ],
     engine: EngineChoice = "network",
     weights: WeightsChoice = DEFAULT_WEIGHTS,

@@ -23,9 +23,9 @@ def cost(
     ] = None,
     config: Annotated[str, typer.Option(help="Name of a shipped face.")] = "face_sim",
     listens: Annotated[
-        bool, typer.Option("--listens", help="The face listens to a recording; else it speaks.")
+        bool, typer.Option("--listens", help="Let the face listen to a recording, not speak.")
     ] = False,
-    cycles: Annotated[int, typer.Option(min=1, help="Cycles of speech and rest.")] = 5,
+    cycles: Annotated[int, typer.Option(min=1, help="Number of cycles of speech and rest.")] = 5,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -29,7 +29,7 @@ def face(
         typer.Argument(help="Sound files of speech that move the head; default: the bundled clip."),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=1.0, help="Length of each measuring window, s.")
+        float, typer.Option(min=1.0, help="Seconds that each measurement takes.")
     ] = 20.0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -49,7 +49,7 @@ def face(
 
 def line(
     questions: Annotated[
-        int, typer.Option(min=1, help="Register reads over each disturbed line.")
+        int, typer.Option(min=1, help="Number of register reads over each disturbed line.")
     ] = 18_000,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -95,7 +95,7 @@ def scans(
 
 def shapes(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
-    phonemes: Annotated[Path, typer.Argument(help="Label file (docs/text.md) of its phones.")],
+    phonemes: Annotated[Path, typer.Argument(help="The sound's label file (docs/text.md).")],
     picture: Annotated[
         Path | None, typer.Option(help="Draw 3 s of the sound into this PNG file.")
     ] = None,
@@ -129,22 +129,22 @@ def shapes(
 
 def sync(
     quick: Annotated[
-        bool, typer.Option("--quick", help="Use a quarter of the sentences, and 1 minute of drift.")
+        bool, typer.Option("--quick", help="3 sentences, not 12; clock drift for 1 minute, not 10.")
     ] = False,
     face: Annotated[
         str | None,
         typer.Option(
             "--face",
-            help="Instead: compare closures at the shafts of this face's servos with those of the "
-            "same face with Dynamixels, for the clip of `make run`.",
+            help="Instead: name of a face; count the closures of the bundled clip that its servos "
+            "reach, and that Dynamixels in their place reach.",
         ),
     ] = None,
     timings: Annotated[
         bool,
         typer.Option(
             "--timings",
-            help="Instead: visemes shown for the clip of `make run` if the times of its phonemes "
-            "are wrong.",
+            help="Instead: measure which visemes the bundled clip shows if its phonemes come with "
+            "wrong times.",
         ),
     ] = False,
     as_json: Json = False,

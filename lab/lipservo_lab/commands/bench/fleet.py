@@ -38,7 +38,7 @@ def fleet(
 def cluster(
     lines: Annotated[int, typer.Option(min=10, help="Number of short lines to render.")] = 2000,
     kill_every_s: Annotated[
-        float, typer.Option(min=1.0, help="Seconds between kills of a worker; the scheduler: once.")
+        float, typer.Option(min=1.0, help="Seconds between kills of a worker.")
     ] = 60.0,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -93,8 +93,8 @@ def motion(
     video: Annotated[
         Path | None,
         typer.Option(
-            help="Instead: a video, or a folder of videos, of any talkers; their lips are "
-            "compared with our mouth, moved by their sound alone."
+            help="Instead of --corpus: a video, or a folder of videos, of any talkers; their lips "
+            "are compared with our mouth, which their sound alone moves."
         ),
     ] = None,
     landmarker: Landmarker = None,
@@ -108,47 +108,47 @@ def motion(
     words: Annotated[
         str | None,
         typer.Option(
-            help="Score only these words, commas between; without --model, by models that have "
-            "not learned them."
+            help="Score only these words, commas between; without --model, with a model trained "
+            "without them."
         ),
     ] = None,
     strategy: Annotated[
         str | None,
         typer.Option(
-            help="Score only these methods, commas between; with --leave-words-out each further "
-            "method is compared in pairs with the first."
+            help="Methods to score, commas between; default: all, with --leave-words-out animpho. "
+            "With it the first is compared with each other method."
         ),
     ] = None,
     lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
-        str, typer.Option(help="true (labels), recognized (live) or text (live, words known).")
+        str, typer.Option(help="true (labels), recognized (live) or text (live, given the text).")
     ] = "true",
     random_units: Annotated[
         bool,
-        typer.Option("--random-units", help="Also score randomly chosen AnimPhos, as a baseline."),
+        typer.Option("--random-units", help="Also score AnimPhos chosen at random, as a baseline."),
     ] = False,
     published_derivatives: Annotated[
         bool,
         typer.Option(
             "--published-derivatives",
-            help="For Wei and Deng's two strategies: equation (5) as printed, with a derivative "
-            "for each sample, so that the speed jumps between phones of different length.",
+            help="priority and naive: use equation (5) as Wei and Deng print it, with derivatives "
+            "per sample; the speed then jumps between phones of different length.",
         ),
     ] = False,
     offline: Annotated[
         bool,
         typer.Option(
             "--offline",
-            help="Also score the methods of `lipservo lines render`: the published one and ours; "
-            "with --leave-words-out only ours.",
+            help="Also score the methods of `lipservo lines render`: model-based (published) and "
+            "heard (ours); with --leave-words-out only heard.",
         ),
     ] = False,
     leave_words_out: Annotated[
         bool,
         typer.Option(
             "--leave-words-out",
-            help="Instead: score every word of the folder by a model that has not learned it, in "
-            "ten folds. The models are kept in the user's cache.",
+            help="Score every word of the corpus, each with one of ten models that was trained "
+            "without it. The models are kept in the user's cache.",
         ),
     ] = False,
     limit: WordLimit = 40,

@@ -46,40 +46,40 @@ def readability(
     words: Annotated[
         str | None,
         typer.Option(
-            help="Only these words, commas between, by models that have not learned them."
+            help="Score only these words, commas between, with a model trained without them."
         ),
     ] = None,
     models: Annotated[
         Path | None,
         typer.Option(
             help="Folder of face models trained without the sentences that are read: known.npz, "
-            "a.npz, b.npz; with --words: words.npz. Default: they are trained now."
+            "a.npz, b.npz; with --words: words.npz. Default: train them now."
         ),
     ] = None,
     leave_words_out: Annotated[
         bool,
         typer.Option(
             "--leave-words-out",
-            help="Instead: every word, by a model that has not learned it, as in `bench motion`.",
+            help="Score every word with a model trained without it, as `bench motion` does.",
         ),
     ] = False,
     limit: WordLimit = 20,
     strategy: Annotated[
         str,
         typer.Option(
-            help="Methods of motion, commas between: those of `bench motion`, and heard and "
-            "model-based of `lines render`."
+            help="Methods of motion, commas between: those of `bench motion`, and of `lines "
+            "render` heard and model-based."
         ),
     ] = f"{DEFAULT_STRATEGY},expected,priority",
     lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
         str,
         typer.Option(
-            help="Commas between: true (labels), recognized (live), text (live, words known)."
+            help="Commas between: true (labels), recognized (live), text (live, given the text)."
         ),
     ] = "true,recognized",
     robot: Annotated[
-        bool, typer.Option(help="Also read known words from joint angles of the simulated robot.")
+        bool, typer.Option(help="Also read trained words off the simulated robot's joint angles.")
     ] = True,
     plots: Plots = None,
     also: OtherWeights = None,

@@ -34,7 +34,7 @@ def recognition(
         str | None,
         typer.Option(
             metavar="FILE[:KEY]",
-            help="Only these utterances: a text file of names, one a line, or FILE.json:KEY.",
+            help="Utterances to use: a text file of names, one a line, or FILE.json:KEY.",
         ),
     ] = None,
     limit: Limit = None,
@@ -44,26 +44,26 @@ def recognition(
         str | None,
         typer.Option(
             metavar="KIND:DB",
-            help="Disturb the sound: white, music, babble or servos with a signal-to-noise ratio "
-            "in dB; level with a change in dB; telephone; clipped; room with a distance in metres.",
+            help="Disturb the sound: white, music, babble or servos (DB: signal to noise); level "
+            "(DB: change); telephone or clipped (no DB); room (instead of DB: metres).",
         ),
     ] = None,
     servo_speeds: Annotated[
         bool,
         typer.Option(
-            "--servo-speeds", help="With --noise servos:DB: the recogniser gets the servos' motion."
+            "--servo-speeds", help="With --noise servos:DB: tell the recogniser the servos' speeds."
         ),
     ] = False,
     text: Annotated[
         Literal["own", "another"] | None,
         typer.Option(
-            help="Give the recogniser a text: its own or another utterance's; `another` also "
-            "measures how soon the wrong text is dropped."
+            help="Give the recogniser the utterance's own text, or that of another; another: also "
+            "measure how soon the wrong text is dropped."
         ),
     ] = None,
     by: Annotated[
         Literal["speaker", "group"] | None,
-        typer.Option(help="Also print figures of each speaker, or of each group of speakers."),
+        typer.Option(help="Also print figures of each speaker, or of each group in --groups."),
     ] = None,
     groups: Annotated[
         Path | None,
@@ -75,8 +75,8 @@ def recognition(
     yardstick: Annotated[
         Path | None,
         typer.Option(
-            help="File of hashes of the reference alignments: alignments that differ from it are "
-            "counted, new ones are added to it."
+            help="File of hashes of the reference alignments: alignments that have changed since "
+            "are listed, new ones are added."
         ),
     ] = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
@@ -145,8 +145,8 @@ def listening(
     corpus: Annotated[
         Path | None,
         typer.Option(
-            help="Also measure how soon the mouth closes and wakes, on these recordings "
-            "(docs/recognition.md, Corpora)."
+            help="Recordings with texts (docs/recognition.md, Corpora) on which to measure delays "
+            "of the mouth too."
         ),
     ] = None,
     speakers: Speakers = "",
@@ -154,7 +154,7 @@ def listening(
     cache: Cache = None,
     model: Model = None,
     hours: Annotated[
-        float, typer.Option(min=0.0, help="Also run this many hours of speech without a pause.")
+        float, typer.Option(min=0.0, help="Hours of speech without a pause to recognise as well.")
     ] = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -241,7 +241,9 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
 
 
 def texts(
-    corpus: Annotated[Path, typer.Option(help="Recordings with texts (docs/recognition.md).")],
+    corpus: Annotated[
+        Path, typer.Option(help="Folder of recordings with texts (docs/recognition.md, Corpora).")
+    ],
     speakers: Speakers = "",
     limit: Limit = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
@@ -275,7 +277,7 @@ _LANGUAGE_HEADINGS = {
 
 def languages(
     languages: Annotated[
-        str, typer.Option(help="Only these languages: de,fr,ja; default: all.", show_default=False)
+        str, typer.Option(help="Languages: de,fr,es,pt,zh,ja; default: all.", show_default=False)
     ] = "",
     engine: MeasuredEngineChoice = "network",
     latency_ms: LatencyMs = 95.0,
@@ -339,10 +341,10 @@ def voices(
         str, typer.Option("--voices", help="Voices as SYNTHESISER:VOICE, commas between.")
     ] = "espeak:en-029,espeak:en-gb-scotland,flite:rms",
     languages: Annotated[
-        str, typer.Option(help="Also languages by espeak-ng, such as de,fr,ja; default: all six.")
+        str, typer.Option(help="Languages of espeak-ng to measure; default: de,fr,es,pt,zh,ja.")
     ] = "",
     heard: Annotated[
-        bool, typer.Option("--heard", help="Do not give the text: measure recognition alone.")
+        bool, typer.Option("--heard", help="Do not give the recogniser the text.")
     ] = False,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,

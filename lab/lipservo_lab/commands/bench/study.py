@@ -13,8 +13,8 @@ from lipservo_lab.commands.options import Inverted, Lazy
 
 
 def study(
-    studies: Annotated[int, typer.Option(min=1, max=100_000, help="Number of studies.")] = 200,
-    honest: Annotated[int, typer.Option(min=2, max=1000, help="Raters who rate with care.")] = 16,
+    studies: Annotated[int, typer.Option(min=1, max=100_000, help="Studies to simulate.")] = 200,
+    honest: Annotated[int, typer.Option(min=2, max=1000, help="Number of careful raters.")] = 16,
     lazy: Lazy = 1,
     inverted: Inverted = 1,
     as_json: Json = False,

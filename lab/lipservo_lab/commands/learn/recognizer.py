@@ -43,7 +43,7 @@ def train_recognizer(
         ),
     ] = "",
     validation: Annotated[
-        str, typer.Option(help="Speakers for validation (not trained on), with commas between.")
+        str, typer.Option(help="Speakers not to train on, who grade the training, commas between.")
     ] = "",
     leave_out: Annotated[
         str | None,
@@ -60,8 +60,8 @@ def train_recognizer(
         str,
         typer.Option(
             metavar="VOICES",
-            help="Also learn from these synthetic voices, which read the corpora's texts; commas "
-            "between: espeak:en-us, flite:awb, festival:ked.",
+            help="Synthetic voices that read the corpora's texts, to learn from too, such as "
+            "espeak:en-us,flite:awb,festival:ked.",
         ),
     ] = "",
     noise: Annotated[
@@ -79,31 +79,31 @@ def train_recognizer(
         typer.Option(
             min=0.0,
             max=1.0,
-            help="Share of the start weights in the average that is written: preserves what they "
-            "had learned.",
+            help="Share of --start-from in the weights written, an average of these and the "
+            "learned ones.",
         ),
     ] = 0.0,
     seed: Seed = 0,
     steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 5_000,
     rate: Annotated[
-        float, typer.Option(min=0.0, help="Peak learning rate; use less with --start-from.")
+        float, typer.Option(min=0.0, help="Peak learning rate; give less with --start-from.")
     ] = 3e-3,
-    copies: Annotated[int, typer.Option(min=0, help="Augmented copies of each recording.")] = 10,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of each recording.")] = 10,
     channels: Annotated[
         int | None,
         typer.Option(
             min=8,
             max=1024,
-            help="Channels of the network; default: 192, or those of --start-from, to which more "
-            "may be added.",
+            help="Channels of the network: 192 by default; with --start-from as many as there, or "
+            "more.",
         ),
     ] = None,
     dilations: Annotated[
         str,
         typer.Option(
             metavar="D,D,...",
-            help="Dilations of the layers; the network sees 20 ms times their sum back. Default: "
-            "1,2,4,8,1,2,4,8, or those of --start-from, to which more may be added.",
+            help="Dilations of the network's layers; it uses the last 20 ms times their sum. "
+            "Default: 1,2,4,8,1,2,4,8; with --start-from its dilations, which others may follow.",
             show_default=False,
         ),
     ] = "",
@@ -111,8 +111,8 @@ def train_recognizer(
         str,
         typer.Option(
             metavar="N,N,...",
-            help="Output delays of the network's heads, frames of 10 ms; default: 2,7,12. A "
-            "teacher may use 60, to know what follows.",
+            help="Delays at which the network puts phonemes out, frames of 10 ms; default: "
+            "2,7,12. A network that will be a --teacher may wait longer, such as 60.",
             show_default=False,
         ),
     ] = "",
@@ -120,8 +120,8 @@ def train_recognizer(
         str | None,
         typer.Option(
             metavar="WEIGHTS",
-            help="Weights of a teacher network: it aligns the labels anew, its posteriors are "
-            "soft targets, and texts that it does not find in the sound are left out.",
+            help="Weights of a teacher network: it aligns the labels anew, its probabilities are "
+            "targets too, and texts that it does not find in the sound are left out.",
         ),
     ] = None,
     soft_share: Annotated[
@@ -129,7 +129,7 @@ def train_recognizer(
         typer.Option(
             min=0.0,
             max=1.0,
-            help="With --teacher: share of its soft targets in the loss; the labels have the rest.",
+            help="Share of the --teacher's probabilities in the loss; the labels have the rest.",
         ),
     ] = 0.5,
     visible_weight: Annotated[
@@ -216,8 +216,8 @@ def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
 
 
 def plot_training(
-    log: Annotated[Path, typer.Argument(help="File log.jsonl of a training's folder.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture (PNG) to write.")],
+    log: Annotated[Path, typer.Argument(help="File log.jsonl in the --folder of a training.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write, .png.")],
 ) -> None:
     """Draw the run log of `learn recognizer` (needs the extra `plots`)."""
     from lipservo.terminal.pictures import check_picture
@@ -264,7 +264,7 @@ def adapt(
     seed: Seed = 0,
     steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 100,
     rate: Annotated[float, typer.Option(min=0.0, max=0.01, help="Peak learning rate.")] = 5e-4,
-    copies: Annotated[int, typer.Option(min=0, help="Augmented copies of the voice.")] = 2,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the voice.")] = 2,
     jobs: Jobs = None,
     as_json: Json = False,
     quiet: Quiet = False,

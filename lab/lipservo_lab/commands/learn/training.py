@@ -39,8 +39,7 @@ def train(
     output: ModelOutput,
     seed: Seed = 0,
     components: Annotated[
-        int | None,
-        typer.Option(help="Number of principal components; default: 8; Wei and Deng: 5."),
+        int | None, typer.Option(help="Number of principal components of the face; default: 8.")
     ] = None,
     markers: Annotated[
         str | None,
@@ -49,7 +48,7 @@ def train(
         ),
     ] = None,
     paper: Annotated[
-        bool, typer.Option("--paper", help="As Wei and Deng: --components 5 --markers 39.")
+        bool, typer.Option("--paper", help="As Wei and Deng's paper: --components 5 --markers 39.")
     ] = False,
     phonemes: Annotated[
         Phonemes,
@@ -62,8 +61,8 @@ def train(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="With several speakers: folder name of the one whose face is used; default: the "
-            "first.",
+            help="With several speakers: folder name of the speaker whose face is used; default: "
+            "the first.",
         ),
     ] = None,
     weight: Annotated[
@@ -76,7 +75,7 @@ def train(
     ] = None,
     without_words: Annotated[
         str | None,
-        typer.Option(help="Leave out sentences with any of these words, commas between."),
+        typer.Option(help="Leave out sentences that have any of these words, commas between."),
     ] = None,
     without: Annotated[
         Path | None,
@@ -229,8 +228,8 @@ def train_soft(
         bool,
         typer.Option(
             "--table",
-            help="Also train models without the sentences that splits.json holds out, fit them to "
-            "the same weights, and print how readable their motion is, beside the required "
+            help="Also train models without the test sentences in splits.json, fit them to the "
+            "same weights, and print how well lip-readers read their motion, beside the required "
             "figures.",
         ),
     ] = False,
@@ -319,8 +318,8 @@ def train_offline(
     markers: Annotated[
         str | None,
         typer.Option(
-            help="Layout file with more points than the face model, for dense scans "
-            "(corpus/layout.json); default: the model's own."
+            help="Layout file with more points than the face model: layout.json in the corpus of "
+            "`learn import-scans`; default: the face model's points."
         ),
     ] = None,
     seed: Seed = 0,

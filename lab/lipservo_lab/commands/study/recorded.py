@@ -12,7 +12,7 @@ from lipsync.errors import UserError
 
 
 def recorded(
-    corpus: Annotated[Path, typer.Argument(help="Recordings, a folder as in docs/motion.md.")],
+    corpus: Annotated[Path, typer.Argument(help="Folder of recordings as in docs/motion.md.")],
     sentence: Annotated[str, typer.Argument(help="Name of a recorded sentence.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Performance to write (.perf).")],
     model: Model = None,

@@ -33,21 +33,21 @@ _METHODS = "recorded,ears,words,scripted,wei-deng,edge,cohen-massaro,catmull-rom
 #: Square, so that the face fills it: a mouth is what is judged.
 _SIZE = (640, 640)
 Folder = Annotated[Path, typer.Argument(help="Folder of the study.")]
-Ratings = Annotated[int, typer.Option(min=0, max=400, help="Clips that a rater rates.")]
-Pairs = Annotated[int, typer.Option(min=0, max=400, help="Pairs that a rater compares.")]
-Sentences = Annotated[int, typer.Option(min=0, max=2000, help="Sentences that are rated.")]
+Ratings = Annotated[int, typer.Option(min=0, max=400, help="Number of clips a rater rates.")]
+Pairs = Annotated[int, typer.Option(min=0, max=400, help="Number of pairs a rater compares.")]
+Sentences = Annotated[int, typer.Option(min=0, max=2000, help="Number of sentences to be rated.")]
 
 
 def make(
     folder: Annotated[Path, typer.Argument(help="Folder of the study, to write.")],
     corpus: Annotated[
-        Path, typer.Option(help="Recordings as in docs/motion.md, with splits.json.")
+        Path, typer.Option(help="Folder of recordings, with splits.json (docs/motion.md).")
     ],
     methods: Annotated[str, typer.Option(help="Methods to compare (docs/study.md).")] = _METHODS,
     ratings: Ratings = 40,
     pairs: Pairs = 20,
     readings: Annotated[
-        int, typer.Option(min=0, max=400, help="Clips whose words a rater reads off the lips.")
+        int, typer.Option(min=0, max=400, help="Number of clips that a rater lip-reads.")
     ] = 10,
     sentences: Sentences = 20,
     face: Annotated[
@@ -57,8 +57,8 @@ def make(
     model: Annotated[
         Path | None,
         typer.Option(
-            help="Face model trained without the sentences random_test of splits.json; default: "
-            "train one now."
+            help="Face model trained without the sentences that are shown, random_test in "
+            "splits.json; default: train one now."
         ),
     ] = None,
     title: Annotated[str, typer.Option(help="Title of the raters' page.")] = "Talking faces",
@@ -247,7 +247,7 @@ def report(
         ),
     ] = None,
     answers: Annotated[
-        Path | None, typer.Option(help="Other file of answers, such as that of `study rehearse`.")
+        Path | None, typer.Option(help="Answers file, as of `study rehearse`; default: people's.")
     ] = None,
     mixed: Annotated[
         bool, typer.Option(help="Also fit a linear mixed model (extra `study`; half a minute).")
@@ -322,7 +322,7 @@ def rehearse(
             "--output", "-o", help="Answers file to write; default: rehearsal.jsonl in the folder."
         ),
     ] = None,
-    raters: Annotated[int, typer.Option(min=1, max=1000, help="Raters who rate with care.")] = 20,
+    raters: Annotated[int, typer.Option(min=1, max=1000, help="Number of careful raters.")] = 20,
     lazy: Lazy = 1,
     inverted: Inverted = 1,
     seed: Seed = 0,
@@ -360,12 +360,12 @@ def _is_rehearsal(head: bytes) -> bool:
 
 
 def power(
-    raters: Annotated[str, typer.Option(help="Numbers of raters, comma between.")] = "5,10,20,40",
-    methods: Annotated[int, typer.Option(min=2, max=20, help="Methods to compare.")] = 10,
+    raters: Annotated[str, typer.Option(help="Numbers of raters, commas between.")] = "5,10,20,40",
+    methods: Annotated[int, typer.Option(min=2, max=20, help="Number of methods to compare.")] = 10,
     ratings: Ratings = 40,
     sentences: Sentences = 20,
     studies: Annotated[
-        int, typer.Option(min=10, max=10_000, help="Simulated studies for each.")
+        int, typer.Option(min=10, max=10_000, help="Studies to simulate for each number of raters.")
     ] = 100,
     as_json: Json = False,
     quiet: Quiet = False,
