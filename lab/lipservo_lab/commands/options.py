@@ -8,18 +8,55 @@ import typer
 GridCorpus = Annotated[
     Path, typer.Option("--corpus", help="One speaker's recordings, a folder as in docs/motion.md.")
 ]
+TextCorpus = Annotated[
+    Path,
+    typer.Option(
+        "--corpus", help="Folder of recordings with texts (docs/recognition.md, Corpora)."
+    ),
+]
+TextCorpusOrClip = Annotated[
+    Path | None,
+    typer.Option(
+        "--corpus",
+        help="Folder of recordings with texts (docs/recognition.md, Corpora); default: the "
+        "bundled clip.",
+    ),
+]
 Speakers = Annotated[str, typer.Option(help="Speakers to use, commas between; default: all.")]
 Limit = Annotated[
-    int | None, typer.Option(min=1, help="First utterances of each speaker to use; default: all.")
+    int | None,
+    typer.Option(
+        min=1, help="Number of utterances of each speaker to use, from the first; default: all."
+    ),
 ]
 Cache = Annotated[
     Path | None, typer.Option(help="File that keeps alignments, as `lines align-folder` writes.")
 ]
-LatencyMs = Annotated[float, typer.Option(help="Recogniser's delay from sound to phoneme, ms.")]
+LatencyMs = Annotated[
+    float, typer.Option(help="Recogniser's delay: ms from a sound until its phoneme is read.")
+]
 LookaheadsMs = Annotated[
-    str, typer.Option("--lookahead-ms", help="Following sound that may be used, ms, such as 0,100.")
+    str,
+    typer.Option(
+        "--lookahead-ms", help="How much following sound the motion may use, ms; commas between."
+    ),
 ]
 Plots = Annotated[Path | None, typer.Option(help="Folder to draw pictures into.")]
+Words = Annotated[
+    str | None,
+    typer.Option(
+        help="Score only these words, commas between; unless models are given, with one trained "
+        "without these words."
+    ),
+]
+LeaveWordsOut = Annotated[
+    bool,
+    typer.Option(
+        "--leave-words-out",
+        help="Score every word of the corpus, each with one of ten models that was trained "
+        "without it. The models are kept in the user's cache.",
+    ),
+]
 WordLimit = Annotated[
     int, typer.Option(min=1, help="With --leave-words-out: most sentences scored for each word.")
 ]
@@ -41,6 +78,11 @@ Jobs = Annotated[
     typer.Option(min=1, help="Number of processes and of training threads; default: one per core."),
 ]
 Lazy = Annotated[
-    int, typer.Option(min=0, max=1000, help="Raters of each kind: equal, random or hasty answers.")
+    int,
+    typer.Option(
+        min=0,
+        max=1000,
+        help="Number of careless raters of each kind: equal, random, hasty answers.",
+    ),
 ]
 Inverted = Annotated[int, typer.Option(min=0, max=1000, help="Raters who reverse the scale.")]

@@ -34,7 +34,8 @@ def agent(
 ) -> None:
     """Measure whether voice agents remember only what a person could hear, when interrupted.
 
-    The agents also lose their face once. Each framework needs its own packages (`make agents`).
+    A turn is what an agent says at once. In one turn the face restarts, in another it is absent.
+    Each framework needs its own packages (`make agents`).
     """
     if barge_ins > turns:
         raise typer.BadParameter("at most one barge-in a turn")

@@ -31,6 +31,7 @@ Corpora = Annotated[
 def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = False) -> None:
     """Measure replay speed, start-up time, memory, and miss rates of Wei and Deng's selection.
 
+    A miss is a phoneme for which no recorded motion follows on from the last one (docs/motion.md).
     Without --corpora: replay speed on the bundled clip, and no miss rates.
     """
     from lipservo_lab.bench import speed_figures as measure
@@ -58,11 +59,12 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
 
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure the servo loop's process, its tick and its serial line, on simulated servos.
+    """Measure processor time, transfer times and recovery of the servo loop, on simulated servos.
 
-    The figures are compared with the time on the wire and with dynamixel-sdk; also with rustypot,
-    if it is installed. Feetech servos are compared with a hand-written loop; hobby servos are
-    measured too.
+    Processor time is that of the loop's process and of one tick, beside a loop that uses
+    dynamixel-sdk, or rustypot if it is installed; for Feetech and hobby servos beside a loop
+    written by hand. Transfer times are compared with the time that the bytes take on the wire.
+    Recovery: from a silent servo, lost packets, a pulled plug and a bus that stands still.
     """
     check_extra("smbus2", "bench bus")
     from lipservo_lab.bench.bus import bus_figures as measure
@@ -94,7 +96,9 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
 
 
 def faults(
-    every: Annotated[int, typer.Option(min=1, help="Play only every Nth case.")] = 1,
+    every: Annotated[
+        int, typer.Option(min=1, help="Play only every Nth case; 4: a quarter of all.")
+    ] = 1,
     whole: Annotated[
         bool, typer.Option("--whole", help="Combine all faults, starts and stops: 8 times as many.")
     ] = False,
@@ -127,11 +131,17 @@ def faults(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Play every kind of fault against servo loop and bus, on a virtual clock.
+    """Run the servo loop with every kind of fault of servos and bus, on a virtual clock.
 
-    --stops, --signals and --starved instead test how faces and commands end, on real processes with
-    simulated servos; --stops also tests whether their statements about torque are true. Exit status
-    1 if anything happened that must not.
+    A case is a fault with a number of servos and a rate, after a strict or a tolerant start, with
+    one kind of stop or none; --whole combines each fault with all starts and stops.
+
+    --stops, --signals and --starved instead run lipservo as users do, in processes of its own, with
+    simulated servos. --stops: a face is stopped by command, dashboard, program or signal while a
+    plug is pulled, a process hangs and so on; its parts are `stops`, `freezes`, `statements` (is
+    what lipservo says about torque true?), `restarts` of Feetech servos, and `idle` (idle
+    connections to the dashboard). --signals: commands get INT, TERM, HUP, QUIT or KILL. Exit status
+    1 if a servo, face or command did what it must not; each such case is listed.
     """
     from lipservo_lab.bench.fault_figures import (
         STOP_PARTS,
@@ -170,10 +180,12 @@ def faults(
 
 
 def house(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Count source files and calls of a tick and a stop, time and size of commands, and code lines.
+    """Measure the size of lipservo's code, and what of it runs, against the project's limits.
 
-    The command needs a checkout. Figures above their limits are listed at the end, with exit status
-    1.
+    Figures: the source files that a tick of the servo loop and a stop run through, and a tick's
+    calls from file to file; the modules that `run` loads; processor time of some commands; disk
+    space when installed; lines of code of each folder. The command needs a checkout. Figures above
+    their limits are listed at the end, with exit status 1.
     """
     from lipservo_lab.bench.house.house_figures import house_figures
 
@@ -200,10 +212,10 @@ def endurance(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Drive simulated servos for hours of virtual time: memory, file descriptors, wrong goals.
+    """Drive simulated servos for hours of virtual time; count memory, open files, wrong goals.
 
     Ctrl-C ends the run with the figures so far; with --resume the same command continues it. Exit
-    status 1 if anything happened that must not.
+    status 1 if a servo got a goal, a speed or torque that it must not get.
     """
     from firmware_bridge.stop_signals import SignalCounter
     from lipservo_lab.campaigns.endurance import endurance_figures, what_went_wrong
@@ -252,8 +264,9 @@ def calibration(
 ) -> None:
     """Calibrate simulated robots whose build is hidden, and score the results: medians and worst.
 
-    The command also puts faults into each robot, to see whether they are reported, and tests twenty
-    mouths that cannot close.
+    The command also puts faults into robots, to see whether they are reported, and tests twenty
+    mouths that cannot close. --kills ends `calibrate measure` at random times, and starts the same
+    command again.
     """
     from lipservo_lab.bench.calibration.every_robot import bench_figures, read_seeds
 

@@ -31,8 +31,8 @@ def cost(
 ) -> None:
     """Measure the processor time of a face's speech process, speaking and at rest.
 
-    It runs on a virtual clock; a cycle has 3 s of speech and 8 s of rest. Exit status 1 if goals
-    differ from those of --against by .005 degrees, or times by a microsecond.
+    The process runs on a virtual clock; a cycle has 3 s of speech and 8 s of rest. Exit status 1 if
+    servo goals differ from those of --against by .005 degrees, or their times by a microsecond.
     """
     from lipservo_lab.bench.cost.cost_figures import cost_figures
 

@@ -36,8 +36,8 @@ def face(
 ) -> None:
     """Measure the cost of the dashboard's streams, and the motion of head, eyes and lids.
 
-    The motion is compared with published ranges. If a Chromium is installed, the command also
-    measures how soon the web page shows the face in it.
+    The motion is compared with published ranges. If Chromium is installed, the command also
+    measures how soon the web page in Chromium shows the face.
     """
     check_dashboard()
     from lipservo_lab.bench.face.face_figures import face_figures
@@ -76,10 +76,10 @@ def scans(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how exactly points are registered, on scans that are made of the mean face.
+    """Measure how exactly `learn import-scans` finds a face's points, on scans with known points.
 
-    The distance is that to the true place of the same point of the skin, so sliding along the
-    surface counts.
+    The scans are made from the mean face. Errors are distances in mm from each point found to the
+    true place of the same point of the skin, so sliding along the surface counts.
     """
     check_extra("trimesh", "bench scans")
     from lipservo_lab.bench.scan_figures import scan_figures
@@ -150,10 +150,10 @@ def sync(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure lips against sound at the encoders of simulated servos, on a virtual clock.
+    """Measure how late lips are beside their sound, at simulated servos, on a virtual clock.
 
-    Phones and their times are the synthesiser's, not our recogniser's; with --face they are the
-    recogniser's on both sides.
+    The true phones and their times are the speech synthesiser's. With --face they are our
+    recogniser's, for both kinds of servos.
     """
     from lipservo_lab.bench.sync.closures_at_shaft import closures_at_shaft
     from lipservo_lab.bench.sync.sync_figures import sync_figures

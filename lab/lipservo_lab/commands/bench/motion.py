@@ -17,10 +17,12 @@ from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_jso
 from lipservo_lab.commands.bench.printing import print_table, with_machine
 from lipservo_lab.commands.options import (
     GridCorpus,
+    LeaveWordsOut,
     LookaheadsMs,
     OtherWeights,
     Plots,
     WordLimit,
+    Words,
 )
 from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import UserError, check_extra, check_inputs
@@ -105,13 +107,7 @@ def motion(
             "default: train and score models by the splits in splits.json."
         ),
     ] = None,
-    words: Annotated[
-        str | None,
-        typer.Option(
-            help="Score only these words, commas between; without --model, with a model trained "
-            "without them."
-        ),
-    ] = None,
+    words: Words = None,
     strategy: Annotated[
         str | None,
         typer.Option(
@@ -143,14 +139,7 @@ def motion(
             "heard (ours); with --leave-words-out only heard.",
         ),
     ] = False,
-    leave_words_out: Annotated[
-        bool,
-        typer.Option(
-            "--leave-words-out",
-            help="Score every word of the corpus, each with one of ten models that was trained "
-            "without it. The models are kept in the user's cache.",
-        ),
-    ] = False,
+    leave_words_out: LeaveWordsOut = False,
     limit: WordLimit = 40,
     plots: Plots = None,
     also: OtherWeights = None,
@@ -158,7 +147,11 @@ def motion(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure synthesised motion against recorded faces: our methods and the baselines.
+    """Measure how near synthesised motion comes to recorded faces, by our methods and by others.
+
+    Methods: cohen-massaro, cohen-massaro-tuned, catmull-rom, mean-face, naive, priority,
+    plain-regression, animpho, expected. priority and naive are Wei and Deng's (docs/motion.md, "The
+    paper's method"). An AnimPho is a short recorded mouth motion of one phoneme.
 
     With --video: against faces in any video (docs/own-face.md).
     """
@@ -389,10 +382,11 @@ def figures(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Print the tables and draw the figures of Wei and Deng: our values beside theirs.
+    """Print the tables and draw the figures of Wei and Deng's paper: our values beside theirs.
 
-    Sentences that the model has not learned are scored; times are processor times. For the
-    sentences that it has learned, the figures of Edge, Hilton and Jackson are printed, too.
+    Scored are the sentences of the corpus that --model has not learned; times are processor times.
+    For the sentences that the model has learned, the command also prints the tables of Edge, Hilton
+    and Jackson's paper. Both papers: docs/motion.md, docs/scripted-lines.md.
     """
     from lipservo.terminal.pictures import check_folder
     from lipservo_lab.bench import motion_figures as measure

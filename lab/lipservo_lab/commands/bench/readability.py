@@ -13,10 +13,12 @@ from lipservo.terminal.output import RESULTS, machine_class, print_json
 from lipservo_lab.commands.bench.printing import print_table
 from lipservo_lab.commands.options import (
     GridCorpus,
+    LeaveWordsOut,
     LookaheadsMs,
     OtherWeights,
     Plots,
     WordLimit,
+    Words,
 )
 from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import check_inputs
@@ -43,12 +45,7 @@ _COLUMNS = {
 
 def readability(
     corpus: GridCorpus,
-    words: Annotated[
-        str | None,
-        typer.Option(
-            help="Score only these words, commas between, with a model trained without them."
-        ),
-    ] = None,
+    words: Words = None,
     models: Annotated[
         Path | None,
         typer.Option(
@@ -56,13 +53,7 @@ def readability(
             "a.npz, b.npz; with --words: words.npz. Default: train them now."
         ),
     ] = None,
-    leave_words_out: Annotated[
-        bool,
-        typer.Option(
-            "--leave-words-out",
-            help="Score every word with a model trained without it, as `bench motion` does.",
-        ),
-    ] = False,
+    leave_words_out: LeaveWordsOut = False,
     limit: WordLimit = 20,
     strategy: Annotated[
         str,
@@ -89,7 +80,9 @@ def readability(
 ) -> None:
     """Measure how many words automatic lip-readers read off the mouth's motion.
 
-    The lip-readers are classifiers that are trained on the recorded faces.
+    The lip-readers are classifiers that are trained on the recorded faces. Without --words and
+    --leave-words-out they read the test sentences in splits.json: known words, and words that the
+    model has not learned.
     """
     from lipservo.terminal.pictures import check_folder
     from lipservo_lab.bench.readability.readability_figures import (

@@ -19,16 +19,14 @@ import typer
 from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, Advance, print_json, progress_bar
 from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
-from lipservo_lab.commands.options import Cache, LatencyMs, Limit, Speakers
+from lipservo_lab.commands.options import Cache, LatencyMs, Limit, Speakers, TextCorpus
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
 
 _Item = TypeVar("_Item")
 
 
 def recognition(
-    corpus: Annotated[
-        Path, typer.Option(help="Folder of recordings with texts (docs/recognition.md, Corpora).")
-    ],
+    corpus: TextCorpus,
     speakers: Speakers = "",
     only: Annotated[
         str | None,
@@ -84,7 +82,11 @@ def recognition(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a live recogniser against forced alignment of the transcripts."""
+    """Measure how right a live recogniser is, against the corpus's texts, aligned with the sound.
+
+    --noise: white:10 is white noise 10 dB below the speech; level:-20 lowers the sound by 20 dB;
+    room:2 is a talker at 2 m in a room. --by group needs a table of speakers (--groups).
+    """
     from lipservo_lab.bench.hearing.recognizer_bench import (
         aligned,
         known_texts,
@@ -159,9 +161,9 @@ def listening(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure false speech in quiet, processor time of an audio block, and delays of the mouth.
+    """Measure phonemes found in silence, processor time of an audio block, delays of the mouth.
 
-    The delays, with --corpus: how late the mouth closes when a voice stops, and how soon it leaves
+    The delays need --corpus: how late the mouth closes when a voice stops, and how soon it leaves
     rest when a voice starts.
     """
     import numpy as np
@@ -241,16 +243,17 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
 
 
 def texts(
-    corpus: Annotated[
-        Path, typer.Option(help="Folder of recordings with texts (docs/recognition.md, Corpora).")
-    ],
+    corpus: TextCorpus,
     speakers: Speakers = "",
     limit: Limit = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how often `lines align` refuses, doubts and passes true and false texts."""
+    """Measure how often `lines align` accepts, doubts or refuses texts that are (not) spoken.
+
+    Each recording is aligned with its own text and with wrong ones.
+    """
     from lipservo_lab.bench.hearing.recognizer_bench import selected
     from lipservo_lab.evaluation.recognition.benchmark import score_texts, text_figures
 
@@ -288,7 +291,7 @@ def languages(
     """Measure how well the recogniser works for other languages, spoken by espeak-ng.
 
     There are ten sentences of each language; espeak-ng's own phoneme times are the truth. Phonemes
-    that English lacks count as English ones that look alike on the lips.
+    that English lacks count as the English ones that look alike on the lips.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
     from lipservo_lab.bench.hearing.spoken_languages import (
@@ -352,8 +355,10 @@ def voices(
 ) -> None:
     """Measure how exactly the phones of a known text are found in a synthesiser's voice.
 
-    The synthesiser's own times are the truth. A voice of espeak is a language. Closures are those
-    of P, B and M; boundaries are the beginnings of the phones that were found.
+    The synthesiser's own phoneme times are the truth. --voices: a voice of espeak is a language or
+    accent (espeak:en-gb-scotland), one of flite or festival a speaker (flite:rms). --languages: in
+    each, espeak-ng speaks ten sentences of its own. Closures are those of P, B and M; boundaries
+    are the beginnings of the phones that were found.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import selected
     from lipservo_lab.bench.hearing.spoken_languages import language_sentences, read_languages

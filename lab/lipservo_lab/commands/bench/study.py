@@ -22,8 +22,8 @@ def study(
 ) -> None:
     """Simulate studies with raters of known taste, and evaluate each like a study with people.
 
-    The result `coverage` is the share of 95 % intervals that contain the truth, over ratings, pairs
-    and words read.
+    The result `coverage` is the share of 95 % intervals that contain the true value, over ratings,
+    pairs and words read.
     """
     from lipservo_lab.study.rehearsal import Crew, coverage_figures
     from lipservo_lab.study.sheets import Size

@@ -119,10 +119,10 @@ def import_scans(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make recordings for `learn face` from scans without common points: each has its own mesh.
+    """Make recordings for `learn face` from 3-D scans of a face, each with a mesh of its own.
 
-    NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt gives the words,
-    otherwise the phonemes are recognised; NAME.markers.csv gives named points (docs/own-face.md).
+    Beside each take's folder NAME: NAME.wav, its sound; NAME.TextGrid or NAME.txt, its words
+    (without them the phonemes are recognised); NAME.markers.csv, named points (docs/own-face.md).
     """
     check_inputs(folder, template)
     check_extra("trimesh", "learn import-scans")

@@ -18,7 +18,7 @@ from rich.table import Table
 from lipservo.commands.options import Json, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
 from lipservo.terminal.pictures import save_picture, without_screen
-from lipservo_lab.commands.options import Jobs, Seed, WeightsOutput
+from lipservo_lab.commands.options import Jobs, Limit, Seed, WeightsOutput
 from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.output_file import check_output
 from lipsync.recognition.network import DEFAULT_WEIGHTS
@@ -52,10 +52,7 @@ def train_recognizer(
             help="Utterances not to train on: a file of names, one a line, or FILE.json:KEY.",
         ),
     ] = None,
-    limit: Annotated[
-        int | None,
-        typer.Option(min=1, help="Only this many utterances of each speaker, the first."),
-    ] = None,
+    limit: Limit = None,
     synthetic: Annotated[
         str,
         typer.Option(
@@ -141,17 +138,15 @@ def train_recognizer(
     nice: Annotated[
         int, typer.Option(min=0, max=19, help="Niceness of the process; 19 is the lowest priority.")
     ] = 0,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Number of processes and of training threads; default: one per core. With 1 the "
-            "same seed gives the same bytes.",
-        ),
-    ] = None,
+    jobs: Jobs = None,
     quiet: Quiet = False,
 ) -> None:
-    """Train the recogniser's network on recordings with texts (needs the extra `train`: torch)."""
+    """Train the recogniser's network on recordings with texts (needs the extra `train`: torch).
+
+    With --jobs 1 the same seed gives the same bytes. --start-from grid: the default weights,
+    trained further on one speaker of GRID. --visible-weight: visible error is the distance in mm
+    between the lips of the phonemes found and of those said.
+    """
     check_inputs(*corpora)
     check_extra("torch", "learn recognizer")
     from lipservo_lab.corpus.transcribed import read_names
@@ -219,7 +214,7 @@ def plot_training(
     log: Annotated[Path, typer.Argument(help="File log.jsonl in the --folder of a training.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write, .png.")],
 ) -> None:
-    """Draw the run log of `learn recognizer` (needs the extra `plots`)."""
+    """Draw losses and accuracies of a run of `learn recognizer` (needs the extra `plots`)."""
     from lipservo.terminal.pictures import check_picture
 
     check_picture(output, [log])

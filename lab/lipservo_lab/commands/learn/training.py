@@ -89,7 +89,8 @@ def train(
 
     For each sentence, CORPUS has audio/NAME.flac, landmarks/NAME.npz and labels/NAME.TextGrid;
     landmarks.json lists the landmarks: docs/motion.md, "A corpus of your own". The motion of
-    several speakers is scaled to the face of one: docs/motion.md, "Several speakers".
+    several speakers is scaled to the face of one: docs/motion.md, "Several speakers". --paper: Wei
+    and Deng, docs/motion.md, "The paper's method".
     """
     from lipservo_lab.corpus.grid import folder_name, read_grid
     from lipservo_lab.learning.expectation.deviation import hear_sentences
@@ -239,7 +240,7 @@ def train_soft(
     """Fit a face model to a recogniser's phoneme probabilities, frame by frame.
 
     Each sentence is recognised as it is and in four other voices and rooms. A face model that was
-    never fitted so is moved by the recogniser's decisions alone.
+    not fitted is moved by the one phoneme that the recogniser finds likeliest.
     """
     from lipservo_lab.bench.readability.soft_table import soft_table
     from lipservo_lab.corpus.grid import read_grid
@@ -329,8 +330,9 @@ def train_offline(
 ) -> None:
     """Learn the offline model that `lines render` needs beside a face model.
 
-    It holds states of the mouth, pieces of motion, and what the sound tells of the face. CORPUS is
-    a folder as for `lipservo learn face`; give the face model that was learned from it.
+    The offline model holds states of the mouth, pieces of recorded motion, and networks that
+    predict the face from the sound. CORPUS is a folder as for `lipservo learn face`; --model is the
+    face model that was learned from this folder.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.learning.offline.offline_training import train_offline as train_model

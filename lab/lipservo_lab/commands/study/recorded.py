@@ -17,10 +17,10 @@ def recorded(
     output: Annotated[Path, typer.Option("--output", "-o", help="Performance to write (.perf).")],
     model: Model = None,
 ) -> None:
-    """Write a recorded sentence, the person's face motion and sound, as a performance.
+    """Write a recorded sentence (a person's face motion and sound) as a performance file.
 
-    `lipservo film SOUND --beside FILE.perf` shows it beside a synthesised face; a robot can play
-    it, too.
+    `lipservo film SOUND --beside FILE.perf` shows this face beside a synthesised one; `lipservo
+    lines perform FILE.perf` lets a robot play it.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipsync.face.model import load_face

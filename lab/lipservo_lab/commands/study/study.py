@@ -43,7 +43,9 @@ def make(
     corpus: Annotated[
         Path, typer.Option(help="Folder of recordings, with splits.json (docs/motion.md).")
     ],
-    methods: Annotated[str, typer.Option(help="Methods to compare (docs/study.md).")] = _METHODS,
+    methods: Annotated[
+        str, typer.Option(help="Methods to compare, commas between (docs/study.md).")
+    ] = _METHODS,
     ratings: Ratings = 40,
     pairs: Pairs = 20,
     readings: Annotated[
@@ -72,9 +74,10 @@ def make(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Film the clips of a study, and distribute them to raters, blind and balanced.
+    """Film the clips of a study, and make a sheet of clips for each rater, blind and balanced.
 
-    Raters get FOLDER/served only; FOLDER/key.json lists which clip shows which method.
+    Numbers are rounded up to multiples of the number of methods. Raters get FOLDER/served only;
+    FOLDER/key.json lists which clip shows which method.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.output_folder import check_output_folder
@@ -255,7 +258,7 @@ def report(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Print a study's results, and write a page with intervals, pictures, and raters left out."""
+    """Print a study's results; write a page with their intervals, pictures, and raters left out."""
     from lipservo_lab.study.answers import now, read_answers
     from lipservo_lab.study.counted import counted
     from lipservo_lab.study.mixed_model import mixed_model
@@ -329,7 +332,7 @@ def rehearse(
 ) -> None:
     """Let simulated raters of known taste answer a study, before people do.
 
-    The raters prefer the methods in the order in which `study make` named them.
+    They prefer the methods in the order in which `study make --methods` named them.
     """
     import numpy as np
 
@@ -370,7 +373,11 @@ def power(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate studies to find how many raters see which difference between methods."""
+    """Simulate studies to find how many raters it takes to see a difference between methods.
+
+    For each number of raters: in what share of the simulated studies a difference of so many points
+    of the scale is significant.
+    """
     from lipservo_lab.study.rehearsal import power_rows
     from lipservo_lab.study.sheets import Size, StudyError
 
