@@ -210,7 +210,7 @@ def begin_import(
     for take in takes:
         strangers = sorted(set(markers.get(take.name, ())) - {path.stem for path in take.scans})
         if strangers:
-            raise ScanError(f"{take.markers}: {strangers[0]!r} is no scan of take {take.name}")
+            raise ScanError(f"{take.markers}: take {take.name} has no scan {strangers[0]!r}")
     path, scan = _neutral(takes, frame, neutral)
     check_unit(scan.points_mm, frame.unit, str(path))
     check_face(template.vertices_mm, scan, frame.axes, str(path))

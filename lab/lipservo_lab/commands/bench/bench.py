@@ -157,10 +157,10 @@ def faults(
     if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals or starved)):
         raise UserError(
             f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops, --signals and "
-            "--starved are of dynamixel"
+            "--starved work with dynamixel alone"
         )
     if only and not (stops and only in STOP_PARTS):
-        raise UserError(f"--only {only}: goes with --stops; one of {', '.join(STOP_PARTS)}")
+        raise UserError(f"--only {only}: give --stops, and one of {', '.join(STOP_PARTS)}")
     began_s = time.perf_counter()
     with progress_bar(quiet=quiet) as bar:
         advance = partial(bar, "cases")

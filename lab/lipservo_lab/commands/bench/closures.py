@@ -204,7 +204,7 @@ def nonspeech(
     for line in found.not_sound:
         MESSAGES.print(f"left out: {line}", soft_wrap=True)
     if recognizer.reasons:
-        raise UserError(f"the recogniser was left: {'; '.join(recognizer.reasons)}")
+        raise UserError(f"the recogniser failed: {'; '.join(recognizer.reasons)}")
     settings = {
         "engine": engine,
         "weights": weights,

@@ -157,7 +157,7 @@ def train_recognizer(
 
     check_output(output, replaces=is_weights, kind="weights")
     if start_share and start_from is None:
-        raise UserError("--start-share needs weights to go on from; give --start-from")
+        raise UserError("--start-share needs weights to start from; give --start-from")
     n_jobs = jobs or os.cpu_count() or 1
     start = None if start_from is None else find_weights(start_from)
     plan = TrainingPlan(
@@ -172,7 +172,7 @@ def train_recognizer(
         plan = plan.shaped_as(start)
     plan = plan.shaped(channels, _numbers(dilations, 1, 64), _numbers(delays, 0, 200))
     if start is not None and start_share and plan != plan.shaped_as(start):
-        raise UserError("--start-share needs a network of the same shape; leave it out to grow")
+        raise UserError("leave out --start-share, or --channels, --dilations and --delays")
     run = TrainingRun(
         corpora=tuple(corpora),
         folder=folder,
@@ -205,7 +205,7 @@ def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
         numbers = (least - 1,)
     if not all(least <= each <= most for each in numbers):
         raise UserError(
-            f"{listed!r} is no list of whole numbers from {least} to {most}, like 1,2,4"
+            f"--dilations, --delays: {listed!r}: give numbers from {least} to {most}, like 1,2,4"
         )
     return numbers
 
@@ -315,8 +315,8 @@ def adapt(
         _print(voice, before, after)
     if not is_better:
         raise VoiceError(
-            f"{output}: not written, since the adapted weights do not hear this voice better than "
-            f"{weights}; keep those, or record more of the voice"
+            f"{output}: not written, since the adapted weights do not recognise this voice better "
+            f"than {weights}; keep those, or record more of the voice"
         )
     about = {
         **figures,
@@ -359,11 +359,11 @@ def read_log(path: Path) -> list[Record]:
     except OSError as error:
         raise TrainingLogError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise TrainingLogError(f"{path}: no run log: not one JSON object a line") from error
+        raise TrainingLogError(f"{path}: no training log: not one JSON object a line") from error
     if not records or not all(
         isinstance(r, dict) and {"step", "loss"} <= r.keys() for r in records
     ):
-        raise TrainingLogError(f"{path}: no run log: every line must hold a step and a loss")
+        raise TrainingLogError(f"{path}: no training log: every line must hold a step and a loss")
     return records
 
 

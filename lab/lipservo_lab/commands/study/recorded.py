@@ -35,7 +35,7 @@ def recorded(
     from lipsync.output_file import check_output
 
     if output.suffix != SUFFIX:
-        raise UserError(f"{output}: a performance ends in {SUFFIX}")
+        raise UserError(f"{output}: the name of a performance must end in {SUFFIX}")
     check_output(output, replaces=is_performance, kind="performance", inputs=[])
     face = load_face(model)
     utterances = read_grid(corpus, face.layout, skip_bad=True).utterances

@@ -386,7 +386,7 @@ def power(
     except ValueError:
         raise StudyError(f"--raters {raters}: give numbers with commas, such as 10,20") from None
     if min(counts) < 2:
-        raise StudyError("--raters: two at least, or nothing is known of other raters")
+        raise StudyError("--raters: 2 or more, or the spread between raters is unknown")
     size = Size(ratings, 0, 0, sentences, sheets=max(counts))
     with work_bars(quiet=quiet) as bars:
         rows = power_rows(
