@@ -173,7 +173,7 @@ def _refuse_unknown(names: frozenset[str], utterances: tuple[TranscribedUtteranc
     """Refuse an unknown name: what was to be left out would be learned from."""
     if missing := sorted(names - {utterance.name for utterance in utterances}):
         raise TranscriptError(
-            f"{len(missing)} of {len(names)} names listed are not in the corpus, such as {missing[0]!r}"
+            f"{len(missing)} of {len(names)} names are not in the corpus, such as {missing[0]!r}"
         )
 
 

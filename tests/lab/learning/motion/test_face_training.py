@@ -97,7 +97,7 @@ def test_a_sentence_without_sound_teaches_by_its_labels_alone(tmp_path):
 
 def test_a_corpus_without_labels_or_motion_is_refused(corpus):
     nothing = Corpus("c", corpus.layout, (), corpus.head_reference_mm)
-    with pytest.raises(TrainingError, match="no sentence has a phones tier"):
+    with pytest.raises(TrainingError, match="no sentence has a tier `phones`"):
         train(nothing)
     first = corpus.utterances[0]
     frozen = type(first)(
