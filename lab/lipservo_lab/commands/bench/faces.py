@@ -150,7 +150,7 @@ def sync(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how late lips are beside their sound, at simulated servos, on a virtual clock.
+    """Measure how well lips and sound agree in time, at simulated servos, on a virtual clock.
 
     The true phones and their times are the speech synthesiser's. With --face they are our
     recogniser's, for both kinds of servos.

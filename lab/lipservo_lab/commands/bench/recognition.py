@@ -55,8 +55,8 @@ def recognition(
     text: Annotated[
         Literal["own", "another"] | None,
         typer.Option(
-            help="Give the recogniser the utterance's own text, or that of another; another: also "
-            "measure how soon the wrong text is dropped."
+            help="own: give the recogniser the utterance's text; another: give it another "
+            "utterance's text, and measure how soon it is dropped."
         ),
     ] = None,
     by: Annotated[
@@ -250,7 +250,7 @@ def texts(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how often `lines align` accepts, doubts or refuses texts that are (not) spoken.
+    """Measure how often `lines align` accepts, doubts or refuses true and false texts.
 
     Each recording is aligned with its own text and with wrong ones.
     """

@@ -20,7 +20,7 @@ def study(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate studies with raters of known taste, and evaluate each like a study with people.
+    """Simulate studies with raters of known preferences, evaluated like a study with people.
 
     The result `coverage` is the share of 95 % intervals that contain the true value, over ratings,
     pairs and words read.

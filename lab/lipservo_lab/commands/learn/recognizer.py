@@ -99,8 +99,8 @@ def train_recognizer(
         str,
         typer.Option(
             metavar="D,D,...",
-            help="Dilations of the network's layers; it uses the last 20 ms times their sum. "
-            "Default: 1,2,4,8,1,2,4,8; with --start-from its dilations, which others may follow.",
+            help="Dilations of the layers; their sum times 20 ms is the past sound used. Default: "
+            "1,2,4,8,1,2,4,8; with --start-from its own, and others may follow.",
             show_default=False,
         ),
     ] = "",

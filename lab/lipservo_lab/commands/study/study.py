@@ -76,8 +76,8 @@ def make(
 ) -> None:
     """Film the clips of a study, and make a sheet of clips for each rater, blind and balanced.
 
-    Numbers are rounded up to multiples of the number of methods. Raters get FOLDER/served only;
-    FOLDER/key.json lists which clip shows which method.
+    --ratings, --readings and --sentences are rounded up to multiples of the number of methods.
+    Raters get FOLDER/served only; FOLDER/key.json lists which clip shows which method.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.output_folder import check_output_folder
@@ -330,7 +330,7 @@ def rehearse(
     inverted: Inverted = 1,
     seed: Seed = 0,
 ) -> None:
-    """Let simulated raters of known taste answer a study, before people do.
+    """Let simulated raters, whose preferences are known, answer a study before people do.
 
     They prefer the methods in the order in which `study make --methods` named them.
     """
