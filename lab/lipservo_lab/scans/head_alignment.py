@@ -256,7 +256,7 @@ def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
         )
     if as_given > _FARTHEST_MM or least < _CLEARLY_BETTER * as_given:
         raise ScanError(
-            f"{name}: {_fault(best)}: {as_given:.1f} mm off as it is, {least:.1f} mm otherwise; "
+            f"{name}: {_fault(best)}: {as_given:.1f} mm off, {least:.1f} mm along other axes; "
             f"give --axes={axes_text(best @ axes)}"
         )
 

@@ -75,7 +75,7 @@ def test_one_utterance_trains_and_is_scored_but_cannot_be_cross_validated(
     )
     assert status == 0, said
     assert row_of(printed)["sentences"] == 1
-    assert "1 sentences trained this model: figures flatter it" in said
+    assert "the model has learned 1 of these sentences" in said
     (folder / "splits.json").write_text(json.dumps({"folds": [["s0"]], "new_words": {}}))
     status, _, said = lipservo("bench", "motion", "--corpus", folder, *BRIEF)
     assert status == 1

@@ -258,7 +258,9 @@ def _answer(
         model, unseen = given, sentences
         seen = seen_in_training(given, sentences.utterances)
         if seen:
-            MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
+            MESSAGES.print(
+                f"the model has learned {len(seen)} of these sentences: too good figures"
+            )
     bars.tell("the paper's tables")
     # One method alone is a quick question, and the tables are a comparison.
     paper = measure.paper_rows(model, unseen, sentences) if question.compares else None

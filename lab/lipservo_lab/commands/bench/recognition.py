@@ -123,7 +123,7 @@ def recognition(
         names = fix_alignments(yardstick, alignments.values())
         figures["alignments_moved"] = len(names)
         for name in names:
-            MESSAGES.print(f"alignment has moved: {name}", soft_wrap=True)
+            MESSAGES.print(f"alignment is not that of --yardstick: {name}", soft_wrap=True)
     if not as_json:
         del figures["visible_error_table"]
     for utterance in alignments.values():
