@@ -258,9 +258,7 @@ def _answer(
         model, unseen = given, sentences
         seen = seen_in_training(given, sentences.utterances)
         if seen:
-            MESSAGES.print(
-                f"the model has learned {len(seen)} of these sentences: too good figures"
-            )
+            MESSAGES.print(f"too good: the model has learned {len(seen)} of these sentences")
     bars.tell("the paper's tables")
     # One method alone is a quick question, and the tables are a comparison.
     paper = measure.paper_rows(model, unseen, sentences) if question.compares else None
