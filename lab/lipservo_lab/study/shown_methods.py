@@ -135,7 +135,7 @@ def chosen_methods(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     unknown = [name for name in names if name not in METHODS]
     if unknown:
-        raise StudyError(f"--methods {unknown[0]}: use some of {', '.join(METHODS)}")
+        raise StudyError(f"--methods {unknown[0]}: use one of {', '.join(METHODS)}")
     return names
 
 

@@ -116,7 +116,9 @@ def test_damaged_scans_and_what_is_no_face_are_refused(tmp_path, capsys):
     box = trimesh.creation.box((150.0, 200.0, 90.0))
     for number in range(2):
         write_scan(folder / f"{number}.ply", box.vertices, box.faces)
-    assert "not a face" in refused(capsys, tmp_path, folder, "-o", tmp_path / "m.npz")
+    assert "no face, or much beside it" in refused(
+        capsys, tmp_path, folder, "-o", tmp_path / "m.npz"
+    )
 
 
 def test_a_folder_that_is_there_is_not_written_over(tmp_path, capsys):

@@ -104,7 +104,7 @@ def test_a_corpus_without_labels_or_motion_is_refused(corpus):
         first.name, np.zeros_like(first.markers_mm), 25.0, first.sound_path, first.phones, ()
     )
     still = Corpus("c", corpus.layout, (frozen,), corpus.head_reference_mm)
-    with pytest.raises(TrainingError, match="does not move"):
+    with pytest.raises(TrainingError, match="never moves"):
         train(still)
 
 
