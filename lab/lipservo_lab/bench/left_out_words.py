@@ -69,7 +69,7 @@ def word_folds(corpus: Corpus) -> list[Part]:
     """
     counts = Counter(w.text for u in corpus.utterances for w in spoken_words(u))
     if len(counts) < 2:
-        raise CorpusError(f"{corpus.name}: {len(counts)} different words; none can be left out")
+        raise CorpusError(f"{corpus.name}: {len(counts)} different words; leaving one out needs 2")
     if not any(speech_frames(u, frozenset(counts)).any() for u in corpus.utterances):
         raise CorpusError(
             f"{corpus.name}: no phone of speech lies in any word; check that both tiers of labels/ "

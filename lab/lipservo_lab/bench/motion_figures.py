@@ -100,10 +100,10 @@ def question(
             methods[name] = replace(method, published_derivatives=published_derivatives)
     chosen = list(methods) if strategies is None else [n.strip() for n in strategies.split(",")]
     if unknown := [name for name in chosen if name not in methods]:
-        raise BenchError(f"unknown strategy {unknown[0]!r}; known here: {', '.join(methods)}")
+        raise BenchError(f"unknown strategy {unknown[0]!r}; use one of {', '.join(methods)}")
     known = (PHONEMES_TRUE, PHONEMES_RECOGNIZED, PHONEMES_TEXT)
     if phonemes not in known:
-        raise BenchError(f"unknown phonemes {phonemes!r}; known here: {', '.join(known)}")
+        raise BenchError(f"--phonemes {phonemes}: use one of {', '.join(known)}")
     try:
         lookaheads_ms = tuple(int(text) for text in lookaheads.split(","))
     except ValueError:
@@ -205,7 +205,7 @@ def cross_validate(
         first = first or trained[0][0]
         rows += _rows(trained, labelled, question, track)
     if first is None:
-        raise BenchError(f"{folder}: no split to score")
+        raise BenchError(f"{folder / 'splits.json'}: names no sentences to score")
     return CrossValidation(rows, first, labelled.keep(set(parts[0].test)))
 
 

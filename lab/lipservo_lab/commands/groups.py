@@ -92,7 +92,7 @@ class LearnGroup(LazyGroup):
             "import-video": Command(
                 f"{_LEARN}.imports:import_video", "Turn videos of a face into recordings."
             ),
-            "import-scans": Command(f"{_LEARN}.imports:import_scans", "Turn scans to recordings."),
+            "import-scans": Command(f"{_LEARN}.imports:import_scans", "Recordings from scans."),
             "record": Command(
                 f"{_LEARN}.record_corpus:record_corpus", "Record a reader with a camera."
             ),
@@ -113,7 +113,7 @@ class StudyGroup(LazyGroup):
             "report": Command(f"{_STUDY}:report", "Print the raters' results."),
             "recorded": Command(
                 "lipservo_lab.commands.study.recorded:recorded",
-                "Write a recorded line as a performance.",
+                "Write a recorded sentence as a performance.",
             ),
             "rehearse": Command(f"{_STUDY}:rehearse", "Try a study with simulated raters."),
             "power": Command(f"{_STUDY}:power", "How many raters see which difference."),

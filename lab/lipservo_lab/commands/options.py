@@ -8,32 +8,69 @@ import typer
 GridCorpus = Annotated[
     Path, typer.Option("--corpus", help="One speaker's recordings, a folder as in docs/motion.md.")
 ]
-Speakers = Annotated[str, typer.Option(help="Only these speakers, with commas between.")]
+TextCorpus = Annotated[
+    Path,
+    typer.Option(
+        "--corpus", help="Folder of recordings with texts (docs/recognition.md, Corpora)."
+    ),
+]
+TextCorpusOrClip = Annotated[
+    Path | None,
+    typer.Option(
+        "--corpus",
+        help="Folder of recordings with texts (docs/recognition.md, Corpora); default: the "
+        "bundled clip.",
+    ),
+]
+Speakers = Annotated[str, typer.Option(help="Speakers to use, commas between; default: all.")]
 Limit = Annotated[
-    int | None, typer.Option(min=1, help="Only this many utterances of each speaker, the first.")
+    int | None,
+    typer.Option(
+        min=1, help="Number of utterances of each speaker to use, from the first; default: all."
+    ),
 ]
 Cache = Annotated[
     Path | None, typer.Option(help="File that keeps alignments, as `lines align-folder` writes.")
 ]
-LatencyMs = Annotated[float, typer.Option(help="Delay at which a frame's label is read, ms.")]
-LookaheadsMs = Annotated[
-    str, typer.Option("--lookahead-ms", help="Look-aheads, ms, such as 0,100.")
+LatencyMs = Annotated[
+    float, typer.Option(help="Recogniser's delay: ms from a sound until its phoneme is read.")
 ]
-Plots = Annotated[Path | None, typer.Option(help="Draw pictures into this folder.")]
+LookaheadsMs = Annotated[
+    str,
+    typer.Option(
+        "--lookahead-ms", help="How much following sound the motion may use, ms; commas between."
+    ),
+]
+Plots = Annotated[Path | None, typer.Option(help="Folder to draw pictures into.")]
+Words = Annotated[
+    str | None,
+    typer.Option(
+        help="Score only these words, commas between; unless models are given, with one trained "
+        "without these words."
+    ),
+]
+LeaveWordsOut = Annotated[
+    bool,
+    typer.Option(
+        "--leave-words-out",
+        help="Score every word of the corpus, each with one of ten models that was trained "
+        "without it. The models are kept in the user's cache.",
+    ),
+]
 WordLimit = Annotated[
-    int, typer.Option(min=1, help="With --leave-words-out: most sentences used for each word.")
+    int, typer.Option(min=1, help="With --leave-words-out: most sentences scored for each word.")
 ]
 OtherWeights = Annotated[
     list[Path] | None,
     typer.Option(
         "--also",
         metavar="FILE",
-        help="Further recogniser weights (older or adapted) that recognise the sentences too, so "
-        "that the model does not learn one recogniser's errors; may be repeated. In `bench` only "
+        help="Weights file of a further recogniser (older or adapted) to learn from too, so that "
+        "the face model does not fit one recogniser's errors; may be repeated. In `bench` only "
         "with --leave-words-out.",
     ),
 ]
-ModelOutput = Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")]
+ModelOutput = Annotated[Path, typer.Option("--output", "-o", help="Model file to write, .npz.")]
 WeightsOutput = Annotated[Path, typer.Option("--output", "-o", help="Weights file to write, .npz.")]
 Seed = Annotated[int, typer.Option(help="Random seed; the same seed gives the same result.")]
 Jobs = Annotated[
@@ -41,6 +78,11 @@ Jobs = Annotated[
     typer.Option(min=1, help="Number of processes and of training threads; default: one per core."),
 ]
 Lazy = Annotated[
-    int, typer.Option(min=0, max=1000, help="Careless raters of each kind: alike, random, hasty.")
+    int,
+    typer.Option(
+        min=0,
+        max=1000,
+        help="Number of careless raters of each kind: equal, random, hasty answers.",
+    ),
 ]
 Inverted = Annotated[int, typer.Option(min=0, max=1000, help="Raters who reverse the scale.")]

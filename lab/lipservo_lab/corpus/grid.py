@@ -196,7 +196,7 @@ def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
     except soundfile.LibsndfileError as error:
         raise CorpusError(f"{sound_path}: missing or not a sound file") from error
     if abs(sound_s - duration_s) > _LENGTH_TOLERANCE_S:
-        raise CorpusError(f"{sound_path}: {sound_s:.2f} s of sound, {duration_s:.2f} s of picture")
+        raise CorpusError(f"{sound_path}: sound {sound_s:.2f} s, landmarks {duration_s:.2f} s")
     _refuse_lost_frames(landmarks_px, folder / "landmarks" / f"{name}.npz")
     label_path = folder / "labels" / f"{name}.TextGrid"
     try:
@@ -238,13 +238,13 @@ def read_landmarks(path: Path, n_landmarks: int) -> Array:
     except FileNotFoundError:
         raise CorpusError(f"{path}: no such file") from None
     except (KeyError, *UNREADABLE) as error:
-        raise CorpusError(f"{path}: not a landmark file") from error
+        raise CorpusError(f"{path}: not a file of landmarks (docs/motion.md)") from error
     if points.ndim != 3 or points.shape[1:] != (n_landmarks, 3) or len(points) < 2:
         raise CorpusError(
             f"{path}: shape {points.shape}; expected (n_frames, {n_landmarks}, 3), n_frames >= 2"
         )
     if not np.isfinite(points).all():
-        raise CorpusError(f"{path}: landmarks that are not numbers")
+        raise CorpusError(f"{path}: has landmarks that are not numbers; track it again")
     return np.asarray(points / _UNITS_PER_PIXEL * _TO_FACE_AXES, dtype=np.float64)
 
 
@@ -252,4 +252,4 @@ def _refuse_lost_frames(landmarks_px: Array, path: Path) -> None:
     """Raise CorpusError for a frame whose points are all equal: there the face was lost."""
     lost = np.flatnonzero((landmarks_px == landmarks_px[:, :1]).all(axis=(1, 2)))
     if len(lost):
-        raise CorpusError(f"{path}: frame {lost[0]} is not tracked ({len(lost)} such frames)")
+        raise CorpusError(f"{path}: no face in frame {lost[0]} ({len(lost)} such frames)")

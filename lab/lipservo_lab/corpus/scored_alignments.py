@@ -30,7 +30,7 @@ def read_hashes(path: Path) -> dict[str, str]:
         pairs = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
         return dict(pairs)
     except (OSError, ValueError) as error:
-        raise CacheError(f"{path}: no file of NAME HASH a line ({error})") from error
+        raise CacheError(f"{path}: expected a name and a hash on each line ({error})") from error
 
 
 def fix_alignments(path: Path, alignments: Iterable[AlignedUtterance]) -> list[str]:

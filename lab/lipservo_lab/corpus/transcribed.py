@@ -88,7 +88,7 @@ def _add_listed(
         if not text.strip():
             raise TranscriptError(f"{path}, line {number}: {name!r} has no words")
         if name in utterances:
-            raise TranscriptError(f"{path}, line {number}: {name!r} is there twice")
+            raise TranscriptError(f"{path}, line {number}: {name!r} comes twice")
         if name not in sounds:
             raise TranscriptError(f"{path}, line {number}: no sound {sound_folder / name}.*")
         speaker = name.split("-")[0]
@@ -151,7 +151,7 @@ def read_names(listed: str) -> frozenset[str]:
     except (OSError, UnicodeDecodeError) as error:
         raise TranscriptError(f"{path}: no readable list of names ({error})") from error
     except (ValueError, LookupError, TypeError) as error:
-        raise TranscriptError(f"{path}: no JSON with a list under {key!r}") from error
+        raise TranscriptError(f"{path}: not JSON that has a list under {key!r}") from error
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
         raise TranscriptError(f"{listed}: not a list of names; write one a line, or FILE.json:KEY")
     return frozenset(names)
@@ -177,7 +177,7 @@ def _refuse_unknown(names: frozenset[str], utterances: tuple[TranscribedUtteranc
     """Refuse an unknown name: what was to be left out would be learned from."""
     if missing := sorted(names - {utterance.name for utterance in utterances}):
         raise TranscriptError(
-            f"{len(missing)} of {len(names)} listed utterances do not exist, such as {missing[0]!r}"
+            f"{len(missing)} of {len(names)} names are not in the corpus, such as {missing[0]!r}"
         )
 
 
@@ -226,7 +226,7 @@ def read_speakers(path: Path) -> dict[str, tuple[str, ...]]:
     for number, row in enumerate(rows, start=2):
         name = (row[_SPEAKER] or "").strip()
         if not name or name in speakers:
-            raise TranscriptError(f"{path}, line {number}: speaker {name!r} is there twice or not")
+            raise TranscriptError(f"{path}, line {number}: speaker {name!r} is empty or twice")
         speakers[name] = _groups({k: v for k, v in row.items() if k and k != _SPEAKER})
     return speakers
 

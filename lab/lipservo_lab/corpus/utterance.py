@@ -84,7 +84,7 @@ class Corpus:
             raise CorpusError(f"{self.name}: no sentence holds {', '.join(sorted(missing))}")
         left = {name for name, texts in words_of.items() if not texts & words and name not in names}
         if not left:
-            raise CorpusError(f"{self.name}: nothing is left without these words and sentences")
+            raise CorpusError(f"{self.name}: no sentence is left; leave out fewer")
         return self.keep(left)
 
 

@@ -51,7 +51,7 @@ class ClusterError(UserError):
 def cluster_at(address: str) -> Iterator["Cluster"]:
     """Yield a connection to the scheduler at HOST:PORT. Raises ClusterError."""
     if not _ADDRESS.fullmatch(address):
-        raise ClusterError(f"--dask {address}: is no HOST:PORT, as `dask scheduler` prints it")
+        raise ClusterError(f"--dask {address}: write HOST:PORT, as `dask scheduler` prints it")
     import distributed  # noqa: F401 (which sets the levels of its loggers)
 
     for name in _LOUD:

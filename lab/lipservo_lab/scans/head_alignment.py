@@ -254,12 +254,12 @@ def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
     least = min(fits.values(), default=np.inf)
     if least > _FARTHEST_MM:
         raise ScanError(
-            f"{name}: not a face: laid on one it is {least:.1f} mm off, or holds much beside one; "
-            "cut the scan to the face"
+            f"{name}: no face, or much beside it: {least:.1f} mm off the mean face at best; cut "
+            "the scan to the face"
         )
     if as_given > _FARTHEST_MM or least < _CLEARLY_BETTER * as_given:
         raise ScanError(
-            f"{name}: {_fault(best)}: {as_given:.1f} mm off as it is, {least:.1f} mm otherwise; "
+            f"{name}: {_fault(best)}: {as_given:.1f} mm off, {least:.1f} mm along other axes; "
             f"give --axes={axes_text(best @ axes)}"
         )
 

@@ -252,7 +252,7 @@ def _read(path: Path) -> tuple[Array, Indices]:
         everything = np.concatenate([np.empty((0, 3)), *points])
         joined = np.concatenate([np.empty((0, 3), dtype=np.int64), *triangles])
         if len(joined) and (joined.min() < 0 or joined.max() >= len(everything)):
-            raise ValueError("a triangle names a point that is not there")
+            raise ValueError("a triangle names a point that does not exist")
     except ScanError:
         raise
     except OSError as error:

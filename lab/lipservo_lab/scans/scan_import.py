@@ -211,7 +211,7 @@ def begin_import(
     for take in takes:
         strangers = sorted(set(markers.get(take.name, ())) - {path.stem for path in take.scans})
         if strangers:
-            raise ScanError(f"{take.markers}: {strangers[0]!r} is no scan of take {take.name}")
+            raise ScanError(f"{take.markers}: take {take.name} has no scan {strangers[0]!r}")
     path, scan = _neutral(takes, frame, neutral)
     check_unit(scan.points_mm, frame.unit, str(path))
     check_face(template.vertices_mm, scan, frame.axes, str(path))
@@ -278,11 +278,11 @@ def _joined(
     report = TakeReport(take.name, len(found), seconds=round(len(found) / rate_hz, 3))
     there = np.array([scan is not None for scan in found])
     if there.sum() < 2:
-        reason = f"{there.sum()} of {len(found)} scans could be registered"
+        reason = f"a face was found in only {there.sum()} of {len(found)} scans"
         return None, replace(report, left_out=reason)
     holes = [len(list(group)) for is_there, group in groupby(there.tolist()) if not is_there]
     if holes and max(holes) / rate_hz > _LONGEST_HOLE_S + 1e-9:
-        reason = f"{max(holes)} scans in a row are missing, {max(holes) / rate_hz:.2f} s"
+        reason = f"no face in {max(holes)} scans in a row, {max(holes) / rate_hz:.2f} s"
         return None, replace(report, left_out=reason)
     known = np.flatnonzero(there)
     seen = np.array([scan.points_mm for scan in found if scan is not None], dtype=np.float32)

@@ -274,7 +274,7 @@ def worn_template(template: Template, neutral: Scan, markers: Markers | None = N
     """
     pose = find_pose(template.vertices_mm, neutral, scaled=True)
     if not _SCALES[0] < pose.scale < _SCALES[1]:
-        raise ScanError(f"the neutral scan: a face of {pose.scale:.2f} times the usual size")
+        raise ScanError(f"the face is {pose.scale:.2f} times as large as usual")
     sized = replace(template, vertices_mm=pose.scale * template.vertices_mm)
     fit = SurfaceFit(sized, STRANGER_LEVELS).fit(neutral, replace(pose, scale=1.0), None, markers)
     registered = RegisteredScan(sized.vertices_mm + fit.displacement_mm, fit)
@@ -288,7 +288,7 @@ def check_registered(scan: RegisteredScan) -> None:
         raise ScanError(f"only {scan.matched:.0%} of the face is in the scan")
     error_mm = float(np.median(scan.errors_mm))
     if error_mm > _MOST_ERROR_MM:
-        raise ScanError(f"the mesh is {error_mm:.1f} mm off the scan")
+        raise ScanError(f"the face fitted is {error_mm:.1f} mm off the scan")
 
 
 class Registration:
@@ -311,7 +311,7 @@ class Registration:
         pose = find_pose(rest + moved, scan)
         lost_mm = misfit_mm(rest + moved, scan, pose)
         if lost_mm > _LOST_MM:
-            raise ScanError(f"no face found: {lost_mm:.1f} mm off")
+            raise ScanError(f"no face found: the nearest fit is {lost_mm:.1f} mm off")
         fit = self._fit.fit(scan, pose, moved, markers)
         registered = RegisteredScan(rest + fit.displacement_mm, fit)
         check_registered(registered)

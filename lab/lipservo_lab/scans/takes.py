@@ -44,7 +44,7 @@ def find_takes(folder: Path, template: Path | None = None) -> tuple[Take, ...]:
     that is missing, without scans, or with a single one.
     """
     if not folder.is_dir():
-        raise ScanError(f"{folder}: no such folder; give one with a scan (.ply, .obj) a picture")
+        raise ScanError(f"{folder}: no such folder; give one of scans (.ply, .obj)")
     inner = sorted(each for each in folder.iterdir() if each.is_dir())
     takes = [_take(each, folder, each.name, template) for each in inner]
     takes = [take for take in takes if take.scans]
@@ -54,7 +54,7 @@ def find_takes(folder: Path, template: Path | None = None) -> tuple[Take, ...]:
     if n_scans == 0:
         raise ScanError(f"{folder}: holds no scan; looked for {' '.join(SCAN_ENDINGS)}")
     if n_scans == 1:
-        raise ScanError(f"{folder}: one scan only; motion needs a sequence of them")
+        raise ScanError(f"{folder}: holds one scan; motion needs several")
     return tuple(takes)
 
 
@@ -117,8 +117,8 @@ def take_sound(take: Take, rate_hz: float) -> TakeSound:
     """
     if take.sound is None:
         raise ScanError(
-            f"no sound {take.name}.wav or .flac, so it is no sentence of a corpus; "
-            "-o FILE.npz keeps motion alone"
+            f"no sound {take.name}.wav or .flac, which a corpus needs; put it there, or give "
+            "-o FILE.npz for motion alone"
         )
     samples = read_speech(take.sound)
     sound_s, scans_s = len(samples) / SAMPLE_RATE_HZ, len(take.scans) / rate_hz

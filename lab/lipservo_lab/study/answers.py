@@ -73,7 +73,7 @@ def parse_answers(path: Path, content: bytes, identity: str) -> Answers:
             if isinstance(error, StudyError):
                 raise
             raise StudyError(
-                f"{path}, line {number}: is no record of an answer; take the line out to go on"
+                f"{path}, line {number}: is no record of an answer; delete this line"
             ) from error
     return Answers(raters, torn, is_simulated)
 

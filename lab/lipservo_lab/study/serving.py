@@ -141,7 +141,7 @@ def _checked(item: Item, given: Any) -> Record:
     answer, seconds, plays = (given.get(key) for key in ("answer", "seconds", "plays"))
     is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
     if not is_number or not 0 <= seconds < _MOST_S or not _is_whole(plays, 0, _MOST_PLAYS):
-        raise RequestError("seconds and plays: how long it took, and how often it was played")
+        raise RequestError("seconds and plays must be numbers: time taken, times played")
     match item.kind:
         case "pair":
             fits = answer in (FIRST, SECOND)
@@ -303,7 +303,7 @@ def study_token(folder: Path) -> str:
     except (OSError, ValueError) as error:
         raise StudyError(f"{path}: cannot be used as a token: {error}") from error
     if not token:
-        raise StudyError(f"{path}: is empty; remove it, so that another is made")
+        raise StudyError(f"{path}: is empty; delete it, and start again")
     return token
 
 

@@ -91,7 +91,7 @@ def label_clip(samples: NDArray[np.float32], text: str | None) -> ClipLabels:
         (p.end_s or p.start_s) - p.start_s for p in labels.phones if p.phoneme != SILENCE
     )
     if spoken_s < _LEAST_SPEECH_S:
-        raise LabelingError(f"{spoken_s:.1f} s of speech; no speech, or too soft")
+        raise LabelingError(f"only {spoken_s:.1f} s of speech found; speak louder or longer")
     return labels
 
 

@@ -225,7 +225,7 @@ def _unusable(part: _Part, clip: SteadyClip, labels: ClipLabels) -> str | None:
         (p.end_s or p.start_s) - p.start_s for p in labels.phones if p.phoneme != SILENCE
     )
     if spoken_s < _LEAST_SPEECH_S:
-        return f"{spoken_s:.1f} s of speech; there is none here"
+        return f"only {spoken_s:.1f} s of speech here"
     best = float(part.curve.correlations.max())
     if best < _LEAST_GAP_R:
         return (

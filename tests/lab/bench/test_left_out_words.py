@@ -48,7 +48,7 @@ def test_a_fold_that_leaves_nothing_to_train_on_is_named(corpus):
 
 
 def test_a_corpus_of_one_word_has_none_to_leave_out(corpus):
-    with pytest.raises(CorpusError, match="1 different words; none can be left out"):
+    with pytest.raises(CorpusError, match="1 different words; leaving one out needs 2"):
         word_folds(replace(corpus, utterances=corpus.utterances[:1]))
 
 

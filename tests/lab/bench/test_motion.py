@@ -218,10 +218,10 @@ def test_pictures_are_drawn(folder, model, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("magic", "0", "true", None), "unknown strategy 'magic'; known here: cohen-massaro,"),
+        (("magic", "0", "true", None), "unknown strategy 'magic'; use one of cohen-massaro,"),
         ((None, "soon", "true", None), "give whole ms"),
         ((None, "2000", "true", None), "0 to 1000 ms are possible"),
-        ((None, "0", "guessed", None), "unknown phonemes 'guessed'"),
+        ((None, "0", "guessed", None), "--phonemes guessed: use one of"),
         ((None, "0", "true", " , "), "names no word"),
     ],
 )

@@ -83,7 +83,10 @@ def test_a_head_of_other_rigid_points_is_refused(tmp_path):
     ("damage", "said"),
     [
         (lambda c: (c / "landmarks" / "s1.npz").unlink(), "s1.npz: no such file"),
-        (lambda c: (c / "landmarks" / "s1.npz").write_bytes(b"PK"), "s1.npz: not a landmark file"),
+        (
+            lambda c: (c / "landmarks" / "s1.npz").write_bytes(b"PK"),
+            "s1.npz: not a file of landmarks",
+        ),
         (lambda c: (c / "audio" / "s1.flac").unlink(), "s1.flac: missing or not a sound file"),
         (lambda c: (c / "audio" / "s1.flac").write_bytes(b"x"), "s1.flac: missing or not a sound"),
         (lambda c: (c / "labels" / "s1.TextGrid").unlink(), "s1.TextGrid: no such file"),
@@ -93,7 +96,7 @@ def test_a_head_of_other_rigid_points_is_refused(tmp_path):
         ),
         (lambda c: save_landmarks(c, np.zeros((30, 5, 3))), r"shape \(30, 5, 3\); expected"),
         (lambda c: save_landmarks(c, np.full((30, 53, 3), np.nan)), "not numbers"),
-        (lambda c: save_landmarks(c, np.zeros((90, 53, 3))), "1.20 s of sound, 3.60 s of picture"),
+        (lambda c: save_landmarks(c, np.zeros((90, 53, 3))), "sound 1.20 s, landmarks 3.60 s"),
     ],
 )
 def test_a_bad_sentence_is_named_or_skipped_and_listed(tmp_path, damage, said):

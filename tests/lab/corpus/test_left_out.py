@@ -38,5 +38,5 @@ def test_a_word_that_nobody_says_is_refused(corpus):
 
 
 def test_leaving_out_everything_is_refused(corpus):
-    with pytest.raises(CorpusError, match="nothing is left"):
+    with pytest.raises(CorpusError, match="no sentence is left"):
         corpus.without(frozenset({"bin"}), frozenset({"c"}))

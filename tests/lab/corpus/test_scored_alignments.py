@@ -64,7 +64,7 @@ def test_an_alignment_that_differs_by_a_frame_has_moved_and_stays_fixed_as_it_wa
 
 def test_a_file_of_something_else_is_refused_in_one_line(tmp_path):
     (tmp_path / "hashes.txt").write_text("three words here\n")
-    with pytest.raises(CacheError, match="no file of NAME HASH a line"):
+    with pytest.raises(CacheError, match="expected a name and a hash on each line"):
         read_hashes(tmp_path / "hashes.txt")
 
 

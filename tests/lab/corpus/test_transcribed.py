@@ -112,7 +112,7 @@ def test_names_are_listed_line_by_line_or_under_a_key(tmp_path):
     assert read_names(f"{tmp_path}/splits.json:test") == {"two"}
     for listed, said in (
         (f"{tmp_path}/none.txt", "no readable list"),
-        (f"{tmp_path}/splits.json:train", "no JSON with a list under 'train'"),
+        (f"{tmp_path}/splits.json:train", "not JSON that has a list under 'train'"),
         (f"{tmp_path}/names.json:test", "no readable list"),
         (f"{tmp_path}/splits.json:n", "not a list of names"),
     ):
@@ -126,7 +126,7 @@ def test_what_is_left_out_must_be_there(labelled):
     assert [u.name for u in without_names(utterances, frozenset({"one"}))] == ["two"]
     assert [u.name for u in of_names(utterances, frozenset({"one"}))] == ["one"]
     with pytest.raises(
-        TranscriptError, match="1 of 2 listed utterances do not exist, such as 'three'"
+        TranscriptError, match="1 of 2 names are not in the corpus, such as 'three'"
     ):
         without_names(utterances, frozenset({"one", "three"}))
 

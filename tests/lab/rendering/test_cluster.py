@@ -144,7 +144,7 @@ def test_a_scheduler_that_dies_is_waited_for_and_nothing_is_lost_or_done_twice(m
 
 @pytest.mark.parametrize("address", ["nowhere", "ftp://x:1", "127.0.0.1:", ""])
 def test_what_is_no_address_is_refused(address):
-    with pytest.raises(ClusterError, match="is no HOST:PORT"), cluster_at(address):
+    with pytest.raises(ClusterError, match="write HOST:PORT"), cluster_at(address):
         pass
 
 

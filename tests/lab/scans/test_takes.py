@@ -39,5 +39,5 @@ def test_nothing_and_a_single_scan_are_no_motion(tmp_path):
     with pytest.raises(ScanError, match="no such folder"):
         find_takes(tmp_path / "other")
     touch(tmp_path, "1.ply")
-    with pytest.raises(ScanError, match="one scan only"):
+    with pytest.raises(ScanError, match="holds one scan"):
         find_takes(tmp_path)

@@ -180,5 +180,5 @@ def test_the_token_of_a_study_is_its_own_and_stays(tmp_path):
     assert len(token) >= 16
     assert (tmp_path / "token").stat().st_mode & 0o077 == 0
     (tmp_path / "token").write_text("\n")
-    with pytest.raises(UserError, match="is empty; remove it"):
+    with pytest.raises(UserError, match="is empty; delete it"):
         study_token(tmp_path)

@@ -103,13 +103,13 @@ def test_a_mesh_given_by_a_file_is_learned_and_scored(corpus, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--components", 0), "0 components: a face of 47 points has 1 to 141"),
-        (("--components", -3), "-3 components: a face of 47 points has 1 to 141"),
+        (("--components", 0), "--components 0: a face of 47 points has 1 to 141"),
+        (("--components", -3), "--components -3: a face of 47 points has 1 to 141"),
         (
             ("--components", 118, "--markers", 39),
-            "118 components: a face of 39 points has 1 to 117",
+            "--components 118: a face of 39 points has 1 to 117",
         ),
-        (("--components", 141), "30 frames are too few for 141 components"),
+        (("--components", 141), "30 frames are too few for --components 141"),
         (("--markers", 12), "12: neither a known layout (39, 47, 478) nor a readable file"),
         (("--markers", 478), "landmark_ids lacks 1, 3, 4, 5, 7, ..."),
     ],

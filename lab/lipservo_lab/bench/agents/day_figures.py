@@ -221,7 +221,7 @@ class _Day:
                 if status.get("listens_on") and status.get("state") in ("driven", "silent"):
                     return
             time.sleep(_LOOK_S)
-        raise UserError("bench day: the face is not driven again")
+        raise UserError("bench day: the face does not drive its servos again")
 
     def _start(self, name: str) -> None:
         """Start the process "daemon" or "agent"; a thread of its own reads its standard output.

@@ -142,8 +142,8 @@ def differences(
     """Return how far targets (times (n, 2), goals (n, k)) are apart. Raises UserError."""
     if own[1].shape != other[1].shape:
         raise UserError(
-            f"{len(own[1])} targets of {own[1].shape[1:]} joints were published, "
-            f"{len(other[1])} of {other[1].shape[1:]} by the other"
+            f"this checkout has sent {len(own[1])} goals to {own[1].shape[1:]} joints, --against "
+            f"{len(other[1])} to {other[1].shape[1:]}: these cannot be compared"
         )
     (times_s, goals_deg), (other_times_s, other_goals_deg) = own, other
     return {

@@ -95,7 +95,7 @@ def read_ticks(trace: Path, first_s: float) -> Ticks:
                 )
                 n += 1
     except (OSError, ValueError, KeyError) as error:
-        raise LadderError(f"{trace.name}: no trace of a whole run ({error})") from error
+        raise LadderError(f"{trace.name}: not the trace of a whole run ({error})") from error
     if not columns:
         raise LadderError(f"{trace.name}: has no ticks")
     return Ticks(*(np.array(each) for each in zip(*columns, strict=True)))
@@ -329,7 +329,7 @@ def first_tick_s(
         if time.monotonic() > give_up_s or process.poll() is not None:
             log_lines = (folder / "log").read_text(errors="replace").strip().splitlines()
             raise LadderError(
-                f"the face did not start: {log_lines[-1] if log_lines else 'says nothing'}"
+                f"the face did not start: {log_lines[-1] if log_lines else 'it printed nothing'}"
             )
         if is_over():
             raise LadderError(_STOPPED)

@@ -44,7 +44,7 @@ def read_languages(listed: str) -> tuple[str, ...]:
     for tag in chosen:
         if tag not in known:
             raise LanguageError(
-                f"--languages {tag}: no sentences of it; there are {', '.join(known)}"
+                f"--languages {tag}: there are no sentences in it; use {', '.join(known)}"
             )
     return chosen or tuple(known)
 

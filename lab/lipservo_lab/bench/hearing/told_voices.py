@@ -111,7 +111,7 @@ def followed_voice(
         except UnspeakableTextError:
             continue
         if not spoken.phonemes:
-            raise SynthesisError(f"{synthesizer} tells no times that it could be held against")
+            raise SynthesisError(f"{synthesizer} gives no phoneme times; use espeak")
         words = pronounced(text, voice.language) if tells else ()
         counted.add(_settled(make(), spoken, words), spoken.phonemes)
     return counted

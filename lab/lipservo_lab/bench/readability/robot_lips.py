@@ -98,7 +98,7 @@ def calibrated_robot(model: FaceWithAnimPhos) -> Face:
     points than the robot is measured at.
     """
     if model.layout.names != MARKERS_47.names:
-        raise UserError(f"{ROBOT} shows the 47 markers, this model has {model.layout.name}")
+        raise UserError(f"{ROBOT} needs a model of 47 markers, not {model.layout.name}")
     shipped = assemble_face(ROBOT, None)
     setup = CalibrationSetup(shipped.settings, model, quiet=True, lags=False)
     fitted = fit_simulated_face(setup).calibration

@@ -106,7 +106,7 @@ def _own_servos(settings: FaceSettings) -> WatchedServos:
         return watched
     bus, clock = simulated_wire(settings)
     if not bus.capabilities.place:
-        raise UserError(f"{settings.name}: where the shafts of its simulator stand is unknown")
+        raise UserError(f"{settings.name}: its simulated servos do not tell their angles")
     return WatchedServos(bus, clock, None, lambda: bus.feedback().positions_deg, lambda: True)
 
 

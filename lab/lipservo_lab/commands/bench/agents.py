@@ -34,15 +34,16 @@ def agent(
 ) -> None:
     """Measure whether voice agents remember only what a person could hear, when interrupted.
 
-    The agents also lose their face once. Each framework needs its own packages (`make agents`).
+    A turn is what an agent says at once. In one turn the face restarts, in another it is absent.
+    Each framework needs its own packages (`make agents`).
     """
     if barge_ins > turns:
-        raise typer.BadParameter("at most one barge-in a turn")
+        raise typer.BadParameter("--barge-ins: at most as many as --turns")
     from lipservo_lab.bench.agents.agent_figures import agent_figures
 
     names = tuple(only or _AGENTS)
     if unknown := [name for name in names if name not in _AGENTS]:
-        raise UserError(f"--only {unknown[0]}: there are {', '.join(_AGENTS)}")
+        raise UserError(f"--only {unknown[0]}: use one of {', '.join(_AGENTS)}")
     figures: dict[str, object] = {}
     with progress_bar(quiet=quiet) as advance:
         for name in names:

@@ -31,6 +31,7 @@ Corpora = Annotated[
 def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = False) -> None:
     """Measure replay speed, start-up time, memory, and miss rates of Wei and Deng's selection.
 
+    A miss is a phoneme for which no recorded motion follows on from the last one (docs/motion.md).
     Without --corpora: replay speed on the bundled clip, and no miss rates.
     """
     from lipservo_lab.bench import speed_figures as measure
@@ -58,11 +59,12 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
 
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure the servo loop's process, its tick and its serial line, on simulated servos.
+    """Measure processor time, transfer times and recovery of the servo loop, on simulated servos.
 
-    The figures are compared with the time on the wire and with dynamixel-sdk; also with rustypot,
-    if it is installed. Feetech servos are compared with a hand-written loop; hobby servos are
-    measured too.
+    Processor time is that of the loop's process and of one tick, beside a loop that uses
+    dynamixel-sdk, or rustypot if it is installed; for Feetech and hobby servos beside a loop
+    written by hand. Transfer times are compared with the time that the bytes take on the wire.
+    Recovery: from a silent servo, lost packets, a pulled plug and a bus that stands still.
     """
     check_extra("smbus2", "bench bus")
     from lipservo_lab.bench.bus import bus_figures as measure
@@ -94,23 +96,22 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
 
 
 def faults(
-    every: Annotated[int, typer.Option(min=1, help="Play only every Nth case.")] = 1,
+    every: Annotated[
+        int, typer.Option(min=1, help="Play only every Nth case; 4: a quarter of all.")
+    ] = 1,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Every fault with every arming and stop: 8 times more.")
+        bool, typer.Option("--whole", help="Combine all faults, starts and stops: 8 times as many.")
     ] = False,
     stops: Annotated[
         bool,
         typer.Option(
-            "--stops",
-            help="Instead: stops by every client in every trouble, on real processes, 10 s each.",
+            "--stops", help="Instead: stop real faces in every way and in every trouble, 10 s each."
         ),
     ] = False,
     signals: Annotated[
         bool,
         typer.Option(
-            "--signals",
-            help="Instead: signals to every command that moves servos, on real processes, 8 s "
-            "each.",
+            "--signals", help="Instead: end every command that moves servos by signals; 8 s each."
         ),
     ] = False,
     starved: Annotated[
@@ -118,10 +119,11 @@ def faults(
         typer.Option("--starved", help="Instead: a face with a tenth of a processor; needs root."),
     ] = False,
     minutes: Annotated[
-        float, typer.Option(min=1.0, help="Minutes that --starved takes; then 40 starts follow.")
+        float, typer.Option(min=1.0, help="Minutes of --starved; then it starts up to 40 faces.")
     ] = 20.0,
     only: Annotated[
-        str, typer.Option(help="With --stops: only stops, freezes, statements, restarts or idle.")
+        str,
+        typer.Option(help="With --stops: one part: stops, freezes, statements, restarts, idle."),
     ] = "",
     bus: Annotated[
         str, typer.Option(help="Kind of bus: dynamixel, feetech, maestro or pca9685.")
@@ -129,11 +131,17 @@ def faults(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Play every kind of fault against servo loop and bus, on a virtual clock.
+    """Run the servo loop with every kind of fault of servos and bus, on a virtual clock.
 
-    --stops, --signals and --starved instead test how faces and commands end, on real processes with
-    simulated servos; --stops also tests whether their statements about torque are true. Exit status
-    1 if anything happened that must not.
+    A case is a fault with a number of servos and a rate, after a strict or a tolerant start, with
+    one kind of stop or none; --whole combines each fault with all starts and stops.
+
+    --stops, --signals and --starved instead run lipservo as users do, in processes of its own, with
+    simulated servos. --stops: a face is stopped by command, dashboard, program or signal while a
+    plug is pulled, a process hangs and so on; its parts are `stops`, `freezes`, `statements` (is
+    what lipservo says about torque true?), `restarts` of Feetech servos, and `idle` (idle
+    connections to the dashboard). --signals: commands get INT, TERM, HUP, QUIT or KILL. Exit status
+    1 if a servo, face or command did what it must not; each such case is listed.
     """
     from lipservo_lab.bench.fault_figures import (
         STOP_PARTS,
@@ -149,10 +157,10 @@ def faults(
     if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals or starved)):
         raise UserError(
             f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops, --signals and "
-            "--starved are of dynamixel"
+            "--starved work with dynamixel alone"
         )
     if only and not (stops and only in STOP_PARTS):
-        raise UserError(f"--only {only}: goes with --stops; one of {', '.join(STOP_PARTS)}")
+        raise UserError(f"--only {only}: give --stops, and one of {', '.join(STOP_PARTS)}")
     began_s = time.perf_counter()
     with progress_bar(quiet=quiet) as bar:
         advance = partial(bar, "cases")
@@ -172,10 +180,12 @@ def faults(
 
 
 def house(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Count source files and calls of a tick and a stop, time and size of commands, and code lines.
+    """Measure the size of lipservo's code, and what of it runs, against the project's limits.
 
-    The command needs a checkout. Figures above their limits are listed at the end, with exit status
-    1.
+    Figures: the source files that a tick of the servo loop and a stop run through, and a tick's
+    calls from file to file; the modules that `run` loads; processor time of some commands; disk
+    space when installed; lines of code of each folder. The command needs a checkout. Figures above
+    their limits are listed at the end, with exit status 1.
     """
     from lipservo_lab.bench.house.house_figures import house_figures
 
@@ -202,10 +212,10 @@ def endurance(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Drive simulated servos for hours of virtual time: memory, file descriptors, wrong goals.
+    """Drive simulated servos for hours of virtual time; count memory, open files, wrong goals.
 
     Ctrl-C ends the run with the figures so far; with --resume the same command continues it. Exit
-    status 1 if anything happened that must not.
+    status 1 if a servo got a goal, a speed or torque that it must not get.
     """
     from firmware_bridge.stop_signals import SignalCounter
     from lipservo_lab.campaigns.endurance import endurance_figures, what_went_wrong
@@ -228,13 +238,13 @@ def endurance(
 
 def calibration(
     seeds: Annotated[
-        str, typer.Option(metavar="A-B", help="Random seeds, one robot for each.")
+        str, typer.Option(metavar="A-B", help="Random seeds, such as 0-19; a robot for each.")
     ] = "0-19",
     family: Annotated[
         RobotFamily | None,
         typer.Option(
-            help="own: compliant skin and backlash; elastic: lips in contact, and more. Default: "
-            "both."
+            help="Kind of robot: own: compliant skin and backlash; elastic: lips that touch, any "
+            "joints. Default: both."
         ),
     ] = None,
     ways: Annotated[
@@ -242,20 +252,21 @@ def calibration(
         typer.Option(
             "--ways",
             help="With family elastic: also test every way to calibrate (measured, guided, "
-            "practise, port, hobby, dots) on robots of 1 to 12 servos, drawn by the first seed.",
+            "practise, port, hobby, dots) on robots of 1 to 12 servos that the first seed makes.",
         ),
     ] = False,
     kills: Annotated[
         int,
-        typer.Option(min=0, help="Captures to interrupt and resume, with each of three trackers."),
+        typer.Option(min=0, help="Number of captures to kill and resume, for each of 3 trackers."),
     ] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate simulated robots whose build is hidden, and score the results: medians and worst.
 
-    The command also puts faults into each robot, to see whether they are reported, and tests twenty
-    mouths that cannot close.
+    The command also puts faults into robots, to see whether they are reported, and tests twenty
+    mouths that cannot close. --kills ends `calibrate measure` at random times, and starts the same
+    command again.
     """
     from lipservo_lab.bench.calibration.every_robot import bench_figures, read_seeds
 

@@ -19,7 +19,7 @@ import typer
 from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, print_json, progress_bar
 from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
-from lipservo_lab.commands.options import Cache, Limit, Speakers
+from lipservo_lab.commands.options import Cache, Limit, Speakers, TextCorpusOrClip
 from lipsync.errors import UserError
 from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S, check_weights, find_weights
@@ -32,20 +32,15 @@ if TYPE_CHECKING:
 
 
 def closures(
-    corpus: Annotated[
-        Path | None,
-        typer.Option(
-            help="Recordings with texts (docs/recognition.md, Corpora); default: the bundled clip."
-        ),
-    ] = None,
+    corpus: TextCorpusOrClip = None,
     speakers: Speakers = "",
     limit: Limit = None,
     cache: Cache = None,
     lookahead_ms: Annotated[
-        float, typer.Option(min=0.0, max=1000.0, help="Look-ahead of the motion, ms.")
+        float, typer.Option(min=0.0, max=1000.0, help="Following sound the motion may use, ms.")
     ] = DEFAULT_LOOKAHEAD_S * 1e3,
     latency_ms: Annotated[
-        float, typer.Option(min=0.0, help="Delay at which a label is read, ms: 45, 95 or 145.")
+        float, typer.Option(min=0.0, help="Recogniser's delay, ms: 45, 95 or 145.")
     ] = LATENCY_S * 1e3,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     model: Model = None,
@@ -118,13 +113,7 @@ _COLUMNS = {
 
 
 def microphone(
-    corpus: Annotated[
-        Path | None,
-        typer.Option(
-            help="Recordings with texts (docs/recognition.md, Corpora); default: the bundled "
-            "clip, without accuracy."
-        ),
-    ] = None,
+    corpus: TextCorpusOrClip = None,
     speakers: Speakers = "",
     limit: Limit = None,
     cache: Cache = None,
@@ -136,7 +125,7 @@ def microphone(
     """Measure delay, closures and accuracy for several look-aheads and recogniser delays.
 
     Delay counts from the microphone to the first goal on the bus, on a virtual clock with simulated
-    servos.
+    servos. Accuracy needs --corpus.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import aligned, selected
     from lipservo_lab.bench.sync.microphone_latency import microphone_table
@@ -183,7 +172,7 @@ _OPENINGS = {
 
 def nonspeech(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of sound files without speech; subfolders count, too.")
+        Path, typer.Argument(help="Folder of sound files without speech, with subfolders.")
     ],
     engine: EngineChoice = "network",
     weights: WeightsChoice = DEFAULT_WEIGHTS,
@@ -215,7 +204,7 @@ def nonspeech(
     for line in found.not_sound:
         MESSAGES.print(f"left out: {line}", soft_wrap=True)
     if recognizer.reasons:
-        raise UserError(f"the recogniser was left: {'; '.join(recognizer.reasons)}")
+        raise UserError(f"the recogniser failed: {'; '.join(recognizer.reasons)}")
     settings = {
         "engine": engine,
         "weights": weights,
@@ -238,10 +227,10 @@ def ladder(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure which recogniser runs while every core is busy for 1, 2 and 5 s of every minute.
+    """Measure which recogniser a face runs while every core is busy for 1, 2 and 5 s a minute.
 
     The face is a whole `lipservo run` in real time. The command also measures how soon the loudness
-    recogniser replaces one that takes ten times as long as its sound.
+    recogniser replaces a recogniser that takes ten times as long as its sound.
     """
     from firmware_bridge.stop_signals import SignalCounter
     from lipservo_lab.bench.hearing.ladder_figures import ladder_figures

@@ -23,16 +23,16 @@ def cost(
     ] = None,
     config: Annotated[str, typer.Option(help="Name of a shipped face.")] = "face_sim",
     listens: Annotated[
-        bool, typer.Option("--listens", help="The face listens to a recording; else it speaks.")
+        bool, typer.Option("--listens", help="Let the face listen to a recording, not speak.")
     ] = False,
-    cycles: Annotated[int, typer.Option(min=1, help="Cycles of speech and rest.")] = 5,
+    cycles: Annotated[int, typer.Option(min=1, help="Number of cycles of speech and rest.")] = 5,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure the processor time of a face's speech process, speaking and at rest.
 
-    It runs on a virtual clock; a cycle has 3 s of speech and 8 s of rest. Exit status 1 if goals
-    differ from those of --against by .005 degrees, or times by a microsecond.
+    The process runs on a virtual clock; a cycle has 3 s of speech and 8 s of rest. Exit status 1 if
+    servo goals differ from those of --against by .005 degrees, or their times by a microsecond.
     """
     from lipservo_lab.bench.cost.cost_figures import cost_figures
 

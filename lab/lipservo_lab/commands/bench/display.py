@@ -27,7 +27,7 @@ def display(
     ] = False,
     landmarker: Annotated[
         Path | None,
-        typer.Option(help="For --track: the tracker's face_landmarker.task; default: mediapipe."),
+        typer.Option(help="For --track: file face_landmarker.task; default: mediapipe's."),
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,

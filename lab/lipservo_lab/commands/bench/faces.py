@@ -29,15 +29,15 @@ def face(
         typer.Argument(help="Sound files of speech that move the head; default: the bundled clip."),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=1.0, help="Length of each measuring window, s.")
+        float, typer.Option(min=1.0, help="Seconds that each measurement takes.")
     ] = 20.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure the cost of the dashboard's streams, and the motion of head, eyes and lids.
 
-    The motion is compared with published ranges. If a Chromium is installed, the command also
-    measures how soon the web page shows the face in it.
+    The motion is compared with published ranges. If Chromium is installed, the command also
+    measures how soon the web page in Chromium shows the face.
     """
     check_dashboard()
     from lipservo_lab.bench.face.face_figures import face_figures
@@ -49,7 +49,7 @@ def face(
 
 def line(
     questions: Annotated[
-        int, typer.Option(min=1, help="Register reads over each disturbed line.")
+        int, typer.Option(min=1, help="Number of register reads over each disturbed line.")
     ] = 18_000,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -76,10 +76,10 @@ def scans(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how exactly points are registered, on scans that are made of the mean face.
+    """Measure how exactly `learn import-scans` finds a face's points, on scans with known points.
 
-    The distance is that to the true place of the same point of the skin, so sliding along the
-    surface counts.
+    The scans are made from the mean face. Errors are distances in mm from each point found to the
+    true place of the same point of the skin, so sliding along the surface counts.
     """
     check_extra("trimesh", "bench scans")
     from lipservo_lab.bench.scan_figures import scan_figures
@@ -95,7 +95,7 @@ def scans(
 
 def shapes(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
-    phonemes: Annotated[Path, typer.Argument(help="Label file (docs/text.md) of its phones.")],
+    phonemes: Annotated[Path, typer.Argument(help="The sound's label file (docs/text.md).")],
     picture: Annotated[
         Path | None, typer.Option(help="Draw 3 s of the sound into this PNG file.")
     ] = None,
@@ -129,31 +129,31 @@ def shapes(
 
 def sync(
     quick: Annotated[
-        bool, typer.Option("--quick", help="Use a quarter of the sentences, and 1 minute of drift.")
+        bool, typer.Option("--quick", help="3 sentences, not 12; clock drift for 1 minute, not 10.")
     ] = False,
     face: Annotated[
         str | None,
         typer.Option(
             "--face",
-            help="Instead: compare closures at the shafts of this face's servos with those of the "
-            "same face with Dynamixels, for the clip of `make run`.",
+            help="Instead: name of a face; count the closures of the bundled clip that its servos "
+            "reach, and that Dynamixels in their place reach.",
         ),
     ] = None,
     timings: Annotated[
         bool,
         typer.Option(
             "--timings",
-            help="Instead: visemes shown for the clip of `make run` if the times of its phonemes "
-            "are wrong.",
+            help="Instead: measure which visemes the bundled clip shows if its phonemes come with "
+            "wrong times.",
         ),
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure lips against sound at the encoders of simulated servos, on a virtual clock.
+    """Measure how well lips and sound agree in time, at simulated servos, on a virtual clock.
 
-    Phones and their times are the synthesiser's, not our recogniser's; with --face they are the
-    recogniser's on both sides.
+    The true phones and their times are the speech synthesiser's. With --face they are our
+    recogniser's, for both kinds of servos.
     """
     from lipservo_lab.bench.sync.closures_at_shaft import closures_at_shaft
     from lipservo_lab.bench.sync.sync_figures import sync_figures

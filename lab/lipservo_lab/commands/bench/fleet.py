@@ -23,7 +23,8 @@ def fleet(
 ) -> None:
     """Measure how soon 100 faces answer status and stop, beside five more that are dead or hung.
 
-    Exit status 1 unless all 100 faces confirm and all five are named.
+    --daemons are real faces; servers that give the same answers stand for the others. Exit status 1
+    unless all 100 faces confirm the stop and the command names the other five.
     """
     check_dashboard()
     from lipservo_lab.bench.fleet_figures import fleet_figures
@@ -38,14 +39,15 @@ def fleet(
 def cluster(
     lines: Annotated[int, typer.Option(min=10, help="Number of short lines to render.")] = 2000,
     kill_every_s: Annotated[
-        float, typer.Option(min=1.0, help="Seconds between kills of a worker; the scheduler: once.")
+        float, typer.Option(min=1.0, help="Seconds between kills of a worker.")
     ] = 60.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Count lines that are lost or rendered twice while workers and the scheduler are killed.
+    """Count scripted lines that are lost or rendered twice while processes of a cluster are killed.
 
-    `lines render-folder` runs on a Dask cluster of this computer. Exit status 1 if a line is lost.
+    `lines render-folder` runs on a Dask cluster of this computer; workers are killed again and
+    again, the scheduler once. Exit status 1 if a line is lost.
     """
     for library in ("distributed", "joblib"):
         check_extra(library, "bench cluster")

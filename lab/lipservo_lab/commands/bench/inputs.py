@@ -19,8 +19,8 @@ def inputs(
 ) -> None:
     """Feed odd labels, sounds, ranges, texts, markers, photographs and names to their readers.
 
-    Each input is generated together with the right answer. Exit status 1 if an input caused a
-    traceback or a hang, or was read wrongly without a message.
+    Each input is generated together with the right answer. Exit status 1 if an input made its
+    reader raise a traceback or hang, or was read wrongly without a message.
     """
     for library in ("ezc3d", "PIL"):
         check_extra(library, "bench inputs")

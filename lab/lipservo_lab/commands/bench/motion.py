@@ -17,10 +17,12 @@ from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_jso
 from lipservo_lab.commands.bench.printing import print_table, with_machine
 from lipservo_lab.commands.options import (
     GridCorpus,
+    LeaveWordsOut,
     LookaheadsMs,
     OtherWeights,
     Plots,
     WordLimit,
+    Words,
 )
 from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import UserError, check_extra, check_inputs
@@ -93,8 +95,8 @@ def motion(
     video: Annotated[
         Path | None,
         typer.Option(
-            help="Instead: a video, or a folder of videos, of any talkers; their lips are "
-            "compared with our mouth, moved by their sound alone."
+            help="Instead of --corpus: a video, or a folder of videos, of any talkers; their lips "
+            "are compared with our mouth, which their sound alone moves."
         ),
     ] = None,
     landmarker: Landmarker = None,
@@ -105,52 +107,39 @@ def motion(
             "default: train and score models by the splits in splits.json."
         ),
     ] = None,
-    words: Annotated[
-        str | None,
-        typer.Option(
-            help="Score only these words, commas between; without --model, by models that have "
-            "not learned them."
-        ),
-    ] = None,
+    words: Words = None,
     strategy: Annotated[
         str | None,
         typer.Option(
-            help="Score only these methods, commas between; with --leave-words-out each further "
-            "method is compared in pairs with the first."
+            help="Methods to score, commas between; default: all, with --leave-words-out animpho. "
+            "With it the first is compared with each other method."
         ),
     ] = None,
     lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
-        str, typer.Option(help="true (labels), recognized (live) or text (live, words known).")
+        str, typer.Option(help="true (labels), recognized (live) or text (live, given the text).")
     ] = "true",
     random_units: Annotated[
         bool,
-        typer.Option("--random-units", help="Also score randomly chosen AnimPhos, as a baseline."),
+        typer.Option("--random-units", help="Also score AnimPhos chosen at random, as a baseline."),
     ] = False,
     published_derivatives: Annotated[
         bool,
         typer.Option(
             "--published-derivatives",
-            help="For Wei and Deng's two strategies: equation (5) as printed, with a derivative "
-            "for each sample, so that the speed jumps between phones of different length.",
+            help="priority and naive: use equation (5) as Wei and Deng print it, with derivatives "
+            "per sample; the speed then jumps between phones of different length.",
         ),
     ] = False,
     offline: Annotated[
         bool,
         typer.Option(
             "--offline",
-            help="Also score the methods of `lipservo lines render`: the published one and ours; "
-            "with --leave-words-out only ours.",
+            help="Also score the methods of `lipservo lines render`: model-based (published) and "
+            "heard (ours); with --leave-words-out only heard.",
         ),
     ] = False,
-    leave_words_out: Annotated[
-        bool,
-        typer.Option(
-            "--leave-words-out",
-            help="Instead: score every word of the folder by a model that has not learned it, in "
-            "ten folds. The models are kept in the user's cache.",
-        ),
-    ] = False,
+    leave_words_out: LeaveWordsOut = False,
     limit: WordLimit = 40,
     plots: Plots = None,
     also: OtherWeights = None,
@@ -158,7 +147,11 @@ def motion(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure synthesised motion against recorded faces: our methods and the baselines.
+    """Measure how near synthesised motion comes to recorded faces, by our methods and by others.
+
+    Methods: cohen-massaro, cohen-massaro-tuned, catmull-rom, mean-face, naive, priority,
+    plain-regression, animpho, expected. priority and naive are Wei and Deng's (docs/motion.md, "The
+    paper's method"). An AnimPho is a short recorded mouth motion of one phoneme.
 
     With --video: against faces in any video (docs/own-face.md).
     """
@@ -268,7 +261,7 @@ def _answer(
         model, unseen = given, sentences
         seen = seen_in_training(given, sentences.utterances)
         if seen:
-            MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
+            MESSAGES.print(f"too good: the model has learned {len(seen)} of these sentences")
     bars.tell("the paper's tables")
     # One method alone is a quick question, and the tables are a comparison.
     paper = measure.paper_rows(model, unseen, sentences) if question.compares else None
@@ -395,10 +388,11 @@ def figures(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Print the tables and draw the figures of Wei and Deng: our values beside theirs.
+    """Print the tables and draw the figures of Wei and Deng's paper: our values beside theirs.
 
-    Sentences that the model has not learned are scored; times are processor times. For the
-    sentences that it has learned, the figures of Edge, Hilton and Jackson are printed, too.
+    Scored are the sentences of the corpus that --model has not learned; times are processor times.
+    For the sentences that the model has learned, the command also prints the tables of Edge, Hilton
+    and Jackson's paper. Both papers: docs/motion.md, docs/scripted-lines.md.
     """
     from lipservo.terminal.pictures import check_folder
     from lipservo_lab.bench import motion_figures as measure

@@ -13,10 +13,12 @@ from lipservo.terminal.output import RESULTS, machine_class, print_json
 from lipservo_lab.commands.bench.printing import print_table
 from lipservo_lab.commands.options import (
     GridCorpus,
+    LeaveWordsOut,
     LookaheadsMs,
     OtherWeights,
     Plots,
     WordLimit,
+    Words,
 )
 from lipservo_lab.commands.work_bars import WorkBars, work_bars
 from lipsync.errors import check_inputs
@@ -43,43 +45,32 @@ _COLUMNS = {
 
 def readability(
     corpus: GridCorpus,
-    words: Annotated[
-        str | None,
-        typer.Option(
-            help="Only these words, commas between, by models that have not learned them."
-        ),
-    ] = None,
+    words: Words = None,
     models: Annotated[
         Path | None,
         typer.Option(
             help="Folder of face models trained without the sentences that are read: known.npz, "
-            "a.npz, b.npz; with --words: words.npz. Default: they are trained now."
+            "a.npz, b.npz; with --words: words.npz. Default: train them now."
         ),
     ] = None,
-    leave_words_out: Annotated[
-        bool,
-        typer.Option(
-            "--leave-words-out",
-            help="Instead: every word, by a model that has not learned it, as in `bench motion`.",
-        ),
-    ] = False,
+    leave_words_out: LeaveWordsOut = False,
     limit: WordLimit = 20,
     strategy: Annotated[
         str,
         typer.Option(
-            help="Methods of motion, commas between: those of `bench motion`, and heard and "
-            "model-based of `lines render`."
+            help="Methods of motion, commas between: those of `bench motion`, and of `lines "
+            "render` heard and model-based."
         ),
     ] = f"{DEFAULT_STRATEGY},expected,priority",
     lookahead_ms: LookaheadsMs = "0,100,200",
     phonemes: Annotated[
         str,
         typer.Option(
-            help="Commas between: true (labels), recognized (live), text (live, words known)."
+            help="Commas between: true (labels), recognized (live), text (live, given the text)."
         ),
     ] = "true,recognized",
     robot: Annotated[
-        bool, typer.Option(help="Also read known words from joint angles of the simulated robot.")
+        bool, typer.Option(help="Also read trained words off the simulated robot's joint angles.")
     ] = True,
     plots: Plots = None,
     also: OtherWeights = None,
@@ -89,7 +80,9 @@ def readability(
 ) -> None:
     """Measure how many words automatic lip-readers read off the mouth's motion.
 
-    The lip-readers are classifiers that are trained on the recorded faces.
+    The lip-readers are classifiers that are trained on the recorded faces. Without --words and
+    --leave-words-out they read the test sentences in splits.json: known words, and words that the
+    model has not learned.
     """
     from lipservo.terminal.pictures import check_folder
     from lipservo_lab.bench.readability.readability_figures import (

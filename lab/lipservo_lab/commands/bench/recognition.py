@@ -19,22 +19,20 @@ import typer
 from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, Advance, print_json, progress_bar
 from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
-from lipservo_lab.commands.options import Cache, LatencyMs, Limit, Speakers
+from lipservo_lab.commands.options import Cache, LatencyMs, Limit, Speakers, TextCorpus
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
 
 _Item = TypeVar("_Item")
 
 
 def recognition(
-    corpus: Annotated[
-        Path, typer.Option(help="Folder of recordings with texts (docs/recognition.md, Corpora).")
-    ],
+    corpus: TextCorpus,
     speakers: Speakers = "",
     only: Annotated[
         str | None,
         typer.Option(
             metavar="FILE[:KEY]",
-            help="Only these utterances: a text file of names, one a line, or FILE.json:KEY.",
+            help="Utterances to use: a text file of names, one a line, or FILE.json:KEY.",
         ),
     ] = None,
     limit: Limit = None,
@@ -44,26 +42,26 @@ def recognition(
         str | None,
         typer.Option(
             metavar="KIND:DB",
-            help="Disturb the sound: white, music, babble or servos with a signal-to-noise ratio "
-            "in dB; level with a change in dB; telephone; clipped; room with a distance in metres.",
+            help="Disturb the sound: white, music, babble or servos (DB: signal to noise); level "
+            "(DB: change); telephone or clipped (no DB); room (instead of DB: metres).",
         ),
     ] = None,
     servo_speeds: Annotated[
         bool,
         typer.Option(
-            "--servo-speeds", help="With --noise servos:DB: the recogniser gets the servos' motion."
+            "--servo-speeds", help="With --noise servos:DB: tell the recogniser the servos' speeds."
         ),
     ] = False,
     text: Annotated[
         Literal["own", "another"] | None,
         typer.Option(
-            help="Give the recogniser a text: its own or another utterance's; `another` also "
-            "measures how soon the wrong text is dropped."
+            help="own: give the recogniser the utterance's text; another: give it another "
+            "utterance's text, and measure how soon it is dropped."
         ),
     ] = None,
     by: Annotated[
         Literal["speaker", "group"] | None,
-        typer.Option(help="Also print figures of each speaker, or of each group of speakers."),
+        typer.Option(help="Also print figures of each speaker, or of each group in --groups."),
     ] = None,
     groups: Annotated[
         Path | None,
@@ -75,8 +73,8 @@ def recognition(
     yardstick: Annotated[
         Path | None,
         typer.Option(
-            help="File of hashes of the reference alignments: alignments that differ from it are "
-            "counted, new ones are added to it."
+            help="File of hashes of the reference alignments: alignments that have changed since "
+            "are listed, new ones are added."
         ),
     ] = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
@@ -84,7 +82,11 @@ def recognition(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a live recogniser against forced alignment of the transcripts."""
+    """Measure how right a live recogniser is, against the corpus's texts, aligned with the sound.
+
+    --noise: white:10 is white noise 10 dB below the speech; level:-20 lowers the sound by 20 dB;
+    room:2 is a talker at 2 m in a room. --by group needs a table of speakers (--groups).
+    """
     from lipservo_lab.bench.hearing.recognizer_bench import (
         aligned,
         known_texts,
@@ -121,7 +123,7 @@ def recognition(
         names = fix_alignments(yardstick, alignments.values())
         figures["alignments_moved"] = len(names)
         for name in names:
-            MESSAGES.print(f"alignment has moved: {name}", soft_wrap=True)
+            MESSAGES.print(f"alignment is not that of --yardstick: {name}", soft_wrap=True)
     if not as_json:
         del figures["visible_error_table"]
     for utterance in alignments.values():
@@ -145,8 +147,8 @@ def listening(
     corpus: Annotated[
         Path | None,
         typer.Option(
-            help="Also measure how soon the mouth closes and wakes, on these recordings "
-            "(docs/recognition.md, Corpora)."
+            help="Recordings with texts (docs/recognition.md, Corpora) on which to measure delays "
+            "of the mouth too."
         ),
     ] = None,
     speakers: Speakers = "",
@@ -154,14 +156,14 @@ def listening(
     cache: Cache = None,
     model: Model = None,
     hours: Annotated[
-        float, typer.Option(min=0.0, help="Also run this many hours of speech without a pause.")
+        float, typer.Option(min=0.0, help="Hours of speech without a pause to recognise as well.")
     ] = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure false speech in quiet, processor time of an audio block, and delays of the mouth.
+    """Measure phonemes found in silence, processor time of an audio block, delays of the mouth.
 
-    The delays, with --corpus: how late the mouth closes when a voice stops, and how soon it leaves
+    The delays need --corpus: how late the mouth closes when a voice stops, and how soon it leaves
     rest when a voice starts.
     """
     import numpy as np
@@ -241,14 +243,17 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
 
 
 def texts(
-    corpus: Annotated[Path, typer.Option(help="Recordings with texts (docs/recognition.md).")],
+    corpus: TextCorpus,
     speakers: Speakers = "",
     limit: Limit = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how often `lines align` refuses, doubts and passes true and false texts."""
+    """Measure how often `lines align` accepts, doubts or refuses true and false texts.
+
+    Each recording is aligned with its own text and with wrong ones.
+    """
     from lipservo_lab.bench.hearing.recognizer_bench import selected
     from lipservo_lab.evaluation.recognition.benchmark import score_texts, text_figures
 
@@ -275,7 +280,7 @@ _LANGUAGE_HEADINGS = {
 
 def languages(
     languages: Annotated[
-        str, typer.Option(help="Only these languages: de,fr,ja; default: all.", show_default=False)
+        str, typer.Option(help="Languages: de,fr,es,pt,zh,ja; default: all.", show_default=False)
     ] = "",
     engine: MeasuredEngineChoice = "network",
     latency_ms: LatencyMs = 95.0,
@@ -286,7 +291,7 @@ def languages(
     """Measure how well the recogniser works for other languages, spoken by espeak-ng.
 
     There are ten sentences of each language; espeak-ng's own phoneme times are the truth. Phonemes
-    that English lacks count as English ones that look alike on the lips.
+    that English lacks count as the English ones that look alike on the lips.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
     from lipservo_lab.bench.hearing.spoken_languages import (
@@ -339,10 +344,10 @@ def voices(
         str, typer.Option("--voices", help="Voices as SYNTHESISER:VOICE, commas between.")
     ] = "espeak:en-029,espeak:en-gb-scotland,flite:rms",
     languages: Annotated[
-        str, typer.Option(help="Also languages by espeak-ng, such as de,fr,ja; default: all six.")
+        str, typer.Option(help="Languages of espeak-ng to measure; default: de,fr,es,pt,zh,ja.")
     ] = "",
     heard: Annotated[
-        bool, typer.Option("--heard", help="Do not give the text: measure recognition alone.")
+        bool, typer.Option("--heard", help="Do not give the recogniser the text.")
     ] = False,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
@@ -350,8 +355,10 @@ def voices(
 ) -> None:
     """Measure how exactly the phones of a known text are found in a synthesiser's voice.
 
-    The synthesiser's own times are the truth. A voice of espeak is a language. Closures are those
-    of P, B and M; boundaries are the beginnings of the phones that were found.
+    The synthesiser's own phoneme times are the truth. --voices: a voice of espeak is a language or
+    accent (espeak:en-gb-scotland), one of flite or festival a speaker (flite:rms). --languages: in
+    each, espeak-ng speaks ten sentences of its own. Closures are those of P, B and M; boundaries
+    are the beginnings of the phones that were found.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import selected
     from lipservo_lab.bench.hearing.spoken_languages import language_sentences, read_languages

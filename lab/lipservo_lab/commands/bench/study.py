@@ -13,17 +13,17 @@ from lipservo_lab.commands.options import Inverted, Lazy
 
 
 def study(
-    studies: Annotated[int, typer.Option(min=1, max=100_000, help="Number of studies.")] = 200,
-    honest: Annotated[int, typer.Option(min=2, max=1000, help="Raters who rate with care.")] = 16,
+    studies: Annotated[int, typer.Option(min=1, max=100_000, help="Studies to simulate.")] = 200,
+    honest: Annotated[int, typer.Option(min=2, max=1000, help="Number of careful raters.")] = 16,
     lazy: Lazy = 1,
     inverted: Inverted = 1,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate studies with raters of known taste, and evaluate each like a study with people.
+    """Simulate studies with raters of known preferences, evaluated like a study with people.
 
-    The result `coverage` is the share of 95 % intervals that contain the truth, over ratings, pairs
-    and words read.
+    The result `coverage` is the share of 95 % intervals that contain the true value, over ratings,
+    pairs and words read.
     """
     from lipservo_lab.study.rehearsal import Crew, coverage_figures
     from lipservo_lab.study.sheets import Size

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def import_video(
     source: Annotated[Path, typer.Argument(help="A video, or a folder of videos, of one talker.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The corpus folder to write.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Corpus folder to write.")],
     landmarker: Landmarker = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -99,12 +99,12 @@ _MOTION_ENDING = ".npz"
 
 def import_scans(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of scans (PLY, OBJ), or with a folder for each take.")
+        Path, typer.Argument(help="Folder of scans (PLY, OBJ), or of folders, one for each take.")
     ],
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", help="The corpus folder to write, or FILE.npz for motion alone."
+            "--output", "-o", help="Corpus folder to write, or FILE.npz for motion alone."
         ),
     ],
     rate_hz: Annotated[float, typer.Option(min=1.0, max=1000.0, help="Scans per second.")] = 60.0,
@@ -116,15 +116,15 @@ def import_scans(
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the scans: mm, cm, m or in.")] = "mm",
     axes: Annotated[
-        str, typer.Option(help="Axes of the scans to the picture's right, up, and to the viewer.")
+        str, typer.Option(help="Scan axes that point right, up and to the viewer, such as x,z,-y.")
     ] = "x,y,z",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make recordings for `learn face` from scans without common points: each has its own mesh.
+    """Make recordings for `learn face` from 3-D scans of a face, each with a mesh of its own.
 
-    NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt gives the words,
-    otherwise the phonemes are recognised; NAME.markers.csv gives named points (docs/own-face.md).
+    Beside each take's folder NAME: NAME.wav, its sound; NAME.TextGrid or NAME.txt, its words
+    (without them the phonemes are recognised); NAME.markers.csv, named points (docs/own-face.md).
     """
     check_inputs(folder, template)
     check_extra("trimesh", "learn import-scans")

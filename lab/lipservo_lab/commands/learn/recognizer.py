@@ -18,7 +18,7 @@ from rich.table import Table
 from lipservo.commands.options import Json, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
 from lipservo.terminal.pictures import save_picture, without_screen
-from lipservo_lab.commands.options import Jobs, Seed, WeightsOutput
+from lipservo_lab.commands.options import Jobs, Limit, Seed, WeightsOutput
 from lipsync.errors import UserError, check_extra, check_inputs
 from lipsync.output_file import check_output
 from lipsync.recognition.network import DEFAULT_WEIGHTS
@@ -43,7 +43,7 @@ def train_recognizer(
         ),
     ] = "",
     validation: Annotated[
-        str, typer.Option(help="Speakers for validation (not trained on), with commas between.")
+        str, typer.Option(help="Speakers not to train on, who grade the training, commas between.")
     ] = "",
     leave_out: Annotated[
         str | None,
@@ -52,16 +52,13 @@ def train_recognizer(
             help="Utterances not to train on: a file of names, one a line, or FILE.json:KEY.",
         ),
     ] = None,
-    limit: Annotated[
-        int | None,
-        typer.Option(min=1, help="Only this many utterances of each speaker, the first."),
-    ] = None,
+    limit: Limit = None,
     synthetic: Annotated[
         str,
         typer.Option(
             metavar="VOICES",
-            help="Also learn from these synthetic voices, which read the corpora's texts; commas "
-            "between: espeak:en-us, flite:awb, festival:ked.",
+            help="Synthetic voices that read the corpora's texts, to learn from too, such as "
+            "espeak:en-us,flite:awb,festival:ked.",
         ),
     ] = "",
     noise: Annotated[
@@ -79,31 +76,31 @@ def train_recognizer(
         typer.Option(
             min=0.0,
             max=1.0,
-            help="Share of the start weights in the average that is written: preserves what they "
-            "had learned.",
+            help="Share of --start-from in the weights written, an average of these and the "
+            "learned ones.",
         ),
     ] = 0.0,
     seed: Seed = 0,
     steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 5_000,
     rate: Annotated[
-        float, typer.Option(min=0.0, help="Peak learning rate; use less with --start-from.")
+        float, typer.Option(min=0.0, help="Peak learning rate; give less with --start-from.")
     ] = 3e-3,
-    copies: Annotated[int, typer.Option(min=0, help="Augmented copies of each recording.")] = 10,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of each recording.")] = 10,
     channels: Annotated[
         int | None,
         typer.Option(
             min=8,
             max=1024,
-            help="Channels of the network; default: 192, or those of --start-from, to which more "
-            "may be added.",
+            help="Channels of the network: 192 by default; with --start-from as many as there, or "
+            "more.",
         ),
     ] = None,
     dilations: Annotated[
         str,
         typer.Option(
             metavar="D,D,...",
-            help="Dilations of the layers; the network sees 20 ms times their sum back. Default: "
-            "1,2,4,8,1,2,4,8, or those of --start-from, to which more may be added.",
+            help="Dilations of the layers; their sum times 20 ms is the past sound used. Default: "
+            "1,2,4,8,1,2,4,8; with --start-from its own, and others may follow.",
             show_default=False,
         ),
     ] = "",
@@ -111,8 +108,8 @@ def train_recognizer(
         str,
         typer.Option(
             metavar="N,N,...",
-            help="Output delays of the network's heads, frames of 10 ms; default: 2,7,12. A "
-            "teacher may use 60, to know what follows.",
+            help="Delays at which the network puts phonemes out, frames of 10 ms; default: "
+            "2,7,12. A network that will be a --teacher may wait longer, such as 60.",
             show_default=False,
         ),
     ] = "",
@@ -120,8 +117,8 @@ def train_recognizer(
         str | None,
         typer.Option(
             metavar="WEIGHTS",
-            help="Weights of a teacher network: it aligns the labels anew, its posteriors are "
-            "soft targets, and texts that it does not find in the sound are left out.",
+            help="Weights of a teacher network: it aligns the labels anew, its probabilities are "
+            "targets too, and texts that it does not find in the sound are left out.",
         ),
     ] = None,
     soft_share: Annotated[
@@ -129,7 +126,7 @@ def train_recognizer(
         typer.Option(
             min=0.0,
             max=1.0,
-            help="With --teacher: share of its soft targets in the loss; the labels have the rest.",
+            help="Share of the --teacher's probabilities in the loss; the labels have the rest.",
         ),
     ] = 0.5,
     visible_weight: Annotated[
@@ -141,17 +138,15 @@ def train_recognizer(
     nice: Annotated[
         int, typer.Option(min=0, max=19, help="Niceness of the process; 19 is the lowest priority.")
     ] = 0,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Number of processes and of training threads; default: one per core. With 1 the "
-            "same seed gives the same bytes.",
-        ),
-    ] = None,
+    jobs: Jobs = None,
     quiet: Quiet = False,
 ) -> None:
-    """Train the recogniser's network on recordings with texts (needs the extra `train`: torch)."""
+    """Train the recogniser's network on recordings with texts (needs the extra `train`: torch).
+
+    With --jobs 1 the same seed gives the same bytes. --start-from grid: the default weights,
+    trained further on one speaker of GRID. --visible-weight: visible error is the distance in mm
+    between the lips of the phonemes found and of those said.
+    """
     check_inputs(*corpora)
     check_extra("torch", "learn recognizer")
     from lipservo_lab.corpus.transcribed import read_names
@@ -162,7 +157,7 @@ def train_recognizer(
 
     check_output(output, replaces=is_weights, kind="weights")
     if start_share and start_from is None:
-        raise UserError("--start-share needs weights to go on from; give --start-from")
+        raise UserError("--start-share needs weights to start from; give --start-from")
     n_jobs = jobs or os.cpu_count() or 1
     start = None if start_from is None else find_weights(start_from)
     plan = TrainingPlan(
@@ -177,7 +172,7 @@ def train_recognizer(
         plan = plan.shaped_as(start)
     plan = plan.shaped(channels, _numbers(dilations, 1, 64), _numbers(delays, 0, 200))
     if start is not None and start_share and plan != plan.shaped_as(start):
-        raise UserError("--start-share needs a network of the same shape; leave it out to grow")
+        raise UserError("leave out --start-share, or --channels, --dilations and --delays")
     run = TrainingRun(
         corpora=tuple(corpora),
         folder=folder,
@@ -210,16 +205,16 @@ def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
         numbers = (least - 1,)
     if not all(least <= each <= most for each in numbers):
         raise UserError(
-            f"{listed!r} is no list of whole numbers from {least} to {most}, like 1,2,4"
+            f"--dilations, --delays: {listed!r}: give numbers from {least} to {most}, like 1,2,4"
         )
     return numbers
 
 
 def plot_training(
-    log: Annotated[Path, typer.Argument(help="File log.jsonl of a training's folder.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture (PNG) to write.")],
+    log: Annotated[Path, typer.Argument(help="File log.jsonl in the --folder of a training.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write, .png.")],
 ) -> None:
-    """Draw the run log of `learn recognizer` (needs the extra `plots`)."""
+    """Draw losses and accuracies of a run of `learn recognizer` (needs the extra `plots`)."""
     from lipservo.terminal.pictures import check_picture
 
     check_picture(output, [log])
@@ -264,7 +259,7 @@ def adapt(
     seed: Seed = 0,
     steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 100,
     rate: Annotated[float, typer.Option(min=0.0, max=0.01, help="Peak learning rate.")] = 5e-4,
-    copies: Annotated[int, typer.Option(min=0, help="Augmented copies of the voice.")] = 2,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the voice.")] = 2,
     jobs: Jobs = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -320,8 +315,8 @@ def adapt(
         _print(voice, before, after)
     if not is_better:
         raise VoiceError(
-            f"{output}: not written, since the adapted weights do not hear this voice better than "
-            f"{weights}; keep those, or record more of the voice"
+            f"{output}: not written, since the adapted weights do not recognise this voice better "
+            f"than {weights}; keep those, or record more of the voice"
         )
     about = {
         **figures,
@@ -365,11 +360,11 @@ def read_log(path: Path) -> list[Record]:
     except OSError as error:
         raise TrainingLogError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise TrainingLogError(f"{path}: no run log: not one JSON object a line") from error
+        raise TrainingLogError(f"{path}: no training log: not one JSON object a line") from error
     if not records or not all(
         isinstance(r, dict) and {"step", "loss"} <= r.keys() for r in records
     ):
-        raise TrainingLogError(f"{path}: no run log: every line must hold a step and a loss")
+        raise TrainingLogError(f"{path}: no training log: every line must hold a step and a loss")
     return records
 
 

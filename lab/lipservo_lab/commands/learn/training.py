@@ -39,8 +39,7 @@ def train(
     output: ModelOutput,
     seed: Seed = 0,
     components: Annotated[
-        int | None,
-        typer.Option(help="Number of principal components; default: 8; Wei and Deng: 5."),
+        int | None, typer.Option(help="Number of principal components of the face; default: 8.")
     ] = None,
     markers: Annotated[
         str | None,
@@ -49,7 +48,7 @@ def train(
         ),
     ] = None,
     paper: Annotated[
-        bool, typer.Option("--paper", help="As Wei and Deng: --components 5 --markers 39.")
+        bool, typer.Option("--paper", help="As Wei and Deng's paper: --components 5 --markers 39.")
     ] = False,
     phonemes: Annotated[
         Phonemes,
@@ -62,8 +61,8 @@ def train(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="With several speakers: folder name of the one whose face is used; default: the "
-            "first.",
+            help="With several speakers: folder name of the speaker whose face is used; default: "
+            "the first.",
         ),
     ] = None,
     weight: Annotated[
@@ -76,7 +75,7 @@ def train(
     ] = None,
     without_words: Annotated[
         str | None,
-        typer.Option(help="Leave out sentences with any of these words, commas between."),
+        typer.Option(help="Leave out sentences that have any of these words, commas between."),
     ] = None,
     without: Annotated[
         Path | None,
@@ -90,7 +89,8 @@ def train(
 
     For each sentence, CORPUS has audio/NAME.flac, landmarks/NAME.npz and labels/NAME.TextGrid;
     landmarks.json lists the landmarks: docs/motion.md, "A corpus of your own". The motion of
-    several speakers is scaled to the face of one: docs/motion.md, "Several speakers".
+    several speakers is scaled to the face of one: docs/motion.md, "Several speakers". --paper: Wei
+    and Deng, docs/motion.md, "The paper's method".
     """
     from lipservo_lab.corpus.grid import folder_name, read_grid
     from lipservo_lab.learning.expectation.deviation import hear_sentences
@@ -229,8 +229,8 @@ def train_soft(
         bool,
         typer.Option(
             "--table",
-            help="Also train models without the sentences that splits.json holds out, fit them to "
-            "the same weights, and print how readable their motion is, beside the required "
+            help="Also train models without the test sentences in splits.json, fit them to the "
+            "same weights, and print how well lip-readers read their motion, beside the required "
             "figures.",
         ),
     ] = False,
@@ -240,7 +240,7 @@ def train_soft(
     """Fit a face model to a recogniser's phoneme probabilities, frame by frame.
 
     Each sentence is recognised as it is and in four other voices and rooms. A face model that was
-    never fitted so is moved by the recogniser's decisions alone.
+    not fitted is moved by the one phoneme that the recogniser finds likeliest.
     """
     from lipservo_lab.bench.readability.soft_table import soft_table
     from lipservo_lab.corpus.grid import read_grid
@@ -319,8 +319,8 @@ def train_offline(
     markers: Annotated[
         str | None,
         typer.Option(
-            help="Layout file with more points than the face model, for dense scans "
-            "(corpus/layout.json); default: the model's own."
+            help="Layout file with more points than the face model: layout.json in the corpus of "
+            "`learn import-scans`; default: the face model's points."
         ),
     ] = None,
     seed: Seed = 0,
@@ -330,8 +330,9 @@ def train_offline(
 ) -> None:
     """Learn the offline model that `lines render` needs beside a face model.
 
-    It holds states of the mouth, pieces of motion, and what the sound tells of the face. CORPUS is
-    a folder as for `lipservo learn face`; give the face model that was learned from it.
+    The offline model holds states of the mouth, pieces of recorded motion, and networks that
+    predict the face from the sound. CORPUS is a folder as for `lipservo learn face`; --model is the
+    face model that was learned from this folder.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.learning.offline.offline_training import train_offline as train_model

@@ -12,15 +12,15 @@ from lipsync.errors import UserError
 
 
 def recorded(
-    corpus: Annotated[Path, typer.Argument(help="Recordings, a folder as in docs/motion.md.")],
+    corpus: Annotated[Path, typer.Argument(help="Folder of recordings as in docs/motion.md.")],
     sentence: Annotated[str, typer.Argument(help="Name of a recorded sentence.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Performance to write (.perf).")],
     model: Model = None,
 ) -> None:
-    """Write a recorded sentence, the person's face motion and sound, as a performance.
+    """Write a recorded sentence (a person's face motion and sound) as a performance file.
 
-    `lipservo film SOUND --beside FILE.perf` shows it beside a synthesised face; a robot can play
-    it, too.
+    `lipservo film SOUND --beside FILE.perf` shows this face beside a synthesised one; `lipservo
+    lines perform FILE.perf` lets a robot play it.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipsync.face.model import load_face
@@ -35,7 +35,7 @@ def recorded(
     from lipsync.output_file import check_output
 
     if output.suffix != SUFFIX:
-        raise UserError(f"{output}: a performance ends in {SUFFIX}")
+        raise UserError(f"{output}: the name of a performance must end in {SUFFIX}")
     check_output(output, replaces=is_performance, kind="performance", inputs=[])
     face = load_face(model)
     utterances = read_grid(corpus, face.layout, skip_bad=True).utterances

@@ -33,21 +33,23 @@ _METHODS = "recorded,ears,words,scripted,wei-deng,edge,cohen-massaro,catmull-rom
 #: Square, so that the face fills it: a mouth is what is judged.
 _SIZE = (640, 640)
 Folder = Annotated[Path, typer.Argument(help="Folder of the study.")]
-Ratings = Annotated[int, typer.Option(min=0, max=400, help="Clips that a rater rates.")]
-Pairs = Annotated[int, typer.Option(min=0, max=400, help="Pairs that a rater compares.")]
-Sentences = Annotated[int, typer.Option(min=0, max=2000, help="Sentences that are rated.")]
+Ratings = Annotated[int, typer.Option(min=0, max=400, help="Number of clips a rater rates.")]
+Pairs = Annotated[int, typer.Option(min=0, max=400, help="Number of pairs a rater compares.")]
+Sentences = Annotated[int, typer.Option(min=0, max=2000, help="Number of sentences to be rated.")]
 
 
 def make(
     folder: Annotated[Path, typer.Argument(help="Folder of the study, to write.")],
     corpus: Annotated[
-        Path, typer.Option(help="Recordings as in docs/motion.md, with splits.json.")
+        Path, typer.Option(help="Folder of recordings, with splits.json (docs/motion.md).")
     ],
-    methods: Annotated[str, typer.Option(help="Methods to compare (docs/study.md).")] = _METHODS,
+    methods: Annotated[
+        str, typer.Option(help="Methods to compare, commas between (docs/study.md).")
+    ] = _METHODS,
     ratings: Ratings = 40,
     pairs: Pairs = 20,
     readings: Annotated[
-        int, typer.Option(min=0, max=400, help="Clips whose words a rater reads off the lips.")
+        int, typer.Option(min=0, max=400, help="Number of clips that a rater lip-reads.")
     ] = 10,
     sentences: Sentences = 20,
     face: Annotated[
@@ -57,8 +59,8 @@ def make(
     model: Annotated[
         Path | None,
         typer.Option(
-            help="Face model trained without the sentences random_test of splits.json; default: "
-            "train one now."
+            help="Face model trained without the sentences that are shown, random_test in "
+            "splits.json; default: train one now."
         ),
     ] = None,
     title: Annotated[str, typer.Option(help="Title of the raters' page.")] = "Talking faces",
@@ -72,8 +74,9 @@ def make(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Film the clips of a study, and distribute them to raters, blind and balanced.
+    """Film the clips of a study, and make a sheet of clips for each rater, blind and balanced.
 
+    --ratings, --readings and --sentences are rounded up to multiples of the number of methods.
     Raters get FOLDER/served only; FOLDER/key.json lists which clip shows which method.
     """
     from lipservo_lab.corpus.grid import read_grid
@@ -251,7 +254,7 @@ def report(
         ),
     ] = None,
     answers: Annotated[
-        Path | None, typer.Option(help="Other file of answers, such as that of `study rehearse`.")
+        Path | None, typer.Option(help="Answers file, as of `study rehearse`; default: people's.")
     ] = None,
     mixed: Annotated[
         bool, typer.Option(help="Also fit a linear mixed model (extra `study`; half a minute).")
@@ -259,7 +262,7 @@ def report(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Print a study's results, and write a page with intervals, pictures, and raters left out."""
+    """Print a study's results; write a page with their intervals, pictures, and raters left out."""
     from lipservo_lab.study.answers import now, read_answers
     from lipservo_lab.study.counted import counted
     from lipservo_lab.study.mixed_model import mixed_model
@@ -327,14 +330,14 @@ def rehearse(
             "--output", "-o", help="Answers file to write; default: rehearsal.jsonl in the folder."
         ),
     ] = None,
-    raters: Annotated[int, typer.Option(min=1, max=1000, help="Raters who rate with care.")] = 20,
+    raters: Annotated[int, typer.Option(min=1, max=1000, help="Number of careful raters.")] = 20,
     lazy: Lazy = 1,
     inverted: Inverted = 1,
     seed: Seed = 0,
 ) -> None:
-    """Let simulated raters of known taste answer a study, before people do.
+    """Let simulated raters, whose preferences are known, answer a study before people do.
 
-    The raters prefer the methods in the order in which `study make` named them.
+    They prefer the methods in the order in which `study make --methods` named them.
     """
     import numpy as np
 
@@ -365,17 +368,21 @@ def _is_rehearsal(head: bytes) -> bool:
 
 
 def power(
-    raters: Annotated[str, typer.Option(help="Numbers of raters, comma between.")] = "5,10,20,40",
-    methods: Annotated[int, typer.Option(min=2, max=20, help="Methods to compare.")] = 10,
+    raters: Annotated[str, typer.Option(help="Numbers of raters, commas between.")] = "5,10,20,40",
+    methods: Annotated[int, typer.Option(min=2, max=20, help="Number of methods to compare.")] = 10,
     ratings: Ratings = 40,
     sentences: Sentences = 20,
     studies: Annotated[
-        int, typer.Option(min=10, max=10_000, help="Simulated studies for each.")
+        int, typer.Option(min=10, max=10_000, help="Studies to simulate for each number of raters.")
     ] = 100,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate studies to find how many raters see which difference between methods."""
+    """Simulate studies to find how many raters it takes to see a difference between methods.
+
+    For each number of raters: in what share of the simulated studies a difference of so many points
+    of the scale is significant.
+    """
     from lipservo_lab.study.rehearsal import power_rows
     from lipservo_lab.study.sheets import Size, StudyError
 
@@ -384,7 +391,7 @@ def power(
     except ValueError:
         raise StudyError(f"--raters {raters}: give numbers with commas, such as 10,20") from None
     if min(counts) < 2:
-        raise StudyError("--raters: two at least, or nothing is known of other raters")
+        raise StudyError("--raters: 2 or more, or the spread between raters is unknown")
     size = Size(ratings, 0, 0, sentences, sheets=max(counts))
     with work_bars(quiet=quiet) as bars:
         rows = power_rows(

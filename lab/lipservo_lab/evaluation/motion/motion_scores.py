@@ -76,7 +76,7 @@ def held_out_parts(
     names = frozenset(u.name for u in corpus.utterances)
     parts = [Part(split, names - test, names & test, None) for test in tests if names & test]
     if not parts:
-        raise CorpusError(f"{path}: its splits name no labelled sentence of the folder")
+        raise CorpusError(f"{path}: names no sentence of the folder that has labels")
     parts += [words_part(f"{new}{name}", corpus, words) for name, words in new_words.items()]
     for part in parts:
         if not part.train:
@@ -171,10 +171,10 @@ def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
     names, known = corpus.layout.names, model.layout.names
     if names != known:
         odd = sorted(set(names) ^ set(known))[:3]
-        raise CorpusError(f"{corpus.name}: its markers are not the model's ({', '.join(odd)}, ...)")
+        raise CorpusError(f"{corpus.name}: markers other than the model's ({', '.join(odd)}, ...)")
     utterances = corpus.labelled().utterances
     if not utterances:
-        raise CorpusError(f"{corpus.name}: no sentence has a phones tier; nothing can be scored")
+        raise CorpusError(f"{corpus.name}: no sentence has a tier `phones` in labels/ to score by")
     return utterances
 
 

@@ -49,7 +49,7 @@ def slotted(utterances: Sequence[Utterance]) -> list[Utterance]:
     """
     labelled = [u for u in utterances if u.phones and spoken_words(u)]
     if not labelled:
-        raise CorpusError("no sentence has both phones and words, so there is nothing to read")
+        raise CorpusError("no sentence has both tiers `phones` and `words` in labels/")
     n_slots = Counter(len(spoken_words(u)) for u in labelled).most_common(1)[0][0]
     return [u for u in labelled if len(spoken_words(u)) == n_slots]
 
@@ -179,8 +179,8 @@ def fit_reader(
         texts = [spoken_words(u)[slot].text for u in sentences]
         if not 1 < len(set(texts)) < len(texts):
             raise CorpusError(
-                f"word {slot + 1} of a sentence: {len(set(texts))} different among the "
-                f"{len(texts)} recorded that a reader learns from; it needs two, and more recorded"
+                f"word {slot + 1} of the {len(texts)} sentences that a lip-reader learns from: "
+                f"{len(set(texts))} different; it needs 2, and some twice: record more sentences"
             )
         classifiers[slot] = kind.classifier()
         classifiers[slot].fit(words, texts)
@@ -248,7 +248,7 @@ def known_fold(
     read = tuple(u for u in sentences if u.name in test)
     fitted = [u for u in sentences if u.name not in test]
     if not read or not fitted:
-        raise CorpusError(f"{len(read)} sentences to read, {len(fitted)} to learn reading from")
+        raise CorpusError(f"{len(read)} test sentences, {len(fitted)} to learn from; give more")
     slots = range(len(spoken_words(read[0])))
     return (Fold(fit_reader(kind, fitted, recorded, slots), read),)
 

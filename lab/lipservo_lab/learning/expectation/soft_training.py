@@ -85,7 +85,7 @@ def hear_copies(
     """
     if any(other.delays != weights.delays for other in others):
         raise UserError(
-            "weights that hear the sentences together must wait alike: "
+            "recogniser weights that are used together must have the same delays: "
             + "; ".join(_delays_ms(each) for each in (weights, *others))
         )
     voices, by_others = [], []

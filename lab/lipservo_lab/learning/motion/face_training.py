@@ -87,7 +87,7 @@ def train(
     check_components(n_components, corpus.layout)
     labelled = corpus.labelled()
     if not labelled.utterances:
-        raise TrainingError(f"corpus {corpus.name}: no sentence has a phones tier")
+        raise TrainingError(f"corpus {corpus.name}: no sentence has a tier `phones` in labels/")
     for utterance in labelled.utterances:
         if not np.isfinite(utterance.markers_mm).all():
             frame = int(np.argmin(np.isfinite(utterance.markers_mm).all(axis=(1, 2))))
@@ -99,7 +99,7 @@ def train(
     frames = np.concatenate([_flat(u) for u in labelled.utterances])
     _check_length(corpus, labelled.utterances, n_components)
     if not frames.std(axis=0).any():
-        raise TrainingError(f"corpus {corpus.name}: the face does not move in {len(frames)} frames")
+        raise TrainingError(f"corpus {corpus.name}: the face never moves; track it again")
     with threadpool_limits(limits=1):  # several threads add up in changing order
         weights = np.concatenate(
             [np.full(len(u.markers_mm), u.weight) for u in labelled.utterances]
@@ -110,7 +110,7 @@ def train(
     progress("segments")
     segments = cut_segments(labelled.utterances, coefficients)
     if len(segments.samples) < 2:
-        raise TrainingError(f"corpus {corpus.name}: only {len(segments.samples)} phoneme in it")
+        raise TrainingError(f"corpus {corpus.name}: {len(segments.samples)} phones; label more")
     with threadpool_limits(limits=1):
         centres, counts = phone_centres(segments)
         from_labels = counted_training_set(labelled.utterances, coefficients)
@@ -152,7 +152,7 @@ def check_components(n_components: int, layout: PointLayout) -> None:
     most = 3 * layout.n_points
     if not 1 <= n_components <= most:
         raise TrainingError(
-            f"{n_components} components: a face of {layout.n_points} points has 1 to {most}"
+            f"--components {n_components}: a face of {layout.n_points} points has 1 to {most}"
         )
 
 
@@ -165,7 +165,7 @@ def _check_length(corpus: Corpus, utterances: Sequence[Utterance], n_components:
     for speaker, n in n_frames.items():
         if n <= n_components:
             raise TrainingError(
-                f"corpus {speaker}: {n} frames are too few for {n_components} components"
+                f"corpus {speaker}: {n} frames are too few for --components {n_components}"
             )
 
 

@@ -141,8 +141,8 @@ def fit_face_map(speaker: PhonemeFaces, target: PhonemeFaces) -> FaceMap:
         if not 1.0 / _LARGEST_SCALE <= factor <= _LARGEST_SCALE:
             raise FaceMapError(
                 f"one face moves {max(factor, 1.0 / max(factor, 1e-6)):.3g} times as much as the "
-                f"other along {axis}, {_LARGEST_SCALE:g} times is the most that is taken for "
-                "another face; look at how they were tracked"
+                f"other along {axis}; more than {_LARGEST_SCALE:g} times is a fault of tracking: "
+                "look at the landmarks of both"
             )
     return FaceMap(speaker.rest_mm, target.rest_mm, rotation, scale)
 
@@ -193,7 +193,7 @@ def on_one_face(
     check_speakers([corpus.name for corpus in corpora], face_of, weights or {})
     for corpus in corpora:
         if not corpus.labelled().utterances:
-            raise CorpusError(f"corpus {corpus.name}: no sentence has a phones tier")
+            raise CorpusError(f"corpus {corpus.name}: no sentence has a tier `phones` in labels/")
     target = corpora[0] if face_of is None else of_speaker[face_of]
     if len(corpora) == 1:
         return corpora[0].labelled(), {}
@@ -237,17 +237,17 @@ def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[s
     for name in names:
         if names.count(name) > 1:
             raise CorpusError(
-                f"{names.count(name)} corpora are called {name!r}; rename folders, for a folder's "
-                "name says whose sentences they are"
+                f"{names.count(name)} corpora are called {name!r}; rename folders: their names "
+                "tell the speakers apart"
             )
     for name in (*weights, *([] if face_of is None else [face_of])):
         if name not in names:
-            raise CorpusError(f"no corpus is called {name!r}; there are {', '.join(names)}")
+            raise CorpusError(f"no corpus is called {name!r}; use one of {', '.join(names)}")
     for name, weight in weights.items():
         if not _SMALLEST_WEIGHT <= weight <= _LARGEST_WEIGHT:
             raise CorpusError(
-                f"weight {weight:g} of {name}: from {_SMALLEST_WEIGHT} to {_LARGEST_WEIGHT:g}; "
-                "leave the corpus out if it is to count nothing"
+                f"--weight {name}={weight:g}: give {_SMALLEST_WEIGHT} to {_LARGEST_WEIGHT:g}, or "
+                "leave out a corpus that shall not count"
             )
 
 

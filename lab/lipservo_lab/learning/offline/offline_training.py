@@ -209,7 +209,7 @@ def train_offline(
     recipe = recipe or Recipe()
     utterances = corpus.labelled().utterances
     if not utterances:
-        raise BuildingError(f"corpus {corpus.name}: no sentence has a phones tier")
+        raise BuildingError(f"corpus {corpus.name}: no sentence has a tier `phones` in labels/")
     rows = _rows_of_face(corpus, face)
     sounds, voices = [], []
     for utterance in listening(utterances):
@@ -258,8 +258,8 @@ def _rows_of_face(corpus: Corpus, face: FaceModel) -> Indices:
     missing = [n for n in face.layout.landmarks if n not in row_of]
     if missing:
         raise BuildingError(
-            f"corpus {corpus.name}: its points are not those of the face model: "
-            f"{len(missing)} of {face.layout.n_points} are missing, landmark {missing[0]} first"
+            f"corpus {corpus.name}: lacks {len(missing)} of the {face.layout.n_points} points of "
+            f"the face model, landmark {missing[0]} for one; give the model of this corpus"
         )
     return np.array([row_of[n] for n in face.layout.landmarks])
 

@@ -385,7 +385,7 @@ def build_states(
     recipe = recipe or Recipe()
     rates = {u.frame_rate_hz for u in utterances}
     if len(rates) != 1:
-        raise BuildingError(f"sentences at {len(rates)} frame rates; a state model has one")
+        raise BuildingError(f"the sentences have {len(rates)} frame rates; record all at one")
     frame_rate_hz = rates.pop()
     frames = [_flat(u) for u in utterances]
     borders = np.concatenate([[0], np.cumsum([len(each) for each in frames])])

@@ -106,7 +106,7 @@ def _speak(synthesizer: Synthesizer, voice: Voice, text: str, corpus: Path, name
     except UnspeakableTextError:
         return
     if not spoken.phonemes:
-        raise SynthesisError(f"{corpus.name}: the voice tells no times that could be labels")
+        raise SynthesisError(f"{corpus.name}: the voice gives no phoneme times to learn from")
     with written_whole(corpus / "audio" / f"{name}.flac") as path:
         soundfile.write(path, spoken.samples, spoken.sample_rate_hz, format="FLAC")
     phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in spoken.phonemes)

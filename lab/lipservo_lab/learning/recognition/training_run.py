@@ -115,7 +115,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
             lambda n: advance("teaching", n, len(training)),
         )
         if not labels.recordings:
-            raise TrainingError("the teacher hears none of the texts; train one first")
+            raise TrainingError("--teacher finds no text in its sound; give other weights")
         clean, taught = list(labels.recordings), labels.taught
     scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
     arrays = []
@@ -220,7 +220,7 @@ def _aligned(
     everything = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
     names = Counter(u.name for u in everything)
     if twice := [name for name, count in names.items() if count > 1]:
-        raise TrainingError(f"{twice[0]!r} is in the corpora twice; rename it in one of them")
+        raise TrainingError(f"utterance {twice[0]!r} is in two corpora; rename it in one of them")
     utterances = [
         utterance
         for utterance in without_names(everything, run.left_out)

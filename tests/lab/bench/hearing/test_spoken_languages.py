@@ -24,7 +24,7 @@ def test_there_are_ten_sentences_of_each_of_six_languages():
 def test_languages_are_chosen_by_tag_and_a_strange_one_is_named():
     assert read_languages("fr, ja") == ("fr", "ja")
     assert read_languages("") == tuple(language_sentences())
-    with pytest.raises(UserError, match="--languages xx: no sentences of it; there are de, fr"):
+    with pytest.raises(UserError, match="--languages xx: there are no sentences in it; use de, fr"):
         read_languages("fr,xx")
 
 

@@ -220,7 +220,7 @@ def test_look_aheads_are_checked_without_a_live_method():
 def test_what_cannot_be_asked_says_why(folder, models):
     with pytest.raises(BenchError, match="unknown strategy 'x'"):
         reading_question("expected,x", "100", "true", robot=False)
-    with pytest.raises(BenchError, match="unknown phonemes 'heard'"):
+    with pytest.raises(BenchError, match="--phonemes heard: use one of"):
         reading_question("expected", "100", "true,heard", robot=False)
     corpus = read_grid(folder)
     with pytest.raises(BenchError, match="--words names no word"):

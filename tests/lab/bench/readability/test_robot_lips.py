@@ -41,5 +41,5 @@ def test_the_robots_lips_follow_the_motion_in_time():
 def test_a_model_of_other_points_is_refused():
     from dataclasses import replace
 
-    with pytest.raises(UserError, match="face_sim shows the 47 markers, this model has markers-39"):
+    with pytest.raises(UserError, match="face_sim needs a model of 47 markers, not markers-39"):
         calibrated_robot(replace(small_model(), layout=MARKERS_39))

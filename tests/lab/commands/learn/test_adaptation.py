@@ -85,7 +85,7 @@ def test_weights_that_hear_the_voice_better_are_written_and_can_be_used(adapt, v
 def test_weights_that_are_not_better_are_refused(adapt, voice):
     done, written = adapt(voice, "--steps", "1", "--rate", "0")
 
-    assert "do not hear this voice better than" in told(done, written)
+    assert "do not recognise this voice better than" in told(done, written)
     assert "P B M heard" in done.stdout
 
 

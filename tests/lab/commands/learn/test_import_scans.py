@@ -86,7 +86,7 @@ def test_folders_without_motion_are_refused(tmp_path, capsys):
     write_scan(one / "1.ply", TEMPLATE.vertices_mm)
 
     assert "holds no scan" in refused(capsys, tmp_path, empty, "-o", tmp_path / "c")
-    assert "one scan only" in refused(capsys, tmp_path, one, "-o", tmp_path / "c")
+    assert "holds one scan" in refused(capsys, tmp_path, one, "-o", tmp_path / "c")
     absent = refused(capsys, tmp_path, tmp_path / "x", "-o", tmp_path / "c")
     assert "x: cannot be read: No such file or directory" in absent
 
@@ -100,7 +100,7 @@ def test_what_is_wrong_beside_the_scans_is_told(tmp_path, capsys):
     told = refused(capsys, tmp_path, folder, "-o", corpus, "--rate-hz", 5)
     assert "no point 'left_ear'" in told
     (folder / "take.markers.csv").write_text("scan,name,x,y,z\n9,chin_18,1,2,3\n")
-    assert "'9' is no scan" in refused(capsys, tmp_path, folder, "-o", tmp_path / "m.npz")
+    assert "has no scan '9'" in refused(capsys, tmp_path, folder, "-o", tmp_path / "m.npz")
     (folder / "take.markers.csv").unlink()
     (folder / "take.wav").unlink()
     assert "no sound take.wav" in refused(capsys, tmp_path, folder, "-o", corpus, "--rate-hz", 5)
@@ -116,7 +116,9 @@ def test_damaged_scans_and_what_is_no_face_are_refused(tmp_path, capsys):
     box = trimesh.creation.box((150.0, 200.0, 90.0))
     for number in range(2):
         write_scan(folder / f"{number}.ply", box.vertices, box.faces)
-    assert "not a face" in refused(capsys, tmp_path, folder, "-o", tmp_path / "m.npz")
+    assert "no face, or much beside it" in refused(
+        capsys, tmp_path, folder, "-o", tmp_path / "m.npz"
+    )
 
 
 def test_a_folder_that_is_there_is_not_written_over(tmp_path, capsys):

@@ -38,7 +38,7 @@ def test_a_word_that_nobody_says_is_named(folder):
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [("{", "not a usable list"), ('{"folds": [["x"]], "new_words": {}}', "name no labelled")],
+    [("{", "not a usable list"), ('{"folds": [["x"]], "new_words": {}}', "names no sentence")],
 )
 def test_a_bad_list_of_splits_says_so(folder, content, message):
     (folder / "splits.json").write_text(content)
@@ -49,5 +49,5 @@ def test_a_bad_list_of_splits_says_so(folder, content, message):
 def test_a_model_of_other_markers_is_refused(folder):
     corpus = read_grid(folder)
     other = type(corpus)(corpus.name, MARKERS_39, corpus.utterances, corpus.head_reference_mm)
-    with pytest.raises(CorpusError, match="its markers are not the model's"):
+    with pytest.raises(CorpusError, match="markers other than the model's"):
         check_scorable(small_model(), other)

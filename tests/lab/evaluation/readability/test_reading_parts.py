@@ -28,7 +28,7 @@ def test_known_words_are_those_of_the_random_test(folder):
 @pytest.mark.parametrize(
     ("splits", "message"),
     [
-        ({"random_test": ["x"], "new_words": {}}, "name no labelled sentence"),
+        ({"random_test": ["x"], "new_words": {}}, "names no sentence of the folder"),
         ({"random_test": ["s0", "s1", "s2", "s3"], "new_words": {}}, "known leaves no sentence"),
         ({"random_test": ["s0"], "new_words": {"A": ["word"]}}, "new_A leaves no sentence"),
         ({"random_test": ["s0"], "new_words": {"A": ["zebra"]}}, "no sentence holds 'zebra'"),

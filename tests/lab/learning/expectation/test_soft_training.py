@@ -95,7 +95,7 @@ def test_errors_of_other_weights_are_learned_too():
 def test_weights_that_wait_for_other_times_cannot_listen_together():
     weights = random_weights()
     other = replace(weights, delays=(5,))
-    with pytest.raises(UserError, match=r"wait alike: .* ms; 50 ms"):
+    with pytest.raises(UserError, match=r"the same delays: .* ms; 50 ms"):
         hear_copies(weights, [], lambda _, items: items, [other])
 
 

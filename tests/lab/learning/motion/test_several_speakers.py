@@ -121,16 +121,20 @@ def test_a_lone_speaker_keeps_names():
     [
         ([FIRST], {}, "2 corpora are called 'first'; rename"),
         ([speaker("second")], {"face_of": "third"}, "no corpus is called 'third'"),
-        ([speaker("second")], {"weights": {"me": 0.5}}, "there are first, second"),
-        ([speaker("second")], {"weights": {"first": 0.0}}, "weight 0 of first"),
+        ([speaker("second")], {"weights": {"me": 0.5}}, "use one of first, second"),
+        ([speaker("second")], {"weights": {"first": 0.0}}, "--weight first=0"),
         ([speaker("second", n_sentences=1)], {}, "second beside first: only 0 phonemes are said"),
         (
             [speaker("second", shape=lambda m: m * [1, 0.01, 1])],
             {},
-            "along y, 4 times is the most",
+            "along y; more than 4 times",
         ),
         ([FIRST.keep(set())], {}, "2 corpora are called"),
-        ([replace(FIRST.keep(set()), name="second")], {}, "second: no sentence has a phones tier"),
+        (
+            [replace(FIRST.keep(set()), name="second")],
+            {},
+            "second: no sentence has a tier `phones`",
+        ),
     ],
 )
 def test_speakers_that_cannot_be_joined_are_refused(others, options, complaint):
@@ -146,7 +150,9 @@ def test_a_speaker_with_fewer_frames_than_components_is_named():
         if u.name.startswith("second/") else u
         for u in corpus.utterances[:14]
     ]  # fmt: skip
-    with pytest.raises(TrainingError, match="corpus second: 6 frames are too few for 8 components"):
+    with pytest.raises(
+        TrainingError, match="corpus second: 6 frames are too few for --components 8"
+    ):
         train(replace(corpus, utterances=tuple(cut)))
 
 

@@ -431,7 +431,7 @@ def test_a_network_started_from_weights_says_what_they_say(torch_network, plan, 
 
 
 def test_weights_of_another_shape_are_no_start(torch_network, plan, small_arrays):
-    with pytest.raises(TrainingError, match="another shape"):
+    with pytest.raises(TrainingError, match="does not fit --channels"):
         torch_network.started_from(random_weights(n_channels=16), small_arrays[0], plan)
 
 
@@ -492,5 +492,5 @@ def test_a_folder_that_holds_a_run_is_not_taken_up_unless_that_is_asked_for(
 def test_a_name_in_two_corpora_is_refused(plan, speaker, tmp_path):
     from lipservo_lab.learning.recognition.training_run import TrainingRun, run_training
 
-    with pytest.raises(TrainingError, match="'one' is in the corpora twice"):
+    with pytest.raises(TrainingError, match="'one' is in two corpora"):
         run_training(TrainingRun((speaker, speaker), tmp_path, plan=plan), lambda *_: None)

@@ -78,7 +78,7 @@ def test_a_corpus_may_have_more_points_than_the_face_but_not_fewer(made, tmp_pat
 
     fewer = invoke("learn", "offline", corpus, "--model", face, "--markers", 39, *recipe)
     assert fewer.exit_code != 0
-    assert "its points are not those of the face model" in str(fewer.exception)
+    assert "points of the face model" in str(fewer.exception)
     assert not output.exists()
 
     dense = invoke(
@@ -267,7 +267,7 @@ def test_a_cluster_that_is_not_there_leaves_no_folder(made, tmp_path):
     lines.mkdir()
     shutil.copy(one(made)[0], lines)
 
-    assert "is no HOST:PORT" in refusal(
+    assert "write HOST:PORT" in refusal(
         "lines", "render-folder", lines, "-o", output, "--dask", "nowhere"
     )
     assert not output.exists()
