@@ -203,7 +203,7 @@ def seconds_since_process_start() -> float:
 _UNITS = {"_ms": "ms", "_s": "s", "_mb": "MB"}
 #: What a figure tells, and when it is good.
 _MEANINGS = {
-    "duration_s": "of sound",
+    "duration_s": "of sound, silence included",
     "phonemes": "moved the mouth",
     "frames_sent": "goals sent to every servo",
     "late_ticks": "good: 0; the computer was busy",
