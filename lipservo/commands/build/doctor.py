@@ -211,9 +211,9 @@ def _report(
     if status:
         raise typer.Exit(status)
     found["steps"] = None
-    error = found["limp_loop"].get("error")
+    failure = found["limp_loop"].get("error")
     n_bad = sum(each["severity"] == "bad" for each in found["findings"])
-    if error is None and (move is not None or _wants_steps(joint, yes=yes)):
+    if failure is None and (move is not None or _wants_steps(joint, yes=yes)):
         if move is not None:
             _consent(_move_question(joint), yes=yes)
         found["steps"] = _steps(settings, joint)
@@ -221,13 +221,13 @@ def _report(
         whole.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n")
         text.write_text(as_text(found))
     if as_json:
-        print_json({"bad": n_bad, "findings": found["findings"], "error": error or ""})
+        print_json({"bad": n_bad, "findings": found["findings"], "error": failure or ""})
     else:
         RESULTS.print(
             f"{file} and {text_file.name} ({n_bad} bad findings): read them, then send them "
             '(docs/hardware.md, "Tell us what yours does")'
         )
-    if n_bad or error is not None:
+    if n_bad or failure is not None:
         raise typer.Exit(1)
 
 
