@@ -137,17 +137,12 @@ def _jog(request: Request, _page: "PageLine") -> None:
 
 
 def _set_up(request: Request, _page: "PageLine") -> None:
-    """Write the YAML's limits into the servos. Raises UserError unless each answers at its id."""
+    """Write the YAML's limits into the servos. Raises typer.Exit unless each answers at its id."""
     from lipservo.commands.build.setup_servos import setup_servos
 
     with open(os.devnull) as null_device:
         sys.stdin = null_device  # who would be asked to plug one servo in alone
-        try:
-            setup_servos(port=request["port"], config=request["config"], dry_run=False)
-        except typer.Abort:
-            raise UserError(
-                "not every servo answers at its own id, so none was set up: check power and cable"
-            ) from None
+        setup_servos(port=request["port"], config=request["config"], dry_run=False)
 
 
 def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":

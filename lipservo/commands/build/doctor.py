@@ -131,7 +131,7 @@ def doctor(
         _print([Finding(Severity.BAD, *_OTHER_SYSTEM)], as_json=as_json)
     settings = settings.at_port(port_of(port, settings.servo_port or settings.bus.port))
     if report is not None:
-        _report(settings, config, report, seconds=seconds, move=move, yes=yes)
+        _report(settings, config, report, seconds=seconds, move=move, yes=yes, as_json=as_json)
         return
     if move is not None or yes:
         raise typer.BadParameter("--move and --yes need --report")
@@ -169,11 +169,13 @@ def _report(
     seconds: float,
     move: str | None,
     yes: bool,
+    as_json: bool,
 ) -> None:
     """Measure the hardware and write the report as JSON and text; if stopped, write nothing.
 
     file: the report, .json. seconds: of reading and writing. move: the joint to step; None: the
-    first one, if the user agrees. yes: no questions.
+    first one, if the user agrees. yes: no questions. as_json: print the result as JSON. Raises
+    typer.Exit with 1 where a finding is bad or the servos were not read and written.
     """
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from lipservo.health.hardware_report import about_face, as_text, examined, scrubbed, secrets_of
@@ -182,7 +184,9 @@ def _report(
     text_file = file.with_suffix(".txt")
     if file.suffix != ".json":
         raise UserError(f"{file}: name the report like {file.stem or 'report'}.json")
-    joint = _joint(settings, move)
+    if move is not None and move not in settings.servos:
+        raise UserError(f"this face has no joint {move!r}; it has {', '.join(settings.servos)}")
+    joint = move or next(iter(settings.servos))
     for each in (file, text_file):
         check_output(each)
     names, secrets = ", ".join(settings.servos), secrets_of(settings, config)
@@ -206,27 +210,24 @@ def _report(
     if status:
         raise typer.Exit(status)
     found["steps"] = None
-    is_dead = "error" in found["limp_loop"]
-    if not is_dead and (move is not None or _wants_steps(joint, yes=yes)):
+    failure = found["limp_loop"].get("error")
+    n_bad = sum(each["severity"] == "bad" for each in found["findings"])
+    if failure is None and (move is not None or _wants_steps(joint, yes=yes)):
         if move is not None:
             _consent(_move_question(joint), yes=yes)
         found["steps"] = _steps(settings, joint)
     with written_whole(file) as whole, written_whole(text_file) as text:
         whole.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n")
         text.write_text(as_text(found))
-    RESULTS.print(
-        f"{file} and {text_file.name}: read them, then send them "
-        '(docs/hardware.md, "Tell us what yours does")'
-    )
-    if is_dead:
+    if as_json:
+        print_json({"bad": n_bad, "findings": found["findings"], "error": failure or ""})
+    else:
+        RESULTS.print(
+            f"{file} and {text_file.name} ({n_bad} bad findings): read them, then send them "
+            '(docs/hardware.md, "Tell us what yours does")'
+        )
+    if n_bad or failure is not None:
         raise typer.Exit(1)
-
-
-def _joint(settings: "FaceSettings", name: str | None) -> str:
-    """Return `name`, or the face's first joint for None. Raises UserError for an unknown name."""
-    if name is not None and name not in settings.servos:
-        raise UserError(f"this face has no joint {name!r}; it has {', '.join(settings.servos)}")
-    return name or next(iter(settings.servos))
 
 
 def _move_question(joint: str) -> str:
@@ -247,11 +248,9 @@ def _wants_steps(joint: str, *, yes: bool) -> bool:
 
 def _consent(question: str, *, yes: bool) -> None:
     """Raise UserError unless `yes`, or the question is confirmed at the terminal."""
-    if yes:
-        return
-    if not sys.stdin.isatty():
+    if not yes and not sys.stdin.isatty():
         raise UserError(f"{question}? No terminal can be asked; give --yes")
-    if not typer.confirm(question, default=False, err=True):
+    if not yes and not typer.confirm(question, default=False, err=True):
         raise UserError("not confirmed, so nothing was done or written")
 
 
@@ -287,9 +286,8 @@ def _steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:
     from lipservo.health.hardware_report import N_STEPS, STEP_S, labels, step_answers, step_goals
     from lipservo.runtime.servos.held_face import HeldFace
 
-    clock = MonotonicClock()
     servo = settings.servos[joint]
-    with HeldFace(settings, clock, joints=[joint], end=StopLevel.SOFT) as face:
+    with HeldFace(settings, MonotonicClock(), joints=[joint], end=StopLevel.SOFT) as face:
         goals_deg = step_goals(servo.min_deg, servo.max_deg, face.rate_hz)
         rate_hz = face.rate_hz
         if settings.capabilities.place:
@@ -302,9 +300,8 @@ def _steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:
                 face.hold(STEP_S)
     report = face.life.report
     assert report is not None
-    label = labels(settings)[list(settings.servos).index(joint)]
     return {
-        "servo": label,
+        "servo": labels(settings)[list(settings.servos).index(joint)],
         "rate_hz": rate_hz,
         "n_steps": 2 * N_STEPS,
         "answers": answers,

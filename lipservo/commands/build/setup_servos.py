@@ -2,7 +2,7 @@
 
 import contextlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -14,16 +14,23 @@ from lipsync.errors import UserError
 if TYPE_CHECKING:
     from firmware_bridge.stop_signals import DeferredSignals
 
+_INPUT_ENDED: Final = (
+    "not every servo answered at its own id, and the input ended before each was connected alone; "
+    "check power and cable"
+)
+
 
 @dataclass(slots=True)
 class _Work:
     """The planned changes of servo registers and those done, as (joint, register).
 
-    plans: for one servo each. tools: functions that set up servos on this kind of bus
+    servos: to be set up, with a joint each. plans: for one servo each, as far as they were reached.
+    tools: functions that set up servos on this kind of bus
     (`BusKind.workshop`).
     """
 
     tools: Any
+    servos: list[Any]
     port: str
     baud_rate: int
     dry_run: bool
@@ -32,13 +39,19 @@ class _Work:
     done: set[tuple[str, str]] = field(default_factory=set)
 
     def rows(self, *, done: bool) -> list[str]:
-        """Return a line for each register change: the written ones if `done`, else the others."""
-        return [
+        """Return a line for each register change: the written ones if `done`, else the others.
+
+        The others end with each servo that was not reached, so that its changes are not known.
+        """
+        changes = [
             f"{plan.servo.joint.name}: {each.name} {each.found} -> {each.wanted}"
             for plan in self.plans
             for each in plan.changes
             if ((plan.servo.joint.name, each.name) in self.done) == done
         ]
+        reached = [plan.servo.joint.name for plan in self.plans]
+        names = [servo.joint.name for servo in self.servos if not done]
+        return changes + [f"{name}: not reached" for name in names if name not in reached]
 
     def say(self, line: str) -> None:
         """Print a result line, unless the result is printed as JSON."""
@@ -67,68 +80,59 @@ def setup_servos(
     settings, _ = load_settings(config)
     if bus is not None:
         settings = settings.of_bus(bus)
-    if not (settings.capabilities.set_up or settings.bus_kind.at_port):
-        unknown = [name for name in joints or () if name not in settings.servos]
-        _say_nothing_to_set_up(settings.bus.kind, unknown, as_json=as_json)
-        return
-    tools = settings.bus_kind.workshop()
-    servos = tools.servos_by_joint(settings.wiring)
+    keeps_settings = settings.capabilities.set_up or settings.bus_kind.at_port
+    tools = settings.bus_kind.workshop() if keeps_settings else None
+    servos = settings.servos if tools is None else tools.servos_by_joint(settings.wiring)
     unknown = [name for name in joints or () if name not in servos]
     if unknown:
         raise UserError(f"this face has no joint {unknown[0]!r}; it has {', '.join(servos)}")
-    chosen_servos = [servos[name] for name in joints or servos]
+    if tools is None:
+        if as_json:
+            print_json({"dry_run": dry_run, "complete": True, "error": "", "servos": []})
+            return
+        RESULTS.print(
+            f"nothing to set up: servos on a {settings.bus.kind} bus keep no settings; find their "
+            "limits with `lipservo jog JOINT`, or on the page Servos of `lipservo jog --dashboard`"
+        )
+        return
+    chosen = [servos[name] for name in joints or servos]
     at, rate = port_of(port, settings.bus.port), getattr(settings.bus, "baud_rate", 0)
-    work = _Work(tools, at, rate, dry_run, as_json)
+    work = _Work(tools, chosen, at, rate, dry_run, as_json)
     status, error = 0, ""
     with DeferredSignals() as signals:
         try:
-            _set_up(work, chosen_servos, signals, ask=joints is None or len(chosen_servos) > 1)
+            _set_up(work, signals, ask=joints is None or len(chosen) > 1)
         except StopRequested as stop:
             status, error = 128 + stop.number, f"stopped by {stop}"
         except (UserError, BusError) as failure:
             status, error = 1, str(failure)
+        except typer.Abort:
+            status, error = 1, _INPUT_ENDED
         with contextlib.suppress(StopRequested), signals.finish_first():
             _report(work, error)
     if status:
         raise typer.Exit(status)
 
 
-def _say_nothing_to_set_up(kind: str, unknown: list[str], *, as_json: bool) -> None:
-    """Print that servos on this kind of bus keep no settings, so that none is set up.
-
-    unknown: joints typed that the face lacks: UserError for the first.
-    """
-    if unknown:
-        raise UserError(f"this face has no joint {unknown[0]!r}")
-    if as_json:
-        print_json({"dry_run": False, "complete": True, "error": "", "servos": []})
-        return
-    RESULTS.print(
-        f"nothing to set up: servos on a {kind} bus keep no settings; find their limits with "
-        "`lipservo jog JOINT`, or on the page Servos of `lipservo jog --dashboard`"
-    )
-
-
-def _set_up(work: _Work, servos: list[Any], signals: "DeferredSignals", *, ask: bool) -> None:
-    """Write settings into `servos`, all connected together or one at a time; add plans to `work`.
+def _set_up(work: _Work, signals: "DeferredSignals", *, ask: bool) -> None:
+    """Write settings into servos, all connected together or one at a time; add plans to `work`.
 
     ask: if the chain is not complete, prompt for each servo to be connected alone; False: take the
     one connected servo for the first that is missing. Raises ServoError if several servos answer
     then.
     """
-    tools = work.tools
+    tools, servos = work.tools, work.servos
     with tools.unhurried_line(work.port, work.baud_rate) as line:
         found = tools.find_servos(line, [servo.joint.servo_id for servo in servos], work.baud_rate)
         if tools.chain_is_complete(servos, found):
             work.plans = tools.plan_chain(line, servos, found, work.baud_rate)
-            for plan in work.plans:
-                _carry_out(work, line, plan, signals)
-            return
-        if not ask or sum(map(len, found.values())) > 1:
+        elif not ask or sum(map(len, found.values())) > 1:
             missing = [each for each in servos if each.joint.servo_id not in found]
             work.plans = [tools.plan_alone(line, missing[0], found, work.baud_rate)]
-            _carry_out(work, line, work.plans[0], signals)
-            return
+        for plan in work.plans:
+            _carry_out(work, line, plan, signals)
+    if work.plans:
+        return
     for servo in servos:
         name = servo.joint.name
         question = f"Connect the servo of {name!r} alone, then press Enter"

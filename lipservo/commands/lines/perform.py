@@ -9,30 +9,10 @@ import typer
 
 from firmware_bridge.clock import MonotonicClock
 from lipservo.agents.listener import bind_listener
-from lipservo.commands.options import (
-    DEFAULT_FACE,
-    Config,
-    Dashboard,
-    DashboardListen,
-    DryRun,
-    Json,
-    LiveLink,
-    Model,
-    OpenPage,
-    OpenToThisComputer,
-    Osc,
-    Output,
-    Port,
-    Quiet,
-    Rate,
-    Sim,
-    Through,
-    TokenFile,
-    Trace,
-)
+from lipservo.commands import options
 from lipservo.commands.run.dashboard_beside import check_page_options, dashboard_beside, with_sounds
 from lipservo.commands.run.run import ANY_PORT, avatars_of, finish, motion_of
-from lipservo.commands.run.say import read_through
+from lipservo.commands.run.say import speak_through
 from lipservo.commands.run.voice_choice import access_file, with_access
 from lipservo.runtime.face_runtime import run_face
 from lipservo.runtime.motion_options import ChosenMotion, MotionOptions
@@ -41,7 +21,7 @@ from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.servos.sim_process import servo_port
 from lipservo.runtime.sound import SpeechQueue, entered_sound, spoken_chunks
 from lipservo.runtime.speech.performed_line import performed_line
-from lipservo.terminal.output import MESSAGES, print_json
+from lipservo.terminal.output import MESSAGES
 from lipsync.audio.playout import Playout
 from lipsync.motion.still_motion import StillMotion
 from lipsync.offline.performance import read_performance
@@ -49,6 +29,7 @@ from lipsync.offline.performance import read_performance
 
 def perform(
     *,
+    context: typer.Context,
     performance: Annotated[
         Path,
         typer.Argument(
@@ -57,24 +38,24 @@ def perform(
         ),
     ],
     mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,
-    through: Through = None,
-    output: Output = None,
-    config: Config = DEFAULT_FACE,
-    model: Model = None,
-    osc: Osc = None,
-    live_link: LiveLink = None,
-    trace: Trace = None,
-    rate_hz: Rate = None,
-    port: Port = None,
-    sim: Sim = None,
-    dashboard: Dashboard = False,
-    dashboard_listen: DashboardListen = None,
-    token_file: TokenFile = None,
-    open_to_this_computer: OpenToThisComputer = False,
-    open_page: OpenPage = False,
-    dry_run: DryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    through: options.Through = None,
+    output: options.Output = None,
+    config: options.Config = options.DEFAULT_FACE,
+    model: options.Model = None,
+    osc: options.Osc = None,
+    live_link: options.LiveLink = None,
+    trace: options.Trace = None,
+    rate_hz: options.Rate = None,
+    port: options.Port = None,
+    sim: options.Sim = None,
+    dashboard: options.Dashboard = False,
+    dashboard_listen: options.DashboardListen = None,
+    token_file: options.TokenFile = None,
+    open_to_this_computer: options.OpenToThisComputer = False,
+    open_page: options.OpenPage = False,
+    dry_run: options.DryRun = False,
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Play a performance file: its sound, and the motion that was rendered for it.
 
@@ -82,13 +63,12 @@ def perform(
     --strength`. With --dashboard, in a terminal, the face then continues until Ctrl-C, and listens
     and speaks like any other running face.
     """
+    if through is not None:
+        name = str(performance)
+        speak_through(context, {"performance"}, lambda face: face.play(name, wait=True))
+        return
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
-    if through is not None:
-        answer = read_through(through, token_file, lambda face: face.play(str(performance)))
-        if as_json:
-            print_json(answer)
-        return
     check_page_options(
         dashboard_listen,
         is_shown=dashboard,

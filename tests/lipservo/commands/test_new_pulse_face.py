@@ -1,5 +1,7 @@
 """A face of hobby servos from nothing: its YAML, and what commands say that have nothing to do."""
 
+import json
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -143,7 +145,8 @@ def test_there_is_nothing_to_set_up_and_the_way_to_the_limits_is_named(face):
     assert done.stdout.startswith("nothing to set up: servos on a maestro bus keep no settings")
     assert "lipservo jog JOINT" in done.stdout
     assert "no joint 'tongue'" in lipservo("setup-servos", "tongue", "--config", face).stderr
-    assert '"servos": []' in lipservo("setup-servos", "--config", face, "--json").stdout
+    told = json.loads(lipservo("setup-servos", "--config", face, "--json", "--dry-run").stdout)
+    assert told == {"dry_run": True, "complete": True, "error": "", "servos": []}
 
 
 @pytest.mark.parametrize(

@@ -283,3 +283,26 @@ def test_late_replies_an_echo_and_noise_change_nothing_of_what_is_written(monkey
     assert done.exit_code == 0, done.output
     assert bench.lacking() == []
     assert len(set(bench.writes())) == 3
+
+
+def test_input_that_ends_midway_leaves_the_report_of_what_was_set(monkeypatch):
+    """The first servo was written before the second was asked for."""
+    said = {}
+    for how in ((), ("--json",)):
+        chain = SimulatedChain([SERVOS[0].model], [1])
+        bench = Bench(monkeypatch, chain)
+        said[how] = bench.run(*how, input="\n")
+        assert said[how].exit_code == 1
+        assert chain.servos[0].servo_id == IDS[0]
+        assert bench.writes()
+    told = json.loads(said["--json",].stdout)
+    line = said[()].stderr.splitlines()[-1]
+
+    assert (told["complete"], told["dry_run"]) == (False, False)
+    assert "the input ended before each was connected alone" in told["error"]
+    (servo,) = told["servos"]
+    assert (servo["joint"], servo["found_id"], servo["id"]) == (NAMES[0], 1, IDS[0])
+    assert {each["set"] for each in servo["changes"]} == {True}
+    assert f"; set: {NAMES[0]}: id 1 -> {IDS[0]}, " in line
+    left = ", ".join(f"{name}: not reached" for name in NAMES[1:])
+    assert line.endswith(f"not set: {left}; torque is off where anything was set")

@@ -1,6 +1,9 @@
 """A robot that speaks, from the command line: what it says, and what it refuses in one line."""
 
 import json
+import re
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from speech import CLIP_LABELS_PATH, CLIP_PATH
 from typer.testing import CliRunner
 from voice_agents.served_face import ServedFace
 
-from lipservo import command_line
+from lipservo import command_line, connect
 from lipservo.access.admission import Policy
 from lipservo.agents.listener import AgentSettings
 from lipservo.cli import app
@@ -231,7 +234,7 @@ def test_a_running_face_says_what_it_is_given_if_the_token_is_right(tmp_path, ca
     with ServedFace(settings, has_voice=True) as face:
         told = ("say", "Good morning.", "--through", face.url)
         done = CliRunner().invoke(app, [*told, "--token-file", str(token)])
-        assert done.exit_code == 0, done.output
+        assert (done.exit_code, done.stdout) == (0, "played to its end: 1.3 s\n"), done.output
         line, status = refused(capsys, monkeypatch, *told)
         heard = np.count_nonzero(face.sound.played()) / face.sound.rate_hz
     # The command returned when it was heard.
@@ -239,3 +242,50 @@ def test_a_running_face_says_what_it_is_given_if_the_token_is_right(tmp_path, ca
     assert face.texts == ["Good morning."]
     assert status == 1
     assert line.startswith(f"lipservo: --through {face.url}: ")
+
+
+@pytest.mark.usefixtures("nothing_armed")
+@pytest.mark.parametrize("command", [("say", "Hi."), ("lines", "perform", "line.perf")])
+def test_what_a_running_face_cannot_obey_is_refused_before_it_is_told_anything(
+    tmp_path, capsys, monkeypatch, command
+):
+    """Above all --dry-run: it must move nothing."""
+    monkeypatch.chdir(tmp_path)
+    options = ["--dry-run", "--mute", "--config no_such", "--port /dev/x", "--trace t.jsonl",
+               "--rate-hz 40", "--sim pty", "--osc localhost"]  # fmt: skip
+    if command[0] == "say":
+        options += ["--strength 1", "--from x.json", "--channel left"]
+    with ServedFace(AgentSettings(), has_voice=True) as face:
+        for option in options:
+            told = (*command, "--json", "--through", face.url, *option.split())
+            line, status = refused(capsys, monkeypatch, *told)
+            assert line.startswith(f"lipservo: {option.split()[0]}: not with --through")
+            assert status == 2
+    assert face.asked == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("how", [[], ["--json"]])
+def test_what_was_not_played_to_its_end_is_no_success(how):
+    """It is silenced while the command waits."""
+    text = "Good morning, all of you."
+    with ServedFace(AgentSettings(), has_voice=True, step_s=0.001) as face:
+
+        def silenced():
+            with connect(face.url) as client:
+                while not face.sound.played().any():
+                    time.sleep(0.01)
+                client.interrupt()
+
+        with ThreadPoolExecutor(1) as pool:
+            cut = pool.submit(silenced)
+            done = CliRunner().invoke(app, ["say", text, "--through", face.url, *how])
+            cut.result(60.0)
+    assert done.exit_code == 1
+    assert re.search("not played to its end, only [01]\\.[0-9] s of it", str(done.exception))
+    if how:
+        told = json.loads(done.stdout)
+        assert told["finished"] is False
+        assert 0.0 < told["played_s"] < told["duration_s"]
+    else:
+        assert done.stdout == ""

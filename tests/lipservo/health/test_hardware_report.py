@@ -156,6 +156,27 @@ def test_a_port_that_is_dead_is_in_the_report(tmp_path, face):
     assert '"lips"' not in text or face != "face_head_mixed"
 
 
+def test_bad_findings_are_its_exit_status_and_json_its_answer(tmp_path):
+    """A servo of low voltage is found bad; reading and writing it work."""
+    script = tmp_path / "faults.yaml"
+    script.write_text("faults: [{kind: undervoltage, servos: [0], at_s: 0.0}]")
+    at = ["--config", "face_four", "--on-time", "--faults", str(script)]
+    for how in ((), ("--json",)):
+        file = tmp_path / f"report{len(how)}.json"
+        options = ("--config", "face_four", "--yes", "--seconds", "1", *how)
+        with simulated_port(at) as port:
+            done = lipservo("doctor", "--report", file, "--port", port, *options)
+        found = json.loads(file.read_text())["findings"]
+        n_bad = sum(each["severity"] == "bad" for each in found)
+
+        assert n_bad > 0
+        assert done.returncode == 1
+        if how:
+            assert json.loads(done.stdout) == {"bad": n_bad, "findings": found, "error": ""}
+        else:
+            assert f"report0.txt ({n_bad} bad findings): read them" in done.stdout.replace("\n", "")
+
+
 @pytest.mark.slow
 def test_a_whole_report_of_simulated_servos_has_figures_and_no_secret(tmp_path):
     with simulated_port(["--config", "face_four", "--on-time"]) as port:

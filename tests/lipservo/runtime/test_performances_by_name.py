@@ -80,8 +80,11 @@ def test_performances_are_played_by_name_refused_in_one_line_and_cut_off(tmp_pat
         face.interrupt()
         wait_for(lambda: face.status()["speaking"] is None)
 
-        done = run("lines", "perform", "long.perf", "--through", url, "--json")
-        assert json.loads(done.stdout)["stream"].startswith("long.perf")
+        done = run("lines", "perform", "short.perf", "--through", url, "--json")
+        told = json.loads(done.stdout)
+        assert told["stream"].startswith("short.perf")
+        assert (told["finished"], told["duration_s"], done.returncode) == (True, 0.3, 0)
+        face.play("long.perf")
         done = run("lines", "perform", "none.perf", "--through", url)
         assert done.returncode != 0
         assert len(done.stderr.splitlines()) == 1
