@@ -1,15 +1,6 @@
-"""A face's status in words for a person, and what a stop has done to it."""
+"""A face's status in words for a person."""
 
-from typing import Any, Final
-
-from firmware_bridge.stopping import StopLevel
-
-#: Of a stop that was confirmed.
-DONE: Final = {
-    StopLevel.SOFT: "at rest and limp",
-    StopLevel.LIMP: "limp",
-    StopLevel.FREEZE: "held where it is until the next stop",
-}
+from typing import Any
 
 
 def state_words(status: dict[str, Any]) -> str:

@@ -19,7 +19,7 @@ from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
 from lipservo.commands.options import Control, FaceName, Json, On, Port
 from lipservo.commands.run.running import ask_faces, chosen_faces
-from lipservo.commands.run.status_words import DONE, motion_words, servo_words, state_words
+from lipservo.commands.run.status_words import motion_words, servo_words, state_words
 from lipservo.runtime.servos.letting_go import Outcome, faces_at, release, stop_faces
 from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
@@ -81,8 +81,9 @@ def stop(
 ) -> None:
     """Stop every running face: move to rest, then torque off, confirmed by its servos.
 
-    A daemon then waits for `lipservo start`; a `lipservo run` ends. The command also works if the
-    speech process is dead. Exit status 1 unless every servo has confirmed.
+    A face that is frozen is let go where it is. A daemon then waits for `lipservo start`; a
+    `lipservo run` ends. The command also works if the speech process is dead. Exit status 1 unless
+    every servo has confirmed.
     """
     if limp and freeze:
         raise UserError("--limp and --freeze: give one of them")
@@ -99,7 +100,7 @@ def stop(
         raise UserError("no face answers; `lipservo limp --port PORT` switches torque off")
     with face_logs(face or ""):
         outcomes = stop_faces(faces, level, end=end)
-    _report(outcomes, DONE[level], as_json=as_json)
+    _report(outcomes, as_json=as_json)
 
 
 def start(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
@@ -215,7 +216,7 @@ def limp(
             outcomes.append(release(port, settings))
     if not outcomes:
         raise UserError("no face runs; give --port PORT to let go of the servos there")
-    _report(outcomes, "limp", as_json=as_json)
+    _report(outcomes, as_json=as_json)
 
 
 def _status_of(face: RunningFace) -> dict[str, Any]:
@@ -232,15 +233,12 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
     return {"state": "runs", **found, **answer, "pid": face.pid}
 
 
-def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:
-    """Print the outcomes of a stop; raise typer.Exit with 1 unless every servo has confirmed.
-
-    done: the state reached, such as "limp".
-    """
+def _report(outcomes: list[Outcome], *, as_json: bool) -> None:
+    """Print the outcomes of a stop; raise typer.Exit with 1 unless every servo has confirmed."""
     if as_json:
         print_json({"faces": [outcome.as_dict() for outcome in outcomes]})
     else:
         for outcome in outcomes:
-            sys.stdout.write(f"{outcome.text(done)}\n")
+            sys.stdout.write(f"{outcome.text()}\n")
     if not all(outcome.is_confirmed for outcome in outcomes):
         raise typer.Exit(1)

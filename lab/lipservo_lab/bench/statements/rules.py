@@ -113,7 +113,8 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
         nothing,
     ),
     (
-        r"outcome (?:name|pid|port|waits|released_words|servo|asked|face|findings|bad_files): .*",
+        r"outcome (?:name|pid|port|waits|at_rest|dry_run|released_words|servo|asked|face|findings"
+        r"|bad_files): .*",
         nothing,
     ),
     (r"outcome problem: ", nothing),
@@ -211,7 +212,6 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says \S+: {limp}(?:, confirmed by all {n}| \(\d+ servos?\))?(?:; .*)?", _ALL_OFF),
     (r"says \S+: confirmed by {n}, NOT by .*", AtLeast(on=False)),
     (r"says FACE hangs: it does not answer; processes .* are killed", nothing),
-    (r"says FACE: held where it is until the next stop", _ALL_ON),
     (
         r"says FACE: held where it is: {n} holds?(?:; (?P<limp>[\w, ]+) limp)?"
         r"(?:; not known of [\w, ]+)?{kept}",

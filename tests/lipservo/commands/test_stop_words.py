@@ -1,0 +1,36 @@
+"""What `stop` says of a face that plays in this process: no more than its report says."""
+
+import json
+
+import pytest
+from places import short_folder
+from playing_face import invoke, playing, status
+
+
+@pytest.fixture(autouse=True)
+def own_folder(monkeypatch):
+    """Faces of this test only."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(short_folder()))
+    monkeypatch.setattr(
+        "firmware_bridge.process.runtime_folder._folders_of_others", lambda: iter(())
+    )
+
+
+@pytest.mark.parametrize(("before", "where"), [((), "at rest and limp"), (("--freeze",), "limp")])
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_face_is_at_rest_only_where_it_went_there(before, where, as_json):
+    """A frozen one lets go where it is."""
+    with playing():
+        while status()["servos"] != {"jaw": "driven"}:
+            pass
+        if before:
+            assert invoke("stop", *before).exit_code == 0
+        done = invoke("stop", *(["--json"] if as_json else []))
+
+    assert done.exit_code == 0
+    if as_json:
+        (face,) = json.loads(done.stdout)["faces"]
+        assert face["at_rest"] is (where != "limp")
+    else:
+        assert f": {where}, confirmed by all 1 servos" in done.stdout
