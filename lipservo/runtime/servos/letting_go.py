@@ -49,9 +49,10 @@ _LOG: Final = logging.getLogger(__name__)
 class Outcome:
     """The result of stopping one face or releasing one port.
 
-    at_rest: whether the face had come to neutral before it let go; None: not known. problem: empty
-    when the request could be carried out. waits: the face's process lives on, limp,
-    and can be started again. released: servos with torque off that cannot confirm it;
+    at_rest: whether the face had come to neutral before it let go; None: not known. dry_run: no
+    torque was ever switched on. problem: empty when the request could be carried out. waits: the
+    face's process lives on, limp, and can be started again. released: servos with torque off that
+    cannot confirm it;
     released_words: their state, in words. holds, limp, unknown: of a freeze, the servos that hold,
     that are limp, and of which neither is known. not_kept: why the stop is forgotten when the
     face's processes end; empty: it is not.
@@ -61,6 +62,7 @@ class Outcome:
     port: str | None = None
     pid: int | None = None
     at_rest: bool | None = None
+    dry_run: bool = False
     confirmed: list[str] = field(default_factory=list)
     unconfirmed: dict[str, str] = field(default_factory=dict)
     problem: str = ""
@@ -79,7 +81,7 @@ class Outcome:
 
     def add_report(self, report: Mapping[str, Any]) -> None:
         """Add what a face has reported of its end: its rest, and which servos confirmed it."""
-        self.at_rest = report.get("at_rest")
+        self.at_rest, self.dry_run = report.get("at_rest"), bool(report.get("dry_run"))
         self.confirmed = list(report.get("confirmed", ()))
         self.unconfirmed = dict(report.get("unconfirmed", {}))
         self.waits = bool(report.get("waits"))
@@ -111,8 +113,8 @@ class Outcome:
 
     def _line(self) -> str:
         """Return name and result in one line, without `not_kept`."""
-        if self.problem:
-            return f"{self.name}: {self.problem}"
+        if said := self.problem or (_DRY_RUN if self.dry_run else ""):
+            return f"{self.name}: {said}"
         if self.holds or self.limp or self.unknown:
             return f"{self.name}: {self._held_words()}"
         if self.released and not self.unconfirmed:
@@ -138,6 +140,7 @@ class Outcome:
         return "; ".join(filter(None, parts))
 
 
+_DRY_RUN: Final = "dry run over; no torque was switched on"
 #: What an outcome says only where there is something to say.
 _WHERE_SET: Final = ("released", "released_words", "holds", "limp", "unknown", "not_kept")
 
@@ -202,8 +205,7 @@ def _await_stop(
         _LOG.warning("%s ended unexpectedly; opening its port", face.name)
         _take_over(outcome, _release_all(face.name, {each: each for each in held}, {}))
     else:
-        port = outcome.port or "PORT"
-        outcome.problem = f"ended unexpectedly; `lipservo limp --port {port}`"
+        outcome.problem = f"ended unexpectedly; `lipservo limp --port {outcome.port or 'PORT'}`"
     return outcome
 
 

@@ -34,3 +34,23 @@ def test_a_face_is_at_rest_only_where_it_went_there(before, where, as_json):
         assert face["at_rest"] is (where != "limp")
     else:
         assert f": {where}, confirmed by all 1 servos" in done.stdout
+
+
+def test_a_dry_run_is_called_one_and_counts_no_servo_as_confirmed():
+    with playing(dry_run=True):
+        shown, told = invoke("status").stdout, status()
+        done = invoke("stop", "--freeze")
+        done = invoke("stop")
+
+    assert "dry run: servos are only read" in shown
+    assert told["dry_run"] is True
+    assert done.exit_code == 0
+    assert ": dry run over; no torque was switched on\n" in done.stdout
+    assert "confirmed" not in done.stdout
+
+
+def test_a_dry_run_is_called_one_in_json():
+    with playing(dry_run=True):
+        (face,) = json.loads(invoke("stop", "--json").stdout)["faces"]
+
+    assert (face["dry_run"], face["at_rest"]) == (True, False)

@@ -41,8 +41,8 @@ _IS_OFF, _IS_ON = Torque(on=False, who="who"), Torque(on=True, who="who")
 
 #: Keys of a status that say what was asked for, how the face is set, or what it hears.
 _NOT_OF_TORQUE: Final = (
-    r"status (?:name|config|sounds|port|pid|bridge_pid|plugged|jogged|word|words|sound|recognizer"
-    r"|engine|weights|strategy|hears|moved_by|output|output_lost|listens_on|speaking|arousal"
+    r"status (?:name|config|sounds|port|pid|dry_run|bridge_pid|plugged|jogged|word|words|sound"
+    r"|recognizer|engine|weights|strategy|hears|moved_by|output|output_lost|listens_on|speaking|arousal"
     r"|units_shifted_ms|mouth_closes|is_resting|delay_ms|fallback_level|fallback_reasons|stopped|stopped_by"
     r"|can_start|torque\.\w+\.age_s|stop_report|n_\w+|\w+_total|(?:settings|expression|capabilities)\.\w+"
     r"|pulses\.\w+\.(?:neutral_us|us_per_deg|min_us|max_us)"
@@ -167,7 +167,7 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}(?:ended; )?(?:\d+ servos? )?may still be driven:? ?.*", unknown),
     (r"says (?:bridge: )?  \w+: .*", unknown),  # each that has not confirmed, and why
     (r"{S}keep your hands away; .*", nothing),
-    (r"{S}dry run over; no torque was switched on", _ALL_OFF),
+    (r"(?:{S}|says FACE: )dry run over; no torque was switched on", _ALL_OFF),
     (r"{S}every servo (?:is driven|holds) again", _ALL_ON),
     (r"{S}motion comes again", nothing),
     (r"{S}(?:the servo loop missed|no new motion|servo loop and speech are in).*", nothing),
