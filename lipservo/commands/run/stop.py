@@ -5,7 +5,7 @@ They import only what they need, to start quickly.
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from errno import EPROTO
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeGuard
@@ -13,7 +13,13 @@ from typing import Annotated, Any, Final, TypeGuard
 import typer
 
 from firmware_bridge.port_names import ports_in
-from firmware_bridge.process.control_client import RunningFace, ask, running_faces, start_face
+from firmware_bridge.process.control_client import (
+    PATIENCE_S,
+    RunningFace,
+    ask,
+    running_faces,
+    start_face,
+)
 from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
@@ -24,7 +30,6 @@ from lipservo.runtime.servos.letting_go import Outcome, faces_at, release, stop_
 from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
 
-_STATUS_S = 1.0
 #: Arming takes a second or two on real servos, ten on a computer that is very busy.
 _START_S = 20.0
 _LOOK_EVERY_S = 0.1
@@ -55,12 +60,8 @@ def run_without_parser(arguments: Sequence[str]) -> bool:
             given[word[2:]] = value if word == "--face" else Path(value)
         else:
             return False
-    if name == "stop":
-        stop(**given)
-    elif name == "start":
-        start(**given)
-    else:
-        status(**given)
+    commands: dict[str, Callable[..., None]] = {"stop": stop, "start": start, "status": status}
+    commands[name](**given)
     return True
 
 
@@ -125,7 +126,7 @@ def _come_back(face: RunningFace) -> dict[str, Any]:
     give_up_s = time.monotonic() + _START_S
     while True:
         try:
-            found = ask(face.path, "status", _STATUS_S)
+            found = ask(face.path, "status")
         except TimeoutError:
             found = {"state": _ON_ITS_WAY[0]}
         state, servos = found.get("state"), dict(found.get("servos") or {})
@@ -223,9 +224,10 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
     """Return a face's status; if it does not answer, its name, pid, and the reason as `state`."""
     found: dict[str, Any] = {"name": face.name, "pid": face.pid, "port": None}
     try:
-        answer = ask(face.path, "status", _STATUS_S)
+        answer = ask(face.path, "status")
     except TimeoutError:
-        return {**found, "state": "hangs: does not answer; `lipservo stop --limp` ends it"}
+        silent = f"has not answered within {PATIENCE_S:g} s"
+        return {**found, "state": f"{silent}; if it has hung, `lipservo stop --limp` ends it"}
     except PermissionError:
         return {**found, "state": "may not be queried; use sudo"}
     except OSError as error:
