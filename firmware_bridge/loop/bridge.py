@@ -190,18 +190,19 @@ class Bridge:
     def as_dict(self) -> dict[str, object]:
         """Return the face's status as one object for JSON; too slow for every tick.
 
-        state: a `FaceState`; plugged: whether the port is open; torque_on: as of
-        `KnownTorque.any_on`; torque: `KnownTorque.records`, their ages at the last tick; servos:
-        each `ServoState` in words, `starting` where a servo is to be driven, but is not known to
-        have torque yet; troubles: a line for each servo that is not driven, and for what comes too
-        late; jogged: joints that a person jogs, by name; health: a `ServoHealth` for each servo
-        that was polled, None for what was never read; capabilities: what the bus can do; pulses: as
-        from `pulses`; *_total: how often the gate changed a goal, over all joints; the other counts
-        are those of `TickCounts`.
+        state: a `FaceState`; dry_run: whether the servos are only read; plugged: whether the port
+        is open; torque_on: as of `KnownTorque.any_on`; torque: `KnownTorque.records`, their ages at
+        the last tick; servos: each `ServoState` in words, `starting` where a servo is to be driven,
+        but is not known to have torque yet; troubles: a line for each servo that is not driven, and
+        for what comes too late; jogged: joints that a person jogs, by name; health: a `ServoHealth`
+        for each servo that was polled, None for what was never read; capabilities: what the bus can
+        do; pulses: as from `pulses`; *_total: how often the gate changed a goal, over all joints;
+        the other counts are those of `TickCounts`.
         """
         servos, counts, gate = self._servos, self.counts, self._servos.limiter.counts
         return {
             "state": self._state.value,
+            "dry_run": servos.gate.dry_run,
             "plugged": self.plugged,
             "torque_on": self.torque.any_on,
             "torque": dict(zip(self.names, self.torque.records(self._tick_s), strict=True)),

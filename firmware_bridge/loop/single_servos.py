@@ -234,8 +234,7 @@ class SingleServos:
     def _jog_refusal(self, state: FaceState) -> str:
         if state is FaceState.DRIVEN:
             return ""
-        why = self._servos.gate.forbidden or state.value
-        return f"the face is {why}: nothing can be jogged"
+        return f"the face is {self._servos.gate.forbidden or state.value}: nothing can be jogged"
 
     def _goal_refusal(self, order: JogTo | JogPulse) -> str:
         """Return why a jog order is refused; empty: accepted.

@@ -27,7 +27,7 @@ from firmware_bridge.stopping import START_WHILE_STOPPING, ServoSwitch, StopLeve
 #: Longer than the status of 252 servos.
 _LONGEST_ANSWER: Final = 1 << 18
 #: A supervisor notices a hung bridge within a second and answers in its place.
-_PATIENCE_S: Final = 2.0
+PATIENCE_S: Final = 2.0
 #: A face whose process was replaced in between is spoken to again after this.
 _RETRY_S: Final = 0.05
 #: No setting and no servo is called by a longer one, in characters.
@@ -69,7 +69,7 @@ def face_at(path: Path) -> RunningFace:
     """
     path = path.parent.resolve() / path.name
     try:
-        with _connected(path, time.monotonic() + _PATIENCE_S) as client:
+        with _connected(path, time.monotonic() + PATIENCE_S) as client:
             pid, _ = peer(client)
     except OSError as error:
         why = error.strerror or str(error)
@@ -79,7 +79,7 @@ def face_at(path: Path) -> RunningFace:
     return RunningFace(printable(path.stem) if named is None else named[0], pid, path)
 
 
-def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
+def ask(path: Path, word: str, patience_s: float = PATIENCE_S) -> Answer:
     """Send the command `word` to the face at `path`; return its answer.
 
     Raises OSError when no answer comes within `patience_s`.
@@ -126,7 +126,7 @@ def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.sock
     return client
 
 
-def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
+def start_face(path: Path, patience_s: float = PATIENCE_S) -> Answer:
     """Start the stopped face at `path`; return {"accepted": "start"}, or {"error": one line}.
 
     While the face is still stopping the order is sent again, up to `patience_s`. Raises OSError
@@ -223,7 +223,7 @@ def _is_name(text: str) -> bool:
     return text.split() == [text] and text.isprintable() and len(text) <= _LONGEST_NAME
 
 
-def watch(path: Path, patience_s: float = _PATIENCE_S) -> int:
+def watch(path: Path, patience_s: float = PATIENCE_S) -> int:
     """Return a read-only descriptor of the shared memory with the state of the face at `path`.
 
     `lipservo.runtime.status.live_board` reads that memory. Raises OSError when no face answers
@@ -249,7 +249,7 @@ def stop_and_wait(
     path: Path,
     level: StopLevel,
     patience_s: float,
-    answer_s: float = _PATIENCE_S,
+    answer_s: float = PATIENCE_S,
     *,
     end: bool = False,
     sent: socket.socket | None = None,

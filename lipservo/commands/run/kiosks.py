@@ -10,7 +10,7 @@ import typer
 
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.kiosks import Kiosk, KioskError, KioskRequest, ask_kiosks, read_kiosks
-from lipservo.commands.run.status_words import DONE, motion_words, state_words
+from lipservo.commands.run.status_words import motion_words, state_words
 from lipservo.runtime.servos.letting_go import Outcome
 from lipservo.terminal.output import print_json
 
@@ -62,7 +62,7 @@ def stop_kiosks(on: Path, level: StopLevel, *, end: bool, as_json: bool) -> None
 
     def report_of(name: str, answer: dict[str, Any]) -> _Report:
         outcome = _outcome(name, answer, level)
-        return outcome.as_dict(), outcome.text(DONE[level]), outcome.is_confirmed
+        return outcome.as_dict(), outcome.text(), outcome.is_confirmed
 
     body = {"level": level.value, "wait_s": _END_S, "end": end}
     # The dashboard waits for the end so long; then it says that none came.

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from firmware_bridge.process.control_client import RunningFace, face_at, running_faces
+from firmware_bridge.process.control_client import PATIENCE_S, RunningFace, face_at, running_faces
 from firmware_bridge.process.runtime_folder import name_in_path
 from lipservo.terminal.output import complain, print_json
 from lipsync.errors import UserError
@@ -68,7 +68,7 @@ def _answered(face: RunningFace, ask_one: Callable[[RunningFace], Answer]) -> An
     try:
         return ask_one(face)
     except TimeoutError:
-        return {"error": "hangs: does not answer"}
+        return {"error": f"has not answered within {PATIENCE_S:g} s"}
     except PermissionError:
         return {"error": "may not be queried; use sudo"}
     except OSError as error:

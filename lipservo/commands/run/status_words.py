@@ -1,19 +1,10 @@
-"""A face's status in words for a person, and what a stop has done to it."""
+"""A face's status in words for a person."""
 
-from typing import Any, Final
-
-from firmware_bridge.stopping import StopLevel
-
-#: Of a stop that was confirmed.
-DONE: Final = {
-    StopLevel.SOFT: "at rest and limp",
-    StopLevel.LIMP: "limp",
-    StopLevel.FREEZE: "held where it is until the next stop",
-}
+from typing import Any
 
 
 def state_words(status: dict[str, Any]) -> str:
-    """Return a face's state as text: its stop report, a missing port, or its servos that hold."""
+    """Return a face's state as text: stop report, missing port, dry run, or servos that hold."""
     report = status.get("stop_report")
     if status["state"] == "stopped" and report is not None:
         n, left = len(report["confirmed"]), ", ".join(report["unconfirmed"])
@@ -24,7 +15,8 @@ def state_words(status: dict[str, Any]) -> str:
         return f"stopped by {status.get('stopped_by')}: {limp}"
     if status.get("plugged") is False:
         return f"{status['state']}, but its port is gone: no servo can be reached"
-    return f"{status['state']}{servo_words(status)}"
+    dry_run = ", dry run: servos are only read" if status.get("dry_run") else ""
+    return f"{status['state']}{dry_run}{servo_words(status)}"
 
 
 def servo_words(status: dict[str, Any]) -> str:

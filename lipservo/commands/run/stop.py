@@ -5,7 +5,7 @@ They import only what they need, to start quickly.
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from errno import EPROTO
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeGuard
@@ -13,18 +13,23 @@ from typing import Annotated, Any, Final, TypeGuard
 import typer
 
 from firmware_bridge.port_names import ports_in
-from firmware_bridge.process.control_client import RunningFace, ask, running_faces, start_face
+from firmware_bridge.process.control_client import (
+    PATIENCE_S,
+    RunningFace,
+    ask,
+    running_faces,
+    start_face,
+)
 from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
 from lipservo.commands.options import Control, FaceName, Json, On, Port
 from lipservo.commands.run.running import ask_faces, chosen_faces
-from lipservo.commands.run.status_words import DONE, motion_words, servo_words, state_words
+from lipservo.commands.run.status_words import motion_words, servo_words, state_words
 from lipservo.runtime.servos.letting_go import Outcome, faces_at, release, stop_faces
 from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
 
-_STATUS_S = 1.0
 #: Arming takes a second or two on real servos, ten on a computer that is very busy.
 _START_S = 20.0
 _LOOK_EVERY_S = 0.1
@@ -55,12 +60,8 @@ def run_without_parser(arguments: Sequence[str]) -> bool:
             given[word[2:]] = value if word == "--face" else Path(value)
         else:
             return False
-    if name == "stop":
-        stop(**given)
-    elif name == "start":
-        start(**given)
-    else:
-        status(**given)
+    commands: dict[str, Callable[..., None]] = {"stop": stop, "start": start, "status": status}
+    commands[name](**given)
     return True
 
 
@@ -81,8 +82,9 @@ def stop(
 ) -> None:
     """Stop every running face: move to rest, then torque off, confirmed by its servos.
 
-    A daemon then waits for `lipservo start`; a `lipservo run` ends. The command also works if the
-    speech process is dead. Exit status 1 unless every servo has confirmed.
+    A face that is frozen is let go where it is. A daemon then waits for `lipservo start`; a
+    `lipservo run` ends. The command also works if the speech process is dead. Exit status 1 unless
+    every servo has confirmed.
     """
     if limp and freeze:
         raise UserError("--limp and --freeze: give one of them")
@@ -99,7 +101,7 @@ def stop(
         raise UserError("no face answers; `lipservo limp --port PORT` switches torque off")
     with face_logs(face or ""):
         outcomes = stop_faces(faces, level, end=end)
-    _report(outcomes, DONE[level], as_json=as_json)
+    _report(outcomes, as_json=as_json)
 
 
 def start(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
@@ -124,7 +126,7 @@ def _come_back(face: RunningFace) -> dict[str, Any]:
     give_up_s = time.monotonic() + _START_S
     while True:
         try:
-            found = ask(face.path, "status", _STATUS_S)
+            found = ask(face.path, "status")
         except TimeoutError:
             found = {"state": _ON_ITS_WAY[0]}
         state, servos = found.get("state"), dict(found.get("servos") or {})
@@ -215,16 +217,17 @@ def limp(
             outcomes.append(release(port, settings))
     if not outcomes:
         raise UserError("no face runs; give --port PORT to let go of the servos there")
-    _report(outcomes, "limp", as_json=as_json)
+    _report(outcomes, as_json=as_json)
 
 
 def _status_of(face: RunningFace) -> dict[str, Any]:
     """Return a face's status; if it does not answer, its name, pid, and the reason as `state`."""
     found: dict[str, Any] = {"name": face.name, "pid": face.pid, "port": None}
     try:
-        answer = ask(face.path, "status", _STATUS_S)
+        answer = ask(face.path, "status")
     except TimeoutError:
-        return {**found, "state": "hangs: does not answer; `lipservo stop --limp` ends it"}
+        silent = f"has not answered within {PATIENCE_S:g} s"
+        return {**found, "state": f"{silent}; if it has hung, `lipservo stop --limp` ends it"}
     except PermissionError:
         return {**found, "state": "may not be queried; use sudo"}
     except OSError as error:
@@ -232,15 +235,12 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
     return {"state": "runs", **found, **answer, "pid": face.pid}
 
 
-def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:
-    """Print the outcomes of a stop; raise typer.Exit with 1 unless every servo has confirmed.
-
-    done: the state reached, such as "limp".
-    """
+def _report(outcomes: list[Outcome], *, as_json: bool) -> None:
+    """Print the outcomes of a stop; raise typer.Exit with 1 unless every servo has confirmed."""
     if as_json:
         print_json({"faces": [outcome.as_dict() for outcome in outcomes]})
     else:
         for outcome in outcomes:
-            sys.stdout.write(f"{outcome.text(done)}\n")
+            sys.stdout.write(f"{outcome.text()}\n")
     if not all(outcome.is_confirmed for outcome in outcomes):
         raise typer.Exit(1)

@@ -347,7 +347,7 @@ class FirstHour:
             return  # in memory: nothing holds
         outcome = release(port, None if settings is None else settings.at_port(port))
         is_confirmed = outcome.is_confirmed and not outcome.released
-        step.take_release(outcome.text("limp"), is_confirmed=is_confirmed)
+        step.take_release(outcome.text(), is_confirmed=is_confirmed)
 
     def _settings(self) -> tuple[FaceSettings | None, str | None]:
         """Return (settings, None), (None, None) without a YAML, or (None, why it is unreadable)."""

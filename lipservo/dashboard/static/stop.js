@@ -90,7 +90,7 @@ function isIdle(answer) {
   return Boolean(answer?.nothing_driven);
 }
 
-const EASES = "The face stops: it eases to rest. Press again to let go at once.";
+const EASES = "The face stops: it eases to rest, unless it is frozen. Press again to let go at once.";
 const LETS_GO = "The face lets go; its servos have not confirmed yet.";
 const SUPPLY = "Switch the servos' supply off, or run";
 const BY_HAND = `${SUPPLY} \`lipservo stop\`.`;

@@ -49,8 +49,10 @@ _LOG: Final = logging.getLogger(__name__)
 class Outcome:
     """The result of stopping one face or releasing one port.
 
-    problem: empty when the request could be carried out. waits: the face's process lives on, limp,
-    and can be started again. released: servos with torque off that cannot confirm it;
+    at_rest: whether the face had come to neutral before it let go; None: not known. dry_run: no
+    torque was ever switched on. problem: empty when the request could be carried out. waits: the
+    face's process lives on, limp, and can be started again. released: servos with torque off that
+    cannot confirm it;
     released_words: their state, in words. holds, limp, unknown: of a freeze, the servos that hold,
     that are limp, and of which neither is known. not_kept: why the stop is forgotten when the
     face's processes end; empty: it is not.
@@ -59,6 +61,8 @@ class Outcome:
     name: str
     port: str | None = None
     pid: int | None = None
+    at_rest: bool | None = None
+    dry_run: bool = False
     confirmed: list[str] = field(default_factory=list)
     unconfirmed: dict[str, str] = field(default_factory=dict)
     problem: str = ""
@@ -76,7 +80,8 @@ class Outcome:
         return not (self.problem or self.unconfirmed or self.unknown)
 
     def add_report(self, report: Mapping[str, Any]) -> None:
-        """Add what a face has reported of its end: which servos confirmed it."""
+        """Add what a face has reported of its end: its rest, and which servos confirmed it."""
+        self.at_rest, self.dry_run = report.get("at_rest"), bool(report.get("dry_run"))
         self.confirmed = list(report.get("confirmed", ()))
         self.unconfirmed = dict(report.get("unconfirmed", {}))
         self.waits = bool(report.get("waits"))
@@ -99,17 +104,17 @@ class Outcome:
             name: value for name, value in asdict(self).items() if value or name not in _WHERE_SET
         }
 
-    def text(self, done: str) -> str:
-        """Return the outcome in one line for a person. done: the state reached, as "limp"."""
-        line = self._line(done)
+    def text(self) -> str:
+        """Return the outcome in one line for a person."""
+        line = self._line()
         if self.not_kept:
             line += f"; the next start of its process will not know of this stop: {self.not_kept}"
         return line
 
-    def _line(self, done: str) -> str:
-        """Return name and result in one line, without `not_kept`; `done` is the state reached."""
-        if self.problem:
-            return f"{self.name}: {self.problem}"
+    def _line(self) -> str:
+        """Return name and result in one line, without `not_kept`."""
+        if said := self.problem or (_DRY_RUN if self.dry_run else ""):
+            return f"{self.name}: {said}"
         if self.holds or self.limp or self.unknown:
             return f"{self.name}: {self._held_words()}"
         if self.released and not self.unconfirmed:
@@ -118,7 +123,7 @@ class Outcome:
         if not self.unconfirmed:
             by = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
             waits = "; it waits: `lipservo start`" if self.waits else ""
-            return f"{self.name}: {done}{by}{waits}"
+            return f"{self.name}: {'at rest and ' if self.at_rest else ''}limp{by}{waits}"
         left = named_by_reason(self.unconfirmed)
         return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by {left}"
 
@@ -135,6 +140,7 @@ class Outcome:
         return "; ".join(filter(None, parts))
 
 
+_DRY_RUN: Final = "dry run over; no torque was switched on"
 #: What an outcome says only where there is something to say.
 _WHERE_SET: Final = ("released", "released_words", "holds", "limp", "unknown", "not_kept")
 
@@ -199,8 +205,7 @@ def _await_stop(
         _LOG.warning("%s ended unexpectedly; opening its port", face.name)
         _take_over(outcome, _release_all(face.name, {each: each for each in held}, {}))
     else:
-        port = outcome.port or "PORT"
-        outcome.problem = f"ended unexpectedly; `lipservo limp --port {port}`"
+        outcome.problem = f"ended unexpectedly; `lipservo limp --port {outcome.port or 'PORT'}`"
     return outcome
 
 
@@ -286,14 +291,10 @@ def _release_all(
     by bus name; may lack some.
     """
     outcome = Outcome(name, name)
-    if len(ports) == 1:
-        ((bus, port),) = ports.items()
-        _take_over(outcome, release(port, faces.get(bus)))
-        return outcome
     with ThreadPoolExecutor(len(ports), thread_name_prefix="release") as pool:
         at = {bus: pool.submit(release, port, faces.get(bus)) for bus, port in ports.items()}
         for bus, released in at.items():
-            _take_over(outcome, released.result(), bus)
+            _take_over(outcome, released.result(), bus if len(ports) > 1 else "")
     return outcome
 
 

@@ -15,7 +15,8 @@ class BridgeSide:
 
     name: of the face; config: its YAML, by the name of a shipped face or by its path; sounds: the
     folder whose sound files may be played; port: of its servos, None: simulated in memory; state: a
-    `FaceState`, or the supervisor's state while no bridge runs; stopped: a person's stop that is in
+    `FaceState`, or the supervisor's state while no bridge runs; dry_run: whether the servos are
+    only read; stopped: a person's stop that is in
     force, and stopped_by: its requester; stop_report: the servos' report of that stop
     (`StopReport`), None before it; can_start: whether a person can start the face now; plugged:
     whether the port exists; torque_on: whether any servo is known to hold, False: every one is
@@ -33,6 +34,7 @@ class BridgeSide:
     sounds: str | None = None
     port: str | None = None
     state: str = ""
+    dry_run: bool | None = None
     stopped: str | None = None
     stopped_by: str | None = None
     stop_report: Mapping[str, object] | None = None

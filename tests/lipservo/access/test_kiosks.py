@@ -167,7 +167,7 @@ def test_a_face_that_refuses_the_token_is_named(tmp_path):
 def test_a_stop_that_all_confirm_is_exit_status_0_and_one_that_is_not_confirmed_is_not(tmp_path):
     with served(token="t") as hall:
         on = listed(tmp_path, hall=(hall.address, "t"))
-        hall.face.report = REPORT
+        hall.face.report = {**REPORT, "at_rest": True}
         done = invoke("stop", "--on", on)
         assert (done.exit_code, done.stdout) == (
             0,

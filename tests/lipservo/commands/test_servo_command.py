@@ -1,23 +1,12 @@
 """`servo` as a person types it, beside a face that plays in this process."""
 
 import json
-import threading
-import time
-from contextlib import contextmanager
 
 import pytest
 from places import short_folder
-from typer.testing import CliRunner
+from playing_face import invoke, playing, status
 
-from firmware_bridge.clock import MonotonicClock
-from lipservo.cli import app
-from lipservo.runtime.face_runtime import run_face
-from lipservo.runtime.motion_options import MotionOptions
-from lipservo.runtime.run_request import SILENCE, RunRequest
-from lipservo.runtime.sound import open_sound
 from lipsync.errors import UserError
-
-PATIENCE_S = 60.0
 
 
 @pytest.fixture(autouse=True)
@@ -29,37 +18,6 @@ def own_folder(monkeypatch):
     monkeypatch.setattr(
         "firmware_bridge.process.runtime_folder._folders_of_others", lambda: iter(())
     )
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, list(arguments))
-
-
-def status():
-    (face,) = json.loads(invoke("status", "--json").stdout)["faces"]
-    return face
-
-
-@contextmanager
-def playing(**options):
-    """A face with simulated servos that hears silence in this process, until the block ends."""
-    request = RunRequest("face_jaw", SILENCE, MotionOptions(), quiet=True, **options)
-
-    def play():
-        with open_sound(SILENCE) as source:
-            run_face(request, source, MonotonicClock(), endless=True)
-
-    thread = threading.Thread(target=play)
-    thread.start()
-    give_up_s = time.monotonic() + PATIENCE_S
-    while not json.loads(invoke("status", "--json").stdout)["faces"]:
-        assert time.monotonic() < give_up_s
-        time.sleep(0.05)
-    try:
-        yield
-    finally:
-        invoke("stop", "--end")
-        thread.join(PATIENCE_S)
 
 
 def test_a_servo_is_switched_off_and_on_and_restarted_and_the_status_tells_it():

@@ -415,3 +415,14 @@ def test_limp_at_a_port_that_is_not_there_is_one_line():
 
     assert done.exit_code == 1
     assert "/dev/no_such_port: no such port" in done.stdout
+
+
+def test_of_a_face_that_is_silent_status_says_how_long_and_not_that_it_hangs():
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as deaf:
+        deaf.bind(str(runtime_folder() / "aaa-1.sock"))
+        deaf.listen()
+        shown = invoke("status").stdout
+        asked = invoke("servo", "jaw", "off")
+
+    assert "has not answered within 2 s; if it has hung, `lipservo stop --limp` ends it" in shown
+    assert "aaa: has not answered within 2 s" in asked.stderr

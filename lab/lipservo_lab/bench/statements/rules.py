@@ -41,8 +41,8 @@ _IS_OFF, _IS_ON = Torque(on=False, who="who"), Torque(on=True, who="who")
 
 #: Keys of a status that say what was asked for, how the face is set, or what it hears.
 _NOT_OF_TORQUE: Final = (
-    r"status (?:name|config|sounds|port|pid|bridge_pid|plugged|jogged|word|words|sound|recognizer"
-    r"|engine|weights|strategy|hears|moved_by|output|output_lost|listens_on|speaking|arousal"
+    r"status (?:name|config|sounds|port|pid|dry_run|bridge_pid|plugged|jogged|word|words|sound"
+    r"|recognizer|engine|weights|strategy|hears|moved_by|output|output_lost|listens_on|speaking|arousal"
     r"|units_shifted_ms|mouth_closes|is_resting|delay_ms|fallback_level|fallback_reasons|stopped|stopped_by"
     r"|can_start|torque\.\w+\.age_s|stop_report|n_\w+|\w+_total|(?:settings|expression|capabilities)\.\w+"
     r"|pulses\.\w+\.(?:neutral_us|us_per_deg|min_us|max_us)"
@@ -79,7 +79,7 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"status state: starting", nothing),
     (r"status state: (?:driven|frozen|easing|letting go|unknown)", nothing),
     (r"status state: the bridge .*", nothing),
-    (r"status state: (?:hangs|may not be queried|has just ended|runs).*", nothing),
+    (r"status state: (?:has not answered|may not be queried|has just ended|runs).*", nothing),
     (r"status stop_report\.(?:confirmed|released): (?P<who>\w+)", _IS_OFF),
     (r"status stop_report\.unconfirmed\.\w+: .*", unknown),
     (r"status stop_report\.complete: true", _ALL_OFF),
@@ -113,7 +113,8 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
         nothing,
     ),
     (
-        r"outcome (?:name|pid|port|waits|released_words|servo|asked|face|findings|bad_files): .*",
+        r"outcome (?:name|pid|port|waits|at_rest|dry_run|released_words|servo|asked|face|findings"
+        r"|bad_files): .*",
         nothing,
     ),
     (r"outcome problem: ", nothing),
@@ -166,7 +167,7 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}(?:ended; )?(?:\d+ servos? )?may still be driven:? ?.*", unknown),
     (r"says (?:bridge: )?  \w+: .*", unknown),  # each that has not confirmed, and why
     (r"{S}keep your hands away; .*", nothing),
-    (r"{S}dry run over; no torque was switched on", _ALL_OFF),
+    (r"(?:{S}|says FACE: )dry run over; no torque was switched on", _ALL_OFF),
     (r"{S}every servo (?:is driven|holds) again", _ALL_ON),
     (r"{S}motion comes again", nothing),
     (r"{S}(?:the servo loop missed|no new motion|servo loop and speech are in).*", nothing),
@@ -211,7 +212,6 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says \S+: {limp}(?:, confirmed by all {n}| \(\d+ servos?\))?(?:; .*)?", _ALL_OFF),
     (r"says \S+: confirmed by {n}, NOT by .*", AtLeast(on=False)),
     (r"says FACE hangs: it does not answer; processes .* are killed", nothing),
-    (r"says FACE: held where it is until the next stop", _ALL_ON),
     (
         r"says FACE: held where it is: {n} holds?(?:; (?P<limp>[\w, ]+) limp)?"
         r"(?:; not known of [\w, ]+)?{kept}",
@@ -225,7 +225,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says bridge: {servo} holds already: its torque was on before the start", _IS_ON),
     (r"says \w+ was too slow for .*", nothing),
     (r"{S}will stop, but has not confirmed it within .*", unknown),
-    (r"{S}hangs: .*", unknown),
+    (r"{S}(?:hangs:|has not answered) .*", unknown),
     (r"{S}has (?:gone|just ended).*", unknown),
     (r"{S}not driven(?: within .*)?: .*", nothing),
     (r"says FACE: servo (?P<who>\w+) is driven", _IS_ON),

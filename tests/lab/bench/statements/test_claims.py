@@ -50,7 +50,6 @@ def verdict(text, at_s, about=None):
         ("outcome confirmed: id 12", 25.0, 12.0),
         ("says bridge: every servo is driven again", 12.0, 25.0),
         ("says bridge: stopped; the face is at rest and limp: confirmed by 2 servos", 5.0, 25.0),
-        ("says a_face: held where it is until the next stop", 12.0, 5.0),
         ("says a_face: held where it is: 1 servo holds; lip limp", 25.0, 12.0),
         ("says a_face: nothing is held; 2 servos limp", 5.0, 25.0),
         ("says a face: driven, 2 of 2 servos hold", 12.0, 25.0),

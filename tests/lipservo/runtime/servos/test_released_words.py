@@ -24,7 +24,7 @@ def test_a_stop_says_the_words_of_the_bus():
     outcome = Outcome("face", released=["jaw", "lip"], released_words=WORDS)
 
     assert outcome.is_confirmed
-    assert outcome.text("at rest and limp") == f"face: {WORDS} (2 servos)"
+    assert outcome.text() == f"face: {WORDS} (2 servos)"
     assert outcome.as_dict()["released"] == ["jaw", "lip"]
     assert "released" not in Outcome("face", confirmed=["jaw"]).as_dict()
 
@@ -58,7 +58,7 @@ def test_a_stop_of_two_buses_says_what_was_confirmed_and_what_cannot_be():
     outcome = Outcome("face", confirmed=["yaw"], released=["jaw", "lip"], released_words=WORDS)
     report = {**REPORT, "confirmed": ["yaw"]}
 
-    assert outcome.text("limp") == f"face: {WORDS} (2 servos); confirmed by 1 servos"
+    assert outcome.text() == f"face: {WORDS} (2 servos); confirmed by 1 servos"
     assert f"{WORDS}; limp, confirmed by 1 servos;" in state_words(
         {**STATUS, "stop_report": report}
     )

@@ -1,0 +1,56 @@
+"""What `stop` says of a face that plays in this process: no more than its report says."""
+
+import json
+
+import pytest
+from places import short_folder
+from playing_face import invoke, playing, status
+
+
+@pytest.fixture(autouse=True)
+def own_folder(monkeypatch):
+    """Faces of this test only."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(short_folder()))
+    monkeypatch.setattr(
+        "firmware_bridge.process.runtime_folder._folders_of_others", lambda: iter(())
+    )
+
+
+@pytest.mark.parametrize(("before", "where"), [((), "at rest and limp"), (("--freeze",), "limp")])
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_face_is_at_rest_only_where_it_went_there(before, where, as_json):
+    """A frozen one lets go where it is."""
+    with playing():
+        while status()["servos"] != {"jaw": "driven"}:
+            pass
+        if before:
+            assert invoke("stop", *before).exit_code == 0
+        done = invoke("stop", *(["--json"] if as_json else []))
+
+    assert done.exit_code == 0
+    if as_json:
+        (face,) = json.loads(done.stdout)["faces"]
+        assert face["at_rest"] is (where != "limp")
+    else:
+        assert f": {where}, confirmed by all 1 servos" in done.stdout
+
+
+def test_a_dry_run_is_called_one_and_counts_no_servo_as_confirmed():
+    with playing(dry_run=True):
+        shown, told = invoke("status").stdout, status()
+        done = invoke("stop", "--freeze")
+        done = invoke("stop")
+
+    assert "dry run: servos are only read" in shown
+    assert told["dry_run"] is True
+    assert done.exit_code == 0
+    assert ": dry run over; no torque was switched on\n" in done.stdout
+    assert "confirmed" not in done.stdout
+
+
+def test_a_dry_run_is_called_one_in_json():
+    with playing(dry_run=True):
+        (face,) = json.loads(invoke("stop", "--json").stdout)["faces"]
+
+    assert (face["dry_run"], face["at_rest"]) == (True, False)
