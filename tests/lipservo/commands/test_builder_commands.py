@@ -44,9 +44,28 @@ def test_doctor_finds_a_healthy_face_healthy(port):
 
 def test_jog_and_neutral_move_through_the_gate(port):
     done = lipservo("jog", "jaw", "5", "--port", port, "--hold-s", "0.3")
-    assert done.stdout.strip() == "jaw stands at 5.0 deg", done.stderr
+    assert done.stdout.strip() == "jaw stands at 5.0 deg, sent to 5.0 deg", done.stderr
     done = lipservo("calibrate", "neutral", "--port", port)
     assert "jaw stands at 0.0 deg" in done.stdout, done.stderr
+
+
+@pytest.fixture
+def jammed(tmp_path):
+    """The port of a jaw that nothing moves."""
+    script = tmp_path / "faults.yaml"
+    script.write_text("faults: [{kind: jam, servos: [0], at_s: 0, amount: 1.0}]")
+    with simulated_port(["--config", "face_jaw", "--on-time", "--faults", str(script)]) as port:
+        yield port
+
+
+def test_a_jammed_servo_is_said_to_have_missed_its_goal(jammed):
+    at = ("--config", "face_jaw", "--port", jammed)
+    small = lipservo("jog", "jaw", "2", "--hold-s", "0", *at)  # as near as a weak servo may be
+    missed = lipservo("jog", "jaw", "10", "--hold-s", "0", *at)
+    assert (small.returncode, small.stdout) == (0, "jaw stands at 0.0 deg, sent to 2.0 deg\n")
+    assert (missed.returncode, missed.stdout) == (1, "jaw stands at 0.0 deg, sent to 10.0 deg\n")
+    assert "jaw is 10.0 deg off its goal: is it blocked, or too weak?" in missed.stderr
+    assert lipservo("calibrate", "neutral", *at).returncode == 0  # it is there
 
 
 @pytest.mark.parametrize(
