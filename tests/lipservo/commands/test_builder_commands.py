@@ -151,6 +151,7 @@ def test_new_face_writes_a_yaml_that_loads(tmp_path):
         answers = f"jaw\nopens\ny\n{asked_again}brow\nraises\nn\n"
         done = lipservo("new-face", "-o", path, "--port", port, input=answers)
         assert done.returncode == 0, done.stderr
+        assert "id 1 (XL330-M288) moved by 3.0 degrees. Which joint" in done.stderr
         assert "'Brow!' is not a joint's name" in done.stderr
         assert "joint jaw exists already" in done.stderr
     face = load_face(path)
@@ -159,6 +160,13 @@ def test_new_face_writes_a_yaml_that_loads(tmp_path):
         ("jaw", 1, "opens", 1),
         ("brow", 2, "raises", -1),
     ]
+
+
+def test_new_face_does_not_say_that_a_jammed_servo_moved(tmp_path, jammed):
+    done = lipservo("new-face", "-o", tmp_path / "mine.yaml", "--port", jammed, input="y\n")
+    assert "id 11 (XL330-M288) was told to move by 3 degrees and its position" in done.stderr
+    assert "changed by 0.0; look whether it is blocked, or without power" in done.stderr
+    assert "moved by" not in done.stderr
 
 
 @pytest.mark.parametrize("model", ["STS3215", "SCS0009"])
