@@ -17,8 +17,7 @@ USUAL_SEED = 1
 
 def family_of(servos: MouthServos) -> RobotFamily:
     """Return family OWN if the simulated face has joints of all these names; else ELASTIC."""
-    known = all(name in POSITIVE_DIRECTIONS for name in servos.names)
-    return RobotFamily.OWN if known else RobotFamily.ELASTIC
+    return RobotFamily.OWN if {*servos.names} <= {*POSITIVE_DIRECTIONS} else RobotFamily.ELASTIC
 
 
 def practice_robot(
@@ -51,9 +50,10 @@ def practice_robot(
     if (family or family_of(servos)) is RobotFamily.ELASTIC:
         return SimulatedRobot(ElasticFace(elastic_robot_of(rest_mm, servos, seed)), noise_seed=seed)
     try:
-        return SimulatedRobot(draw_robot(rest_mm, servos.names, seed), noise_seed=seed)
+        simulated_face(rest_mm, servos.names)
     except ValueError as error:
         raise CalibrationError(f"{error}; --family elastic accepts joints of any names") from error
+    return SimulatedRobot(draw_robot(rest_mm, servos.names, seed), noise_seed=seed)
 
 
 def markers_of_face(rest_mm: Array, servos: MouthServos) -> Callable[[Array], Array]:

@@ -1,6 +1,5 @@
 """`jog` and `neutral`: joints moved by keys, page or command, or turned by hand with torque off."""
 
-from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from firmware_bridge.stop_signals import DeferredSignals
     from lipservo.runtime.servos.hand_driven import KeyedJoint
     from lipservo.runtime.servos.limp_servos import LimpServos, TurnedRange
-    from lipservo.runtime.servos.moving import Moved
     from lipservo.settings.settings import FaceSettings
     from lipservo.terminal.keys import PressedKeys
 
@@ -64,10 +62,7 @@ def jog(
     elif deg is None:
         _jog_with_keys(settings, config, joint)
     else:
-        from lipservo.runtime.servos.moving import move_to
-
-        _say_if_simulated(settings)
-        _finish(move_to(config, port, {joint: deg}, hold_s), [joint], settings)
+        _move(settings, {joint: deg}, hold_s, may_jump=False)
 
 
 def neutral(
@@ -78,12 +73,7 @@ def neutral(
     ] = False,
 ) -> None:
     """Move every joint to its neutral, within limits and speeds; then switch torque off."""
-    from lipservo.runtime.servos.moving import move_to
-
-    settings = _settings(port, config)
-    _say_if_simulated(settings)
-    moved = move_to(config, port, None, 0.5, may_jump=yes)
-    _finish(moved, moved.reached_deg, settings)
+    _move(_settings(port, config), None, 0.5, may_jump=yes)
 
 
 def _settings(port: str | None, config: str) -> "FaceSettings":
@@ -93,27 +83,33 @@ def _settings(port: str | None, config: str) -> "FaceSettings":
     return settings if port is None else settings.at_port(port)
 
 
-def _finish(moved: "Moved", joints: Iterable[str], settings: "FaceSettings") -> None:
-    """Print the position at which each joint ended, in degrees, of a hobby servo in us as well.
+def _move(
+    settings: "FaceSettings", wanted_deg: dict[str, float] | None, hold_s: float, *, may_jump: bool
+) -> None:
+    """Move joints as `move_to` does, and print where each ended, of a hobby servo in us as well.
 
-    Raises typer.Exit with 1 if a joint did not hold, with 3 if a servo did not confirm torque off.
+    Raises typer.Exit with 1 if a joint did not hold, or is measured more than `STALL_DEG` from the
+    goal sent to it; with 3 if a servo did not confirm torque off; else with 0.
     """
-    limp = 0
-    for joint in joints:
+    from calibration.capture.capture import STALL_DEG
+    from lipservo.runtime.servos.moving import move_to
+
+    _say_if_simulated(settings)
+    moved, status = move_to(settings, wanted_deg, hold_s, may_jump=may_jump), 0
+    for joint in wanted_deg or settings.servos:
+        deg, sent_deg = moved.reached_deg[joint], moved.sent_deg[joint]
         if not moved.is_held[joint]:
-            limp = 1
+            status = 1
             complain(f"{joint}: its servo did not confirm that it held, so its angle is unknown")
-            continue
-        where = "stands at" if moved.is_measured[joint] else "was sent to"
-        deg, pulse = moved.reached_deg[joint], settings.servos[joint].pulse
-        as_pulse = "" if pulse is None else f" ({pulse.us(deg):.0f} us)"
-        RESULTS.print(f"{joint} {where} {deg:.1f} deg{as_pulse}")
-    _exit(exit_status(moved.report, None) or limp)
-
-
-def _exit(status: int) -> None:
-    if status:
-        raise typer.Exit(status)
+        elif moved.is_measured[joint]:
+            RESULTS.print(f"{joint} stands at {deg:.1f} deg, sent to {sent_deg:.1f} deg")
+            if (off_deg := abs(deg - sent_deg)) > STALL_DEG:
+                status = 1
+                complain(f"{joint} is {off_deg:.1f} deg off its goal: is it blocked, or too weak?")
+        else:
+            as_pulse = f" ({p.us(deg):.0f} us)" if (p := settings.servos[joint].pulse) else ""
+            RESULTS.print(f"{joint} was sent to {deg:.1f} deg{as_pulse}")
+    raise typer.Exit(exit_status(moved.report, None) or status)
 
 
 def _say_if_simulated(settings: "FaceSettings") -> None:
@@ -136,7 +132,7 @@ def _jog_on_page(settings: "FaceSettings", config: str, *, open_page: bool) -> N
     with dashboard_beside(request, None, token_file, open_page=open_page):
         MESSAGES.print("the page Servos moves the joints; Ctrl-C lets them go")
         report, signal_number = drive_by_hand(settings, config, MonotonicClock())
-    _exit(exit_status(report, signal_number))
+    raise typer.Exit(exit_status(report, signal_number))
 
 
 def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
@@ -177,7 +173,7 @@ def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
             return key != "q"
 
         report, signal_number = drive_by_hand(settings, config, MonotonicClock(), act)
-    _exit(exit_status(report, signal_number))
+    raise typer.Exit(exit_status(report, signal_number))
 
 
 def _with_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
@@ -246,7 +242,7 @@ def _turn(settings: "FaceSettings", config: str, port: str | None, names: list[s
         except StopRequested as stop:
             status = 128 + stop.number
             complain(f"stopped by {stop}; torque stays off")
-    _exit(status)
+    raise typer.Exit(status)
 
 
 def _watch(

@@ -3,13 +3,14 @@
 import contextlib
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from firmware_bridge.stopping import ExitStatus, StopReport, named_by_reason
+from firmware_bridge.errors import BusError
+from firmware_bridge.stopping import ExitStatus, StopReport
 from lipservo.commands.calibrate.making import (
     CalibrationFile,
     check_files,
@@ -25,13 +26,6 @@ if TYPE_CHECKING:
     from firmware_bridge.stop_signals import DeferredSignals
     from lipservo.calibrating.calibration_setup import CalibrationSetup
     from lipsync.arrays import Array
-
-
-@dataclass(slots=True)
-class _LetGo:
-    """The report on torque off, which outlives whatever ends the session; None: not yet off."""
-
-    report: StopReport | None = None
 
 
 def by_hand(
@@ -67,7 +61,8 @@ def by_hand(
     from lipservo.calibrating.hand_poses import pose_lines, with_hand_poses
     from lipservo.runtime.servos.assembly import servo_memories
 
-    let_go, status = _LetGo(), 0
+    let_go: list[StopReport] = []  # outlives whatever ends the session; the last one counts
+    status = 0
     kept_poses(setup.servos.names, keep)
     with setup_at_port(setup, port, sim, config) as at, DeferredSignals() as signals:
         check_servo_memories(before, servo_memories(at.settings))
@@ -79,12 +74,17 @@ def by_hand(
             n_kept = len(kept_poses(setup.servos.names, keep))
             kept = f"; {n_kept} poses are in {keep}: the same command goes on" if n_kept else ""
             complain(f"stopped by {stop}; {file} stays as it is{kept}")
+        except (BusError, UserError) as error:
+            status = 1
+            complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
         finally:
             with contextlib.suppress(StopRequested, OSError), signals.finish_first():
-                if let_go.report is not None:
-                    MESSAGES.print(f"{let_go.report.line()}; it stays off")
+                for report in let_go[-1:]:
+                    then = "it stays off" if report.complete else "keep your hands away"
+                    MESSAGES.print(f"{report.line()}; {then}")
+    unsure = bool(let_go) and not let_go[-1].complete
     if status:
-        raise typer.Exit(status)
+        raise typer.Exit(ExitStatus.UNCONFIRMED if unsure else status)
     # Trims may have been set while fingers were busy.
     after = with_hand_poses(load_calibration(file), setup.servos, made_deg, TOUCH_CURRENT_MA)
     save_calibration(after, file)
@@ -97,18 +97,18 @@ def by_hand(
             {
                 "calibration": str(file),
                 "poses": poses,
-                "torque_off": None if let_go.report is None else let_go.report.as_dict(),
+                "torque_off": let_go[-1].as_dict() if let_go else None,
             }
         )
     else:
         for line in pose_lines(before, after):
             RESULTS.print(line)
-    if let_go.report is not None and not let_go.report.complete:
+    if unsure:
         raise typer.Exit(ExitStatus.UNCONFIRMED)
 
 
 def _pose(
-    at: "CalibrationSetup", let_go: _LetGo, signals: "DeferredSignals"
+    at: "CalibrationSetup", let_go: list[StopReport], signals: "DeferredSignals"
 ) -> "Mapping[str, Array]":
     """Switch torque off if the user agrees; return hand poses, (n_servos,) degrees by name.
 
@@ -142,23 +142,19 @@ def _pose(
             "all as it is.",
             soft_wrap=True, style="bold yellow",
         )  # fmt: skip
-        key = None
-        while key is None:
-            key = keys.next_key(1.0)
+        while (key := keys.next_key(1.0)) is None:
+            pass
         if key not in (" ", "\n", "\r"):
             raise UserError("nothing was let go, and nothing kept")
 
         def release() -> None:
             with signals.finish_first():
-                let_go.report = servos.let_go()
+                let_go.append(servos.let_go())
 
         release()
         stack.callback(release)
-        if let_go.report is not None and not let_go.report.complete:
-            raise UserError(
-                f"torque off is NOT confirmed by {named_by_reason(let_go.report.unconfirmed)}; "
-                "keep your hands away"
-            )
+        if not let_go[-1].complete:
+            raise UserError("not every servo confirmed torque off, so nothing was kept")
         live = stack.enter_context(Live(console=MESSAGES, transient=True, auto_refresh=False))
         front = LimpFront(servos, at.servos, keys, live, signals.finish_first)
         joints, undivided = at.servos.joints, signals.finish_first

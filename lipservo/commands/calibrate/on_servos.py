@@ -137,7 +137,9 @@ def guided(
 
 
 def practise(
-    seed: Annotated[int, typer.Argument(metavar="SEED", help="Seed of the simulated robot.")],
+    seed: Annotated[
+        int, typer.Argument(metavar="SEED", min=0, help="Seed of the simulated robot.")
+    ],
     output: Output,
     config: Config = DEFAULT_FACE,
     model: Model = None,

@@ -442,12 +442,11 @@ class FirstHour:
                 self._named, self._moved = {}, set()
             if (nudged := step.events.get("nudged")) is not None:
                 self._moved.add(int(nudged["id"]))
+                self._note = nudged["note"]
             if (graded := step.events.get("graded")) is not None:
                 self._graded = graded
             if step.was_left:
-                self._note = (
-                    "no browser had this page open: the servos were let go; kept values stay"
-                )
+                self._note = "no browser had this page open: servos were let go; kept values stay"
 
     def _simulate(self) -> str:
         if self._simulated is None:

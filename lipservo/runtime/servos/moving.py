@@ -7,8 +7,9 @@ import numpy as np
 
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.stopping import StopLevel, StopReport
-from lipservo.runtime.servos.assembly import bus_for, load_settings
+from lipservo.runtime.servos.assembly import bus_for
 from lipservo.runtime.servos.held_face import HeldFace
+from lipservo.settings.settings import FaceSettings
 from lipsync.errors import UserError
 
 
@@ -17,39 +18,35 @@ class Moved:
     """The positions of all joints just before torque off, and the servos' stop report.
 
     reached_deg: degrees by joint name, measured; for a servo that cannot report its position
-    (`is_measured` is False) the goal sent last. is_held: whether each servo was known to hold then,
-    so that this goal was sent to it; None: unknown.
+    (`is_measured` is False) the goal sent last. sent_deg: that goal of every joint, as the safety
+    gate let it pass. is_held: whether each servo was known to hold then, so that this goal was sent
+    to it; None: unknown.
     """
 
     reached_deg: dict[str, float]
+    sent_deg: dict[str, float]
     is_measured: dict[str, bool]
     is_held: dict[str, bool | None]
     report: StopReport
 
 
 def move_to(
-    config: str,
-    port: str | None,
+    settings: FaceSettings,
     wanted_deg: Mapping[str, float] | None,
     hold_s: float,
     *,
     may_jump: bool = False,
 ) -> Moved:
-    """Move the named joints, hold the pose for `hold_s` seconds, then switch torque off.
+    """Move the named joints, wait until they are still, hold the pose for `hold_s`, then let go.
 
-    config: the face's name or YAML path. port: None: the YAML's. wanted_deg: joint degrees by name;
-    None: all joints to neutral. may_jump: servos of unknown position may jump to neutral. Returns
-    the positions reached and the stop report. Raises UserError, before any motion, for an unknown
-    joint or an angle outside its limits.
+    settings: of the face, at its port. wanted_deg: joint degrees by name, of joints that the face
+    has; None: all joints to neutral. may_jump: servos of unknown position may jump to neutral.
+    Returns the positions reached and the stop report. Raises UserError, before any motion, for an
+    angle outside its joint's limits.
     """
-    settings, _ = load_settings(config)
-    if port is not None:
-        settings = settings.at_port(port)
     joints = settings.joints()
     names = [joint.name for joint in joints]
     for name, angle_deg in (wanted_deg or {}).items():
-        if name not in names:
-            raise UserError(f"this face has no joint {name!r}; it has {', '.join(names)}")
         joint = joints[names.index(name)]
         if not joint.min_deg <= angle_deg <= joint.max_deg:
             raise UserError(
@@ -66,12 +63,13 @@ def move_to(
             goal_deg = np.zeros(len(joints))
         for name, angle_deg in (wanted_deg or {}).items():
             goal_deg[names.index(name)] = angle_deg
-        face.lead(goal_deg)
+        face.move(goal_deg)
         face.hold(hold_s)
-        reached_deg, held = np.where(has_place, face.stands_deg, face.sent_deg), face.torque_on
+        reached_deg, sent_deg, held = face.stands_deg, face.sent_deg, face.torque_on
     assert face.life.report is not None
     return Moved(
         dict(zip(names, reached_deg.tolist(), strict=True)),
+        dict(zip(names, sent_deg.tolist(), strict=True)),
         dict(zip(names, has_place, strict=True)),
         dict(zip(names, held, strict=True)),
         face.life.report,

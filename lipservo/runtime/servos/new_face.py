@@ -146,43 +146,41 @@ class FoundJoint:
         return replace(neutral, min_deg=ends_deg[0], max_deg=ends_deg[1])
 
 
-def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> int:
-    """Move one servo by 3 degrees and back, limp at the end; return its start in encoder ticks.
+def nudge(
+    tools: Any, port: str, rate: int, servo_id: int, model_name: str
+) -> tuple[int, str, bool]:
+    """Move one servo by 3 degrees and back, limp at the end.
 
-    All goals pass the safety gate. tools: module for single servos of its kind of bus
-    (`BusKind.workshop`). rate: baud. Raises FaceStopped if a person stops the motion, or torque off
-    is not confirmed.
+    Returns its start in encoder ticks, words on the motion that its encoder showed, and whether it
+    made at least half of what it was told. All goals pass the safety gate. tools: module for single
+    servos of its kind of bus (`BusKind.workshop`). rate: baud. Raises FaceStopped if a person stops
+    the motion, or torque off is not confirmed.
     """
     channel, clock = MemoryTargetChannel(), MonotonicClock()
     place: int
     bus, joint, place = tools.lone_servo(port, rate, servo_id, model_name, NUDGE_DEG + 1.0)
+    here_deg, away_deg, made_deg = np.zeros(1), np.array([NUDGE_DEG]), 0.0
     with bus:
         bridge = Bridge(bus, [joint], channel, BridgeSettings(_NUDGE_RATE_HZ))
         with face_life("new-face", port, bridge, clock, DriveOptions(quiet=True)) as life:
             life.start()
-            there, back = _nudge_ramps(clock.now())
+            there = Ramp(here_deg, away_deg, clock.now(), _NUDGE_S)
+            # 0.5 s after the first has ended.
+            back = Ramp(away_deg, here_deg, there.start_s + 3.0 * _NUDGE_S, _NUDGE_S)
             for time_s, late in life.ticks():
                 ramp = there if time_s < back.start_s else back
                 channel.publish(ServoTargets(time_s, ramp.at(time_s)))
                 bridge.tick(time_s, late)
+                made_deg = max(made_deg, abs(float(bus.feedback().positions_deg[0])))
                 if back.is_over(time_s) and not life.stopping:
                     life.stop(StopLevel.LIMP)
     assert life.report is not None
     if life.stopped_by_person or not life.report.complete:
         raise FaceStopped(life.report, life.signal_number)
-    return place
-
-
-def _nudge_ramps(start_s: float) -> tuple[Ramp, Ramp]:
-    """Return the ramps to 3 degrees and back; the first starts at monotonic `start_s`.
-
-    The second starts 0.5 s after the first has ended.
-    """
-    away_deg, here_deg = np.array([NUDGE_DEG]), np.zeros(1)
-    return (
-        Ramp(here_deg, away_deg, start_s, _NUDGE_S),
-        Ramp(away_deg, here_deg, start_s + 3.0 * _NUDGE_S, _NUDGE_S),
-    )
+    if made_deg >= 0.5 * NUDGE_DEG:
+        return place, f"moved by {made_deg:.1f} degrees", True
+    told = f"was told to move by {NUDGE_DEG:g} degrees and its position changed by {made_deg:.1f}"
+    return place, f"{told}; look whether it is blocked, or without power", False
 
 
 def check_face_file(path: Path) -> None:

@@ -52,6 +52,15 @@ def test_practise_makes_a_robot_of_what_the_yaml_says_and_tells_what_is_guessed(
     assert calibration.grade is not None
 
 
+@pytest.mark.parametrize("family", ["own", "elastic"])
+def test_a_seed_that_is_none_is_named_with_what_is_allowed(tmp_path, family):
+    done = calibrate("practise", "--family", family, "-o", tmp_path / "c.yaml", "--", "-1")
+    assert done.exit_code == 2
+    assert "'SEED'" in done.output
+    assert "0" in done.output
+    assert "--family elastic accepts" not in done.output
+
+
 @pytest.mark.parametrize("joints", [ONE, STRANGE])
 def test_a_person_can_pose_any_face(tmp_path, joints):
     face, out = face_of(tmp_path, joints), tmp_path / "c.yaml"

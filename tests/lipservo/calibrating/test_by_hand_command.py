@@ -54,6 +54,28 @@ def test_whoever_does_not_say_yes_finds_all_as_it_was(file):
     assert file.read_bytes() == before
 
 
+@pytest.mark.slow
+def test_torque_off_that_is_not_confirmed_is_told_by_the_exit_status(file):
+    before = file.read_bytes()
+    silent = (
+        "from firmware_bridge.stopping import StopReport\n"
+        "from lipservo.command_line import main\n"
+        "from lipservo.runtime.servos.limp_servos import LimpServos\n"
+        "LimpServos.let_go = lambda _: StopReport((), {'jaw': 'does not answer'})\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", silent, "calibrate", "by-hand", str(file), "--config", "face_jaw"],
+        input=" ", capture_output=True, text=True, timeout=120,
+        env={**os.environ, "XDG_RUNTIME_DIR": str(short_folder())},
+    )  # fmt: skip
+    assert done.returncode == 3, done.stderr
+    assert "not every servo confirmed torque off, so nothing was kept" in done.stderr
+    assert "NOT by jaw: does not answer; keep your hands away" in done.stderr
+    assert "stays off" not in done.stderr
+    assert file.read_bytes() == before
+
+
 @pytest.mark.parametrize(
     "number",
     [

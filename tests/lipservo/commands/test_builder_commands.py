@@ -44,9 +44,28 @@ def test_doctor_finds_a_healthy_face_healthy(port):
 
 def test_jog_and_neutral_move_through_the_gate(port):
     done = lipservo("jog", "jaw", "5", "--port", port, "--hold-s", "0.3")
-    assert done.stdout.strip() == "jaw stands at 5.0 deg", done.stderr
+    assert done.stdout.strip() == "jaw stands at 5.0 deg, sent to 5.0 deg", done.stderr
     done = lipservo("calibrate", "neutral", "--port", port)
     assert "jaw stands at 0.0 deg" in done.stdout, done.stderr
+
+
+@pytest.fixture
+def jammed(tmp_path):
+    """The port of a jaw that nothing moves."""
+    script = tmp_path / "faults.yaml"
+    script.write_text("faults: [{kind: jam, servos: [0], at_s: 0, amount: 1.0}]")
+    with simulated_port(["--config", "face_jaw", "--on-time", "--faults", str(script)]) as port:
+        yield port
+
+
+def test_a_jammed_servo_is_said_to_have_missed_its_goal(jammed):
+    at = ("--config", "face_jaw", "--port", jammed)
+    small = lipservo("jog", "jaw", "2", "--hold-s", "0", *at)  # as near as a weak servo may be
+    missed = lipservo("jog", "jaw", "10", "--hold-s", "0", *at)
+    assert (small.returncode, small.stdout) == (0, "jaw stands at 0.0 deg, sent to 2.0 deg\n")
+    assert (missed.returncode, missed.stdout) == (1, "jaw stands at 0.0 deg, sent to 10.0 deg\n")
+    assert "jaw is 10.0 deg off its goal: is it blocked, or too weak?" in missed.stderr
+    assert lipservo("calibrate", "neutral", *at).returncode == 0  # it is there
 
 
 @pytest.mark.parametrize(
@@ -132,6 +151,7 @@ def test_new_face_writes_a_yaml_that_loads(tmp_path):
         answers = f"jaw\nopens\ny\n{asked_again}brow\nraises\nn\n"
         done = lipservo("new-face", "-o", path, "--port", port, input=answers)
         assert done.returncode == 0, done.stderr
+        assert "id 1 (XL330-M288) moved by 3.0 degrees. Which joint" in done.stderr
         assert "'Brow!' is not a joint's name" in done.stderr
         assert "joint jaw exists already" in done.stderr
     face = load_face(path)
@@ -140,6 +160,13 @@ def test_new_face_writes_a_yaml_that_loads(tmp_path):
         ("jaw", 1, "opens", 1),
         ("brow", 2, "raises", -1),
     ]
+
+
+def test_new_face_does_not_say_that_a_jammed_servo_moved(tmp_path, jammed):
+    done = lipservo("new-face", "-o", tmp_path / "mine.yaml", "--port", jammed, input="y\n")
+    assert "id 11 (XL330-M288) was told to move by 3 degrees and its position" in done.stderr
+    assert "changed by 0.0; look whether it is blocked, or without power" in done.stderr
+    assert "moved by" not in done.stderr
 
 
 @pytest.mark.parametrize("model", ["STS3215", "SCS0009"])
