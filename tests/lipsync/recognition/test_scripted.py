@@ -108,7 +108,7 @@ def test_stretches_without_a_label_are_silence(tmp_path):
             "phoneme 2 at 0.400 s: 'AA9' is neither ARPAbet nor IPA",
         ),
         (TEXTGRID.replace('"phones"', '"words"'), "has words but no phonemes"),
-        (TEXTGRID.replace("xmin = 0.4", "xmin = 2"), "'AA' is from '2' to '1' s"),
+        (TEXTGRID.replace("xmin = 0.4", "xmin = 2"), "'AA': '2' to '1' s cannot be"),
         (TEXTGRID[:300], "not a readable Praat TextGrid"),
         ("", "empty; docs/text.md"),
         ("phones: AA", "line 1 is neither labels nor JSON; docs/text.md"),

@@ -98,7 +98,7 @@ def test_a_mediapipe_without_the_old_face_mesh_is_named_with_what_to_install(tmp
     (tmp_path / "mediapipe.py").write_text("")
     monkeypatch.delitem(sys.modules, "mediapipe", raising=False)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(TrackerError, match=r"0\.10\.30 \(.*'solutions'\).*lipservo\[video\]"):
+    with pytest.raises(TrackerError, match=r"0\.10\.30 .*\(.*'solutions'\).*lipservo\[video\]"):
         open_tracker(None)
 
 

@@ -93,7 +93,7 @@ def test_a_corpus_without_a_point_of_the_face_and_too_many_components_are_refuse
     few = PointLayout("few", (("inner_lip", (13, 14)),), (13, 14))
     lips = tuple(replace(u, markers_mm=u.markers_mm[:, :2]) for u in corpus.utterances)
 
-    with pytest.raises(BuildingError, match="45 of 47 are missing"):
+    with pytest.raises(BuildingError, match="lacks 45 of the 47"):
         train_offline(replace(corpus, layout=few, utterances=lips), face, RECIPE)
     with pytest.raises(BuildingError, match=r"119 at most \(--components\)"):
         train_offline(corpus, face, Recipe(n_components=500, n_states=12))
