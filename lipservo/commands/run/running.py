@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable
 from errno import EPROTO
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import typer
 
@@ -14,6 +14,8 @@ from lipservo.terminal.output import complain, print_json
 from lipsync.errors import UserError
 
 Answer = dict[str, Any]
+#: Of a face that may have hung.
+SILENT: Final = f"has not answered within {PATIENCE_S:g} s"
 
 
 def chosen_faces(face: str | None, control: Path | None) -> list[RunningFace]:
@@ -68,7 +70,7 @@ def _answered(face: RunningFace, ask_one: Callable[[RunningFace], Answer]) -> An
     try:
         return ask_one(face)
     except TimeoutError:
-        return {"error": f"has not answered within {PATIENCE_S:g} s"}
+        return {"error": SILENT}
     except PermissionError:
         return {"error": "may not be queried; use sudo"}
     except OSError as error:

@@ -36,12 +36,14 @@ def servo(
 ) -> None:
     """Switch one servo of a running face off or on, or restart it; the others continue.
 
-    Exit status 1 unless the servo has confirmed.
+    Exit status 1 unless the servo has confirmed. `on` of a stopped face is accepted with status 0,
+    and done when the face is started.
     """
 
     def request(each: RunningFace) -> dict[str, Any]:
+        before = _n_reboots(ask(each.path, "status"), name)
         answer = switch_servo(each.path, name, switch)
-        return answer if "error" in answer else {**answer, **_confirmed(each, name, switch)}
+        return answer if "error" in answer else {**answer, **_confirmed(each, name, switch, before)}
 
     def answer_line(answer: dict[str, Any]) -> str:
         return answer.get("then") or f"servo {name} is {answer['state']}"
@@ -49,11 +51,17 @@ def servo(
     ask_faces(face, control, request, answer_line, as_json=as_json)
 
 
-def _confirmed(face: RunningFace, name: str, switch: ServoSwitch) -> dict[str, Any]:
+def _n_reboots(status: dict[str, Any], name: str) -> int:
+    """Return how often the face has restarted servo `name`, of which its health tells."""
+    return sum(each["n_reboots"] for each in status.get("health") or () if each["name"] == name)
+
+
+def _confirmed(face: RunningFace, name: str, switch: ServoSwitch, before: int) -> dict[str, Any]:
     """Poll the face until servo `name` has switched, 5 s at most.
 
-    Returns {"state"}, with "error", one line, if that is not the state requested; with "then" where
-    a stopped face will do it at its start.
+    before: its restarts until then; one that is ordered is done once there is another. Returns
+    {"state"}, with "error", one line, if that is not the state requested; with "then" where a
+    stopped face will do it at its start.
     """
     give_up_s = time.monotonic() + _PATIENCE_S
     while True:
@@ -61,9 +69,13 @@ def _confirmed(face: RunningFace, name: str, switch: ServoSwitch) -> dict[str, A
         state = dict(status.get("servos") or {}).get(name, "unknown")
         if switch is ServoSwitch.ON and status.get("stopped") is not None:
             return {"state": state, "then": f"servo {name} comes on when the face is started"}
-        if state in _DONE[switch]:
+        is_due = switch is ServoSwitch.REBOOT and _n_reboots(status, name) <= before
+        if state in _DONE[switch] and not is_due:
             return {"state": state}
         if time.monotonic() > give_up_s:
-            why = [line for line in status.get("troubles", ()) if f"'{name}'" in line]
-            return {"state": state, "error": "; ".join(why) or f"servo {name} is {state}"}
+            why = [
+                line for line in status.get("troubles", ()) if f"'{name}'" in line and not is_due
+            ]
+            what = "has not restarted" if is_due else f"is {state}"
+            return {"state": state, "error": "; ".join(why) or f"servo {name} {what}"}
         time.sleep(_LOOK_EVERY_S)

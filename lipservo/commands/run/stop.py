@@ -13,18 +13,12 @@ from typing import Annotated, Any, Final, TypeGuard
 import typer
 
 from firmware_bridge.port_names import ports_in
-from firmware_bridge.process.control_client import (
-    PATIENCE_S,
-    RunningFace,
-    ask,
-    running_faces,
-    start_face,
-)
+from firmware_bridge.process.control_client import RunningFace, ask, running_faces, start_face
 from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
 from lipservo.commands.options import Control, FaceName, Json, On, Port
-from lipservo.commands.run.running import ask_faces, chosen_faces
+from lipservo.commands.run.running import SILENT, ask_faces, chosen_faces
 from lipservo.commands.run.status_words import motion_words, servo_words, state_words
 from lipservo.runtime.servos.letting_go import Outcome, faces_at, release, stop_faces
 from lipservo.terminal.output import print_json
@@ -208,9 +202,7 @@ def limp(
         if held_by:
             sys.stderr.write(f"{port}: held by process {held_by[0]}, and left alone\n")
             return
-    faces = running_faces()
-    if port is not None:
-        faces = faces_at(port, faces)
+    faces = running_faces() if port is None else faces_at(port, running_faces())
     with face_logs(""):
         outcomes = stop_faces(faces, StopLevel.LIMP)
         if port is not None:
@@ -226,8 +218,7 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
     try:
         answer = ask(face.path, "status")
     except TimeoutError:
-        silent = f"has not answered within {PATIENCE_S:g} s"
-        return {**found, "state": f"{silent}; if it has hung, `lipservo stop --limp` ends it"}
+        return {**found, "state": f"{SILENT}; if it has hung, `lipservo stop --limp` ends it"}
     except PermissionError:
         return {**found, "state": "may not be queried; use sudo"}
     except OSError as error:

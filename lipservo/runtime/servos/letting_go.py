@@ -113,8 +113,8 @@ class Outcome:
 
     def _line(self) -> str:
         """Return name and result in one line, without `not_kept`."""
-        if said := self.problem or (_DRY_RUN if self.dry_run else ""):
-            return f"{self.name}: {said}"
+        if words := self.problem or (_DRY_RUN if self.dry_run else ""):
+            return f"{self.name}: {words}"
         if self.holds or self.limp or self.unknown:
             return f"{self.name}: {self._held_words()}"
         if self.released and not self.unconfirmed:

@@ -6,6 +6,8 @@ import pytest
 from places import short_folder
 from playing_face import invoke, playing, status
 
+from firmware_bridge.loop.servo_group import ServoGroup
+from lipservo.commands.run import servo
 from lipsync.errors import UserError
 
 
@@ -58,3 +60,15 @@ def test_in_a_dry_run_it_is_refused():
 
 def test_without_a_face_it_says_so():
     assert isinstance(invoke("servo", "jaw", "off").exception, UserError)
+
+
+def test_a_restart_that_the_face_has_not_counted_is_not_told_as_done(monkeypatch):
+    """The order is accepted and does nothing: a servo that is off stays off."""
+    monkeypatch.setattr(servo, "_PATIENCE_S", 0.5)
+    with playing():
+        assert invoke("servo", "jaw", "off").exit_code == 0
+        monkeypatch.setattr(ServoGroup, "reboot", lambda *_: None)
+        done = invoke("servo", "jaw", "reboot")
+
+    assert done.exit_code == 1
+    assert "servo jaw has not restarted" in done.stderr

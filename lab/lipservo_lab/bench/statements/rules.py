@@ -226,7 +226,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says \w+ was too slow for .*", nothing),
     (r"{S}will stop, but has not confirmed it within .*", unknown),
     (r"{S}(?:hangs:|has not answered) .*", unknown),
-    (r"{S}has (?:gone|just ended).*", unknown),
+    (r"{S}(?:servo \w+ )?has (?:gone|just ended|not restarted).*", unknown),
     (r"{S}not driven(?: within .*)?: .*", nothing),
     (r"says FACE: servo (?P<who>\w+) is driven", _IS_ON),
     (r"says FACE: servo (?P<who>\w+) is off", _IS_OFF),
