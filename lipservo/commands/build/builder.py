@@ -194,10 +194,10 @@ def _found(
     _clear_foreign(tools, port, rate, found)
     joints: list[FoundJoint] = []
     for servo_id, model in found.items():
-        tick, told, _ = nudge(tools, port, rate, servo_id, model)
+        tick, motion, _ = nudge(tools, port, rate, servo_id, model)
         known = recorded.get(servo_id)
         name = typer.prompt(
-            f"id {servo_id} ({model}) {told}. Which joint",
+            f"id {servo_id} ({model}) {motion}. Which joint",
             default=known.name if known else None,
             value_proc=partial(
                 _joint_name, check_joint_name, [*taken, *(joint.name for joint in joints)]

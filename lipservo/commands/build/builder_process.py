@@ -76,8 +76,8 @@ def _nudge(request: Request, page: "PageLine") -> None:
     from lipservo.runtime.servos.new_face import nudge
 
     tools, servo_id = bus_kind(request["kind"]).workshop(), request["id"]
-    _, told, moved = nudge(tools, request["port"], request["rate"], servo_id, request["model"])
-    page.tell("nudged", id=servo_id, note=None if moved else f"servo id {servo_id} {told}")
+    _, motion, moved = nudge(tools, request["port"], request["rate"], servo_id, request["model"])
+    page.tell("nudged", id=servo_id, note=None if moved else f"servo id {servo_id} {motion}")
 
 
 def _limits(request: Request, page: "PageLine") -> None:

@@ -152,7 +152,7 @@ def nudge(
     """Move one servo by 3 degrees and back, limp at the end.
 
     Returns its start in encoder ticks, words on the motion that its encoder showed, and whether it
-    made at least half of what it was told. All goals pass the safety gate. tools: module for single
+    made at least half of it. All goals pass the safety gate. tools: module for single
     servos of its kind of bus (`BusKind.workshop`). rate: baud. Raises FaceStopped if a person stops
     the motion, or torque off is not confirmed.
     """
@@ -179,8 +179,8 @@ def nudge(
         raise FaceStopped(life.report, life.signal_number)
     if made_deg >= 0.5 * NUDGE_DEG:
         return place, f"moved by {made_deg:.1f} degrees", True
-    told = f"was told to move by {NUDGE_DEG:g} degrees and its position changed by {made_deg:.1f}"
-    return place, f"{told}; look whether it is blocked, or without power", False
+    fault = f"was told to move by {NUDGE_DEG:g} degrees and its position changed by {made_deg:.1f}"
+    return place, f"{fault}; look whether it is blocked, or without power", False
 
 
 def check_face_file(path: Path) -> None:
