@@ -1,4 +1,5 @@
 # make run    sees speech move a head, here and in a browser; installs what it needs into .venv first
+# make quick  in a minute: the tests that most changes break first; no process, no browser, no recording
 # make test   the tests
 # make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
 # make docs   a site of all pages with search, and the reference of all public names, into site/
@@ -17,13 +18,19 @@ SLOW := -m "slow and not campaign"
 once_more_alone = || { [ $$? = 1 ] && echo "=== what failed beside others, once more alone ===" \
 	&& $(PYTEST) --last-failed --last-failed-no-failures none $(1); }
 
-.PHONY: run test traces docs check agents campaign mutants format clean
+.PHONY: run quick test traces docs check agents campaign mutants format clean
 
 # Heard where `lipservo devices` finds a loudspeaker; silent where there is none.
 run: $(VENV)/.installed
 	@echo "A page opens: type a sentence at its top, or let an example be said. Ctrl-C here ends it."
 	@echo "Next: docs/hardware.md for servos, docs/agents.md for a voice agent, docs/simulator.md for tests."
 	$(BIN)/lipservo run --config face_head --dashboard --open $$($(BIN)/lipservo devices 2>/dev/null | grep -qx loudspeakers && echo --play)
+
+QUICK := $(addprefix tests/,$(addprefix firmware_bridge/,gate loop process serial_servos) \
+	$(addprefix calibration/,capture files run) $(addprefix lipsync/,animpho expectation face phoneme_files) \
+	$(addprefix lipservo/,rendering settings terminal))
+quick: $(VENV)/.installed-dev
+	$(PYTEST) --quiet --numprocesses auto --dist loadfile $(QUICK)
 
 # Half of what the tests of processes do is waiting: two workers a core.
 test: $(VENV)/.installed-dev
