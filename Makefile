@@ -1,5 +1,5 @@
 # make run    sees speech move a head, here and in a browser; installs what it needs into .venv first
-# make quick  in a minute: the tests that most changes break first; no process, no browser, no recording
+# make quick  in a minute: the tests that most changes break first
 # make test   the tests
 # make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
 # make docs   a site of all pages with search, and the reference of all public names, into site/
