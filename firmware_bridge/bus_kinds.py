@@ -246,7 +246,7 @@ def _other(name: str) -> object:
         try:
             return point.load()
         except Exception as error:  # whatever another package may raise
-            raise UnknownBusError(f"{name}: {point.value} cannot be loaded: {error}") from error
+            raise UnknownBusError(f"bus plug-in {name}: {error}; reinstall or remove it") from error
     raise UnknownBusError(
         f"bus kind {name!r:.60} is not known here; use one of {', '.join(bus_names())}, or install "
         f"the package that provides it (entry point {GROUP})"

@@ -191,7 +191,7 @@ def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, flo
     by how much the kink reduces the squared residuals of a straight line; the slope is given as a
     share of the slope before the kink.
     """
-    straight = _left(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
+    straight = _line_fit(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
     best = (float(x[-1]), 0.0, 1.0, 0.0)
     for at in np.arange(x[0] + 0.3, x[-1] - 0.3, 0.1):
         cost, slopes, variance = bent_line(x, y, float(at), noise_mm)
@@ -222,13 +222,15 @@ def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Ar
         Sum of squared residuals, parameters (3,) (height, both slopes) and their covariance (3, 3).
     """
     before, beyond = np.minimum(x, at), np.maximum(x - at, 0.0)
-    return _left(np.column_stack([np.ones_like(x), -before / noise_mm, -beyond / noise_mm]), y)
+    return _line_fit(np.column_stack([np.ones_like(x), -before / noise_mm, -beyond / noise_mm]), y)
 
 
-def _left(inputs: Array, y: Array) -> tuple[float, Array, Array]:
-    """Return the least-squares fit of `y` by `inputs`: cost, parameters and their covariance.
+def _line_fit(inputs: Array, y: Array) -> tuple[float, Array, Array]:
+    """Return the least-squares fit of `y` by `inputs`, with a prior for the first slope.
 
-    Its first slope, of the second column of `inputs`, is drawn towards 1 by a prior.
+    That slope, of the second column of `inputs`, is drawn towards 1. The result is the sum of
+    squared residuals, the parameters, and their covariance for unit noise variance (`y` is in
+    standard errors).
     """
     prior = np.zeros((1, inputs.shape[1]))
     prior[0, 1] = 1.0 / _SLOPE_SD

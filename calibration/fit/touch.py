@@ -122,11 +122,11 @@ def touched_by_current(
     straight, bent = 0.0, np.zeros(len(offs))
     for rows in ladders:
         x = -closure.open_mm(plan.goals_deg[rows])[:, 0]
-        straight += _left(x[:, None], total[rows])[0]
+        straight += _line_fit(x[:, None], total[rows])[0]
         for n, off in enumerate(offs):
-            cost, slopes = _left(np.column_stack([x, np.maximum(x - off, 0.0)]), total[rows])
+            cost, slopes = _line_fit(np.column_stack([x, np.maximum(x - off, 0.0)]), total[rows])
             # A current that falls where lips meet is none of theirs.
-            bent[n] += cost if slopes[2] > 0.0 else _left(x[:, None], total[rows])[0]
+            bent[n] += cost if slopes[2] > 0.0 else _line_fit(x[:, None], total[rows])[0]
     best = int(bent.argmin())
     freedom = max(len(total) - 3 * len(ladders) - 1, 1)
     if (straight - bent[best]) / max(bent[best] / freedom, 1e-12) < _SURE_RISE * len(ladders):
@@ -210,7 +210,8 @@ def _moved(
     return replace(calibration, closure=moved), later_mm
 
 
-def _left(inputs: Array, y: Array) -> tuple[float, Array]:
+def _line_fit(inputs: Array, y: Array) -> tuple[float, Array]:
+    """Return the least-squares fit of `y` by a constant and `inputs`: cost, parameters."""
     inputs = np.column_stack([np.ones(len(y)), inputs])
     slopes = np.asarray(np.linalg.lstsq(inputs, y, rcond=None)[0], dtype=np.float64)
     return float(((inputs @ slopes - y) ** 2).sum()), slopes

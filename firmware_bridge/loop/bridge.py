@@ -286,16 +286,18 @@ class Bridge:
         self._fire(FaceEvent.KEEP)
 
     def tick(self, time_s: float, late: int = 0) -> TickReport:
-        """Run one tick: send the goals for `time_s`, and return what was wanted, sent and measured.
+        """Run one tick: send the goals for `time_s`; return its report.
 
-        time_s: the tick's planned time, monotonic. late: how many ticks were missed before it.
+        The report has the goals wanted and sent, the age of the targets, whether torque is on, and
+        which limits changed a goal. time_s: the tick's planned time, monotonic. late: how many
+        ticks were missed before it.
         """
         self._tick_s = time_s
         port, targets, servos = self._port, self._targets, self._servos
         if not port.is_open and time_s >= port.due_s:
             self._try_port(time_s)
         if targets.take(time_s):
-            if self._state is _SILENT:  # limp in a silence that is over
+            if self._state is _SILENT:  # limp because no targets came; they come again
                 self._fire(FaceEvent.TARGET)
             if self._state is _DRIVEN:
                 targets.follow()

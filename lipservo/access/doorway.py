@@ -29,10 +29,11 @@ ACCEPTED: Final = 16
 
 
 class Doorway:
-    """Connections that wait, of which the oldest is aborted where there is no room for another.
+    """A limit of waiting connections, so that idle clients cannot block a stop.
 
-    No peer (an IP address) gets more than three quarters of the room. Where all of it is taken, the
-    peer that has the most loses its oldest. To be used by one event loop.
+    Where there is no room for another, the oldest connection of the peer (an IP address) that has
+    the most is aborted. No peer gets more than three quarters of the room. To be used by one event
+    loop.
     """
 
     def __init__(self, most: int, patience_s: float = math.inf) -> None:

@@ -202,7 +202,8 @@ class ControlSession:
         synthesised so far. Raises MessageError.
         """
         if speak is None:
-            raise MessageError("not_available", f"this face does not accept `{given.type}`")
+            why = f"this face takes no messages of type `{given.type}`; `play` needs `--sounds`"
+            raise MessageError("not_available", why)
         own = self._streams.open_own(self._outbox, given.id, name)
         loop = asyncio.get_running_loop()
         try:

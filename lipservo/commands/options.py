@@ -220,9 +220,9 @@ FaceWeights = Annotated[str | None, _WEIGHTS]
 FaceStrategy = Annotated[
     Strategy | None,
     typer.Option(
-        help="Motion of a phoneme. animpho: recorded pieces near a prediction; expected: the "
-        "prediction; Wei and Deng's priority: the longest recorded chains, and naive: the "
-        f"smoothest joins. Default: the face's, or {DEFAULT_STRATEGY}."
+        help="animpho: recorded pieces near the predicted motion; expected: the predicted motion "
+        "alone; by Wei and Deng, recorded pieces in the longest chains (priority) or with the "
+        f"smoothest joins (naive). Default: the face's, or {DEFAULT_STRATEGY}."
     ),
 ]
 Lookahead = Annotated[
@@ -291,7 +291,7 @@ Landmarker = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Face tracker's file face_landmarker.task (docs/own-face.md); else mediapipe's.",
+        help="Path of face_landmarker.task (docs/own-face.md); default: mediapipe's own tracker.",
     ),
 ]
 

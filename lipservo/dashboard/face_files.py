@@ -117,7 +117,7 @@ def copy_shipped(config: str | None) -> dict[str, Any]:
     Raises FaceError for a user's own face, and if the file already exists.
     """
     if config is None or config.endswith((".yaml", ".yml")):
-        raise FaceError("refused", "this face's YAML is already your own; change it as it is")
+        raise FaceError("refused", "this face's YAML is already your own file; edit it directly")
     path = Path.cwd() / f"my_{config}.yaml"
     if path.exists():
         raise FaceError("refused", f"{path} already exists; start that face, or move the file away")

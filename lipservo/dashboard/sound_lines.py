@@ -118,7 +118,7 @@ def check_sound(path: Path, name: str) -> None:
 
     try:
         if path.suffix.lower() == PERFORMANCE_SUFFIX:
-            read_performance(path)  # whether it is for this face, the face says that plays it
+            read_performance(path)  # the face that plays it checks whether it fits
         else:
             checked_sound(path)
     except UserError as error:

@@ -112,9 +112,7 @@ def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: i
 
 def _times_s(duration_s: float, rate_hz: int) -> Array:
     if duration_s > LONGEST_FILM_S:
-        raise UserError(
-            f"{duration_s:.0f} s of sound is too long; cut it to {LONGEST_FILM_S:.0f} s"
-        )
+        raise UserError(f"{duration_s:.0f} s of sound: too long; cut it to {LONGEST_FILM_S:.0f} s")
     return np.arange(max(1, int(np.ceil(duration_s * rate_hz)))) / rate_hz
 
 

@@ -33,8 +33,8 @@ from lipsync.video.face_detection import Picture
 MOST_TURNED_DEG = 30.0
 #: A smaller face has too few pixels for its lips, px from ear to ear.
 LEAST_FACE_PX = 60.0
-#: What a head must be told by at the least, by number in the 478-point face mesh: outer corners of
-#: the eyes, tip of the nose, corners and middles of the lips, chin.
+#: Points placed by hand in a photograph, which a fit needs at the least: names, and numbers in the
+#: 478-point face mesh.
 HAND_POINTS: Mapping[str, int] = {
     "right_eye_outer": 33, "right_eye_inner": 133, "left_eye_inner": 362, "left_eye_outer": 263,
     "right_lid_upper": 159, "right_lid_lower": 145, "left_lid_upper": 386, "left_lid_lower": 374,
@@ -147,7 +147,7 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
         (height, width, 3).
     landmarks_px : Mapping[int, Array]
         By number in the 478-point face mesh (2,) or (3,), x right, y down, z away from the viewer;
-        all of a tracker, or those of `HAND_POINTS` at the least.
+        all points of a tracker, or at least the points placed by hand, `HAND_POINTS`.
     face : FaceModel
         The model that will move the head.
 
@@ -166,6 +166,7 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
     missing = [name for name, number in HAND_POINTS.items() if number not in landmarks_px]
     if missing:
         raise PhotoError(f"landmark {HAND_POINTS[missing[0]]} ({missing[0]}) is missing; add it")
+    # The landmarks on the mean head (mm) and in the picture (pixels, y up, z to the viewer).
     mean = load_mean_face()
     numbers = sorted(number for number in landmarks_px if number < N_SKIN)
     on_head = mean.vertices_mm[numbers]
@@ -174,19 +175,23 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
     if in_picture is None:
         flat = np.array([landmarks_px[n][:2] for n in numbers], dtype=np.float64)
         in_picture = np.column_stack([flat * (1.0, -1.0), np.zeros(len(flat))])
+    # The scale, rotation and shift from head to picture; points without depth get the mean head's.
     reference = on_head * (1.0, 1.0, 0.0) if is_flat else on_head
     scale, rotation, shift = (each[0] for each in fit_similarity(reference[None], in_picture))
     if is_flat:
         in_picture[:, 2] = scale * on_head[:, 2]
     _check_size_and_pose(scale * np.ptp(mean.vertices_mm[:N_SKIN, 0]), rotation)
-    back = (np.array([1 / scale]), rotation.T[None], -(shift @ rotation)[None] / scale)
-    own_mm = apply_similarity(in_picture[None], *back)[0]
-    worn = _worn(mean, numbers, own_mm, landmarks_px, back)
+    # The way back, by which the landmarks of this face come to millimetres of the head.
+    to_head = (np.array([1 / scale]), rotation.T[None], -(shift @ rotation)[None] / scale)
+    own_mm = apply_similarity(in_picture[None], *to_head)[0]
+    # The mean head bent so that its landmarks are this face's, and its mouth as photographed.
+    fitted = _fitted_head(mean, numbers, own_mm, landmarks_px, to_head)
     gaps = lip_gaps(face)
-    own = _own_coefficients(face, gaps, worn)
+    own = _own_coefficients(face, gaps, fitted)
+    # The picture's y points down.
     mirror = np.array([1.0, -1.0, 1.0])
     matrix = mirror[:, None] * scale * rotation
-    return PhotoFace(picture, make_twin(face, worn, own), own, gaps, matrix, mirror * shift)
+    return PhotoFace(picture, make_twin(face, fitted, own), own, gaps, matrix, mirror * shift)
 
 
 def _with_depth(points: list[Array]) -> Array | None:
@@ -214,16 +219,16 @@ def _check_size_and_pose(face_px: float, rotation: Array) -> None:
             )
 
 
-def _worn(
+def _fitted_head(
     mean: MeanFace,
     numbers: list[int],
     own_mm: Array,
     landmarks_px: Mapping[int, Array],
-    back: tuple[Array, Array, Array],
+    to_head: tuple[Array, Array, Array],
 ) -> MeanFace:
     """Return the mean head with its landmarks `numbers` at `own_mm`, the rest following smoothly.
 
-    landmarks_px: for the irises, which `back` (scale, rotation, shift) brings from pixels to mm.
+    landmarks_px: for the irises, which `to_head` (scale, rotation, shift) brings from pixels to mm.
     """
     surface = head_surface(mean)
     still = np.flatnonzero(mean.behind > 2.0)
@@ -235,7 +240,7 @@ def _worn(
     for at, (iris, rim) in enumerate(((RIGHT_IRIS, RIGHT_EYE), (LEFT_IRIS, LEFT_EYE))):
         if all(number in landmarks_px and len(landmarks_px[number]) == 3 for number in iris):
             seen = np.stack([landmarks_px[number] for number in iris]) * (1.0, -1.0, -1.0)
-            irises[at] = apply_similarity(seen[None], *back)[0]
+            irises[at] = apply_similarity(seen[None], *to_head)[0]
         else:
             moved = places[list(rim)].mean(axis=0) - mean.vertices_mm[list(rim)].mean(axis=0)
             irises[at] = mean.irises_mm[at] + moved
@@ -257,15 +262,15 @@ def lip_gaps(face: FaceModel) -> LipGaps:
     return LipGaps(along, mean, (basis[:, upper] - basis[:, lower]).T)
 
 
-def _own_coefficients(face: FaceModel, gaps: LipGaps, worn: MeanFace) -> Array:
+def _own_coefficients(face: FaceModel, gaps: LipGaps, fitted: MeanFace) -> Array:
     """Return the coefficients of the mouth in a photograph, (n_components,).
 
     The rest if the lips are closed; else, of all mouths with these lip gaps, the likeliest by the
-    model's covariance. Proportions that differ from the speaker's are not counted as motion. worn:
-    the head fitted to the photograph.
+    model's covariance. Proportions that differ from the speaker's are not counted as motion.
+    fitted: the head fitted to the photograph.
     """
     upper, lower = (list(each) for each in zip(*_LIP_PAIRS, strict=True))
-    own_mm = worn.vertices_mm[upper, 1] - worn.vertices_mm[lower, 1]
+    own_mm = fitted.vertices_mm[upper, 1] - fitted.vertices_mm[lower, 1]
     if own_mm.max() < _CLOSED_MM:
         return face.rest
     at = np.arange(1, len(own_mm) + 1) / (len(own_mm) + 1)

@@ -78,7 +78,7 @@ def run_bridge_process(
 
     if request.port is None:
         raise UserError(
-            "request.port is missing; only servos at a port have processes of their own"
+            "request.port is missing; give the port, where the servo process finds its servos"
         )
     face = RequestedFace(request)
     with ExitStack() as stack:

@@ -67,7 +67,7 @@ class ServoSettings(BusServo):
     def _a_mouth_only_smiles(self) -> Self:
         shown = None if self.expression is None else self.expression.of
         if self.part == "mouth" and shown not in (None, "smile"):
-            raise ValueError(f"expression.of {shown} is not for `part: mouth`, which only smiles")
+            raise ValueError(f"with `part: mouth` only `of: smile` works, not {shown}; remove it")
         return self
 
 
@@ -142,9 +142,7 @@ class FaceSettings(Strict):
         for n, rule in enumerate(self.prevent):
             unknown = sorted(set(rule.joints) - known)
             if unknown:
-                raise ValueError(
-                    f"prevent.{n} names {unknown[0]!r}, but this face has no such joint"
-                )
+                raise ValueError(f"prevent.{n} names {unknown[0]!r}, but no joint has this name")
             if rule.above < 0.0:
                 raise ValueError(f"prevent.{n}.above is below 0, which would forbid neutral")
         return self

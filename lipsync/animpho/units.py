@@ -191,9 +191,9 @@ def _check(
             raise ValueError(f"the file's table of AnimPhos has {len(lists)} rows, not {n_rows}")
         ends_right = lists.starts[0] == 0 and lists.starts[-1] == len(lists.indices)
         if not ends_right or (np.diff(lists.starts) < 0).any():
-            raise ValueError("the file's table of AnimPhos has rows out of order")
+            raise ValueError("its table of AnimPhos (recorded pieces) has rows out of order")
         if len(lists.indices) and not 0 <= lists.indices.min() <= lists.indices.max() < m:
-            raise ValueError("the file's table names an AnimPho that does not exist")
+            raise ValueError(f"its table names a piece of motion beyond the {m} that it has")
     if m == 0 or not len(phoneme_table.indices):
         raise ValueError("the file has no AnimPhos (recorded pieces of motion)")
 

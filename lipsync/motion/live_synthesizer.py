@@ -294,8 +294,10 @@ class LiveSynthesizer(FinishedSynthesizer):
     ) -> None:
         """Create the motion of a model's mouth; `style` None: the default settings.
 
-        soft: the expectation by posteriors, mixed in; None: decided phonemes alone. selection:
-        chooses AnimPhos; None: the expectation alone, whatever `unit_share` is.
+        expectation: predicts the mean motion of decided phonemes. soft: predicts it from the
+        recogniser's phoneme probabilities, and is blended in; None: decided phonemes alone.
+        selection: chooses recorded pieces of motion (AnimPhos); None: predicted motion alone,
+        whatever `unit_share` is.
         """
         style = style or Style()
         expected = ExpectedMotion(

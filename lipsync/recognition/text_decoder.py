@@ -190,8 +190,9 @@ class TextDecoder:
         newest = self._newest
         state = int(newest.scores.argmax())
         place = self.place
+        # Where the escape (speech outside the text) is the likeliest path, the place stays.
         if newest.escape < newest.scores[state]:
-            # In the silence before a word it has not begun.
+            # A word has not begun while the likeliest state is the silence before it.
             has_begun = newest.window.kinds[state] != _SILENT
             place = newest.window.first_word + int(newest.window.words[state]) - (not has_begun)
         self._words.drop_after(place)

@@ -140,10 +140,12 @@ class Auditor:
     def __init__(
         self, servos: Sequence[MountedServo[Any]], period_s: float, wire: AuditedWire | None = None
     ) -> None:
-        """Prepare to watch servos. wire: how to read their packets; None: as Dynamixels.
+        """Prepare to count breaches of the safety rules that the class lists.
 
-        period_s: of the servo loop.
+        servos: those to watch, on the bus and by their shafts. wire: how to read their packets;
+        None: as Dynamixels'. period_s: of the servo loop.
         """
+        # All positions are in pulses, all speeds in pulses per second.
         ranges = np.array([servo.pulse_range() for servo in servos], dtype=np.float64)
         self._servos = {servo.joint.servo_id: servo for servo in servos}
         self._low, self._high = ranges[:, 0], ranges[:, 1]

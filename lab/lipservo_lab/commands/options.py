@@ -45,8 +45,8 @@ Plots = Annotated[Path | None, typer.Option(help="Folder to draw pictures into."
 Words = Annotated[
     str | None,
     typer.Option(
-        help="Score only these words, commas between; unless models are given, with one trained "
-        "without these words."
+        help="Score only these words, commas between; unless a model is given, one is trained "
+        "first, without these words."
     ),
 ]
 LeaveWordsOut = Annotated[

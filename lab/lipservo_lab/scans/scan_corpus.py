@@ -84,9 +84,12 @@ def write_motion(
     rate_hz: float,
     about: Mapping[str, object],
 ) -> None:
-    """Write all takes end to end: `about`, `points_mm`, `borders`, and the mesh.
+    """Write all takes end to end into one archive, whole or not at all. Raises OutputError.
 
-    The file is written whole or not at all. Raises OutputError.
+    Arrays: about (n_bytes,), JSON; points_mm (n_frames, n_vertices, 3); borders (n_takes + 1,), the
+    first frame of each take, and the number of frames; named_points (n_names,), the vertex of each
+    name in `about`. The mesh: vertices_mm (n_vertices, 3) at rest; triangles (n_triangles, 3),
+    vertices; landmarks (n_vertices,), the landmark number of each.
     """
     header = {
         "kind": _KIND,

@@ -213,9 +213,7 @@ class AnswerFile:
         except OSError as error:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, size)
-            raise StudyError(
-                f"{self.path}: the answer could not be kept: {error.strerror}"
-            ) from error
+            raise StudyError(f"{self.path}: the answer was not stored: {error.strerror}") from error
 
     def _lay_beside(self, torn: bytes) -> None:
         with self.path.with_name(self.path.name + TORN_SUFFIX).open("ab") as file:

@@ -43,9 +43,7 @@ def find_clips(source: Path) -> tuple[VideoClip, ...]:
         raise VideoError(f"{source}: no such file or folder; give a video, or a folder of videos")
     paths = sorted(p for p in source.iterdir() if p.suffix.lower() in VIDEO_ENDINGS and p.is_file())
     if not paths:
-        raise VideoError(
-            f"{source}: holds no video; looked for NAME with {' '.join(VIDEO_ENDINGS)}"
-        )
+        raise VideoError(f"{source}: has no video; looked for NAME with {' '.join(VIDEO_ENDINGS)}")
     names = [path.stem for path in paths]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise VideoError(f"{source}: two videos are called {twice[0]}; rename one")
@@ -114,9 +112,9 @@ class Take:
 
 
 def record_take(clip: VideoClip, tracker: FaceTracker, advance: Callable[[float], None]) -> Take:
-    """Track, recognise and label a clip; `advance` is called with how far it is, in seconds.
+    """Track, recognise and label a clip; `advance` is called with the time of each picture, in s.
 
-    Raises UserError, VideoError for one, with the reason why nothing of it can be used.
+    Raises VideoError or another UserError with the reason why nothing of the clip can be used.
     """
     sound = video_sound(clip.path)
     track = track_face(clip.path, tracker, advance)

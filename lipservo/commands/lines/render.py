@@ -30,7 +30,9 @@ LineStrength = Annotated[
 ]
 Offline = Annotated[
     Path | None,
-    typer.Option(help="Offline model of `learn offline`, a .npz file; default: the shipped model."),
+    typer.Option(
+        help="Model file of `learn offline` for methods heard and model-based; default: shipped."
+    ),
 ]
 ReferenceSound = Annotated[
     bool, typer.Option("--reference-sound", help="Store the sound file's name only, not its sound.")

@@ -27,7 +27,7 @@ def daemons_voice(
     """
     if listen == "none":
         if agents != VoiceOptions():
-            raise typer.BadParameter("--listen none takes no options of agents; leave them out")
+            raise typer.BadParameter("with --listen none leave out --sounds and --token-file")
         return voice
     return replace(agents, output=None if voice is None else voice.output)
 

@@ -76,7 +76,7 @@ class FirstHour:
         if not path.exists():
             check_face_file(path)
         elif load_settings(str(path))[0].buses:
-            raise UserError(f"{path}: has several buses; set up each in a terminal")
+            raise UserError(f"{path}: has several buses; use `lipservo setup-servos --bus`")
         self.path = path
         self._token_file = token_file
         self._lock = threading.RLock()
@@ -274,9 +274,10 @@ class FirstHour:
             write_whole(self.path, text)
 
     def set_end(self, servo: str, end: str) -> None:
-        """Store a joint's present angle as its `end`: `min`, `neutral` or `max`.
+        """Store the present angle of joint `servo` as its limit `end`: min, neutral or max.
 
-        Raises FaceError where no angle is known now.
+        Raises FaceError if its angle is not known now, or if its servo holds torque, moves or does
+        not answer.
         """
         with self._lock:
             step = self._step

@@ -41,10 +41,12 @@ def is_stop(scope: Mapping[str, Any]) -> bool:
 
 
 def http_connections(heads: Doorway, stops: Doorway) -> type[asyncio.Protocol]:
-    """Return the class of a server's HTTP connections.
+    """Return the class of a server's HTTP connections, whose number two doorways limit.
 
-    Each waits in `heads` for the head of its next request, or the body of a stop, and in `stops`
-    for the answer to a stop. `RequestLimit` bounds those that wait for another answer.
+    They abort the oldest of too many waiting connections, so that idle clients cannot block a stop.
+    heads: connections that wait for the head of their next request, or for the body of a stop.
+    stops: those that wait for the answer to a stop. `RequestLimit` limits those that wait for
+    another answer.
     """
 
     class Connection(H11Protocol):

@@ -92,13 +92,13 @@ def test_on_a_full_disk_nothing_is_half_written_and_it_goes_on_when_there_is_roo
     write = os.write
     with AnswerFile(path, STUDY) as file:
         monkeypatch.setattr(module.os, "write", lambda fd, line: write(fd, line[:7]))
-        with pytest.raises(StudyError, match="could not be kept: No space left on device"):
+        with pytest.raises(StudyError, match="was not stored: No space left on device"):
             file.answer("anna", 2, given_answer(2))
         assert path.read_bytes() == before
 
         monkeypatch.setattr(module.os, "write", write)
         monkeypatch.setattr(module.os, "fsync", _full)
-        with pytest.raises(StudyError, match="could not be kept"):
+        with pytest.raises(StudyError, match="was not stored"):
             file.answer("anna", 2, given_answer(2))
         assert path.read_bytes() == before
 

@@ -103,7 +103,7 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
         (["say", "hello", "--mute", "--output", "x"], "--mute or --output"),
         (
             ["daemon", "--listen", "none", "--sounds", "."],
-            "--listen none takes no options of agents",
+            "with --listen none leave out --sounds",
         ),
         (
             ["daemon", "--listen", "0.0.0.0:0", "--open-to-this-computer"],
@@ -116,7 +116,7 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
         (["run", "--open-to-this-computer"], "`lipservo daemon --dashboard` and"),
         (
             ["daemon", "--listen", "none", "--token-file", "t"],
-            "--listen none takes no options of agents",
+            "with --listen none leave out --sounds",
         ),
         (["daemon", "--listen", "nowhere"], "write HOST:PORT"),
         (["daemon", "--listen", "127.0.0.1:99999"], "write HOST:PORT"),

@@ -52,7 +52,7 @@ def test_silence_is_no_sound(tmp_path):
     ("make", "complaint"),
     [
         (lambda folder: folder / "none", "no such file or folder"),
-        (lambda folder: folder, "holds no video"),
+        (lambda folder: folder, "has no video"),
     ],
 )
 def test_a_place_without_videos_is_refused(tmp_path, make, complaint):

@@ -48,12 +48,12 @@ _AFTER_STALL_S = 0.05
 
 
 def cpu_ratios() -> dict[str, float]:
-    """Return processor time over that of dynamixel-sdk, of a write, a read, and a cycle of both.
+    """Return our processor time divided by dynamixel-sdk's: of a write, a read, a cycle of both.
 
-    Compared is the serial line alone: no gate, no supervision, no time on the wire, our packets
-    prepared beforehand. A read has a frame for each servo; the cycle's read is a fast one. Each
-    figure is the least of interleaved rounds: medians would count the SDK's polling, which depends
-    on the computer's load.
+    Only the work of the serial line is compared, without gate and supervision; a process answers at
+    once in place of the servos, and our packets are prepared beforehand. A read has a frame for
+    each servo; the cycle's read is a fast one. Each figure is the least of interleaved rounds:
+    medians would count the SDK's polling, which depends on the computer's load.
     """
     with ExitStack() as peers:
         calls = _own_calls(peers.enter_context(canned_peer(N_SERVOS)))
@@ -128,6 +128,7 @@ def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
     group_write = sdk.GroupSyncWrite(handler, packets, 116, 4)
     group_read = sdk.GroupSyncRead(handler, packets, _ADDRESS, _SIZE)
     for servo_id in _IDS:
+        # 2048, the middle position, low byte first.
         group_write.addParam(servo_id, [0, 8, 0, 0])
         group_read.addParam(servo_id)
 

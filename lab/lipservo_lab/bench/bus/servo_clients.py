@@ -58,6 +58,7 @@ class SdkClient:
         self._motion = sdk.GroupSyncRead(handler, packets, _MOTION, _MOTION_SIZE)
         self._warmth = sdk.GroupSyncRead(handler, packets, _WARMTH, _WARMTH_SIZE)
         for servo_id in self._ids:
+            # 2048, the middle position, low byte first; `work` replaces it before it is sent.
             self._write.addParam(servo_id, [0, 8, 0, 0])
             self._motion.addParam(servo_id)
             self._warmth.addParam(servo_id)

@@ -1,12 +1,12 @@
-"""Healthy elastic robots before trackers that are worse: who is refused all the same.
+"""Simulated robots without faults, seen by worse trackers: how many captures are refused.
 
 Fifteen markers in place of 47; a millimetre of noise in each axis in place of half of one; one
 reading in a hundred that is anywhere within three centimetres.
 
 What can be wrong with a capture, done to elastic robots on purpose, and whether it is named.
 
-Rightly: the first message names the fault, and the servo where one is to blame. Wrongly:
-another servo or another fault is named. The rest is silence.
+Rightly: a message names the fault and, where a servo is to blame, that servo alone. Wrongly:
+another servo or another fault is named. Else there was no message.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -213,8 +213,9 @@ def _warnings_of(
 def _counted(servos: MouthServos, fault: str, joint: int, warnings: list[str]) -> FaultCount:
     """Return one try's count: the fault named rightly, named wrongly, or not at all.
 
-    Rightly: a word of the fault, and of the servos the right one alone (none, where the fault is of
-    no servo). Warnings of weak and far-off servos do not count.
+    Named rightly: a warning contains one of the fault's words (`_WORDS`), and the only servo named
+    in warnings is the faulty one (none, for a fault that belongs to no servo). Named wrongly: there
+    are other warnings. Those of weak and far-off servos do not count.
     """
     warnings = [
         line for line in warnings if " is weak or dead" not in line and "far off" not in line
@@ -269,7 +270,10 @@ def refusals(
 def _refusal(
     model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, tracker: _Tracker, seed: int
 ) -> str | None:
-    """Return the error message that refuses a healthy robot before this tracker; None: accepted."""
+    """Capture a simulated robot without faults as this tracker sees it.
+
+    Return the error message if the capture is refused, else None.
+    """
     robot = SimulatedRobot(face, noise_seed=seed, noise_mm=tracker.noise_mm)
     rng = np.random.default_rng([seed, 41])
     seen = [MARKERS_47.names.index(name) for name in tracker.marker_names]

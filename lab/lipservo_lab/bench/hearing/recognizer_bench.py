@@ -66,9 +66,9 @@ def aligned(
 def measured_recognizer(
     engine: MeasuredEngine, latency_s: float, weights: str = DEFAULT_WEIGHTS
 ) -> Callable[[], LiveRecognizer]:
-    """A function that makes the engine itself.
+    """Return a function that makes a recogniser of this engine, without a fallback.
 
-    `energy` has a latency of its own. Raises WeightsError.
+    latency_s: of `network`; `energy` has a fixed one. Raises WeightsError for unusable weights.
     """
     if engine == "energy":
         return EnergyRecognizer
@@ -100,8 +100,8 @@ def speaker_groups(
     """Return a function from a speaker's name to the groups that the speaker counts in.
 
     by: None: no groups. table: CSV of speakers; None: the one in the corpus's folder. Raises
-    SpeakerGroupError where there is none, and for a table without a grouping; TranscriptError for
-    one that cannot be read.
+    SpeakerGroupError if by="group" finds no table, or if a table is given without by="group";
+    TranscriptError for a table that cannot be read.
     """
     if by != "group" and table is not None:
         raise SpeakerGroupError(f"--groups {table} is for --by group; give both or neither")

@@ -74,9 +74,11 @@ def day(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Let an agent and a face run through load, restarts, pulled cables, stops and starts.
+    """Measure what an agent and a face lose by load, restarts, pulled cables, stops and starts.
 
-    Both are real processes; a PulseAudio sink replaces the loudspeaker.
+    Figures: turns that did not move the mouth, growth of memory and threads, time until the agent
+    notices a pulled cable. Both are real processes; a PulseAudio sink replaces the loudspeaker. The
+    exit status does not depend on the figures.
     """
     check_extra("pipecat", "`bench day`")
     from lipservo_lab.bench.agents.day_figures import EVENTS, day_figures

@@ -29,9 +29,11 @@ Corpora = Annotated[
 
 
 def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure replay speed, start-up time, memory, and miss rates of Wei and Deng's selection.
+    """Measure the speed of a replay, a run's start-up and memory, and miss rates of AnimPhos.
 
-    A miss is a phoneme for which no recorded motion follows on from the last one (docs/motion.md).
+    Speed: seconds of sound for each second; start-up: until the first servo goal. A miss is a
+    phoneme for which Wei and Deng's selection finds no recorded motion that follows on from the
+    last one (docs/motion.md).
     Without --corpora: replay speed on the bundled clip, and no miss rates.
     """
     from lipservo_lab.bench import speed_figures as measure

@@ -111,8 +111,8 @@ def motion(
     strategy: Annotated[
         str | None,
         typer.Option(
-            help="Methods to score, commas between; default: all, with --leave-words-out animpho. "
-            "With it the first is compared with each other method."
+            help="Methods to score, commas between; default: all. With --leave-words-out: default "
+            "animpho, and the first method is compared with each of the others."
         ),
     ] = None,
     lookahead_ms: LookaheadsMs = "0,100,200",

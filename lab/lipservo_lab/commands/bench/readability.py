@@ -49,8 +49,8 @@ def readability(
     models: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of face models trained without the sentences that are read: known.npz, "
-            "a.npz, b.npz; with --words: words.npz. Default: train them now."
+            help="Folder of face models, trained without what is read: known.npz (known words), "
+            "a.npz, b.npz (new words, sets A and B), words.npz (--words). Default: train them now."
         ),
     ] = None,
     leave_words_out: LeaveWordsOut = False,
@@ -66,7 +66,7 @@ def readability(
     phonemes: Annotated[
         str,
         typer.Option(
-            help="Commas between: true (labels), recognized (live), text (live, given the text)."
+            help="Sources, commas between: true (labels), recognized (live), text (live, by text)."
         ),
     ] = "true,recognized",
     robot: Annotated[

@@ -85,7 +85,7 @@ def train_recognizer(
     rate: Annotated[
         float, typer.Option(min=0.0, help="Peak learning rate; give less with --start-from.")
     ] = 3e-3,
-    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of each recording.")] = 10,
+    copies: Annotated[int, typer.Option(min=0, help="Noisy copies of each recording to use.")] = 10,
     channels: Annotated[
         int | None,
         typer.Option(
@@ -259,7 +259,9 @@ def adapt(
     seed: Seed = 0,
     steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 100,
     rate: Annotated[float, typer.Option(min=0.0, max=0.01, help="Peak learning rate.")] = 5e-4,
-    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the voice.")] = 2,
+    copies: Annotated[
+        int, typer.Option(min=0, help="Copies of each sentence to train on, with added noise.")
+    ] = 2,
     jobs: Jobs = None,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -254,7 +254,8 @@ def report(
         ),
     ] = None,
     answers: Annotated[
-        Path | None, typer.Option(help="Answers file, as of `study rehearse`; default: people's.")
+        Path | None,
+        typer.Option(help="Answers file, as `study rehearse` writes; default: people's answers."),
     ] = None,
     mixed: Annotated[
         bool, typer.Option(help="Also fit a linear mixed model (extra `study`; half a minute).")

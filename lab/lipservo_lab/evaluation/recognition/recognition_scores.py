@@ -143,7 +143,13 @@ class Score:
         self.phone_all_by_utterance.append(float(right.mean()))
 
     def figures(self) -> dict[str, float]:
-        """Return all figures by name; 0 where nothing was counted."""
+        """Return how accurate the recognition is, by figure's name; 0 where nothing was counted.
+
+        phone_, viseme_: share of frames recognised right, of all frames or those of speech.
+        slack20: right if the viseme class is spoken within 20 ms. closure_ (P B M), labiodental_
+        (F V), opening_: see `HeardClosures.figures`. per: phone error rate. visible_error_mm: mean
+        distance between the lip shapes recognised and spoken.
+        """
         visemes_right = np.diag(self.confusion)
         return {
             "phone_all": _share(self.n_phones_right, self.n_frames),

@@ -183,7 +183,7 @@ def test_tables_that_point_outside_are_refused(saved):
     with np.load(saved) as file:
         successors = file["animphos/successors"].copy()
     successors[0] = 10_000
-    with pytest.raises(ModelError, match="names an AnimPho that"):
+    with pytest.raises(ModelError, match="names a piece of motion beyond the"):
         load_trained_model(changed(saved, **{"animphos/successors": successors}))
 
 
