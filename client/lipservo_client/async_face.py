@@ -454,18 +454,18 @@ class AsyncFace:
         finally:
             del self._spoken[number]
         ended = {"finished": event["type"] == "finished", "played_s": event["played_s"]}
-        return {**answer, **ended, "duration_s": event["duration_s"], "is_whole": True}
+        is_whole = ended["finished"] or answer["is_whole"]
+        return {**answer, **ended, "duration_s": event["duration_s"], "is_whole": is_whole}
 
     async def _ask(
-        self, kind: str, number: int | None = None, limit_s: float | None = None, **fields: object
+        self, kind: str, number: int | None = None, limit_s: float = PATIENCE_S, **fields: object
     ) -> dict[str, Any]:
         """Send a command over `/control`, connecting first if needed; return the answer's `result`.
 
-        number: the command's id; None: a new one. limit_s: seconds until the answer; None: 10.
+        number: the command's id; None: a new one. limit_s: seconds until the answer.
         Raises FaceError for an `error` as the answer, or none.
         """
         number = next(self._numbers) if number is None else number
-        limit_s = PATIENCE_S if limit_s is None else limit_s
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._pending[number] = answer
         try:
