@@ -16,6 +16,10 @@ from calibration.calibration import (
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 
+#: A servo farther from its goal than this after settling has met something. A few times what a
+#: proportional controller leaves under the pull of a skin.
+STALL_DEG = 3.0
+
 
 @dataclass(frozen=True, slots=True)
 class JointRange:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from calibration.calibration import CalibrationError, CouplingRule, keep_rules
-from calibration.mouth_servos import JointRange, limits_of
+from calibration.mouth_servos import STALL_DEG, JointRange, limits_of
 from lipsync.arrays import Array, Indices
 from lipsync.output_file import write_whole
 
@@ -226,10 +226,6 @@ Move = Callable[[Array], Array]
 Arrived = Callable[[int, Array], None]
 #: The markers now, (n_markers, 3) millimetres; NaN for a point that the tracker lost.
 Measure = Callable[[], Array]
-
-#: A servo farther from its goal than this after settling has met something. A few times what a
-#: proportional controller leaves under the pull of a skin.
-STALL_DEG = 3.0
 
 
 @dataclass(frozen=True, slots=True)

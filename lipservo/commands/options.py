@@ -270,9 +270,9 @@ Trace = Annotated[
 Osc = Annotated[
     str | None,
     typer.Option(
-        metavar="HOST[:PORT][/vowels]",
-        help="Also send the face to an avatar (VMC protocol over OSC): HOST[:PORT][/vowels], "
-        "default port 39540; add /vowels for avatars with mouth shapes A I U E O alone.",
+        metavar="HOST[:PORT]",
+        help="Also send the face to an avatar (VMC protocol over OSC) at HOST[:PORT], default "
+        "39540; HOST:PORT/vowels for avatars with mouth shapes A I U E O alone.",
     ),
 ]
 LiveLink = Annotated[

@@ -91,7 +91,7 @@ def _move(
     Raises typer.Exit with 1 if a joint did not hold, or is measured more than `STALL_DEG` from the
     goal sent to it; with 3 if a servo did not confirm torque off; else with 0.
     """
-    from calibration.capture.capture import STALL_DEG
+    from calibration.mouth_servos import STALL_DEG
     from lipservo.runtime.servos.moving import move_to
 
     _say_if_simulated(settings)

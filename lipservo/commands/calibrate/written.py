@@ -49,8 +49,8 @@ def show(
     plots: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for a picture of the mouth shapes that the robot reaches (needs "
-            "lipservo[plots])."
+            help="Folder for a picture of the mouth shapes that the robot reaches (needs the "
+            "extra `plots`)."
         ),
     ] = None,
     as_json: Json = False,

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 from every_command import every_command
+from rich.text import Text
 from typer.testing import CliRunner
 
 from lipservo.cli import MOVED, app
@@ -58,3 +59,11 @@ def test_a_mistyped_name_is_answered_with_the_nearest():
 
     assert done.exit_code == 2
     assert "did you mean stop?" in done.stderr
+
+
+def test_help_is_printed_as_it_is_written():
+    """Rich takes words in brackets for markup: it drops them, or ends in a traceback."""
+    for path, command in every_command():
+        options = [getattr(each, "help", None) for each in command.params]
+        for text in filter(None, (command.help, *options)):
+            assert Text.from_markup(text).plain == text.replace("\\[", "["), path
