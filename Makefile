@@ -13,6 +13,7 @@ BIN := $(VENV)/bin
 
 PYTEST := $(BIN)/python -m pytest
 SLOW := -m "slow and not campaign"
+PACKAGING := -m packaging
 # Tests of processes share the processors with each other. What failed is tried once more alone, and
 # the log shows both: docs/decisions/tests-and-mutants.md.
 once_more_alone = || { [ $$? = 1 ] && echo "=== what failed beside others, once more alone ===" \
@@ -63,7 +64,7 @@ check: $(VENV)/.installed-dev $(VENV)/.installed-docs
 	rm -rf dist build
 	$(BIN)/python -m build --wheel --outdir dist . >/dev/null
 	$(BIN)/check-wheel-contents dist
-	$(BIN)/python -m pytest --durations 15 -m packaging
+	$(PYTEST) --durations 15 $(PACKAGING) $(call once_more_alone,$(PACKAGING))
 	$(PYTEST) --numprocesses 2 --dist loadfile --durations 15 $(SLOW) $(call once_more_alone,$(SLOW))
 
 # An import that fails would be a skipped test, so they are imported first.
