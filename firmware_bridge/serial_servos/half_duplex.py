@@ -252,8 +252,8 @@ class HalfDuplex(ABC):
             if stream and not extra_wait_s:
                 rest_s = max(wire_end_s, clock.now()) + self.latency.rest_slack_s
                 deadline_s = min(deadline_s, rest_s)
-            # Past the deadline one more read gets the bytes that have come already; only one, since a
-            # line with constant noise never falls silent.
+            # Past the deadline one more read gets the bytes that have come already; only one, since
+            # a line with constant noise never falls silent.
             late += clock.now() > deadline_s
             more = transport.read(deadline_s) if late <= 1 else b""
             if not more:
