@@ -138,8 +138,8 @@ class SpanGroup:
         for servo_id in answered:
             changed |= self._silent[servo_id] >= _SUSPECT_AFTER
             self._silent[servo_id] = 0
-        # In a fast read, servos behind the first silent one may only have been cut off; and where no
-        # servo answers, line or computer stalled: in both cases only the first counts as silent.
+        # In a fast read, servos behind the first silent one may only have been cut off. If no servo
+        # answered, line or computer stalled. In both cases only the first counts as silent.
         first_only = span.fast or not answered
         silent_now = [each for each in cut_off[:1] if each in missing] if first_only else missing
         most = _ABSENT_AFTER if answered else _SUSPECT_AFTER
