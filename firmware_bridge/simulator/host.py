@@ -16,7 +16,7 @@ from firmware_bridge.simulator.fault_script import read_faults
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
 from firmware_bridge.simulator.wire import WireRules
 
-#: Of servos of no face.
+#: Model of simulated servos that belong to no face.
 _MODEL: Final = "XL330-M288"
 
 
