@@ -90,7 +90,8 @@ class PresentState:
             (n_servos,) seconds: age of each servo's values; 0 for those that answered.
         """
         cache = self.cache
-        # The usual case: all servos answered a fast read; the views of `_frame` show new values.
+        # The usual case: all servos answered a fast read in one frame. `_positions` and `_currents`
+        # are views of `_frame`, so that a copy of the answer updates them.
         if isinstance(statuses, CommonFrame) and statuses.ids == cache.ids:
             if statuses.errors != self._no_error_bytes:
                 self.note(statuses, now_s)
@@ -100,6 +101,7 @@ class PresentState:
             self._current_units[:] = self._currents
             self.cache.effort = np.abs(self._current_units) * self._effort_unit
             return cache.no_age_s
+        # Otherwise: a frame for each servo, or servos are missing.
         self.note(statuses, now_s)
         if statuses:
             at = [cache.index[status.servo_id] for status in statuses]

@@ -113,9 +113,9 @@ class Line(HalfDuplex):
     def scan(self, ids: Sequence[int] = range(MAX_ID + 1)) -> dict[int, list[bytes]]:
         """Read the model number of each of `ids`; return by id its two bytes, once for each answer.
 
-        Requests are sent one after another without waiting for answers, which are parsed at the
-        end: so none is lost by a computer or adapter that delays them. Takes half a second for all
-        ids at 1 Mbaud.
+        After each request the line is left free for an answer's time on the wire; all bytes are
+        parsed at the end, so that answers which computer or adapter delays are found as well. Takes
+        half a second for all ids at 1 Mbaud.
         """
         self.transport.discard_input()
         heard = b""

@@ -233,6 +233,7 @@ class SimulatedServo:
         """
         motors, i, of = self._motors, self.index, self.dialect.registers
         speed = abs(self["goal_speed"])
+        # fine: goal_speed counts single steps a second, else 50; speed or acceleration 0: no limit
         fine = "homing_offset" not in of or self["phase"] & SPEED_IN_STEPS
         steps_s = speed if fine else speed * _SPEED_STEPS
         rise = self["acceleration"] * _ACCELERATION_STEPS if "acceleration" in of else 0

@@ -77,6 +77,7 @@ class Pca9685Kind(BusKind):
         period, and the bus clock that the device tree states.
         """
         bits_s = _bits_s(wiring.settings.port or "")
+        # Four bytes a servo; eight for addresses, a register's number and the read of MODE1.
         needed_s = (4 * len(wiring.servos) + 8) * _BYTE_BITS / bits_s
         if needed_s <= _SHARE / rate_hz:
             return None

@@ -268,6 +268,7 @@ def guard(link: socket.socket, pin: Pin) -> bool:
         if not is_late:
             with contextlib.suppress(OSError):
                 heard = link.recv(64)
+        # The pin is set when it has to change, not at each heartbeat.
         if is_high is not (is_high := heard != _PASS):
             pin.set(high=is_high)
         if is_late:

@@ -287,7 +287,7 @@ class SimulatedPca9685:
             offset = register - Register.ALL_LED_ON_L
             for channel in range(N_CHANNELS):
                 self._write_channel(Register.LED0_ON_L + 4 * channel + offset, value)
-        elif register <= Register.ALLCALLADR:
+        elif register <= Register.ALLCALLADR:  # MODE2 has five bits; addresses do not use bit 0
             self.registers[register] = value & (0x1F if register == Register.MODE2 else 0xFE)
 
     def _write_mode(self, value: int) -> None:

@@ -133,7 +133,7 @@ class ServoStateCache:
         Array
             (n_servos,) seconds; 0 for the ids in `answered`.
         """
-        ages = np.maximum(now_s - self.heard_s, 1e-9)
+        ages = np.maximum(now_s - self.heard_s, 1e-9)  # above 0: it did not answer this read
         ages[[self.index[each] for each in answered]] = 0.0
         self.torque.forget(np.flatnonzero(ages >= SILENT_S).tolist())
         return ages

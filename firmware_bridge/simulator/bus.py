@@ -109,7 +109,7 @@ class SimulatedBus:
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Widen the range of the given hobby servos to their pulses' reach; reset all others.
+        """Let goals of the given hobby servos go as far as their pulses reach; reset all others.
 
         Parameters
         ----------

@@ -123,6 +123,7 @@ class RegisterMemory:
         """
         shown = bytearray(data)
         for offset in range(len(data)):
+            # The n-th data byte shows the byte to which the n-th indirect address points.
             number = address + offset - block.data
             if 0 <= number < block.count:
                 at = block.addresses + 2 * number

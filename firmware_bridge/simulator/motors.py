@@ -86,6 +86,7 @@ class Profile:
         total_s = self.velocity * 1e-3
         # As the manual says, speeding up never takes more than half of the time.
         rising_s = min(self.acceleration * 1e-3, 0.5 * total_s)
+        # From distance = speed t / 2 + top speed (T - t), with T: total_s, t: rising_s.
         top_speed = abs(distance - 0.5 * speed * rising_s) / (total_s - rising_s)
         if not rising_s:
             return Course(max(top_speed, 1e-6), UNBOUNDED, RECTANGLE)

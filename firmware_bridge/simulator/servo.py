@@ -326,7 +326,7 @@ class SimulatedServo:
     def _clear(self, parameters: bytes) -> int:
         """Obey the instruction clear: forget whole turns; return the status error.
 
-        It is RESULT_FAIL while the servo moves.
+        The error is RESULT_FAIL while the servo moves.
         """
         if parameters != _CLEAR_REVOLUTIONS:
             return StatusError.DATA_RANGE

@@ -378,7 +378,9 @@ class CommonFrame(Sequence[Status]):
 
     @staticmethod
     def blocks(stream: bytes | bytearray, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """Return a view of all servos' fields in a buffer for a common frame, filled now or later.
+        """Return a view of all servos' fields in `stream`, the frame that answers a fast sync read.
+
+        The buffer may be filled later: the view then shows the new values.
 
         Parameters
         ----------
@@ -436,6 +438,7 @@ class SpanRead:
         length = 1 + n * (size + 4)
         self._fast_head = HEADER + struct.pack("<BHB", BROADCAST_ID, length, _STATUS)
         self._id_bytes = bytes(self.ids)
+        # A common frame: eight bytes, then error, id, data and CRC of each servo.
         self.reply_size = EMPTY_PACKET_SIZE - 2 + n * (size + 4) if fast else n * self._step
         #: Bytes in the status packet that answers: of one servo, or the common frame of all.
         self.answer_size = self.reply_size - EMPTY_STATUS_SIZE if fast else size
