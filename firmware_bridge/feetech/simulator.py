@@ -248,6 +248,7 @@ class SimulatedServo:
         """Write the motor's present position, load, voltage, heat and current into registers."""
         motors, i = self._motors, self.index
         motors.shown_at_s = -1.0
+        # effort: current in the register's unit, or load in 0.1 %; share: of the stall torque
         effort = motors.register_values()[i][3]
         unit_ma = self.model.current_unit_ma
         share = effort * 1e-3 if unit_ma is None else effort * unit_ma * 1e-3 / self.model.stall_a

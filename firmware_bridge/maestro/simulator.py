@@ -187,6 +187,7 @@ class SimulatedMaestro:
         self.advance(now_s)
         if self.deaf or not self.plugged:
             return
+        # Faults `truncate` and `corrupt`: half of the bytes arrive, or one bit changes.
         if self._cut:
             data, self._cut = data[: len(data) // 2], False
         if self._damage and data:
@@ -242,7 +243,7 @@ class SimulatedMaestro:
     def _n_missing(self) -> int:
         """Return how many bytes the command being received still lacks; 0 or less: it is whole.
 
-        While its length is not known yet, at least as many are missing.
+        While the command's length is not known yet, a lower bound of at least 1 is returned.
         """
         # head: bytes before the data: the command, or 0xAA, device number and command
         message = self._message

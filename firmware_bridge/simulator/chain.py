@@ -258,6 +258,7 @@ class SimulatedChain:
         self.advance(end_s)
         listening = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
         self.counts.unheard += not listening
+        # Any packet, whichever servo it is for, restarts the bus watchdogs of all that receive it.
         for servo in listening:
             servo.heard_s = end_s
         self._wire.until_s = end_s
@@ -314,6 +315,7 @@ class SimulatedChain:
             if not answering:
                 if self._chain_stops:
                     return
+                # as long as the silent servo's packet would take
                 self._wire.until_s += (11 + size) * byte_s
                 continue
             start_s = self._wire.until_s

@@ -63,7 +63,8 @@ class SdkTransport:
     def call(self, ask: Callable[[], _Result]) -> _Result:
         """Return the result of `ask`, a call of the SDK. Raises PortGone when the port fails.
 
-        Afterwards the port is not marked as in use, whatever happened.
+        The SDK's mark that the port is in use is cleared in any case: after an error it would stay,
+        and every later call be refused.
         """
         try:
             return ask()
