@@ -203,5 +203,6 @@ class SpanRead:
             or stream[1::step] != self._header_bytes
         ):
             return False
+        # The bytes of each answer must add up to 253, modulo 256: see `__init__`.
         sums = np.frombuffer(stream, np.uint8).reshape(-1, step).sum(axis=1, dtype=np.uint8)
         return bool(sums.tobytes() == self._sum_bytes)

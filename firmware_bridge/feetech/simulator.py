@@ -372,6 +372,7 @@ class SimulatedChain:
     def _happen(self, fault: ChainFault, now_s: float) -> None:
         """Apply a fault of the script that begins at `now_s`."""
         end_s = now_s + fault.lasts_s
+        # `lost`, `spoilt` and `unplug` hit all answers, the other kinds single servos.
         if fault.kind in self._until_s:
             self._until_s[fault.kind] = end_s
             self._replies.clear()
@@ -386,7 +387,7 @@ class SimulatedChain:
                 self._log(servo)
             elif fault.kind == "locked":
                 servo.stays_locked = True
-            else:
+            else:  # overload or jam; `advance` ends it
                 self.motors.load[servo.index] = 0.95
                 self.motors.jammed[servo.index] = fault.kind == "jam"
                 self._ends.append((end_s, servo))

@@ -125,7 +125,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         return torque_verified(line, servo_id, on=on)
 
     def doubt(self, ages_s: Array) -> None:
-        """Withhold goals from driven servos that have just missed an answer.
+        """Withhold goals from driven servos that missed an answer just now, and may have restarted.
 
         Parameters
         ----------

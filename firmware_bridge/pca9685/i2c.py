@@ -100,7 +100,7 @@ class I2cChip:
                     raise PortGone(
                         f"{self.name}: {why}; check power, SDA and SCL of the board"
                     ) from error
-        raise AssertionError
+        raise AssertionError  # not reached
 
 
 class DeviceTransfers:

@@ -112,6 +112,7 @@ class RegisterMemory:
         targets = struct.unpack(f"<{len(data) // 2}H", data)
         if address + len(data) > block.addresses + 2 * block.count:
             return StatusError.ACCESS
+        # Only RAM, which begins at address 64, can be pointed to.
         if not all(64 <= target < len(self.bytes) for target in targets):
             return StatusError.DATA_RANGE
         return []

@@ -221,7 +221,7 @@ class FaultInjector:
         elif kind == "id_change":
             servo["id"] = int(fault.amount)
         elif kind == "baud_reset":
-            servo["baud_rate"] = 1
+            servo["baud_rate"] = 1  # code of the factory's rate
         elif kind == "return_delay_drift":
             servo["return_delay_time"] = int(fault.amount) or 250
         elif kind == "limits_drift":

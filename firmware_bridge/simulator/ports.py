@@ -66,7 +66,11 @@ class MemoryTransport:
         baud_rate: int = 1_000_000,
         tap: Callable[[float, bytes], None] | None = None,
     ) -> None:
-        """Open the port of the device `chain`. Raises PortGone while that is unplugged."""
+        """Open the port of the device `chain`. Raises PortGone while the device is unplugged.
+
+        clock: advanced by reads, if it is a manual one. tap: called as tap(time_s, data) for every
+        write.
+        """
         self._chain = chain
         self.clock = clock
         self.baud_rate = baud_rate

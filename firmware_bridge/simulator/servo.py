@@ -258,7 +258,7 @@ class SimulatedServo:
         if self._memory[_WATCHDOG] == _TRIPPED:
             return StatusError.DATA_RANGE
         low, high = -_FARTHEST, _FARTHEST
-        if self._memory[_MODE] == POSITION:
+        if self._memory[_MODE] == POSITION:  # the upper limit comes first in the table
             high, low = struct.unpack_from("<II", self._memory, _LIMITS)
         return 0 if low <= goal <= high else StatusError.DATA_LIMIT
 
@@ -304,7 +304,10 @@ class SimulatedServo:
             drive.change_mode()
 
     def _register(self, parameters: bytes) -> int:
-        """Keep a write for the next action instruction; return the write's status error."""
+        """Obey the instruction reg write: keep the write for the next action.
+
+        Return the status error, with which the write is not kept; 0: none.
+        """
         if len(parameters) < 3:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]

@@ -207,6 +207,7 @@ class Wire:
         uninvited: whether a fault made the bytes late, double or noise.
         """
         end_s = start_s + len(raw) * byte_s
+        # Two servos at once: one spoilt packet takes the place of both.
         for other in self._out:
             if other.start_s < end_s - _SAME_S and start_s < other.end_s - _SAME_S:
                 self.counts.contention += not (uninvited or other.uninvited)
@@ -215,7 +216,7 @@ class Wire:
                 # Two transmitters are never in step: bits are lost even where both say the same.
                 raw = mixed[:-1] + bytes(each ^ 0xFF for each in mixed[-1:]) + raw[n:]
                 other.data = b""
-        if self.host_until_s > start_s + _SAME_S:
+        if self.host_until_s > start_s + _SAME_S:  # the computer is still sending
             self.counts.contention += 1
             raw = b"\x00" * len(raw)
         self.counts.replies += 1

@@ -209,6 +209,7 @@ class Line(HalfDuplex):
                 status = codec.undisturbed_status(stream)
                 if status is not None and status.servo_id == servo_id:
                     return [status]
+            # An error status has no data; 0x7F: the error number without the alert bit.
             found = [
                 status
                 for status in self._statuses(stream)
