@@ -54,7 +54,7 @@ class Line(HalfDuplex):
         """Read `size` bytes of one servo from `address` on; None: no answer.
 
         extra_wait_s: how long to wait beyond the deadline. While a late answer of this size may
-        still come, more bytes are read than asked for, so that the answers differ in size.
+        still come, more bytes are read than requested, so that the answers differ in size.
         """
         wide = size
         if self._pending.any and self._pending.expire(self._clock.now()):

@@ -92,7 +92,7 @@ class Line(HalfDuplex):
         """Read `size` bytes of one servo from `address` on; None: no answer.
 
         extra_wait_s: how long to wait beyond the deadline. While a late answer of this size may
-        still come, more bytes are read than asked for, so that the answers differ in size.
+        still come, more bytes are read than requested, so that the answers differ in size.
         """
         if self._pending.any and self._has_pending():
             span = SpanRead((servo_id,), address, size, fast=False)
@@ -118,7 +118,7 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, 0, extra_wait_s)
 
     def reboot(self, servo_id: int) -> Status | None:
-        """Restart one servo; return its status; None: none came, or it cannot be told apart.
+        """Restart one servo; return its status; None: none came, or it is ambiguous.
 
         A late acknowledgement of an earlier request looks like that of the restart.
         """
