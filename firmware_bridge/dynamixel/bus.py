@@ -20,11 +20,12 @@ from firmware_bridge.serial_servos.bus import SerialBus
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.transport import Transport
 
-#: Sync write of goals; sync read of ten bytes, a frame each; one health read a cycle.
+#: Bytes of the packets of a cycle, in all and for each servo: sync write of goals; sync read of ten
+#: bytes, a frame for each servo; one read of health.
 _WRITE, _WRITE_EACH = 14, 5
 _ASK, _ASK_EACH, _ANSWER_EACH = 14, 1, 21
 _HEALTH: Final = 14 + 11 + 35
-#: What computer and adapter add to each of the two questions; one USB frame.
+#: What computer and adapter add to each of the two reads; one USB frame.
 _TURNAROUND_S: Final = 0.001
 #: Rates that servos and most adapters have.
 USUAL_RATES: Final = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
@@ -35,8 +36,9 @@ def cycle_s(
 ) -> float:
     """Return the seconds of one cycle: goals out, positions of all and health of one servo back.
 
-    return_delay_s: how long a servo waits before it answers. latency_s: how long the adapter holds
-    an answer back; a USB frame at least.
+    Computed from the bytes of plain (not fast) sync reads. return_delay_s: how long a servo waits
+    before it answers. latency_s: how long the adapter holds an answer back; at least a USB frame is
+    counted.
     """
     n_bytes = _WRITE + _ASK + _HEALTH + n_servos * (_WRITE_EACH + _ASK_EACH + _ANSWER_EACH)
     waits_s = 2 * max(_TURNAROUND_S, latency_s) + (n_servos + 1) * return_delay_s
@@ -46,7 +48,7 @@ def cycle_s(
 def slow_adapter(
     n_servos: int, baud_rate: int, rate_hz: float, latency_timer_ms: float | None
 ) -> str | None:
-    """Return why an adapter is too slow for `rate_hz`, and the remedy; None: it is not, or unknown.
+    """Return why an adapter is too slow for `rate_hz` ticks a second, and the remedy; else None.
 
     latency_timer_ms: how long the adapter holds answers back, from
     `serial_transport.latency_timer_ms`, None = unknown; FTDI chips come with 16:
@@ -66,7 +68,8 @@ def budget(
 ) -> str | None:
     """Return why `n_servos` at `baud_rate` cannot do `rate_hz` with feedback, and the remedy.
 
-    None if they can. return_delay_s: how long each servo waits before it answers.
+    None if they can. rate_hz: ticks a second, in each of which all positions are read.
+    return_delay_s: how long each servo waits before it answers.
     """
     if cycle_s(n_servos, baud_rate, return_delay_s) * rate_hz <= 1.0:
         return None
@@ -83,7 +86,7 @@ def budget(
 
 _TORQUE, _GOAL = register("torque_enable").address, register("goal_position").address
 _LEVEL = register("status_return_level").address
-#: torque_enable .. bus_watchdog, and what lies between: health in one read.
+#: Bytes from torque_enable to bus_watchdog: torque, errors and watchdog in one read.
 _HEALTH_SIZE: Final = register("bus_watchdog").end - _TORQUE
 _ERROR_AT: Final = register("hardware_error_status").address - _TORQUE
 _WARMTH = register("present_input_voltage").address
@@ -124,7 +127,7 @@ class DynamixelBus(SerialBus[Line]):
         servo must answer before the first goal; otherwise servos may be missing, but neither a
         critical one nor all. make_line: makes the line at an open transport; `SdkLine` leaves the
         packets to dynamixel-sdk. adapter_remark: called once the port is open; returns a remark on
-        the adapter for `remarks`, None if it has none.
+        the adapter for the log, or None.
         """
         super().__init__(
             servos, lambda: make_line(open_transport()), PresentState(servos), strict=strict
@@ -133,6 +136,7 @@ class DynamixelBus(SerialBus[Line]):
         self._watchdogs = Watchdogs(self._ids, watchdog_s)
         self._soft_start = SoftStart(servos)
         self._goal_write = GoalWrite(self._ids, _GOAL)
+        # Reads of all servos: current to position (10 bytes), goal to position, torque_enable.
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
         self._whole = SpanGroup(self._ids, _GOAL, _MOTION_SIZE)
         self._holding = SpanGroup(self._ids, _TORQUE, 1)
@@ -157,8 +161,9 @@ class DynamixelBus(SerialBus[Line]):
         check_shape(positions_deg, self._cache.goals.shape)
         line = self._line or self.line  # the property raises
         pulses = self._mounting.pulses(positions_deg)
+        # NaN is in no range.
         taken = (self._cache.low <= pulses) & (pulses <= self._cache.high)
-        if all_set(taken):
+        if all_set(taken):  # the usual case, for which a packet is prepared
             self._watchdogs.keep(line)
             self._cache.set_goals(pulses)
             line.tell(self._goal_write.request(pulses))
@@ -179,6 +184,7 @@ class DynamixelBus(SerialBus[Line]):
         found = self._note(self._whole.ask(line))
         for status in found:
             n = self._index[status.servo_id]
+            # goal_position, 12 bytes of other registers, present_position
             goal, place = struct.unpack_from("<i12xi", status.data)
             self._cache.goals[n], self._cache.pulses[n] = goal, place
         held = self._holding.ask(line)
@@ -186,7 +192,7 @@ class DynamixelBus(SerialBus[Line]):
         for status in held:
             self._torque.note(self._index[status.servo_id], status.data, now_s)
         ages_s = self._cache.ages([status.servo_id for status in found], now_s)
-        # A goal counts as read only when it was: whoever arms relies on it.
+        # A goal that was not read just now is unknown: switching torque on relies on it.
         goals = np.where(ages_s > 0.0, np.nan, self._cache.goals)
         return Readings(
             time_s=now_s,
@@ -198,7 +204,10 @@ class DynamixelBus(SerialBus[Line]):
         )
 
     def feedback(self) -> Feedback:
-        """Read position and load of every servo; of silent ones the last values, with their age."""
+        """Read position and load of every servo; return the last values, with age, of silent ones.
+
+        Called in every tick. Raises PortError.
+        """
         line = self._line or self.line
         found = self._motion.ask(line)
         now_s = line.transport.clock.now()
@@ -213,11 +222,13 @@ class DynamixelBus(SerialBus[Line]):
         )
 
     def look_after(self) -> Health:
-        """Read torque, errors and watchdog of one servo, or its temperature and voltage, in turns.
+        """Read the condition of the next servo in turn; return the last readings of all servos.
 
-        Also ends soft starts that are due. Return the last readings of all servos.
+        Called in every tick: in one it reads a servo's torque, errors and watchdog, in the next its
+        voltage and temperature. Also ends soft starts that are due.
         """
         line, cache = self._line or self.line, self._cache
+        # turn: index of the servo; kind: which of the two reads
         turn, kind = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
         servo_id = self._ids[turn]
@@ -237,6 +248,7 @@ class DynamixelBus(SerialBus[Line]):
             now_s = line.transport.clock.now()
             self._watchdogs.spoke(now_s)
             self._present.note([status], now_s)
+            # A servo that answers again is included again in the reads that left it out.
             for group in self._groups:
                 if group.leaves_out:
                     group.trust(servo_id)

@@ -152,7 +152,10 @@ def _tables() -> Any:
 
 
 def _model(name: str, raw: Mapping[str, Any]) -> ServoModel:
-    """Return a model made from `raw`, its entry in the YAML file, and from what models share."""
+    """Return a model made from `raw`, its entry in the YAML file, and from what all models share.
+
+    raw may leave out registers (`absent`), and replaces the shared ranges and defaults by its own.
+    """
     tables = _tables()
     registers = {}
     for each in tables["registers"]:

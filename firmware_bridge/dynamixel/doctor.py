@@ -39,6 +39,7 @@ def measured_latency_s(line: Line, servo_id: int) -> float | None:
     Includes the servo's return delay and the computer's own time. None when it does not answer.
     """
     clock = line.transport.clock
+    # The request, and an answer with three bytes of data.
     wire_s = (len(codec.ping(servo_id)) + codec.EMPTY_STATUS_SIZE + 3) * line.byte_s
     elapsed_s = []
     for _ in range(_PINGS):
@@ -77,12 +78,13 @@ def examine(
 ) -> Iterator[Finding]:
     """Yield findings about adapter, bus and servos in the order of the checks; write to no servo.
 
-    line: one that waits `UNHURRIED_S` for late answers. rate_hz: ticks a second that the bus should
-    manage. latency_timer_ms: what the adapter's driver declares; None: it declares nothing, so the
-    latency is measured.
+    line: open at the YAML's baud rate, and with longer waits than a control loop allows. rate_hz:
+    ticks a second that the bus should manage. latency_timer_ms: what the adapter's driver declares;
+    None: it declares nothing, so the latency is measured.
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
+    # By id: the first rate at which a servo answered, and the name of its model.
     at_rate: dict[int, tuple[int, str]] = {}
     for rate, found in scan(line, [wanted_rate, *SCANNED_RATES]):
         at_rate = {each: (rate, model_name(number)) for each, number in found.items()} | at_rate
@@ -104,6 +106,7 @@ def examine(
         return
     there = [each for each in ids if at_rate.get(each, (0,))[0] == wanted_rate]
     yield from _adapter(line, there[0] if there else None, latency_timer_ms)
+    # Ids that two servos seem to have, whether their answers collide always or sometimes.
     doubled = duplicates(line, [each for each in ids if each not in at_rate])
     doubled += [each for each in there if shares_id(line, each)]
     yield from (shared_id(f"id {each}") for each in doubled)
@@ -147,8 +150,8 @@ def _strength(servos: Sequence[MountedServo]) -> Iterator[Finding]:
 def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> Iterator[Finding]:
     """Yield findings about the adapter: whether it delays answers, or echoes what was sent.
 
-    latency_timer_ms: the delay that its driver declares; None: it declares none, and answers of
-    servo_id are timed instead; servo_id None: no servo answers.
+    latency_timer_ms: the delay that the adapter's driver declares; None: it declares none, and the
+    answers of servo `servo_id` are timed instead. servo_id: None: no servo answers.
     """
     if latency_timer_ms is None:
         latency_s = measured_latency_s(line, servo_id) if servo_id is not None else None

@@ -34,9 +34,10 @@ class DynamixelKind(BusKind):
         return CAPABILITIES
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - real servos have the clock of the computer
-        """Return the bus; `backend` of its settings selects our own codec or dynamixel-sdk.
+        """Return the unopened bus of a face's Dynamixels at the port of its settings.
 
-        strict=False: servos may be missing. The clock is the port's own, not `clock`.
+        The setting `backend` selects our own codec or dynamixel-sdk. strict=False: servos may be
+        missing. clock: without effect, since the port has its own clock.
         """
         from firmware_bridge.dynamixel.bus import DynamixelBus, slow_adapter
         from firmware_bridge.dynamixel.mounting import mounted_servos
@@ -74,9 +75,10 @@ class DynamixelKind(BusKind):
         return bool(Line(transport).ping_all())
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """Return a function that opens the port to switch torque off at the face's baud rate.
+        """Return a function that opens the port and returns a `LineRelease`, to switch torque off.
 
-        Without a wiring the rate is unknown, and all usual rates are tried.
+        Torque off is sent at the baud rate of the face in `wiring`; None: the rate is unknown, and
+        all usual rates are tried. The function raises PortError.
         """
         from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
         from firmware_bridge.dynamixel.torque import LineRelease
@@ -87,7 +89,7 @@ class DynamixelKind(BusKind):
         return lambda: LineRelease(opener(), rates)
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Yield findings about port, adapter, and every servo."""
+        """Open the port and yield findings about adapter, bus and every servo. Raises PortError."""
         from firmware_bridge.dynamixel.doctor import examine
         from firmware_bridge.dynamixel.mounting import mounted_servos
         from firmware_bridge.dynamixel.provisioning import unhurried_line

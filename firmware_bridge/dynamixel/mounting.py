@@ -16,7 +16,7 @@ from firmware_bridge.serial_servos.mounting import SETUP, checked_identities
 from firmware_bridge.serial_servos.mounting import MountedServo as Mounted
 from firmware_bridge.transport import Transport
 
-#: With max_current_ma it runs in operating mode 5, else in 3.
+#: One Dynamixel and its joint; with max_current_ma in operating mode 5, else in 3.
 MountedServo = Mounted[ServoModel]
 
 
@@ -30,9 +30,10 @@ def mounted_servos(wiring: Wiring) -> list[MountedServo]:
 
 #: The EEPROM from id to shutdown in one read.
 _FIRST, _LAST = register("id").address, register("shutdown").end
-#: A servo that is there answers two of twelve questions even where a fifth of all packets is lost
-#: either way (one in ten thousand does not); at last waited for longer, for a busy computer may be
-#: late with every answer. Nothing moves yet, so there is time.
+#: Seconds added to the wait at each attempt. A servo that is there answers two of twelve requests
+#: even where a fifth of all packets is lost either way (one in ten thousand does not). The last
+#: waits are longer, since a busy computer may be late with every answer. Nothing moves yet, so
+#: there is time.
 _EXTRA_WAITS_S = (*[0.0] * 9, 0.01, 0.03, 0.1)
 _TRIES = len(_EXTRA_WAITS_S)
 
@@ -52,7 +53,10 @@ class ServoIdentity:
 
 
 def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdentity | None:
-    """Ping one servo and read its EEPROM; None if it does not answer within `tries` attempts."""
+    """Ping one servo and read its EEPROM; None if it does not answer both in `tries` attempts.
+
+    An answered ping is not repeated. Raises PortError.
+    """
     servo_id = servo.joint.servo_id
     pong: Status | None = None
     for extra_wait_s in _EXTRA_WAITS_S[:tries]:
@@ -73,9 +77,10 @@ def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdent
 
 
 def mismatches(servo: MountedServo, identity: ServoIdentity) -> list[str]:
-    """Return how a servo, by its `identity` read now, differs from the face's YAML, one line each.
+    """Return how a servo, by its `identity` read now, differs from what the face's YAML needs.
 
-    Empty: it can be driven.
+    One text for each difference, with the remedy; another model makes the only one. []: the servo
+    can be driven.
     """
     if identity.model_number != servo.model.model_number:
         known = model_by_number(identity.model_number)

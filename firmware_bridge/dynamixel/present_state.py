@@ -20,9 +20,10 @@ class PresentState:
     """The last known state of all servos, in `cache`; the methods store what servos answered."""
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
+        """Start without reports: positions NaN, temperature limits as from the factory."""
         ids = [servo.joint.servo_id for servo in servos]
         hottest = [float(servo.model.defaults["temperature_limit"]) for servo in servos]
-        # Of a chain with models of several scales the least: limits are read before anything moves.
+        # The least of all models' scales will do: limits are read before anything moves.
         highest = min(servo.model.n_positions for servo in servos) - 1.0
         self.cache = ServoStateCache(ids, highest, hottest, FACTORY_RETURN_DELAY_S)
         units = [s.model.current_unit_ma for s in servos]
@@ -34,7 +35,7 @@ class PresentState:
         self._milliamperes = np.array(
             [stall if unit else np.nan for unit, stall in zip(units, stalls, strict=True)]
         )
-        # The newest common frame of all, and where the values lie in it: numbers are read in place.
+        # The newest common frame of all servos, and views of the values in it.
         self._frame = bytearray(CommonFrame.size_of(len(ids), _MOTION.itemsize))
         blocks = CommonFrame.blocks(self._frame, _MOTION_BLOCK)
         self._positions, self._currents = blocks["position"], blocks["current"]
@@ -89,6 +90,8 @@ class PresentState:
             (n_servos,) seconds: age of each servo's values; 0 for those that answered.
         """
         cache = self.cache
+        # The usual case: all servos answered a fast read in one frame. `_positions` and `_currents`
+        # are views of `_frame`, so that a copy of the answer updates them.
         if isinstance(statuses, CommonFrame) and statuses.ids == cache.ids:
             if statuses.errors != self._no_error_bytes:
                 self.note(statuses, now_s)
@@ -98,6 +101,7 @@ class PresentState:
             self._current_units[:] = self._currents
             self.cache.effort = np.abs(self._current_units) * self._effort_unit
             return cache.no_age_s
+        # Otherwise: a frame for each servo, or servos are missing.
         self.note(statuses, now_s)
         if statuses:
             at = [cache.index[status.servo_id] for status in statuses]

@@ -29,17 +29,21 @@ from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
 __all__ = ["chain_is_complete"]
 
-#: Rates worth trying, the likely ones first: asked for, factory, usual ones.
+#: Baud rates worth trying, the likely ones first.
 SCANNED_RATES: Final = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)
 #: A new servo answers here, whatever rate the chain has.
 _FACTORY_RATE: Final = 57_600
-#: Not in the manual; generous.
+#: How much longer to wait for the answer to a write of EEPROM. Not in the manual; generous.
 _EEPROM_WRITE_S: Final = 0.05
 _TRIES: Final = 3
 
 
 def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
-    """Return the EEPROM values, by register name, that a mounted servo should have."""
+    """Return the EEPROM values, by register name, that a mounted servo should have.
+
+    Position limits are a margin outside the joint's, within the servo's range. Operating mode 5,
+    with `current_limit`, only for a servo with max_current_ma, else mode 3.
+    """
     low, high = servo.pulse_range()
     margin = round(SERVO_LIMIT_MARGIN_DEG * servo.model.pulses_per_deg)
     code = next(code for code, rate in baud_rates().items() if rate == baud_rate)
@@ -80,7 +84,10 @@ def read_settings(
 
 
 def duplicates(line: Line, ids: Iterable[int]) -> list[int]:
-    """Return the ids at which only damaged answers arrive: probably two servos answer at once."""
+    """Return those of `ids` from which only damaged answers arrive: two servos may have the id.
+
+    Pings each id up to three times; an id without any answer is not returned.
+    """
     doubtful = []
     for servo_id in ids:
         n_bad = line.n_bad
@@ -93,8 +100,8 @@ def duplicates(line: Line, ids: Iterable[int]) -> list[int]:
 def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) -> None:
     """Write `value` to register `name` of one servo.
 
-    Raises ServoError when the servo refuses or does not answer. Silence is accepted for id and baud
-    rate: the servo may no longer answer at the old one.
+    Raises ServoError when the servo refuses, or does not answer three times. Silence is accepted
+    for id and baud rate: the servo may no longer answer at the old one.
     """
     entry = model.registers[name]
     for _ in range(_TRIES):
@@ -109,15 +116,20 @@ def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) 
         raise ServoError(f"servo id {servo_id} did not confirm {name}; check power and cable")
 
 
-#: realtime_tick .. present_temperature: what differs between two motors.
+#: realtime_tick to present_temperature: values that differ between two servos of one model.
 _PRESENT: Final = register("realtime_tick").address
 _PRESENT_SIZE: Final = register("present_temperature").end - _PRESENT
-#: So many questions of each kind; so many of one kind whole and of the other spoilt.
+#: Requests of each kind; answers to pings that must be whole, and to reads that must be spoilt, to
+#: conclude that two servos have one id.
 _REQUESTED, _WHOLE, _SPOILT = 6, 5, 4
 
 
 def shares_id(line: Line, servo_id: int) -> bool:
-    """Return whether several servos seem to answer to `servo_id`; False if none answers."""
+    """Return whether several servos seem to answer to `servo_id`; False if none answers.
+
+    Two servos of one model answer a ping with the same bytes, which may arrive whole, but spoil
+    each other's answers to a read of their present values.
+    """
     pongs = line.ping_each(servo_id)
     if len(pongs) > 1:
         return True
@@ -161,20 +173,20 @@ scan, find_servos = _CHAIN.scan, _CHAIN.find_servos
 plan_chain, plan_alone, set_up = _CHAIN.plan_chain, _CHAIN.plan_alone, _CHAIN.set_up
 
 
-#: What a servo of no face yet must hold before it is moved for the first time: LeRobot homes it by
-#: its homing offset and drives it in mode 4; a face of ours uses neither.
+#: Values that a servo of no face yet needs before it is moved for the first time. LeRobot sets
+#: a homing offset and drives servos in mode 4; lipservo uses neither.
 _PLAIN = {"drive_mode": 0, "operating_mode": 3, "homing_offset": 0, "startup_configuration": 0}
 
 
-#: What is taken back of a servo that another program has set up is its middle, too.
+#: Whether `clear_foreign_settings` also moves the middle of the range, by the homing offset.
 CLEARS_MIDDLE: Final = True
 
 
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
-    """Return the first baud rate at which servos answer, and the model name by id.
+    """Return the first baud rate at which servos answer, and their model names by id.
 
-    first_rate: the rate to try first. Raises ServoError where no servo answers or a model is
-    unknown, and PortError.
+    For servos that belong to no face yet. first_rate: the rate to try first. Raises ServoError
+    where no servo answers or a model is unknown, and PortError.
     """
     with unhurried_line(port, first_rate) as line:
         scanned = scan(line, [first_rate, *SCANNED_RATES])
@@ -232,8 +244,8 @@ def lone_servo(
 ) -> tuple[DynamixelBus, Joint, int]:
     """Return an unopened bus of one servo, its joint, and its present position in encoder steps.
 
-    The joint is at 0 in this position. reach_deg: how far it may move to each side. rate: baud
-    rate.
+    For moving a servo of no face yet. The joint's 0 degrees are the present position. reach_deg:
+    how far the joint may move to each side. rate: baud rate. Raises PortError, ServoError.
     """
     model = servo_models()[model_name]
     with unhurried_line(port, rate) as line:

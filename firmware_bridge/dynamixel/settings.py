@@ -12,7 +12,7 @@ from firmware_bridge.bus_settings import BusServo, BusSettings, Strict, within
 from firmware_bridge.dynamixel.control_table import ServoModel as ModelFacts
 from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
 
-#: Of the registers of voltages.
+#: Volts per step of the voltage registers.
 _VOLT_UNIT: Final = 0.1
 
 

@@ -58,7 +58,10 @@ class Watchdogs:
         return write_verified(line, servo_id, _ADDRESS, bytes((self._setting,)))
 
     def spoke(self, now_s: float) -> None:
-        """Note a packet sent at `now_s`, and whether the pause before it may trip watchdogs."""
+        """Note a packet sent at `now_s`, and whether the pause before may have tripped watchdogs.
+
+        `keep` restarts the watchdogs after such a pause.
+        """
         if now_s - self._spoke_s >= self._trips_after_s:
             self._lapsed = True
         self._spoke_s = now_s
@@ -74,7 +77,7 @@ class Watchdogs:
 
 _PROFILE: Final = register("profile_acceleration").address
 _CURRENT: Final = register("goal_current").address
-#: Nobody acknowledges a sync write: full strength is said so often, this far apart.
+#: No servo acknowledges a sync write: full strength is sent this often, this far apart.
 _REPEATS: Final = 3
 _REPEAT_S: Final = 0.1
 
@@ -117,7 +120,10 @@ class SoftStart:
         self._n_left[:] = 0
 
     def restore_full_limits(self, line: Line) -> None:
-        """Set servos to full speed and current a second after torque on; to call in every tick."""
+        """Set servos to full speed and current a second after torque on; to call in every tick.
+
+        Sent three times, .1 s apart, since no servo acknowledges the packet.
+        """
         if not any_set(self._n_left):
             return
         now_s = line.transport.clock.now()
@@ -162,6 +168,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         soft_start: SoftStart,
         watchdogs: Watchdogs,
     ) -> None:
+        """Switch torque of `servos`, with the bus's own objects for state, limits and watchdogs."""
         super().__init__(servos, present, mounting)
         self._soft_start = soft_start
         self._watchdogs = watchdogs
@@ -230,7 +237,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         return None
 
 
-#: A packet that nobody answers is said this often.
+#: A packet that no servo answers is sent this often.
 _REPEATS_BY_FORCE: Final = 3
 
 
@@ -246,8 +253,8 @@ class LineRelease(SerialRelease[Line]):
     def tell_all(self, addresses: Sequence[int]) -> None:
         """Send torque off to `addresses` and to all others, several times; read no answer.
 
-        In between, tripped watchdogs are cleared. Servos that were set not to answer, answer from
-        now on.
+        Tripped watchdogs are cleared before the last torque off. Servos that were set not to answer
+        are set to answer every instruction.
         """
         line = self._line
         everybody = codec.write(BROADCAST_ID, _TORQUE, b"\0")

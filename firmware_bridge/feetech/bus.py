@@ -30,21 +30,22 @@ from firmware_bridge.serial_servos.bus import SerialBus
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.transport import Transport
 
-#: What computer and adapter add to a question; one USB frame.
+#: What computer and adapter add to a request; one USB frame.
 _TURNAROUND_S: Final = 0.001
-#: Bytes of a question to one servo, and of a sync write or read without its servos.
+#: Bytes of a request to one servo, and of a sync write or read without its servos.
 _ASK_ONE, _ASK_ALL = 8, 8
-#: A servo may go this much faster than its goal moves, so that it is there well before the next;
-#: what it may have needed lately falls by a tenth from tick to tick.
+#: A servo's speed is this many times that of its goals, so that it arrives well before the next
+#: goal; after a fast goal its speed falls by a tenth from tick to tick.
 _SPEED_MARGIN, _SPEED_KEPT = 2.0, 0.9
-#: Where each servo must be asked alone, so many that answer again are asked in one tick.
+#: Without sync read, this many servos that answer again after a silence are read in one tick.
 _AT_ONCE: Final = 3
 
 
 def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
     """Return the seconds of one cycle: goals out, state of all and control of one servo back.
 
-    Control and state: the registers from `CONTROL` and from `STATE` on.
+    State: position, load, voltage, temperature and errors, the registers from `STATE` on. Control:
+    torque and goals, the registers from `CONTROL` on.
     """
     write = _ASK_ALL + 7 * n_servos
     answer = EMPTY_SIZE + dialect.state_size
@@ -57,7 +58,7 @@ def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
 def budget(servos: Sequence[MountedServo], baud_rate: int, rate_hz: float) -> str | None:
     """Return why `servos` at `baud_rate` cannot do `rate_hz` with feedback, and the remedy.
 
-    None if they can.
+    None if they can. rate_hz: ticks a second, in each of which all positions are read.
     """
     dialect = servos[0].model.dialect
     can_hz = 1.0 / cycle_s(len(servos), baud_rate, dialect)
@@ -114,14 +115,14 @@ class FeetechBus(SerialBus[Line]):
         self._whole = self._group(CONTROL, STATE - CONTROL + dialect.state_size)
         self._holding = self._group(TORQUE_ENABLE, 1)
         self._groups = (self._state, self._whole, self._holding)
-        #: Goals sent last and when; who is yet behind, goals having been withheld.
+        #: Goals sent last, in pulses, and when; which servos still approach goals withheld before.
         self._sent = np.full(len(self._ids), np.nan)
         self._sent_s = 0.0
         self._behind = np.zeros(len(self._ids), dtype=np.bool_)
         self._top_pulses_s = np.array(
             [s.joint.max_speed_deg_s * s.model.pulses_per_deg for s in servos]
         )
-        #: Registers goal_speed that the goals lately needed.
+        #: The goal_speed values that the latest goals needed.
         self._needed = np.zeros(len(self._ids))
 
     def _group(self, address: int, size: int) -> Group:
@@ -131,7 +132,10 @@ class FeetechBus(SerialBus[Line]):
         return GoalWrite(ids, self._goal, self._dialect.byte_order)
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Send every goal inside its servo's range; a limp servo gets none until its torque is on.
+        """Send every goal inside its servo's range, with a speed; skip servos that must stay limp.
+
+        Skipped, too, are servos that missed an answer, until a read shows that they have not
+        restarted; afterwards they approach their goals at the joint's top speed.
 
         Parameters
         ----------
@@ -148,6 +152,7 @@ class FeetechBus(SerialBus[Line]):
         line = self._line or self.line  # the property raises
         pulses = self._mounting.pulses(positions_deg)
         taken = (cache.low <= pulses) & (pulses <= cache.high)
+        # driven: servos that get goals; doubted: those whose goals are withheld
         torque, since_s = self._torque, self._sent_s
         self._sent_s = line.transport.clock.now()
         if all_set(taken):
@@ -158,7 +163,7 @@ class FeetechBus(SerialBus[Line]):
                 return
         else:
             cache.set_goals(pulses, taken, GOAL_OUT_OF_RANGE)
-        # Whose goals were withheld for a while follows at its own top speed.
+        # A servo whose goals were withheld gets goals at most `reach` from the last one sent to it.
         self._behind = (self._behind | torque.doubted) & (torque.doubted | torque.driven)
         reach = np.trunc(self._top_pulses_s * min(self._sent_s - since_s, self._period_s))
         near = np.clip(cache.goals, self._sent - reach, self._sent + reach)
@@ -172,15 +177,16 @@ class FeetechBus(SerialBus[Line]):
             line.tell(some.request(goals[sent], speeds[sent]))
 
     def _speeds(self, goals: Array, since_s: float) -> Array:
-        """Return register goal_speed for each servo's next goal; arrays are (n_servos,).
+        """Return the goal_speed values to send with `goals`; arrays are (n_servos,).
 
-        goals: position register values. since_s: when the last goals were sent. At least the speed
-        of a slow start, at most the joint's top speed.
+        goals: position register values. since_s: when the last goals were sent. Twice the speed of
+        the goal's own motion, at least that of a soft start, at most the joint's top speed.
         """
         torque, seconds = self._torque, min(self._sent_s - since_s, self._period_s)
         margin = _SPEED_MARGIN / max(seconds, _TURNAROUND_S)
         now = np.abs(goals - self._sent) * (torque.units * margin)
-        self._needed = np.fmax(now, self._needed * _SPEED_KEPT)  # of a first goal now is NaN
+        # fmax: `now` is NaN before a first goal was sent.
+        self._needed = np.fmax(now, self._needed * _SPEED_KEPT)
         return np.minimum(np.maximum(self._needed, torque.slow), torque.top)
 
     def read(self) -> Readings:
@@ -193,6 +199,7 @@ class FeetechBus(SerialBus[Line]):
         found = self._whole.ask(line)
         statuses = _statuses(found)
         now_s = line.transport.clock.now()
+        # The data begin at `CONTROL` with register torque_enable, and end with the state.
         goals = np.full(len(self._ids), np.nan)
         for status in statuses:
             n = self._index[status.servo_id]
@@ -214,7 +221,11 @@ class FeetechBus(SerialBus[Line]):
         )
 
     def feedback(self) -> Feedback:
-        """Read position and load of every servo; of silent ones the last values, with their age."""
+        """Read position and load of every servo; return the last values, with age, of silent ones.
+
+        Called in every tick. A servo that did not answer gets no goals until `look_after` has read
+        that it has not restarted. Raises PortError.
+        """
         line, cache = self._line or self.line, self._cache
         found = self._state.ask(line)
         now_s = line.transport.clock.now()
@@ -232,10 +243,11 @@ class FeetechBus(SerialBus[Line]):
     def look_after(self) -> Health:
         """Read torque and limits of one servo, in turns; return the last readings of all servos.
 
-        Servos that answer again after a silence come first: until then they get no goals.
+        Called in every tick. Servos that answer again after a silence come first, since they get
+        no goals until this read; it switches those off that have restarted.
         """
         line, cache, doubted = self._line or self.line, self._cache, self._torque.doubted
-        back: Sequence[int] = ()
+        back: Sequence[int] = ()  # ids to read: of servos back from a silence, else one in turn
         if any_set(doubted):
             heard = cache.heard_s == cache.heard_s.max()
             back = [self._ids[n] for n in np.flatnonzero(doubted & heard).tolist()]
@@ -253,6 +265,7 @@ class FeetechBus(SerialBus[Line]):
             index = self._index[status.servo_id]
             cache.heard_s[index] = line.transport.clock.now()
             self._torque.look_after(line, index, status.data)
+            # A servo that answers again is included again in the reads that left it out.
             for group in self._groups:
                 if group.leaves_out:
                     group.trust(status.servo_id)

@@ -97,10 +97,12 @@ def _beside_torque(address: int, data: bytes) -> bytes:
 
 
 def packets_in(stream: bytes) -> Iterator[tuple[Status | None, int]]:
-    """Yield every whole packet in a stream with the index of its end, skipping all other bytes.
+    """Yield (packet, index of its end) for every whole packet in a stream of received bytes.
 
-    (None, index of its begin) for a damaged or unfinished packet; the search goes on inside it.
+    (None, index of its first byte) for a damaged or unfinished packet; the search goes on inside
+    that packet. All other bytes are skipped. An instruction has its code in place of `error`.
     """
+    # A packet is whole if the sum from the id to the checksum ends in 255.
     at = 0
     while (at := stream.find(HEADER, at)) >= 0 and at + EMPTY_SIZE <= len(stream):
         end = at + 4 + stream[at + 3]
@@ -119,7 +121,7 @@ def statuses_in(stream: bytes) -> list[Status]:
     return [status for status, _ in packets_in(stream) if status is not None]
 
 
-#: Id, goal, time and speed of one servo; so many fit into a packet, whose length counts to 255.
+#: Bytes of goal, time and speed of one servo; how many servos fit into a packet of 255 bytes.
 _GOAL_BYTES: Final = 6
 _MOST_GOALS: Final = (255 - 4) // (1 + _GOAL_BYTES)
 
@@ -140,6 +142,7 @@ class GoalWrite:
         self._blocks = np.zeros(len(ids), dtype=fields)
         self._blocks["id"] = ids
         self._goals, self._speeds = self._blocks["goal"], self._blocks["speed"]
+        # For each packet: its bytes before the blocks, their sum for the checksum, and its blocks.
         self._parts = []
         for first in range(0, len(ids), _MOST_GOALS):
             part = self._blocks[first : first + _MOST_GOALS]
@@ -173,6 +176,10 @@ class SpanRead:
     """A prepared request to several servos for `size` bytes each from `address` on."""
 
     def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
+        """Prepare the request, and the bytes by which undisturbed answers are recognised.
+
+        step: bytes of one servo's answer; reply_size: of all answers.
+        """
         self.ids = tuple(ids)
         self.address, self.size = address, size
         parameters = bytes((address, size, *ids))
@@ -182,7 +189,7 @@ class SpanRead:
         self.reply_size = n * self.step
         self._id_bytes, self._length_bytes = bytes(ids), bytes((size + 2,)) * n
         self._header_bytes = b"\xff" * n
-        # A packet's bytes and their inverted sum add up to 255; the header adds -2.
+        # An answer's bytes add up to 253: 255 from id to checksum, and two header bytes of 255.
         self._sum_bytes = b"\xfd" * n
 
     def is_undisturbed(self, stream: bytes) -> bool:
@@ -196,5 +203,6 @@ class SpanRead:
             or stream[1::step] != self._header_bytes
         ):
             return False
+        # The bytes of each answer must add up to 253, modulo 256: see `__init__`.
         sums = np.frombuffer(stream, np.uint8).reshape(-1, step).sum(axis=1, dtype=np.uint8)
         return bool(sums.tobytes() == self._sum_bytes)

@@ -11,9 +11,9 @@ import yaml
 
 #: return_delay_time.
 RETURN_DELAY_UNIT_S: Final = 2e-6
-#: Bits of `phase`: the unit of speeds is one step a second; places are counted over many turns.
+#: Bits of `phase`: the unit of speeds is one step a second; positions count over many turns.
 SPEED_IN_STEPS, MULTI_TURN = 0x04, 0x10
-#: Registers below are kept without power, once `lock` is 0.
+#: Registers below this address are EEPROM: written values last if `lock` is 0.
 EEPROM_SIZE: Final = 40
 TORQUE_ENABLE: Final = 40
 CONTROL, STATE = 40, 56

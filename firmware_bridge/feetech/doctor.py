@@ -34,11 +34,12 @@ _DEAD_COMPUTER: Final = (
 def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Iterator[Finding]:
     """Yield findings about port and servos in the order of the checks; write to no servo.
 
-    line: one that waits `UNHURRIED_S` for late answers. rate_hz: ticks a second that the bus should
-    manage.
+    line: open at the YAML's baud rate, and with longer waits than a control loop allows. rate_hz:
+    ticks a second that the bus should manage.
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
+    # By id: the first rate at which a servo answered, and the name of its model.
     at_rate: dict[int, tuple[int, str]] = {}
     rates = [wanted_rate, *baud_rates().values()]
     spoilt = False

@@ -34,9 +34,9 @@ class FeetechKind(BusKind):
         return SERIAL_SERVOS
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
-        """Return the bus at its port; without a port, one that is simulated in memory by `clock`.
+        """Return the face's unopened bus at its port; without a port, one simulated in memory.
 
-        strict=False: servos may be missing.
+        strict=False: servos may be missing. clock: moves the simulated servos; a port has its own.
         """
         from firmware_bridge.feetech.bus import FeetechBus
         from firmware_bridge.feetech.mounting import mounted_servos
@@ -65,9 +65,10 @@ class FeetechKind(BusKind):
         return bool(Line(transport).scan())
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """Return a function that opens the port to switch torque off at the face's baud rate.
+        """Return a function that opens the port and returns a `LineRelease`, to switch torque off.
 
-        Without a wiring the rate is unknown, and all rates of these servos are tried.
+        Torque off is sent at the baud rate of the face in `wiring`; None: the rate is unknown, and
+        all rates of these servos are tried. The function raises PortError.
         """
         from firmware_bridge.feetech.control_table import baud_rates
         from firmware_bridge.feetech.torque import LineRelease
@@ -78,7 +79,7 @@ class FeetechKind(BusKind):
         return lambda: LineRelease(opener(), rates)
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Yield findings about port, adapter, and every servo."""
+        """Open the port and yield findings about bus and every servo. Raises PortError."""
         from firmware_bridge.feetech.doctor import examine
         from firmware_bridge.feetech.mounting import mounted_servos
         from firmware_bridge.feetech.provisioning import unhurried_line
@@ -89,7 +90,8 @@ class FeetechKind(BusKind):
     def memories(self, wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
         """Read and return each servo's EEPROM values; None for a servo that does not answer.
 
-        Empty without a port, for servos in memory.
+        Empty without a port, for servos in memory. `drive_mode` is register `phase` here, so that
+        the keys are those of Dynamixels.
         """
         from firmware_bridge.feetech.mounting import identify_all, mounted_servos
         from firmware_bridge.feetech.provisioning import unhurried_line

@@ -15,17 +15,18 @@ from firmware_bridge.feetech.codec import (
 from firmware_bridge.serial_servos.half_duplex import HalfDuplex
 from firmware_bridge.transport import Transport
 
-#: Of several servos: one undisturbed stream of all, or those that came whole, one by one.
+#: Answers of several servos: the bytes of all, undisturbed and in order, or those that came whole.
 Answers = bytes | list[Status]
 
-#: Return delay as the longest that the register holds: 254 x 2 us.
+#: The longest return delay that the register holds: 254 x 2 us.
 LONGEST_RETURN_DELAY_S: Final = 0.00051
-#: firmware (2 bytes), byte order, model number (2).
+#: Bytes from address 0: firmware (2), byte order (1), model number (2).
 IDENTITY_SIZE: Final = 5
-#: Between two questions of a scan: adapters and computers may be late with an answer, servos not.
+#: Pause between two requests of a scan, and how long late answers are awaited at its end.
 _SCAN_GAP_S: Final = 0.001
 _SCAN_WAIT_S: Final = 0.06
-#: Silent this often in a row: asked last, since it may cut off the rest; then only now and then.
+#: A servo silent this often in a row is read last, since it may cut off those behind it; after five
+#: times only in every 200th request.
 _SUSPECT_AFTER, _ABSENT_AFTER = 2, 5
 _RETRY_EVERY: Final = 200
 
@@ -44,6 +45,7 @@ class Line(HalfDuplex):
         *,
         extra_wait_s: float = 0.0,
     ) -> None:
+        """Use the line behind `transport`, an open port; parameters as those of `HalfDuplex`."""
         super().__init__(transport, return_delay_s, extra_wait_s)
 
     def read(
@@ -51,7 +53,8 @@ class Line(HalfDuplex):
     ) -> Status | None:
         """Read `size` bytes of one servo from `address` on; None: no answer.
 
-        extra_wait_s: how long to wait beyond the deadline.
+        extra_wait_s: how long to wait beyond the deadline. While a late answer of this size may
+        still come, more bytes are read than requested, so that the answers differ in size.
         """
         wide = size
         if self._pending.any and self._pending.expire(self._clock.now()):
@@ -84,7 +87,8 @@ class Line(HalfDuplex):
     def sync_read(self, span: SpanRead) -> Answers:
         """Send request `span`; return the stream of all answers, or the statuses that came whole.
 
-        The stream (bytes) only where every servo answered, undisturbed and in order.
+        The stream (bytes) only where every servo answered, undisturbed and in order. While late
+        answers of the same size may still come, more bytes are read, and the statuses are cut.
         """
         wide = span
         if self._pending.any and self._pending.expire(self._clock.now()):
@@ -109,8 +113,9 @@ class Line(HalfDuplex):
     def scan(self, ids: Sequence[int] = range(MAX_ID + 1)) -> dict[int, list[bytes]]:
         """Read the model number of each of `ids`; return by id its two bytes, once for each answer.
 
-        One request after another; answers are collected at the end, so that a computer or adapter
-        that delays them loses none. Half a second for all ids at 1 Mbaud.
+        After each request the line is left free for an answer's time on the wire; all bytes are
+        parsed at the end, so that answers which computer or adapter delays are found as well. Takes
+        half a second for all ids at 1 Mbaud.
         """
         self.transport.discard_input()
         heard = b""
@@ -147,7 +152,10 @@ class Group:
         self.reset()
 
     def reset(self) -> None:
-        """Forget which servos were silent."""
+        """Start anew: no servo counts as silent.
+
+        `_silent`: by id, how often in a row a servo did not answer; `_all_well`: none was silent.
+        """
         self._silent = dict.fromkeys(self.ids, 0)
         self._n_requests = 0
         self._all_well = True
@@ -160,6 +168,7 @@ class Group:
         The stream (bytes) only where every servo answered, undisturbed and in order.
         """
         self._n_requests += 1
+        # Every 200th request includes the servos left out; the next one leaves them out again.
         if self.leaves_out and self._n_requests % _RETRY_EVERY in (0, 1):
             self._prepare(retry=self._n_requests % _RETRY_EVERY == 0)
         span = self._span
@@ -169,6 +178,7 @@ class Group:
         else:
             requests = (line.read(each, self._address, self._size) for each in span.ids)
             found = [status for status in requests if status is not None]
+        # All answers came: so many bytes, or so many statuses.
         whole = span.reply_size if isinstance(found, bytes) else len(span.ids)
         if self._all_well and len(found) == whole:
             return found

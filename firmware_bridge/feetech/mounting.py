@@ -21,10 +21,11 @@ from firmware_bridge.joints import named
 from firmware_bridge.serial_servos.mounting import SETUP, checked_identities
 from firmware_bridge.serial_servos.mounting import MountedServo as Mounted
 
-#: A servo that is there answers one of five questions even on a bad line; waited for longer each
-#: time, for a busy computer may be late with all of them. Nothing moves yet, so there is time.
+#: Seconds added to the wait at each attempt. A servo that is there answers one of five requests
+#: even on a bad line; the waits grow, since a busy computer may be late with every answer. Nothing
+#: moves yet, so there is time.
 _EXTRA_WAITS_S: Final = (0.0, 0.0, 0.01, 0.03, 0.1)
-#: Of both units of speed; the other is one step a second.
+#: The coarse unit of goal_speed in steps a second; the fine unit is one step a second.
 _COARSE_STEPS_S: Final = 50
 
 
@@ -90,7 +91,8 @@ def identify(
 ) -> ServoIdentity | None:
     """Read one servo's settings and position; None if it does not answer within `tries` attempts.
 
-    doubled=True where nearly all of the usual attempts get damaged answers.
+    If four of the usual five attempts get damaged answers, as from two servos with one id, the
+    identity returned has only `doubled`=True. Raises PortError.
     """
     servo_id, dialect = servo.joint.servo_id, servo.model.dialect
     n_spoilt = 0
@@ -107,7 +109,10 @@ def identify(
 
 
 def mismatches(servo: MountedServo, found: ServoIdentity) -> list[str]:
-    """Return how a servo, as `found` now, differs from the face's YAML; empty: it can be driven."""
+    """Return how a servo, as `found` now, differs from what the face's YAML needs, a text each.
+
+    Damaged answers or another model make the only text. []: the servo can be driven.
+    """
     model = servo.model
     if found.doubled:
         one_alone = f"connect one of them alone and run `lipservo setup-servos {servo.joint.name}`"

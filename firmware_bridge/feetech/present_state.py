@@ -11,7 +11,7 @@ from firmware_bridge.feetech.control_table import STATE
 from firmware_bridge.feetech.mounting import MountedServo, ServoIdentity
 from firmware_bridge.serial_servos.state_cache import ROOM_DEGC, ServoStateCache, read_only
 
-#: What each bit of register `status` means here; too much current is too much load.
+#: The hardware error for each bit of register `status`; too much current counts as overload.
 _MEANINGS: Final = {
     0x01: HardwareError.INPUT_VOLTAGE,
     0x02: HardwareError.ENCODER,
@@ -19,7 +19,7 @@ _MEANINGS: Final = {
     0x08: HardwareError.OVERLOAD,
     0x20: HardwareError.OVERLOAD,
 }
-#: Bit 4 of what a servo answers with says that torque is on, in some firmware.
+#: The bits above; in some firmware bit 4 says that torque is on.
 _STATUS_BITS: Final = sum(_MEANINGS)
 _HARDWARE: Final = np.array(
     [sum({error for bit, error in _MEANINGS.items() if bit & bits}) for bits in range(256)],
@@ -39,14 +39,19 @@ class PresentState:
     """
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
+        """Start without reports: positions NaN. All `servos` are of one dialect.
+
+        `_frame` holds each servo's newest answer, in the face's order; the arrays of values are
+        views into `_frame`, so that a copy of all answers updates them.
+        """
         n, dialect = len(servos), servos[0].model.dialect
         ids = [servo.joint.servo_id for servo in servos]
         hottest = [servo.model.hottest_degc for servo in servos]
         self.cache = ServoStateCache(ids, dialect.n_positions - 1.0, hottest, return_delay_s=0.0)
-        # The newest answers of all, as they come; numbers are read in place.
         self._step = dialect.state_size + EMPTY_SIZE
         self._frame = bytearray(n * self._step)
         number = "<u2" if dialect.byte_order == "little" else ">u2"
+        # Offsets from register `STATE` on; an answer has five bytes before its data.
         fields = {"position": (0, number), "load": (4, number)}
         fields |= {"voltage": (6, "u1"), "temperature": (7, "u1"), "status": (9, "u1")}
         if dialect.current_unit_ma is not None:
@@ -65,6 +70,7 @@ class PresentState:
         self._current_unit_ma = dialect.current_unit_ma
         self._currents = values["current"] if self._current_unit_ma is not None else None
         self._signed = dialect.registers["present_position"].sign is not None
+        # Where the high byte of each position is, which has the sign.
         high_byte = EMPTY_SIZE - (0 if dialect.byte_order == "little" else 1)
         self._high_bytes = slice(high_byte, None, self._step)
         self._seen = b""
@@ -104,7 +110,7 @@ class PresentState:
             (n_servos,) seconds: age of each servo's values; 0 for those that answered.
         """
         cache = self.cache
-        if isinstance(found, bytes):
+        if isinstance(found, bytes):  # all answered, in the face's order
             self._frame[:] = found
             cache.heard_s.fill(now_s)
             self._all_heard = True
@@ -118,9 +124,10 @@ class PresentState:
             ages_s = cache.ages([status.servo_id for status in found], now_s)
             cache.count_silent(ages_s)
         pulses: Array = self._places()
+        # The load has 10 bits, in 0.1 % of the stall torque; bit 10 is its direction.
         self.cache.effort = np.asarray((self._loads & 0x3FF) * 1e-3, np.float64)
         self._take_conditions()
-        if not self._all_heard:
+        if not self._all_heard:  # values of servos that have never answered are unknown
             ever = np.isfinite(cache.pulses)
             ever[np.flatnonzero(ages_s == 0.0)] = True
             self._all_heard = bool(ever.all())
@@ -138,7 +145,10 @@ class PresentState:
         return places
 
     def _take_conditions(self) -> None:
-        """Store voltage, temperature and errors of the newest answers, if any has changed."""
+        """Store voltage, temperature and errors of the newest answers, if any has changed.
+
+        Error bits add up; `forget_trouble` clears them.
+        """
         of, cache = self._conditions, self.cache
         seen = b"".join([values.tobytes() for values in of.values()])
         if seen == self._seen and self._all_heard:

@@ -30,9 +30,9 @@ from firmware_bridge.serial_servos.torque import write_verified
 __all__ = ["chain_is_complete"]
 
 _TRIES: Final = 3
-#: Of a servo that is moved to see which it is.
+#: Top speed of a servo that is moved to see which joint it drives.
 _CAREFUL_DEG_S: Final = 60.0
-#: So many questions; so many of them heard, and so many of these spoilt.
+#: Reads; how many must be answered, and how many of the answers damaged, for two servos at one id.
 _REQUESTED, _HEARD, _SPOILT = 6, 5, 4
 
 
@@ -41,7 +41,8 @@ def wanted_settings(
 ) -> dict[str, int]:
     """Return the EEPROM values, by register name, that a mounted servo should have.
 
-    found: its present values, of which some bits are kept.
+    Position limits are a margin outside the joint's, within the servo's range. found: the servo's
+    present values; of `phase` all bits but the one for many turns are kept.
     """
     low, high = servo.pulse_range()
     dialect = servo.model.dialect
@@ -71,7 +72,8 @@ def read_eeprom(line: Line, servo_id: int, model: ServoModel) -> dict[str, int]:
 def shares_id(line: Line, servo_id: int) -> bool:
     """Return whether several servos seem to answer to `servo_id`; False if none answers.
 
-    Two servos of one model answer alike about their model, but not about their position.
+    Reads position, load and the like, in which two servos of one model differ, so that they spoil
+    each other's answers; answers with the same bytes may arrive whole.
     """
     n_heard = n_spoilt = 0
     for _ in range(_REQUESTED):
@@ -127,16 +129,16 @@ scan, find_servos = _CHAIN.scan, _CHAIN.find_servos
 plan_chain, plan_alone, set_up = _CHAIN.plan_chain, _CHAIN.plan_alone, _CHAIN.set_up
 
 
-#: What is taken back of a servo that another program has set up leaves its middle as it is.
+#: Whether `clear_foreign_settings` also moves the middle of the range: here it does not.
 CLEARS_MIDDLE: Final = False
 
 
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
-    """Return the first baud rate at which servos answer, and the model name by id.
+    """Return the first baud rate at which servos answer, and their model names by id.
 
-    first_rate: the rate to try first. Each rate is tried twice, since a computer that stalled
-    misses answers. Raises ServoError where no servo answers, two have one id or a model is unknown,
-    and PortError.
+    For servos that belong to no face yet. first_rate: the rate to try first. If no servo answers,
+    all rates are tried once more, since a computer that stalled misses answers. Raises ServoError
+    where no servo answers, two have one id or a model is unknown, and PortError.
     """
     rates = list(dict.fromkeys([first_rate, *baud_rates().values()]))
     with unhurried_line(port, first_rate) as line:
@@ -194,8 +196,9 @@ def lone_servo(
 ) -> tuple[FeetechBus, Joint, int]:
     """Return an unopened bus of one servo, its joint, and its present position in encoder steps.
 
-    The joint is at 0 in this position. reach_deg: how far it may move to each side. name: the
-    servo's model. rate: baud rate.
+    For moving a servo of no face yet. The joint's 0 degrees are the present position. reach_deg:
+    how far the joint may move to each side. name: the servo's model. rate: baud rate. Raises
+    PortError, ServoError.
     """
     model = servo_models()[name]
     joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, _CAREFUL_DEG_S)

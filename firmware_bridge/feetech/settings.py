@@ -8,7 +8,7 @@ from pydantic import model_validator
 from firmware_bridge.bus_settings import BusServo, BusSettings, Strict, within
 from firmware_bridge.feetech.control_table import ServoModel, servo_models
 
-#: Of an SCS, which reaches 150 to either side.
+#: Largest zero_offset_deg of an SCS servo, which reaches 150 degrees to either side.
 _FARTHEST_NEUTRAL_DEG: Final = 90.0
 
 

@@ -39,16 +39,19 @@ from firmware_bridge.simulator.motors import (
 )
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
 
-#: Not simulated here but in a ping, which lipservo never sends and others do.
+#: A ping: lipservo never sends it, other programs do.
 _PING: Final = 0x01
 _TABLE_SIZE: Final = 96
+#: Written to torque_enable: the present position becomes the middle of the range.
 _MIDDLE: Final = 128
 _FOREVER: Final = float("inf")
-#: A restart takes as long; ours.
+#: How long a restart takes; our assumption.
 _BOOT_S: Final = 0.2
+#: Steps a second, and a second squared, of one unit of goal_speed and acceleration.
 _SPEED_STEPS, _ACCELERATION_STEPS = 50, 100
+#: Bits of register `status`, at address 65.
 _OVERLOAD, _VOLTAGE, _HEAT = 0x20, 0x01, 0x04
-#: As they leave the factory; phase: speeds in steps, 0 as fast as it can.
+#: Registers of a new servo; phase: speeds count single steps, and speed 0 is as fast as possible.
 _FACTORY: Final = {
     "firmware_major": 3,
     "firmware_minor": 10,
@@ -98,6 +101,11 @@ class SimulatedServo:
     def __init__(
         self, model: ServoModel, index: int, motors: Motors, *, wakes_up_stiff: bool = False
     ) -> None:
+        """Make a servo with factory settings, just powered up.
+
+        table: all registers by address; stored: those that survive power-off. silent_until_s: the
+        servo ignores packets before. `_scale`: steps of `motors` per step of the position register.
+        """
         self.model, self.dialect, self.index = model, model.dialect, index
         self._motors, self._wakes_up_stiff = motors, wakes_up_stiff
         self.table = bytearray(_TABLE_SIZE)
@@ -160,9 +168,10 @@ class SimulatedServo:
     def write(self, address: int, data: bytes) -> None:
         """Write registers as a packet would: read-only ones stay, EEPROM lasts only if unlocked.
 
-        A write of the goal switches torque on.
+        A write of the goal switches torque on. Positions outside the limits are clipped.
         """
         lock = self.dialect.registers["lock"].address
+        # Addresses below 5 and from `STATE` on are read-only; torque and lock follow below.
         for at, byte in enumerate(data, start=address):
             if at in (TORQUE_ENABLE, lock) or not 5 <= at < STATE:
                 continue
@@ -185,7 +194,7 @@ class SimulatedServo:
     def protect(self) -> None:
         """Update register `status`, whose error bits every answer has, after the motor moved.
 
-        An overload lasts until torque goes off.
+        Voltage and heat are of the present; an overload lasts until torque goes off.
         """
         motors, i = self._motors, self.index
         status = self.table[65] & _OVERLOAD
@@ -199,9 +208,9 @@ class SimulatedServo:
             self._settle()
 
     def _set_torque(self, value: int) -> None:
-        """Switch torque on (`value` 1) or off; 128: call the shaft's present position the middle.
+        """Switch torque on (`value` 1) or off; 128: make the present position the range's middle.
 
-        Off ends an overload. Torque that comes on holds the present position.
+        Torque off ends an overload. Torque that comes on holds the present position.
         """
         motors, i = self._motors, self.index
         if value == _MIDDLE:
@@ -218,9 +227,13 @@ class SimulatedServo:
             motors.overload_s[i] = 0.0
 
     def _settle(self) -> None:
-        """Set the motor's speed, acceleration and strength from the registers, after a change."""
+        """Set the motor's speed, acceleration and strength from the registers, after a change.
+
+        During an overload the strength is that of register protective_torque at most.
+        """
         motors, i, of = self._motors, self.index, self.dialect.registers
         speed = abs(self["goal_speed"])
+        # fine: goal_speed counts single steps a second, else 50; speed or acceleration 0: no limit
         fine = "homing_offset" not in of or self["phase"] & SPEED_IN_STEPS
         steps_s = speed if fine else speed * _SPEED_STEPS
         rise = self["acceleration"] * _ACCELERATION_STEPS if "acceleration" in of else 0
@@ -235,6 +248,7 @@ class SimulatedServo:
         """Write the motor's present position, load, voltage, heat and current into registers."""
         motors, i = self._motors, self.index
         motors.shown_at_s = -1.0
+        # effort: current in the register's unit, or load in 0.1 %; share: of the stall torque
         effort = motors.register_values()[i][3]
         unit_ma = self.model.current_unit_ma
         share = effort * 1e-3 if unit_ma is None else effort * unit_ma * 1e-3 / self.model.stall_a
@@ -272,9 +286,10 @@ class SimulatedChain:
         environment: Environment | None = None,
         on_change: Callable[[ServoChange], None] = lambda _change: None,
     ) -> None:
-        """Set servos, one of each of `models`, to factory settings but for the ids.
+        """Make a servo of each of `models`, with the id in `ids`, otherwise factory settings.
 
-        wakes_up_stiff: torque is on after power-up. on_change: called at each change.
+        faults: happen at their times. wakes_up_stiff: torque is on after power-up. on_change:
+        called at each change of torque or goal.
         """
         self.motors = Motors(models, environment or Environment())
         self.servos = [
@@ -322,7 +337,11 @@ class SimulatedChain:
             servo.protect()
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
-        """Process bytes that the computer writes at `now_s`, at its baud rate."""
+        """Process bytes that the computer writes at `now_s`, at its baud rate.
+
+        Whole packets are carried out when their last byte is on the wire. Answers that are on the
+        wire at the same time are destroyed. While unplugged, nothing is received.
+        """
         self.advance(now_s)
         if not self.plugged:
             return
@@ -333,6 +352,7 @@ class SimulatedChain:
             if reply.start_s < self._host_until_s and start_s < reply.end_s - 1e-9:
                 self.n_spoken_over += 1
                 reply.data = bytes(len(reply.data))
+        # pending: bytes of an unfinished packet received before; done: those carried out now
         pending = len(self._heard)
         self._heard += data
         done = 0
@@ -352,6 +372,7 @@ class SimulatedChain:
     def _happen(self, fault: ChainFault, now_s: float) -> None:
         """Apply a fault of the script that begins at `now_s`."""
         end_s = now_s + fault.lasts_s
+        # `lost`, `spoilt` and `unplug` hit all answers, the other kinds single servos.
         if fault.kind in self._until_s:
             self._until_s[fault.kind] = end_s
             self._replies.clear()
@@ -366,7 +387,7 @@ class SimulatedChain:
                 self._log(servo)
             elif fault.kind == "locked":
                 servo.stays_locked = True
-            else:
+            else:  # overload or jam; `advance` ends it
                 self.motors.load[servo.index] = 0.95
                 self.motors.jammed[servo.index] = fault.kind == "jam"
                 self._ends.append((end_s, servo))
@@ -385,6 +406,7 @@ class SimulatedChain:
             s for s in self.servos if s.baud_rate == baud_rate and s.silent_until_s <= end_s
         ]
         own = [s for s in listening if s["id"] == packet_id]
+        # Sync write: address, size, then id and data of each servo. Sync read: address, size, ids.
         if instruction == Instruction.SYNC_WRITE and len(parameters) > 2:
             address, size = parameters[0], parameters[1]
             for at in range(2, len(parameters) - size, size + 1):
@@ -427,8 +449,8 @@ class SimulatedChain:
     ) -> None:
         """Queue a servo's answer with `data`, sent after its return delay; faults lose or spoil it.
 
-        after_s: when the line is free. byte_s: seconds per byte. servo_id: the id in the answer;
-        None: as in the register. Answers that overlap on the wire damage each other.
+        after_s: when the return delay begins. byte_s: seconds per byte. servo_id: the id in the
+        answer; None: as in the register. Answers that overlap on the wire damage each other.
         """
         raw = packet(servo["id"] if servo_id is None else servo_id, servo.table[65], data)
         start_s = after_s + servo["return_delay_time"] * RETURN_DELAY_UNIT_S
@@ -458,9 +480,9 @@ class SimulatedChain:
 
 
 def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) -> SimulatedChain:
-    """Return a simulated chain with each servo's id, rate and limits, limp in neutral.
+    """Return a simulated chain of a face's servos with their ids, rate and limits, limp in neutral.
 
-    options: those of `SimulatedChain`.
+    options: keyword arguments of `SimulatedChain`.
     """
     ids = [servo.joint.servo_id for servo in servos]
     chain = SimulatedChain([servo.model for servo in servos], ids, **options)

@@ -47,18 +47,22 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
     def __init__(
         self, servos: Sequence[MountedServo], present: PresentState, mounting: Mounting
     ) -> None:
+        """Switch torque of `servos`, all of one dialect; no servo gets goals yet.
+
+        present: their last known state. Public arrays are (n_servos,), read by the bus in a tick.
+        """
         super().__init__(servos, present, mounting)
         n = len(servos)
-        #: Who gets goals: a goal may switch torque on.
+        #: Servos that get goals; others get none, since a goal may switch torque on.
         self.driven = np.zeros(n, dtype=np.bool_)
-        #: Who gets none until its bounds were read, having been silent.
+        #: Servos that missed an answer: no goals until a read shows that they have not restarted.
         self.doubted = np.zeros(n, dtype=np.bool_)
         self._dialect = servos[0].model.dialect
         self._identities: list[ServoIdentity | None] = [None] * n
-        #: Registers goal_speed: of a start, and the most that a goal may bring now; and of one step
-        #: of the position register a second.
+        #: Values of register goal_speed: of a soft start, the largest that may be sent now, and the
+        #: one for a position step a second.
         self.slow, self.top, self.units = np.ones(n), np.ones(n), np.ones(n)
-        #: What torque_limit was set to, and when the bounds of a start fall; infinite: they have.
+        #: The torque_limit that was set; when a soft start ends, infinite: none is under way.
         self._strengths = [0] * n
         self._full_at_s = np.full(n, np.inf)
         self._goal = self._dialect.registers["goal_position"].address
@@ -87,8 +91,8 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
     def _prepare(self, line: Line, index: int, place: int) -> str:
         """Set soft limits, then `place` as the goal, before torque on; return what is refused.
 
-        place: present position in encoder steps. The goal may switch torque on already; if the
-        servo refuses it, torque is switched off.
+        "": nothing was refused. place: present position in encoder steps. The goal may switch
+        torque on already; if the servo does not confirm the goal, torque is switched off.
         """
         if not self._bound(line, index, soft=True):
             return "does not take its slow start"
@@ -104,7 +108,10 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         self._full_at_s[index] = now_s + SOFT_START_S
 
     def _hold(self, line: Line, index: int) -> bool:
-        """Set full limits and the present position as the goal; return whether reads confirm it."""
+        """Set full limits and the present position as the goal; return whether reads confirm both.
+
+        False, too, for a servo that never answered. Goals are sent to the servo afterwards.
+        """
         if self._identities[index] is None:
             return False
         self._cache.enabled[index] = True
@@ -118,7 +125,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
         return torque_verified(line, servo_id, on=on)
 
     def doubt(self, ages_s: Array) -> None:
-        """Withhold goals from driven servos that have just missed an answer.
+        """Withhold goals from driven servos that missed an answer just now, and may have restarted.
 
         Parameters
         ----------
@@ -132,12 +139,13 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
     def look_after(self, line: Line, index: int, control: bytes) -> None:
         """Set full strength when due; switch off a servo that lost its limits in a restart.
 
-        control: its registers from `CONTROL` on, read just now. After a brown-out a servo may come
-        back with torque on.
+        control: the servo's registers from torque_enable on, read just now. After a brown-out a
+        servo may come back with torque on, but without the speed and torque limits set before. A
+        servo that has them gets goals again.
         """
         self.note(index, control, line.transport.clock.now())
         if self.doubted[index] and not control[0]:
-            self.doubted[index] = False  # it is brought up anew
+            self.doubted[index] = False  # limp: `enable` will set its limits anew
         if not (self.driven[index] or self.doubted[index]) or not control[0]:
             return
         of, speed = self._dialect, self._dialect.decode("goal_speed", control, CONTROL)
@@ -153,11 +161,11 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
             self._full_at_s[index] = np.inf
 
     def _bound(self, line: Line, index: int, *, soft: bool) -> bool:
-        """Limit a servo's speed and, if possible, its torque; return whether it keeps the limits.
+        """Limit a servo's speed and, if possible, its torque; return whether reads confirm both.
 
-        soft: to the low limits of a start, otherwise to the joint's. A servo that cannot go as fast
-        as its setting keeps the most that it can. Full strength is one step below that of a servo
-        that has restarted, so that a restart shows.
+        soft: the low limits of a soft start, otherwise those of the joint. A servo that cannot go
+        as fast as the joint's limit stores its own top speed instead, which is accepted. The full
+        torque limit is one step below the value after a restart, by which restarts are detected.
         """
         servo, found, dialect = self._servos[index], self._identities[index], self._dialect
         if found is None:
@@ -180,6 +188,7 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
             line.write(servo_id, address, dialect.encode("goal_speed", speed))
             status = line.read(servo_id, address, registers["goal_speed"].size)
             if status is not None:
+                # What the servo has stored: `speed`, or less if it cannot go as fast.
                 kept = dialect.decode("goal_speed", status.data, address)
                 if 0 < kept <= speed:
                     self.slow[index], self.top[index] = min(slow, kept), kept

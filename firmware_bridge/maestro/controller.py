@@ -30,10 +30,10 @@ from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_servos import PulseScale
 from firmware_bridge.transport import Transport
 
-#: USB answers within two milliseconds; a computer that is busy has more.
+#: How long to wait for an answer. USB answers within two milliseconds, a busy computer later.
 _ANSWER_S: Final = 0.02
 _TRIES: Final = 3
-#: The Maestro itself goes this much faster than the gate allows.
+#: The Maestro's own speed limit is this much above that of the joint.
 _SPEED_MARGIN: Final = 1.05
 _HIGH_BITS: Final = np.uint16(LARGEST & ~0x7F)
 
@@ -45,7 +45,7 @@ class Maestro:
         """Use an open transport, with the device number and CRC of the settings; send nothing."""
         self.transport = transport
         self._device, self.has_crc = settings.device, settings.crc
-        #: Bits of `protocol.ERRORS` that it has told so far.
+        #: Bits of `protocol.ERRORS` that the Maestro has reported so far.
         self.errors = 0
 
     def tell(self, *commands: tuple[int, Sequence[int]]) -> None:
@@ -70,18 +70,21 @@ class Maestro:
         return None if answer is None else int.from_bytes(answer, "little")
 
     def check(self, port: str) -> None:
-        """Raise PortError with the remedy unless a Maestro answers, with the CRC as set.
+        """Raise PortError with the remedy unless a Maestro answers in three tries, with CRC as set.
 
-        port: its path, for the message.
+        port: the port's path, for the message. Reads, and so clears, the Maestro's errors.
         """
         if all(self.read_errors() is None for _ in range(_TRIES)):
             raise PortError(no_answer(port, crc=self.has_crc))
-        # Where only we use a CRC, it was one byte too many in what was just asked.
+        # A Maestro without CRC takes the CRC byte of that request for a protocol error.
         if self.has_crc and (self.read_errors() or 0) & PROTOCOL_ERROR:
             raise PortError(f"{port}: the Maestro does not use a CRC; set bus.crc to false")
 
     def _ask(self, n_bytes: int, *commands: tuple[int, Sequence[int]]) -> bytes | None:
-        """Send commands, and return their answer of `n_bytes`; None: not all came within 20 ms."""
+        """Send commands in one write; return their answers, `n_bytes` in all; None: fewer in 20 ms.
+
+        Bytes received before are discarded.
+        """
         transport = self.transport
         transport.discard_input()
         self.tell(*commands)
@@ -107,10 +110,13 @@ class PulseCommands:
     """The commands that set a face's pulses, as one block of bytes overwritten in every tick."""
 
     def __init__(self, maestro: Maestro, channels: Sequence[int], *, together: bool) -> None:
-        """Lay out the block of commands for these channels.
+        """Lay out the block of commands for these channels, each servo's in the face's order.
 
-        together: one command for each row of consecutive channels, otherwise one for each channel.
+        together: one Set Multiple Targets for each row of consecutive channels, as models above the
+        Micro accept; otherwise one Set Target for each channel.
         """
+        # order: indices of servos by channel; ends: where rows end in it; places: for each row, the
+        # byte at which its targets begin, and its servos; _crcs: first byte and CRC byte of each.
         ends = [0, *_row_ends(channels), len(channels)] if together else range(len(channels) + 1)
         order = sorted(range(len(channels)), key=lambda n: channels[n])
         block, places, self._crcs = bytearray(), [], []
@@ -127,6 +133,7 @@ class PulseCommands:
             if maestro.has_crc:
                 self._crcs.append((start, len(block) - 1))
         self._block = block
+        # For each row a view of its targets in the block, and the indices of its servos.
         self._rows = [
             (np.frombuffer(block, "<u2", len(row), at), np.array(row)) for at, row in places
         ]
@@ -145,7 +152,7 @@ class PulseCommands:
             Set Multiple Targets for rows of channels, otherwise one Set Target each.
         """
         quarters = (pulses_us * QUARTERS + 0.5).astype(np.uint16)
-        # Seven bits a byte: what is above the lowest seven moves up by one.
+        # A target has seven bits in each of two bytes: the upper seven bits move up by one.
         targets = quarters + (quarters & _HIGH_BITS)
         for row, servos in self._rows:
             row[:] = targets[servos]
@@ -175,7 +182,10 @@ class MaestroController:
         self._seen = 0
 
     def open(self) -> None:
-        """Open the port; send nothing but requests. Raises PortError unless a Maestro answers."""
+        """Open the port; change nothing yet. Raises PortError unless a Maestro answers.
+
+        The next `send` sets the channels' speed limits again.
+        """
         self.close()
         self._commands = None
         maestro = self._maestro = Maestro(self._open_transport(), self._settings)
@@ -195,7 +205,8 @@ class MaestroController:
     def send(self, pulses_us: Array) -> bool:
         """Write the pulses of all servos at once.
 
-        The first write also bounds the speed of each channel.
+        The first write after `open` also limits the speed of each channel to its joint's. Raises
+        PortError.
 
         Parameters
         ----------
@@ -216,7 +227,7 @@ class MaestroController:
                 bound = split(max(1, min(LARGEST, round(speed))))
                 maestro.tell((SET_SPEED, (channel, *bound)), (SET_ACCELERATION, (channel, 0, 0)))
         maestro.transport.write(self._commands.of(pulses_us))
-        return True  # one that starts anew is another device on USB: its port is lost
+        return True  # a Maestro that restarts is a new USB device: the port is lost
 
     def sending(self, index: int) -> float:
         """Read the pulse that the Maestro sends to servo `index`, us; 0: none; NaN: no answer."""

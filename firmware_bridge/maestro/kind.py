@@ -24,7 +24,7 @@ CAPABILITIES: Final = BusCapabilities(
     pulse_rate_hz=50.0,
     released_words=PULSES_OFF,
 )
-#: USB has its own rate.
+#: Any rate will do: over USB the baud rate has no effect.
 BAUD_RATE: Final = 115_200
 #: Vendor and products: https://www.pololu.com/docs/0J40 , the Micro Maestro and the three Minis.
 _USB_PRODUCTS: Final = ("1ffb:0089", "1ffb:008a", "1ffb:008b", "1ffb:008c")
@@ -54,7 +54,11 @@ class MaestroKind(BusKind):
         return replace(CAPABILITIES, watchdog=timeout_s > 0.0, in_memory=settings.port is None)
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - a servo that is missing cannot be told from one that is there
-        """Return the bus at its command port; without a port, one that is simulated in memory."""
+        """Return the face's unopened bus at its command port; without a port, simulated in memory.
+
+        strict: without effect. clock: for times of pulses and of simulated motion. Raises
+        ServoError for channels that the model lacks.
+        """
         from firmware_bridge.maestro.controller import MaestroController, check_channels
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
 
@@ -65,7 +69,7 @@ class MaestroKind(BusKind):
 
             return SimulatedBus(wiring.joints, clock, capabilities=can)
         controller = MaestroController(wiring, _opener(settings.port))
-        # Behind a pseudo-terminal nothing can be hurt.
+        # may_jump: servos may start without a known position. Simulated ones always may.
         may_jump = wiring.may_jump or Path(settings.port).resolve().parent == Path("/dev/pts")
         kept = KeptPulses(wiring.kept)
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
@@ -75,9 +79,10 @@ class MaestroKind(BusKind):
         return usb_product(port) in _USB_PRODUCTS
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """Return a function that opens the port to switch the pulses of all channels off.
+        """Return a function that opens the port and returns a `MaestroRelease`, to end all pulses.
 
-        Without a wiring the model is unknown, and commands have neither device number nor CRC.
+        wiring: None: the model is unknown, and commands have neither device number nor CRC. The
+        function raises PortError.
         """
         from firmware_bridge.maestro.release import MaestroRelease
 
@@ -86,7 +91,12 @@ class MaestroKind(BusKind):
         return lambda: MaestroRelease(opener(), port, settings, knows=wiring is not None)
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Yield findings about the controller and its pulses, since hobby servos do not answer."""
+        """Yield findings about the controller and its pulses, since hobby servos do not answer.
+
+        Opens the port, and only reads. If `serial_timeout_s` is set, waits 1.2 times as long
+        without a command: the Maestro must then report a timeout, at which it ends its pulses.
+        Raises PortError unless a Maestro answers.
+        """
         from firmware_bridge.maestro.controller import Maestro, check_channels
         from firmware_bridge.maestro.protocol import TIMEOUT_ERROR, describe_errors
 

@@ -30,10 +30,11 @@ N_DATA: Final = {
 #: Channels by model; the smallest has no SET_TARGETS. pico: firmware/pico_maestro.
 N_CHANNELS: Final = {"micro6": 6, "mini12": 12, "mini18": 18, "mini24": 24, "pico": 12}
 WITHOUT_SET_TARGETS: Final = "micro6"
-#: Targets in a microsecond.
+#: Steps of a target in a microsecond.
 QUARTERS: Final = 4
-#: Speeds are so many quarters of a microsecond in so many seconds, at 50 pulses a second.
+#: A speed of 1 is a quarter of a microsecond in this time, at 50 pulses a second.
 SPEED_UNIT_S: Final = 0.01
+#: The largest value of two data bytes.
 LARGEST: Final = 0x3FFF
 ERRORS: Final = (
     "serial signal error",

@@ -23,8 +23,8 @@ class MaestroRelease:
     ) -> None:
         """Prepare to switch pulses off over `transport`, an open port named `port` in messages.
 
-        knows: whether `settings` come from the YAML of a face, so that the number of channels is
-        certain.
+        knows: whether `settings` are from the YAML of a face, so that the number of channels is
+        certain; else it counts as that of the smallest model until `find` has tried more.
         """
         self._maestro = Maestro(transport, settings)
         self._port, self._knows = port, knows
@@ -37,6 +37,7 @@ class MaestroRelease:
         repeated up to three times. Raises PortError when channels still send afterwards, or no
         Maestro answers.
         """
+        # left: channels that have not been read as off; NaN (no answer) counts as on.
         channels: Sequence[int] = range(self._n_channels)
         left: Sequence[int] = addresses or (0,)
         for _ in range(1 + _REPEATS):
@@ -57,9 +58,9 @@ class MaestroRelease:
         """Switch all pulses off, and return the channels to report on.
 
         These are `addresses`, or all channels of the Maestro if `addresses` is empty or the model
-        is unknown. The number of channels of an unknown model is found by querying ever higher
-        channels. A query for a missing channel sends servos to their home positions: pulses are
-        then switched off again.
+        is unknown. The number of channels of an unknown model is found by reading the last channel
+        of ever larger models. A read of a missing channel is an error, at which a Maestro may send
+        servos to their home positions: so pulses are switched off again afterwards.
         """
         self.tell_all(addresses)
         if self._knows:

@@ -29,13 +29,13 @@ from firmware_bridge.simulation_request import (
 )
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost, WatchedServos
 
-#: As it comes: https://www.pololu.com/docs/0J40/4.b .
+#: Pulse limits as set in the factory: https://www.pololu.com/docs/0J40/4.b .
 _SHORTEST_US, _LONGEST_US = 992.0, 2000.0
-#: A hobby servo of the usual size makes 60 degrees in .15 s; 500 us are 45 degrees.
+#: A hobby servo of the usual size turns 60 degrees in .15 s; 500 us are 45 degrees.
 _SHAFT_US_S: Final = 4_400.0
 #: Answers come with the next frame of USB.
 _USB_S: Final = 0.001
-#: It is another device on USB after it has started anew: its port is gone for so long. Ours.
+#: How long the USB port is gone during a restart; our assumption.
 _RESTART_S: Final = 0.5
 _FOREVER: Final = float("inf")
 
@@ -161,7 +161,10 @@ class SimulatedMaestro:
         return self._answers[0][0] if self._answers else _FOREVER
 
     def advance(self, now_s: float) -> None:
-        """Simulate channels, shafts, serial timeout and faults up to `now_s`, in steps of 20 ms."""
+        """Simulate channels, shafts, serial timeout and faults up to `now_s`, in steps of 20 ms.
+
+        An earlier time does nothing. Every change of a pulse is logged.
+        """
         while self._now_s < now_s:
             step_s = min(0.02, now_s - self._now_s)
             self._now_s += step_s
@@ -176,10 +179,15 @@ class SimulatedMaestro:
             self._happen(fault)
 
     def receive(self, data: bytes, now_s: float, _baud_rate: int) -> None:
-        """Obey the commands in `data`, received at `now_s`; ignore all while deaf or unplugged."""
+        """Obey the commands in `data`, received at `now_s`; ignore all while deaf or unplugged.
+
+        A command byte inside another command, or a data byte without a command, is a protocol
+        error. A command that is not whole yet stays in `_message`.
+        """
         self.advance(now_s)
         if self.deaf or not self.plugged:
             return
+        # Faults `truncate` and `corrupt`: half of the bytes arrive, or one bit changes.
         if self._cut:
             data, self._cut = data[: len(data) // 2], False
         if self._damage and data:
@@ -235,8 +243,9 @@ class SimulatedMaestro:
     def _n_missing(self) -> int:
         """Return how many bytes the command being received still lacks; 0 or less: it is whole.
 
-        While its length is not known yet, at least as many are missing.
+        While the command's length is not known yet, a lower bound of at least 1 is returned.
         """
+        # head: bytes before the data: the command, or 0xAA, device number and command
         message = self._message
         head = 3 if message[0] == protocol.POLOLU else 1
         if len(message) < head:
@@ -251,7 +260,8 @@ class SimulatedMaestro:
     def _obey(self, message: bytes, now_s: float) -> None:
         """Carry out a whole command, unless it is for another device number.
 
-        A wrong CRC or an unknown command is an error, which switches all pulses off.
+        A wrong CRC, an unknown command or a missing channel is an error, which switches all pulses
+        off.
         """
         if self._crc:
             message, checksum = message[:-1], message[-1]
@@ -329,7 +339,8 @@ def maestro_for(wiring: Wiring, **options: Any) -> SimulatedMaestro:
 def watched_servos(wiring: Wiring, **options: Any) -> WatchedServos:
     """Return a face's servos simulated in memory: bus, clock, Maestro, and shaft angles, for tests.
 
-    options: as for `SimulatedMaestro`.
+    options: as for `SimulatedMaestro`. The clock is moved by hand. Servos may start without a known
+    position.
     """
     maestro, clock = maestro_for(wiring, **options), ManualClock()
     controller = MaestroController(wiring, lambda: MemoryTransport(maestro, clock, BAUD_RATE))

@@ -25,7 +25,7 @@ from firmware_bridge.pca9685.registers import (
 )
 
 _MODE2: Final = Mode2.TOTEM_POLE
-#: What nobody can do anything about once the computer is dead.
+#: The remark about a board whose OE pin no guard holds.
 NO_GUARD: Final = (
     "nothing holds the OE pin of the board: when the computer dies, its pulses go on, and servos "
     "hold and pull as before; the switch of the servos' supply is what stops them"
@@ -81,7 +81,7 @@ class Pca9685:
         """Send every servo its pulse in one I2C transfer; all 0: switch the whole board off.
 
         The transfer also reads whether the chip is still set up: after a failure of its supply the
-        chip is as at power-up.
+        chip is as at power-up. Raises PortError, and ServoError when the guard is dead or hangs.
 
         Parameters
         ----------
@@ -114,7 +114,8 @@ class Pca9685:
     def sending(self, index: int) -> float:
         """Return the pulse in us that the channel of servo `index` makes, read from its registers.
 
-        0: none, also while the chip is not set up to run. The guard gets its last heartbeat again.
+        0: none, also while the chip is not set up to run. The guard of the OE pin, if any, gets its
+        last heartbeat again. Raises PortError, and ServoError when the guard is dead or hangs.
         """
         chip = self._opened
         if self._guard is not None:
@@ -141,7 +142,7 @@ class Pca9685:
 
     def _switch_off(self) -> None:
         if self._guard is not None:
-            with contextlib.suppress(ServoError):  # told in the next look
+            with contextlib.suppress(ServoError):  # the next heartbeat raises it again
                 self._guard.beat(passes=False)
         self._opened.write([ALL_OFF])
 
@@ -162,13 +163,14 @@ class Pca9685:
 
         Pulses of a chip that is set up already continue. False: the supply failed meanwhile.
 
-        The prescaler can be written only asleep (7.3.5), where no pulse is made: all channels go
-        off first, so that none is cut short or comes back by the restart.
+        The prescaler can be written only while the chip sleeps and makes no pulse (data sheet,
+        7.3.5): all channels go off first, so that no pulse is cut short, and none continues after
+        the restart.
         """
         chip, timing = self._opened, self._timing
         if not self._is_as_set_up():
             chip.write([ALL_OFF])
-            self._sleep(timing.period_us * 1e-6)  # the cycle in which it is written goes to its end
+            self._sleep(timing.period_us * 1e-6)  # the present cycle of pulses ends first
             chip.write([bytes([Register.MODE1, RUNNING | Mode1.SLEEP])])
             chip.write([bytes([Register.PRE_SCALE, timing.prescale])])
             chip.write([bytes([Register.MODE2, _MODE2])])
@@ -188,7 +190,11 @@ class Pca9685:
 
 
 def check_identity(chip: I2cChip) -> None:
-    """Raise PortError unless the chip's identity registers and prescaler are those of a PCA9685."""
+    """Raise PortError unless the chip's identity registers and prescaler are those of a PCA9685.
+
+    Only reads: registers 2 to 5, which have fixed values after power-up, and the prescaler, which
+    is never below 3.
+    """
     found = b"".join(
         chip.read(register) for register in range(Register.SUBADR1, Register.ALLCALLADR + 1)
     )

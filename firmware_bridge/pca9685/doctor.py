@@ -14,10 +14,10 @@ from firmware_bridge.pca9685.settings import Pca9685Settings
 def examine(
     wiring: Wiring, opener: Callable[[], I2cChip], slowness: str | None
 ) -> Iterator[Finding]:
-    """Yield findings on bus, chip, channels, timing, rate and OE pin; only reads, never writes.
+    """Yield findings for `lipservo doctor` on bus, chip, channels, timing, rate and OE pin.
 
-    opener: opens the chip; findings end at its PortError. slowness: why the bus is too slow for the
-    face; None: it is fast enough.
+    Only reads, never writes. opener: opens the chip; a PortError of its or of a read becomes the
+    last finding. slowness: why the bus is too slow for the face; None: it is fast enough.
     """
     settings: Pca9685Settings = wiring.settings
     try:
@@ -83,7 +83,7 @@ def _channel(chip: I2cChip, wiring: Wiring, index: int) -> Finding:
     """Return the finding on a servo's channel: its present pulse, pulse limits and resolution."""
     servo, joint = wiring.servos[index], wiring.joints[index]
     timing = wiring.settings.timing
-    # One by one: auto-increment may be off.
+    # Registers are read one by one, since auto-increment may be off.
     first = channel_register(servo.channel)
     counts = counts_of(b"".join(chip.read(first + n) for n in range(4)))
     now = f"{counts * timing.count_us:.0f} us" if counts else "no pulses"

@@ -23,16 +23,16 @@ from firmware_bridge.errors import PortError, PortGone
 READ: Final = 0x0001
 _PLAIN_I2C: Final = 0x0001
 _I2C_TIMEOUT: Final = 0x0702
-#: In units of 10 ms: a bus that is stuck holds a tick up so long, not a second as by default.
+#: In units of 10 ms: how long a bus that is stuck may delay a tick; by default it is a second.
 _TIMEOUT: Final = 5
 #: Address, flags and length of a message; how many of them; errno and length of an answer.
 MESSAGE: Final = struct.Struct("<HHH")
 COUNT: Final = struct.Struct("<B")
 ANSWER: Final = struct.Struct("<HH")
 _TERMINALS: Final = Path("/dev/pts")
-#: No simulator needs so long.
+#: How long to wait for a simulator's answer.
 _ANSWER_S: Final = 1.0
-#: A message that is spoilt is sent once more: a line of a bus may be disturbed.
+#: A transfer that fails is run once more: the lines of the bus may have been disturbed.
 _TRIES: Final = 2
 _OFD_LOCK: Final = struct.Struct("hhqqi4x")
 #: Address, flags, and the bytes to write or how many to read.
@@ -100,7 +100,7 @@ class I2cChip:
                     raise PortGone(
                         f"{self.name}: {why}; check power, SDA and SCL of the board"
                     ) from error
-        raise AssertionError
+        raise AssertionError  # not reached
 
 
 class DeviceTransfers:
@@ -207,9 +207,10 @@ def is_terminal(path: str) -> bool:
 def open_chip(path: str, address: int) -> I2cChip:
     """Open the chip at `address` of the I2C bus at `path`, locked for this process.
 
-    Nothing is sent. On a bus of the computer only the address is locked: programs that use its
-    other addresses are not affected. Raises PortError, with the remedy, when the bus cannot be
-    opened or the address is in use.
+    path: a device of the computer, such as /dev/i2c-1, or the pseudo-terminal of a simulator.
+    Nothing is sent. On a device only the address is locked: programs that use its other addresses
+    are not affected. Raises PortError, with the remedy, when the bus cannot be opened or the
+    address is in use.
     """
     name = f"{path}, address {address:#04x}"
     is_alone = is_terminal(path)
@@ -231,8 +232,9 @@ def _claim(fd: int, address: int, *, alone: bool) -> None:
     """Lock an I2C address for this process, as one byte of the bus's file `fd`, without waiting.
 
     alone: lock the whole file as well, since a terminal carries one conversation; else share the
-    file. Raises OSError where another process has the lock.
+    file with other addresses. Raises OSError where another process has the lock.
     """
+    # Two independent locks: flock on the file, and a lock of the byte whose offset is the address.
     fcntl.flock(fd, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
     lock = _OFD_LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, address, 1, 0)
     fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)

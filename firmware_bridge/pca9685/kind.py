@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from firmware_bridge.pca9685.i2c import I2cChip
     from firmware_bridge.pca9685.oe_guard import OeGuard
 
-#: Bits a second of a bus of which nothing else is known, and those of a byte with its acknowledge.
+#: The clock assumed for a bus that states none, in bits/s; bits of a byte with its acknowledge.
 _STANDARD_HZ: Final = 100_000
 _BYTE_BITS: Final = 9
-#: Of a tick that the bus may take.
+#: The share of a tick's period that the bus may take.
 _SHARE: Final = 0.6
 
 
@@ -66,17 +66,18 @@ class Pca9685Kind(BusKind):
         pin, kept = (settings.gpio_chip, settings.oe_gpio), KeptPulses(wiring.kept)
         guard = OeGuard(*pin, clock) if _has_guard(settings) else None
         controller = controller_of(wiring, opener_of(wiring), clock, guard)
-        # Behind a pseudo-terminal nothing can be hurt.
+        # may_jump: servos may start without a known position. Simulated ones always may.
         may_jump = wiring.may_jump or is_terminal(settings.port)
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
         """Return why the I2C bus is too slow for `rate_hz` ticks a second; None: it is fast enough.
 
-        The text has the remedy. Computed from the bytes of a tick and the bus clock that the device
-        tree states.
+        The text has the remedy. Computed from the bytes of a tick, which may take 60 % of its
+        period, and the bus clock that the device tree states.
         """
         bits_s = _bits_s(wiring.settings.port or "")
+        # Four bytes a servo; eight for addresses, a register's number and the read of MODE1.
         needed_s = (4 * len(wiring.servos) + 8) * _BYTE_BITS / bits_s
         if needed_s <= _SHARE / rate_hz:
             return None
@@ -108,6 +109,7 @@ class BoardRelease:
     confirms = False
 
     def __init__(self, chip: "I2cChip") -> None:
+        """Use an open chip. Closes it and raises PortError if it is not a PCA9685."""
         from firmware_bridge.pca9685.controller import check_identity
 
         self._chip = chip
@@ -155,8 +157,8 @@ def controller_of(
 ) -> "Pca9685":
     """Return the controller of a face's PCA9685, unopened.
 
-    opener: opens the chip. guard: holds its OE pin; None: nothing does. Raises ServoError where the
-    servos' longest pulse does not fit into the period of the pulses.
+    opener: opens the chip. guard: holds the chip's OE pin; None: nothing holds that pin. Raises
+    ServoError where the servos' longest pulse does not fit into the period of the pulses.
     """
     from firmware_bridge.pca9685.controller import Pca9685
 

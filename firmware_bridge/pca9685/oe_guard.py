@@ -30,20 +30,22 @@ from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.process.operating_system import run_on_time
 from firmware_bridge.process.runtime_folder import ControlError, runtime_folder
 
-#: What the kernel calls whoever holds the pin.
+#: The name under which the guard holds the pin in the kernel.
 CONSUMER: Final = "lipservo OE guard"
-#: So long the pin stays low after a heartbeat; a bridge that is busy is never late by as much.
+#: How long the pin stays low after a heartbeat; a busy bridge is never that late.
 HOLD_S: Final = 0.5
-#: A bridge that was late by so much has to take its pulses for ended.
+#: A bridge that is later than this must assume that its pulses have been blocked.
 _LAPSED_S: Final = HOLD_S / 2
+#: An unchanged heartbeat is sent at most this often.
 _BEAT_S: Final = 0.05
-#: A guard that does not answer for so long hangs.
+#: A guard that has not answered for this long counts as hanging.
 _SILENT_S: Final = 1.0
 _START_S: Final = 10.0
-#: The guard of before is gone by then.
+#: How long to wait for an earlier guard of the pin to end.
 _TAKE_OVER_S: Final = 2.0
+#: struct flock of fcntl.h: type, whence, start, length, process id
 _POSIX_LOCK: Final = struct.Struct("hhqqi4x")
-#: Heartbeats, and their echoes: whether pulses may come out.
+#: Heartbeats, which the guard sends back: let pulses through, or block them.
 _PASS, _BLOCK = b"1", b"0"
 _IGNORED: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
@@ -97,12 +99,13 @@ class OeGuard:
                 [*command, self._chip, str(self._line), str(end.fileno())],
                 pass_fds=[end.fileno()],
                 stdin=subprocess.DEVNULL,
-                # It may outlive this process, and would keep a pipe of its reader open.
+                # The guard may outlive this process, and would keep inherited pipes open.
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,
             )
         self._link.settimeout(_START_S)
+        # The guard's first message: `_BLOCK` once the pin is high, or the text of an error.
         try:
             answer = self._link.recv(512)
         except OSError:
@@ -127,12 +130,13 @@ class OeGuard:
         if self._sent_s - self._heard_s > _SILENT_S:
             self._fail("hangs, and was killed")
         if now_s - self._sent_s > _SILENT_S:
-            self._heard_s = now_s  # nothing was asked of it meanwhile
+            self._heard_s = now_s  # without heartbeats the guard had nothing to answer
         self._sent, self._sent_s = wanted, now_s
         link = self._link
         try:
             assert link is not None
             link.send(wanted, socket.MSG_NOSIGNAL)
+            # Read all echoes; no more: BlockingIOError; b"": the guard has closed its end.
             while link.recv(64):
                 self._heard_s = now_s
             self._fail("has died")
@@ -158,7 +162,7 @@ class OeGuard:
     def _fail(self, what: str) -> None:
         """Kill the guard process, so that the pin's pull-up ends the pulses; raise ServoError.
 
-        what: what the process did, such as `has died`, for the message.
+        Always raises. what: what the process did, such as `has died`, for the message.
         """
         if self._process is not None:
             self._process.kill()
@@ -248,20 +252,23 @@ def _in_words() -> Iterator[None]:
 
 
 def guard(link: socket.socket, pin: Pin) -> bool:
-    """Drive the pin by the heartbeats received over `link`, until the bridge closes its end.
+    """Drive the OE pin by the heartbeats received over `link`, until the bridge closes its end.
 
-    Low for `HOLD_S` after a heartbeat that lets pulses through, else high. Return True if the last
-    heartbeat had blocked pulses, or none came.
+    The main loop of the guard process. The pin is low (pulses) for `HOLD_S` after a heartbeat that
+    lets pulses through, else high. Every heartbeat is sent back. Return True if the last heartbeat
+    had blocked pulses, or none came.
     """
+    # wanted: the last heartbeat; until_s: when the pin goes high unless another one comes
     waits, wanted, is_high, until_s = select.poll(), _BLOCK, True, 0.0
     waits.register(link, select.POLLIN)
     while True:
         left_s = max(0.0, until_s - time.monotonic())
         is_late = not waits.poll(None if is_high else left_s * 1e3)
-        heard = b""
+        heard = b""  # no heartbeat in time, or the bridge has closed its end
         if not is_late:
             with contextlib.suppress(OSError):
                 heard = link.recv(64)
+        # The pin is set when it has to change, not at each heartbeat.
         if is_high is not (is_high := heard != _PASS):
             pin.set(high=is_high)
         if is_late:
@@ -276,8 +283,9 @@ def guard(link: socket.socket, pin: Pin) -> bool:
 def _lock(chip: str, line: int) -> int:
     """Lock `line` of GPIO `chip` for this process; return the descriptor of the lock's file.
 
-    A guard that holds the lock although its bridge is gone is ended first. Raises PortError when
-    the file cannot be made, or another face's guard keeps the lock for 2 s.
+    The process that holds the lock gets SIGTERM, which ends a guard whose bridge is gone, and which
+    the guard of a running face ignores. Raises PortError when the file cannot be made, or the lock
+    is still held after 2 s.
     """
     name = f"oe-{os.path.realpath(chip).replace('/', '_')}-{line}.lock"
     try:
@@ -289,6 +297,7 @@ def _lock(chip: str, line: int) -> int:
         with contextlib.suppress(OSError):
             fcntl.lockf(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return fd
+        # The process that holds the lock; 0 or less if it has just let go.
         found = fcntl.fcntl(fd, fcntl.F_GETLK, _POSIX_LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
         holder = _POSIX_LOCK.unpack(found)[4]
         if time.monotonic() > give_up_s:
@@ -300,7 +309,10 @@ def _lock(chip: str, line: int) -> int:
 
 
 def main() -> None:
-    """Run the guard process: argv has GPIO chip, line, and an inherited socket to the bridge."""
+    """Run the guard process: argv has GPIO chip, line, and an inherited socket to the bridge.
+
+    Send the bridge one heartbeat once the pin is held high, or the text of an error.
+    """
     chip, line, link = sys.argv[1], int(sys.argv[2]), socket.socket(fileno=int(sys.argv[3]))
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
@@ -313,7 +325,7 @@ def main() -> None:
     run_on_time()
     link.send(_BLOCK)
     if not guard(link, pin):
-        # The registers may go on with their pulses: high until there is another guard.
+        # The chip may still make pulses: hold the pin high until another guard ends this process.
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         link.close()
         signal.pause()

@@ -65,12 +65,13 @@ class Mode2(IntFlag):
     TOTEM_POLE = 0x04
 
 
-#: While pulses are made. Neither the all-call address 0x70, at which multiplexers live, nor any
-#: other of the addresses that several chips share is answered.
+#: MODE1 while pulses are made. The chip then answers at its own address alone, not at those that
+#: several chips share, such as the all-call address 0x70, at which multiplexers are found.
 RUNNING: Final = Mode1.AUTO_INCREMENT
-#: What stands in SUBADR1..3 and ALLCALLADR after power-up: the chip has no number of its own.
+#: SUBADR1..3 and ALLCALLADR after power-up, by which the chip is recognised: it has no id register.
 IDENTITY: Final = bytes([0xE2, 0xE4, 0xE8, 0xE0])
-#: No pulses on any channel: one byte, so nothing is ever half done; it reaches a chip asleep, too.
+#: The message that ends the pulses of all channels: one register byte, so never half done; a chip
+#: that sleeps obeys it, too.
 ALL_OFF: Final = bytes([Register.ALL_LED_OFF_H, FULL])
 
 
@@ -148,7 +149,12 @@ class PulseMessages:
     """
 
     def __init__(self, channels: Sequence[int]) -> None:
-        """Lay out messages for `channels`: each servo's, in the order of the pulses; none twice."""
+        """Lay out messages for `channels`: each servo's, in the order of the pulses; none twice.
+
+        `_runs`: a message for each run of neighbouring channels: first register, then four bytes a
+        channel. `_places`: for each servo, the count at which its pulse begins, its message, and
+        the index in there of its two OFF bytes.
+        """
         self._runs = []
         self._places = [(0, bytearray(), 0)] * len(channels)
         order = sorted(range(len(channels)), key=lambda index: channels[index])
@@ -174,7 +180,7 @@ class PulseMessages:
         list[bytearray]
             The messages; their memory is used again at the next call.
         """
-        # For sixteen a loop takes less time than NumPy.
+        # A pulse ends `count` counts after it begins. For sixteen channels a loop beats NumPy.
         for count, (on, message, at) in zip(counts.tolist(), self._places, strict=True):
             off = (on + count) & (CYCLE - 1)
             message[at] = off & 0xFF

@@ -9,7 +9,7 @@ from firmware_bridge.bus_settings import BusSettings, Text, within
 from firmware_bridge.pca9685.registers import N_CHANNELS, NOMINAL_CLOCK_HZ, Timing
 from firmware_bridge.pulse_servos import LONGEST_US, PulseServo
 
-#: Between two pulses a servo needs a pause to tell them apart.
+#: The pause that a servo needs between two pulses to tell them apart.
 _PAUSE_US: Final = 200.0
 
 

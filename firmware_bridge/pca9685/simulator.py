@@ -45,10 +45,11 @@ from firmware_bridge.simulation_request import (
 )
 from firmware_bridge.simulator.ports import PtyHost, WatchedServos
 
+#: Address and data of the message that resets every PCA9685 of a bus.
 _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
-#: Of auto-increment: behind these comes register 0.
+#: With auto-increment, register 0 follows on these.
 _LAST: Final = (Register.LED15_OFF_H, Register.PRE_SCALE)
-#: A hobby servo takes pulses within this for orders, others for noise.
+#: A hobby servo obeys pulses of these widths and ignores others.
 _SHORTEST_US, _LONGEST_US = 400.0, 2600.0
 
 
@@ -139,8 +140,9 @@ class SimulatedPca9685:
     ) -> None:
         """Start as after power-up.
 
-        servos: by channel. on_pulse: called with every ended pulse, which `pulses` logs, too.
-        oe_is_high: returns whether the OE pin is high, which blocks all pulses.
+        servos: by channel. faults: of the script. on_pulse: called with every pulse that has ended,
+        which `pulses` logs, too. oe_is_high: returns whether the OE pin is high, which blocks all
+        pulses. `to_others` logs messages to other addresses.
         """
         self.address, self._clock_hz = address, clock_hz
         self.servos = dict(servos or {})
@@ -168,7 +170,12 @@ class SimulatedPca9685:
         return self.plugged and not self._suffers("stuck") and not self._suffers("nack")
 
     def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
-        """Run an I2C transfer at `time_s`; return its error number (0: none) and the bytes read."""
+        """Run an I2C transfer at `time_s`; return its error number (0: none) and the bytes read.
+
+        messages: (address, flags, bytes to write or number of bytes to read); the first byte
+        written is the register to begin with. At an error nothing is read, but what was written
+        before counts.
+        """
         self.advance(time_s)
         if not self.plugged:
             return errno.ENODEV, b""
@@ -189,6 +196,7 @@ class SimulatedPca9685:
                     found += bytes([self._read(pointer)])
                     pointer = self._next(pointer)
             elif data:
+                # The fault `cut`: only so many bytes of the message arrive; -1: all.
                 pointer, cut = data[0], self.cut_after
                 self.cut_after = -1
                 for value in data[1 : cut if cut >= 0 else None]:
@@ -279,13 +287,14 @@ class SimulatedPca9685:
             offset = register - Register.ALL_LED_ON_L
             for channel in range(N_CHANNELS):
                 self._write_channel(Register.LED0_ON_L + 4 * channel + offset, value)
-        elif register <= Register.ALLCALLADR:
+        elif register <= Register.ALLCALLADR:  # MODE2 has five bits; addresses do not use bit 0
             self.registers[register] = value & (0x1F if register == Register.MODE2 else 0xFE)
 
     def _write_mode(self, value: int) -> None:
         """Write MODE1: sleep cuts all pulses; awake, cycles begin after the oscillator's start.
 
-        A chip that slept with pulses makes none until RESTART, or a channel, is written.
+        A chip that went to sleep while it made pulses makes none until the bit RESTART, or a
+        channel, is written.
         """
         was = Mode1(self.registers[Register.MODE1])
         mode = Mode1(value & ~Mode1.RESTART & ~Mode1.EXTERNAL_CLOCK) | was & Mode1.EXTERNAL_CLOCK
@@ -326,6 +335,7 @@ class SimulatedPca9685:
         for channel in range(N_CHANNELS):
             counts = self._counts(channel)
             if counts:
+                # LEDn_ON: how many counts after the cycle's start the pulse begins
                 first = Register.LED0_ON_L + 4 * channel
                 on = self.registers[first] | (self.registers[first + 1] & 0x0F) << 8
                 start_s = time_s + on * self.count_us * 1e-6
@@ -342,6 +352,7 @@ class SimulatedPca9685:
             if pulse is None or pulse.start_s + pulse.width_us * 1e-6 <= self._now_s:
                 continue
             del self._under_way[channel]
+            # A pulse that would begin later in the cycle is dropped.
             if pulse.start_s < self._now_s:
                 width_us = (self._now_s - pulse.start_s) * 1e6
                 self._note(replace(pulse, width_us=width_us, is_cut=True))
@@ -393,7 +404,7 @@ class TerminalChip:
     def receive(self, data: bytes, time_s: float, _baud_rate: int) -> None:
         """Run the transfers in the frames in `data`; an incomplete frame is kept for .5 s."""
         if time_s - self._received_s > 0.5:
-            self._received = b""  # whoever sent half a frame has died of it
+            self._received = b""  # half a frame, whose sender has died
         self._received += data
         self._received_s = time_s
         while (taken := _parse(self._received)) is not None:
@@ -408,7 +419,11 @@ class TerminalChip:
 
 
 def _parse(data: bytes) -> tuple[list[Message], bytes] | None:
-    """Return the first frame's messages and the bytes after that frame; None: it is incomplete."""
+    """Return the messages of the first frame in `data` and the bytes after it; None: incomplete.
+
+    A frame: the number of messages, then for each its address, flags and length, and if it is a
+    write so many bytes.
+    """
     if not data:
         return None
     messages: list[Message] = []
@@ -464,7 +479,8 @@ def chip_for(wiring: Wiring, **options: Any) -> SimulatedPca9685:
 def watched_servos(wiring: Wiring, **options: Any) -> WatchedServos:
     """Return the servos of `wiring` simulated in memory: bus, clock, chip, and the shafts' angles.
 
-    options: as for `SimulatedPca9685`.
+    For tests, which move the clock by hand; servos may start without a known position. options: as
+    for `SimulatedPca9685`.
     """
     chip, clock = chip_for(wiring, **options), ManualClock()
     opener = partial(I2cChip, MemoryTransfers(chip, clock), chip.address, "simulated PCA9685")
@@ -500,7 +516,7 @@ def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) 
     def on_pulse(pulse: Pulse) -> None:
         write((round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)))
 
-    # That of a real computer is left alone: then the OE pin leads nowhere.
+    # A GPIO chip of this computer is never used: then no OE pin is simulated.
     has_pin = settings.oe_gpio is not None and not settings.gpio_chip.startswith("/dev/")
     oe = {"oe_is_high": PinFifo(Path(settings.gpio_chip)).is_high} if has_pin else {}
     return PtyHost(TerminalChip(chip_for(wiring, faults=script, on_pulse=on_pulse, **oe)), link)

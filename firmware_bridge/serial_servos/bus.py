@@ -14,7 +14,7 @@ from firmware_bridge.serial_servos.mounting import MountedServo, Mounting
 from firmware_bridge.serial_servos.state_cache import ServoStateCache
 from firmware_bridge.serial_servos.torque import SerialTorqueSwitch
 
-#: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
+#: Torque off is sent this often before it is read back: a lost packet must not leave torque on.
 _LIMP_REPEATS: Final = 3
 _ECHO: Final = "the adapter gives back what is sent to the servos; that is swallowed"
 _Line = TypeVar("_Line", bound=HalfDuplex)
@@ -28,7 +28,7 @@ class SerialBus(ABC, Generic[_Line]):
     """
 
     _torque: SerialTorqueSwitch[_Line]
-    #: Repeated reads of registers; `_holding`: of torque_enable alone.
+    #: Prepared reads of the same registers of all servos; `_holding`: of torque_enable alone.
     _groups: tuple[Any, ...]
     _holding: Any
 
@@ -42,8 +42,9 @@ class SerialBus(ABC, Generic[_Line]):
     ) -> None:
         """Make a bus of these servos, closed until `__enter__`; then opened by `open_line`.
 
-        present: their `PresentState`. strict: every servo must answer before the first goal;
-        otherwise servos may be missing, but neither a critical one nor all.
+        present: the `PresentState` of their family, which stores what servos answer. strict: every
+        servo must answer before the first goal; otherwise servos may be missing, but neither a
+        critical one nor all.
         """
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
@@ -54,8 +55,8 @@ class SerialBus(ABC, Generic[_Line]):
         self._cache: ServoStateCache = present.cache
         self._index = self._cache.index
         self._remarks: tuple[str, ...] = ()
-        self._turn = 0
-        self._line: _Line | None = None
+        self._turn = 0  # whose turn it is in `look_after`
+        self._line: _Line | None = None  # None: the port is closed
 
     @property
     def torque(self) -> KnownTorque:
@@ -106,12 +107,14 @@ class SerialBus(ABC, Generic[_Line]):
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Broadcast torque off three times, then read it from each servo until it confirms.
+        """Switch the torque of all servos off; return which servos confirmed.
+
+        One packet to all is sent three times, then `torque_enable` is read up to three times.
 
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,): True for servos that confirmed.
+            (n_servos,): True where a read showed that torque is off.
         """
         line = self.line
         self._torque.cancel()
@@ -120,7 +123,7 @@ class SerialBus(ABC, Generic[_Line]):
         for _ in range(_LIMP_REPEATS):
             line.tell(request)
         confirmed = np.zeros(len(self._ids), dtype=np.bool_)
-        self._holding.reset()  # everybody is asked, also who was silent lately
+        self._holding.reset()  # so that servos that were silent lately are read, too
         for _ in range(_LIMP_REPEATS):
             for status in self._ask_torque(line):
                 n = self._index[status.servo_id]
@@ -144,7 +147,10 @@ class SerialBus(ABC, Generic[_Line]):
         self._begin(self._open_line())
 
     def __enter__(self) -> Self:
-        """Open the port and identify all servos; torque stays. Raises PortError, ServoError."""
+        """Open the port, identify all servos and store their own limits; torque stays as it is.
+
+        Raises PortError, and ServoError for servos that are missing or differ from the face's YAML.
+        """
         line = self._open_line()
         try:
             for n, found in enumerate(self._identities(line)):
@@ -159,15 +165,15 @@ class SerialBus(ABC, Generic[_Line]):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Switch all torque off if any was switched on here, and close the port.
+        """Switch all torque off if this bus has switched any on, and close the port.
 
-        A port that is lost cannot carry the order: it is closed, and no error is raised.
+        Torque off cannot be sent over a lost port: that port is closed, and no error is raised.
         """
         try:
             if self._line is not None and self._cache.enabled.any():
                 self.disable_all()
         except PortError:
-            pass  # nobody to tell
+            pass  # the port is lost
         finally:
             self._close()
 
@@ -188,9 +194,9 @@ class SerialBus(ABC, Generic[_Line]):
         """Read torque_enable of all servos; return the statuses that came."""
 
     def _begin(self, line: _Line) -> None:
-        """Use `line` from now on, with the answer deadline that the slowest servo needs.
+        """Use the open `line` from now on, with the answer deadline that the slowest servo needs.
 
-        Nothing is known of torque then, and counts of unanswered reads start anew.
+        Every servo's torque becomes unknown, and its count of unanswered reads 0.
         """
         self._line = line
         self.torque.forget()

@@ -11,7 +11,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.serial_servos.mounting import SETUP
 from firmware_bridge.serial_servos.provisioning import Difference
 
-#: So near to its limit a servo's temperature is told, degC.
+#: A servo is reported as warm this close to its temperature limit, degC.
 _WARM_DEGC: Final = 10
 
 
@@ -40,11 +40,11 @@ def servo_findings(
     wanted_rate: int,
     condition: Callable[[], ServoCondition],
 ) -> Iterator[Finding]:
-    """Yield the findings about the servo of `joint`, which should be a `model`.
+    """Yield findings for `lipservo doctor` about the servo of `joint`, which should be a `model`.
 
     seen: (baud rate, model) with which the servo answered; None: it did not answer. wanted_rate:
-    the YAML's baud rate. condition: reads the servo's condition; raises ServoError if the servo
-    stops answering.
+    the YAML's baud rate. condition: called only for the right model at the right rate, to read the
+    servo's condition; raises ServoError if the servo stops answering.
     """
     name = f"{joint.name} (id {joint.servo_id})"
     if seen is None:

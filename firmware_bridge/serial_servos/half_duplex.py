@@ -8,15 +8,16 @@ from firmware_bridge.transport import Transport
 
 #: A start bit, eight data bits, a stop bit.
 BITS_PER_BYTE: Final = 10
-#: Before anything is known: an FTDI adapter left at its 16 ms latency timer, and a little more.
+#: First guess of the delay: an FTDI adapter left at its 16 ms latency timer, and a little more.
 _UNKNOWN_S: Final = 0.018
-#: A computer that does other things wakes up this late once in a hundred times; measured on a
+#: Bounds of the wait. A busy computer wakes up 4 ms late once in a hundred times; measured on a
 #: loaded two-core machine over a pseudo-terminal.
 _LEAST_S: Final = 0.004
 _MOST_S: Final = 0.025
-#: Once part of a reply is here we are awake, and only adapter and wire can hold back the rest. On
-#: the same loaded machine 2 ms lost samples and 4 ms took longer.
+#: Once part of a reply has come the process is awake, and only adapter and wire can hold back the
+#: rest. On the same loaded machine 2 ms lost samples and 4 ms took longer.
 _LEAST_REST_S: Final = 0.0035
+#: Share of the difference by which the learnt delay follows a slower, and a quicker, reply.
 _RISE, _FALL = 0.5, 0.05
 _MARGIN_S: Final = 0.001
 
@@ -41,10 +42,10 @@ class LearntLatency:
         self.slack_s = min(max(self._high_s + _MARGIN_S, _LEAST_S), _MOST_S)
 
 
-#: How long after we gave up waiting an answer may still arrive. Ours: computers that are busy hold
+#: How long after its deadline an answer may still arrive. Our choice: computers that are busy hold
 #: bytes back for up to 190 ms (measured over a pseudo-terminal), adapters for 16.
 LATE_S: Final = 0.25
-#: In place of an id: whoever there is.
+#: In place of a servo's id: the answer may come from any servo.
 ANYBODY: Final = -1
 
 
@@ -68,11 +69,12 @@ class PendingAnswers:
         return max(self._until_s.values(), default=float("-inf"))
 
     def note(self, servo_id: int, size: int, request: bytes, now_s: float) -> None:
-        """Note that a servo's answer of `size` bytes to `request` (b"": to several) is overdue.
+        """Note that a servo's answer with `size` data bytes to `request` did not come in time.
 
-        It counts as pending from `now_s` on for `LATE_S`.
+        The answer counts as pending until `LATE_S` after `now_s`.
         """
         key = (servo_id, size)
+        # Answers of this size to two different requests cannot be told apart: b"" in their place.
         if self._requests.setdefault(key, request) != request:
             self._requests[key] = b""
         self._until_s[key] = now_s + LATE_S
@@ -80,7 +82,10 @@ class PendingAnswers:
         self.any = True
 
     def note_arrived(self, servo_id: int, size: int) -> None:
-        """Note that a servo's answer of `size` bytes has arrived late: one fewer is pending."""
+        """Note that a servo's answer with `size` data bytes has arrived late: one fewer pending.
+
+        An answer that was not pending is ignored.
+        """
         key = (servo_id, size)
         if key in self._n:
             self._n[key] -= 1
@@ -96,12 +101,15 @@ class PendingAnswers:
     def looks_like(self, servo_id: int, size: int, request: bytes) -> bool:
         """Return whether a pending answer could be mistaken for the servo's answer to `request`.
 
-        That is so if it has the same `size` in bytes, and belongs to another request.
+        True if that pending answer has as many data bytes (`size`) and belongs to another request.
         """
         return self._requests.get((servo_id, size), request) != request
 
     def free_size(self, ids: Iterable[int], size: int, step: int = 1) -> int:
-        """Return the least of size, size + step, ... bytes that no pending answer of `ids` has."""
+        """Return the least of size, size + step, ... that no pending answer of `ids` has as size.
+
+        A request for so many data bytes gets an answer that no late one can be mistaken for.
+        """
         allowed_ids = {*ids, ANYBODY}
         taken = {pending for servo_id, pending in self._until_s if servo_id in allowed_ids}
         while size in taken:
@@ -133,15 +141,15 @@ class HalfDuplex(ABC):
     Not thread-safe: one owner. Every method raises PortError when the port fails; a servo that does
     not answer is no error but a missing status. Nothing is sent before the computed end of the last
     transaction.
-    echoes: the adapter returns the sent bytes, which is detected, and the echo removed.
-    extra_wait_s: further seconds to wait for an answer; for commands outside the loop.
-    heard_noise: in the last transaction bytes came, but no valid answer.
+    echoes: whether the adapter returns the bytes sent; detected, and the echo is then removed.
+    extra_wait_s: further seconds to wait for an answer; for commands outside the control loop.
+    heard_noise: whether bytes came in the last transaction, but no valid answer.
     """
 
     def __init__(self, transport: Transport, return_delay_s: float, extra_wait_s: float) -> None:
         """Use the line behind `transport`, an open port.
 
-        return_delay_s: of the slowest servo; it lengthens deadlines, not the time per byte.
+        return_delay_s: seconds that the slowest servo waits before it answers; added to deadlines.
         """
         self.transport = transport
         self.return_delay_s = return_delay_s
@@ -151,9 +159,9 @@ class HalfDuplex(ABC):
         self.echoes = False
         self.heard_noise = False
         self._clock = transport.clock
-        self._heard = b""  # in answer to the last question
-        self._quiet_s = 0.0  # from here on no reply is on the wire any more
-        self._sent_s = 0.0  # here our own last byte is
+        self._heard = b""  # the bytes that came after the last request
+        self._quiet_s = 0.0  # when no reply is on the wire any more
+        self._sent_s = 0.0  # when the last byte of the last request is sent
         self._pending = PendingAnswers()
 
     @property
@@ -179,12 +187,17 @@ class HalfDuplex(ABC):
         self._send(request)
 
     def _send(self, request: bytes) -> float:
-        """Send `request` once the line is quiet; return when its last byte will be sent, in s."""
+        """Wait until the line is quiet and write `request`; return when its last byte is sent.
+
+        The return value is computed from the baud rate, in s of the clock: the write itself returns
+        earlier. Raises PortError.
+        """
         now_s = self._clock.now()
         if now_s < self._quiet_s:
             self._clock.sleep_until(self._quiet_s)
             now_s = self._clock.now()
         self.transport.write(request)
+        # An earlier request without an answer may still be leaving.
         begin_s = now_s if now_s > self._sent_s else self._sent_s
         self._sent_s = begin_s + len(request) * self.byte_s
         return self._sent_s
@@ -201,14 +214,18 @@ class HalfDuplex(ABC):
     ) -> _Answer | None:
         """Send a request, and read until `take` returns an answer; None: none came in time.
 
-        reply_size: bytes of the whole reply. is_over: returns whether no more bytes will follow.
-        n_answers: how many servos answer, each after its return delay. extra_wait_s: to wait
-        longer.
+        take: parses the bytes received so far (see `Take`). reply_size: bytes of the whole reply.
+        is_over: returns whether no more bytes can follow those received. n_answers: how many servos
+        answer, each after its return delay. extra_wait_s: added to the deadline, and nothing is
+        learnt from the reply's delay then. Blocks until the answer, or the deadline: the reply's
+        time on the wire and the learnt latency.
         """
         transport, clock = self.transport, self._clock
         if self.extra_wait_s > extra_wait_s:
             extra_wait_s = self.extra_wait_s
         transport.discard_input()
+        # due_s: the reply's last byte, if servos answer at once. wire_end_s: the latest without
+        # latency of adapter and computer.
         due_s = self._send(request) + reply_size * self.byte_s
         wire_end_s = due_s + n_answers * self.return_delay_s
         deadline_s = wire_end_s + self.latency.slack_s + extra_wait_s
@@ -216,6 +233,7 @@ class HalfDuplex(ABC):
         heard = transport.read(deadline_s)
         late = 0
         while True:
+            # The usual case needs no search for an echo: exactly the reply came.
             if len(heard) == reply_size and not self.echoes and not heard.startswith(request):
                 stream, ended = heard, False
             else:
@@ -230,10 +248,12 @@ class HalfDuplex(ABC):
                         self.latency.learn(self._quiet_s - due_s)
                     self.heard_noise = False
                     return taken
+            # Part of the reply is here: wait only a little for the rest.
             if stream and not extra_wait_s:
                 rest_s = max(wire_end_s, clock.now()) + self.latency.rest_slack_s
                 deadline_s = min(deadline_s, rest_s)
-            # What waits when we come late is heard; a line that never falls silent is left.
+            # Past the deadline one more read gets the bytes that have come already; only one, since
+            # a line with constant noise never falls silent.
             late += clock.now() > deadline_s
             more = transport.read(deadline_s) if late <= 1 else b""
             if not more:
@@ -247,8 +267,8 @@ class HalfDuplex(ABC):
     def _without_echo(self, heard: bytes, request: bytes) -> bytes:
         """Return the bytes of `heard` after an echo of `request`; all of them if there is no echo.
 
-        An echo sets `echoes`. Bytes before the echo cannot answer this request, since the line
-        carries one message at a time.
+        Sets `echoes` if there is one. Bytes before the echo cannot answer this request, since the
+        line carries one message at a time.
         """
         at = heard.find(request)
         if at < 0:

@@ -135,9 +135,10 @@ class Mounting:
         return joint_deg
 
     def obstacle(self, index: int, place: int, low: float, high: float) -> str:
-        """Return why a servo cannot hold the position `place`; empty: it is within low..high.
+        """Return why servo `index` cannot hold the position `place`; empty: it is in low..high.
 
-        All three are position register values; `low` and `high` are the servo's own limits.
+        place, low, high: values of the position register; `low` and `high` are the limits set in
+        the servo itself. The text has joint degrees.
         """
         if low <= place <= high:
             return ""
@@ -161,16 +162,18 @@ def checked_identities(
 ) -> list[Identity | None]:
     """Return `found`, the identities that servos reported (None: silent), if they can be driven.
 
-    mismatches: returns the differences between a servo and its identity. strict: every servo must
-    answer; otherwise servos may be silent, but neither a critical one nor all. kind: the face's
-    kind of bus. transport: where all are silent, servos of other kinds are looked for there; None:
-    they are not. Raises ServoError with all mismatches, or with the kind of bus that does answer.
+    mismatches: returns the differences between a servo and its identity, one text each. strict:
+    every servo must answer; otherwise servos may be silent, but neither a critical one nor all.
+    kind: the face's kind of bus. transport: an open port; if all servos are silent, servos of other
+    kinds are searched for there; None: no search. Raises ServoError that lists all mismatches, or
+    names the kind of bus that does answer.
     """
     silent = [servo for servo, each in zip(servos, found, strict=True) if each is None]
     if len(silent) == len(servos) and transport is not None:
         other = other_kind_at(transport, kind)
         if other:
             raise ServoError(other)
+    # Silent servos are accepted if not all are silent and none of them is critical.
     bearable = not strict and len(silent) < len(servos)
     bearable = bearable and not any(servo.joint.critical for servo in silent)
     lines = []

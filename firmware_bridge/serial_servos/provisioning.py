@@ -13,14 +13,14 @@ from firmware_bridge.errors import ServoError
 from firmware_bridge.serial_servos.mounting import MountedServo
 from firmware_bridge.serial_servos.serial_transport import open_port
 
-#: An answer that comes this late is still waited for, outside the loop: setting up, examining.
+#: How much longer than a control loop the commands that set up or examine servos wait for answers.
 UNHURRIED_S: Final = 0.06
-#: What changes how a servo is spoken to is written last, in this order.
+#: Registers that change how a servo is reached are written last, in this order.
 _LAST: Final = {"id": 1, "baud_rate": 2}
 _LOW, _HIGH = "min_position_limit", "max_position_limit"
 
-#: Servos by id: the rate at which each answered, and its model number as the protocol has it; more
-#: than one where several did.
+#: By id: (baud rate, model number) of each answer; several where servos with one id answered at
+#: different rates. The model number is in the form of the protocol.
 Found = Mapping[int, Sequence[tuple[int, Any]]]
 
 
@@ -136,9 +136,10 @@ class ChainSetup:
             yield rate, self.answers(line)
 
     def find_servos(self, line: Any, ids: Sequence[int], baud_rate: int) -> Found:
-        """Return the servos that answer at `baud_rate`, the face's, and at the factory's rate.
+        """Return by id the (rate, model number) of every answer at the face's and factory's rates.
 
-        Other rates are tried while one of `ids` is missing; the slowest only if no servo was found.
+        baud_rate: that of the face. Other rates are tried while one of `ids` is missing; the
+        slowest only if no servo was found. The line stays at the rate tried last.
         """
         found: dict[int, list[tuple[int, Any]]] = {}
         rates = list(dict.fromkeys([baud_rate, self.factory_rate, *self.rates]))
@@ -146,6 +147,7 @@ class ChainSetup:
             line.baud_rate = rate = rates.pop(0)
             for servo_id, number in self.answers(line).items():
                 found.setdefault(servo_id, []).append((rate, number))
+            # All have answered, and the factory's rate, that of new servos, has been tried.
             if set(ids) <= set(found) and self.factory_rate not in rates:
                 break
         return found
@@ -153,10 +155,11 @@ class ChainSetup:
     def plan_chain(
         self, line: Any, servos: Sequence[MountedServo[Any]], found: Found, baud_rate: int
     ) -> list[Plan]:
-        """Return, for every servo at its own id, the plan of registers to change.
+        """Return a `Plan` of the registers to change for every servo; each must be at its own id.
 
         found: all servos that answer. baud_rate: the rate that the servos shall have. Raises
         ServoError with a line for each servo of another model, or with an id that several have.
+        Only reads.
         """
         lines = []
         for servo in servos:
@@ -182,8 +185,9 @@ class ChainSetup:
         """Return the plan of registers to change so that the only connected servo becomes `servo`.
 
         found: all servos that answer, at any id. baud_rate: the rate that `servo` shall have.
-        Raises ServoError if none or several answer, and for another model.
+        Raises ServoError if none or several answer, and for another model. Only reads.
         """
+        # Every answer as (id, baud rate, model number).
         name, own_id = servo.joint.name, servo.joint.servo_id
         answers = [(servo_id, *each) for servo_id, all_of_it in found.items() for each in all_of_it]
         if not answers:
@@ -196,6 +200,7 @@ class ChainSetup:
             )
         ((servo_id, rate, number),) = answers
         line.baud_rate = rate
+        # Two servos with one id may count as one answer above, so both ids are examined.
         for each in dict.fromkeys((own_id, servo_id)):
             if self.shares_id(line, each):
                 raise ServoError(f"two servos answer to id {each}: {_alone(name)}")
@@ -209,20 +214,21 @@ class ChainSetup:
     ) -> Generator[Difference, None, None]:
         """Write `changes` to the servo at `servo_id`, and yield each change once it was read back.
 
-        model: the servo's, such as a `ServoModel`. Torque goes off first and stays off. Of both
-        position limits the one is written first that keeps them in order: servos refuse a lower
-        limit above the upper one. The id and then the baud rate come last, and the line follows to
-        the new rate. A process that stops between two writes leaves nothing half-written. Raises
-        ServoError when the servo refuses or does not keep a value.
+        model: the servo's, such as a `ServoModel`. Torque goes off first and stays off. Id and baud
+        rate are written last, and `line` follows to the new rate. The caller may stop between two
+        changes: no register is half-written. Raises ServoError when the servo refuses or does not
+        keep a value.
         """
         if not changes:
             return
         self.unlock(line, servo_id, model)
         try:
+            # The sort is stable: position limits stay in the order that servos accept.
             for change in sorted(
                 _limits_in_order(changes), key=lambda each: _LAST.get(each.name, 0)
             ):
                 self.write(line, servo_id, model, change.name, change.wanted)
+                # From here on the servo is reached by its new id, or at its new rate.
                 if change.name == "id":
                     servo_id = change.wanted
                 elif change.name == "baud_rate":
@@ -257,7 +263,8 @@ class ChainSetup:
 def _limits_in_order(changes: Sequence[Difference]) -> list[Difference]:
     """Return the changes in an order that servos accept, both position limits last.
 
-    Of the two the limit that makes room precedes: servos refuse a lower limit above the upper one.
+    Servos refuse a lower limit above the upper one. So the lower limit is written first where the
+    new range lies below the old lower limit, otherwise the upper one.
     """
     by_name = {change.name: change for change in changes}
     low, high = by_name.get(_LOW), by_name.get(_HIGH)

@@ -19,7 +19,7 @@ from firmware_bridge.errors import PortError, PortGone
 
 #: More than the longest reply of 252 servos.
 _CHUNK: Final = 16_384
-#: Where the kernel cannot wake us, bytes are looked for so often.
+#: How often to look for bytes where the kernel cannot wake this process when they come.
 _LOOKS_EACH_S: Final = 0.0005
 
 
@@ -34,9 +34,10 @@ class PyserialTransport:
         clock: Clock,
         lock: socket.socket | None = None,
     ) -> None:
-        """Use `handle`, an open port; from now on used by this transport alone.
+        """Use `handle`, an open port of pyserial's or a mock, which no other code may use.
 
-        clock: for deadlines. lock: closed with the port; None: the port has its own.
+        port: its path or URL, for messages. clock: for deadlines. lock: a socket that is closed
+        with the port, such as that of `_open_url`; None: there is none.
         """
         self._handle = handle
         self._lock = lock
@@ -82,7 +83,7 @@ class PyserialTransport:
         """Return and remove the bytes that have arrived, without waiting; b"": none."""
         try:
             data = bytes(self._handle.read(self._handle.in_waiting))
-            # The handlers of URLs count one byte, or give one, however many wait.
+            # pyserial's handlers of URLs may report or return one byte although more have come.
             while data and "://" in self._port and (more := self._handle.read(_CHUNK)):
                 data += more
         except OSError as error:
@@ -120,10 +121,10 @@ class SerialTransport(PyserialTransport):
             raise self._gone(error) from error
 
     def read(self, deadline_s: float) -> bytes:
-        """Return the bytes that come until `deadline_s`, sleeping in the kernel; b"": none came.
+        """Wait for bytes until `deadline_s`, asleep in the kernel; return them, b"": none came.
 
-        The kernel counts whole milliseconds, rounded up; the last part of one is slept through, so
-        that a silent servo costs no more time than intended.
+        poll() waits for whole milliseconds; the fraction that remains is slept through, so that a
+        silent servo costs no more time than intended. Raises PortGone.
         """
         try:
             left_ms = (deadline_s - self._clock.now()) * 1e3
@@ -161,7 +162,8 @@ class SerialTransport(PyserialTransport):
 def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> PyserialTransport:
     """Open a serial port for this process alone, or a URL of pyserial's (`socket://host:5000`).
 
-    clock: for deadlines; None: the computer's monotonic clock. Raises PortError with the remedy.
+    clock: for deadlines; None: the computer's monotonic clock. Raises PortError with the remedy:
+    no such port, no permission, used by another program, impossible baud rate.
     """
     clock = clock or MonotonicClock()
     try:
@@ -175,7 +177,7 @@ def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> Pyserial
         raise PortError(f"{port}: is not a serial port") from error
     except OSError as error:
         raise PortError(explain(port, error)) from error
-    if type(handle) is not Tty:  # a test has put another in the place of serial.Serial
+    if type(handle) is not Tty:  # a test has replaced serial.Serial by a mock
         return PyserialTransport(handle, port, baud_rate, clock)
     try:
         claim(handle)
@@ -187,9 +189,11 @@ def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> Pyserial
 
 
 def _open_url(url: str, baud_rate: int, clock: Clock) -> PyserialTransport:
-    """Open a URL of pyserial's; the address of a socket is locked for this process.
+    """Open a URL of pyserial's; a network address is locked for this process, as a tty would be.
 
-    The lock is a name in Linux's abstract namespace: the kernel frees it when its process dies.
+    The lock is a Unix socket with a name in Linux's abstract namespace, which the kernel frees when
+    the process dies. Raises OSError (EADDRINUSE if another process has the lock), ValueError for an
+    unknown kind of URL.
     """
     scheme, _, address = url.partition("://")
     with contextlib.ExitStack() as undo:
@@ -198,7 +202,7 @@ def _open_url(url: str, baud_rate: int, clock: Clock) -> PyserialTransport:
             lock = undo.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
             lock.bind(f"\0lipservo {address.partition('?')[0].rstrip('/')}")
         handle = serial.serial_for_url(url, baud_rate, timeout=0, exclusive=True)
-        if scheme == "socket":  # pyserial leaves on what holds a request back for an answer's sake
+        if scheme == "socket":  # pyserial leaves Nagle's algorithm on, which delays requests
             with socket.socket(fileno=os.dup(handle.fileno())) as wire:
                 wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         undo.pop_all()
@@ -209,7 +213,7 @@ def claim(handle: Any) -> None:
     """Lock the port for this process. Raises OSError when another process holds the lock.
 
     A file lock keeps out programs that also lock, even root's; the terminal's exclusive flag, set
-    as well, keeps out all but root's. What is no tty has neither.
+    as well, keeps out all but root's. A handle that is no tty is left alone.
     """
     if type(handle) is not Tty:
         return
@@ -235,11 +239,12 @@ def latency_timer_ms(port: str) -> int | None:
 
 
 def adapter_identity(port: str, sysfs: Path = Path("/sys")) -> str | None:
-    """Return what tells the USB adapter behind a port from others, in words; None: it is not USB.
+    """Return a text that identifies the USB adapter behind a port; None: the port is not USB.
 
-    The adapter's serial number; where it has none, as most CH340, the socket that it is plugged
-    into.
+    The text has the adapter's serial number; without one, as most CH340, the USB path of the socket
+    that it is plugged into. sysfs: where sysfs is mounted; another folder in tests.
     """
+    # From the tty's device upwards; the folder with `idVendor` is the USB device itself.
     device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
     for folder in (device, *device.parents):
         with contextlib.suppress(OSError):
@@ -261,10 +266,10 @@ class SameAdapter:
         self._identity: str | None = None
 
     def __call__(self) -> PyserialTransport:
-        """Open and return the port.
+        """Open and return the port; remember at the first call which adapter was there.
 
-        Raises PortError, also if the adapter is another one than at the first call, or one without
-        a serial number is in another socket.
+        Raises PortError, also if another adapter than at the first call is at the port, or one
+        without a serial number is in another USB socket.
         """
         found = adapter_identity(self._port)
         if self._identity is not None and found != self._identity:
@@ -300,7 +305,7 @@ def explain(port: str, error: OSError) -> str:
         in_use = error.errno == errno.EADDRINUSE
         why = "used by another program of this computer" if in_use else f"cannot be opened: {error}"
         return f"{port}: {why}"
-    if error.errno is None:  # pyserial found no settings to change
+    if error.errno is None:  # pyserial could not change the settings of a terminal
         return f"{port}: is not a serial port"
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         found = sorted(str(path) for path in Path("/dev/serial/by-id").glob("*"))

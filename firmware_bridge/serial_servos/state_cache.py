@@ -32,10 +32,12 @@ class ServoStateCache:
     """The last report of every servo. Every array is (n_servos,), in the face's order.
 
     pulses, goals: position registers, NaN = never received; effort: share of the stall torque; low,
-    high: the servo's own limits in pulses; heard_s: when the servo answered last; enabled: torque
-    was switched on by us and not confirmed off since; torque: what is known of it. `health` and the
-    bus's feedback return these arrays without a copy, in every tick: so arrays are replaced, by
-    `set_one` for one servo, and never written into.
+    high: the servo's own limits in pulses; hottest: its temperature limit, degC; room_degc: how far
+    its temperature is below that; heard_s: when the servo answered last; enabled: this bus switched
+    torque on, and no read has shown it off since; tripped: the bus watchdog stopped the servo;
+    hardware: bits of its hardware error; torque: what is known of it. `health` and the bus's
+    feedback return these arrays without a copy, in every tick: so arrays are replaced, by `set_one`
+    for one servo, and never written into.
     """
 
     def __init__(
@@ -47,7 +49,8 @@ class ServoStateCache:
     ) -> None:
         """Start without reports; the arguments are used until each servo's EEPROM has been read.
 
-        highest_pulse: upper position limit. hottest_degc: temperature limit of each servo.
+        highest_pulse: upper position limit, that of all servos. hottest_degc: temperature limit of
+        each servo. return_delay_s: seconds that servos wait before they answer.
         """
         n = len(ids)
         self.ids = tuple(ids)
@@ -83,16 +86,16 @@ class ServoStateCache:
     def set_goals(
         self, pulses: Array, taken: NDArray[np.bool_] | None = None, error: int = 0
     ) -> None:
-        """Store the goals that are sent now; servos that are sent none keep theirs.
+        """Store the goals that are sent now; a servo that is sent none keeps its last goal.
 
         Parameters
         ----------
         pulses : Array
-            (n_servos,) pulses.
+            (n_servos,) goals as values of the position register.
         taken : NDArray[np.bool_] | None
-            (n_servos,): which servos are sent theirs; None: all.
+            (n_servos,): True where the goal is sent; None: all are.
         error : int
-            Number of the error of the others.
+            Error number to report for the servos that are sent no goal.
         """
         if taken is None:
             self.errors, self.goals = self.no_errors, pulses
@@ -116,7 +119,7 @@ class ServoStateCache:
     def ages(self, answered: Sequence[int], now_s: float) -> Array:
         """Return how long ago each servo answered last, after a read that some did not answer.
 
-        The torque of a servo that has been silent for half a second is unknown from now on.
+        From half a second of silence on, a servo's torque is marked as unknown.
 
         Parameters
         ----------
@@ -130,7 +133,7 @@ class ServoStateCache:
         Array
             (n_servos,) seconds; 0 for the ids in `answered`.
         """
-        ages = np.maximum(now_s - self.heard_s, 1e-9)
+        ages = np.maximum(now_s - self.heard_s, 1e-9)  # above 0: it did not answer this read
         ages[[self.index[each] for each in answered]] = 0.0
         self.torque.forget(np.flatnonzero(ages >= SILENT_S).tolist())
         return ages

@@ -8,13 +8,13 @@ from firmware_bridge.bus_kinds import NOT_SEEN
 from firmware_bridge.serial_servos.half_duplex import HalfDuplex
 from firmware_bridge.serial_servos.mounting import MountedServo, Mounting
 
-#: A servo whose torque has just come on goes no faster, and pulls no harder, for a while.
+#: Soft start: highest speed, and share of the full strength, for a while after torque comes on.
 SOFT_DEG_S: Final = 60.0
 SOFT_STRENGTH: Final = 0.3
-#: The servo itself goes this much faster than the gate allows, so that it does not fall behind by
-#: rounding. What a person is told as the fastest is the fastest, to a twentieth.
+#: The servo's own speed limit is this much above the joint's, so that rounding does not make it
+#: fall behind; a joint is thus never more than a twentieth faster than its setting.
 SPEED_MARGIN: Final = 1.05
-#: A write is tried so often, and in a tick, where there is no time for more, a question.
+#: How often a write is tried, and a read within a tick, where time is short.
 WRITE_TRIES, TRIES = 3, 2
 #: Torque comes on one servo after another: twenty at once make the supply sag.
 _STAGGER_S: Final = 0.010
@@ -62,7 +62,11 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
         return self._place_to_hold(line, index)[0]
 
     def enable(self, line: _Line, index: int) -> str:
-        """Switch a servo's torque on at its present position; return why not, "" if confirmed."""
+        """Switch a servo's torque on at its present position; return why not, "" if confirmed.
+
+        Goal and soft limits are set before, so that nothing moves. Takes 10 ms more than its
+        packets, since torque of many servos at once makes the supply sag.
+        """
         why, place = self._place_to_hold(line, index)
         if why or (why := self._prepare(line, index, place)):
             return why
@@ -78,7 +82,8 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
     def keep(self, line: _Line, index: int) -> bool:
         """Hold a servo with torque on at its present position; return whether it confirmed that.
 
-        False if its torque is off, and stays off, or if reads do not confirm goal and protections.
+        Never switches torque on. False if torque is off, if the servo does not answer, or if reads
+        do not confirm goal and protections (limits, watchdog).
         """
         status = line.read(self._servos[index].joint.servo_id, self.torque_address, 1)
         if status is None or not status.data:
@@ -138,9 +143,10 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
         return switched
 
     def _place_to_hold(self, line: _Line, index: int) -> tuple[str, int]:
-        """Return why a servo cannot hold, "" if it can, and its present position.
+        """Identify a servo; return why it cannot hold ("": it can) and its present position.
 
-        The position is in encoder steps; 0: unknown.
+        The position is the value of its position register; 0: unknown. Stores the limits and the
+        return delay that the servo reports.
         """
         servo, cache, kind = self._servos[index], self._cache, type(self)
         found = kind.identify(line, servo, tries=TRIES)
@@ -183,9 +189,9 @@ class SerialRelease(ABC, Generic[_Line]):
         return NOT_SEEN if status is None else "kept its torque"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Send torque off at every baud rate; return `addresses` and the ids that answer.
+        """Send torque off at every baud rate; return `addresses` and the ids that answer, sorted.
 
-        A chain has one rate: once ids are known at a rate, no further rates are tried.
+        All servos of a chain have one rate: the scan for ids ends at the first rate with answers.
         """
         line, found = self._line, set(addresses)
         for rate in self._rates:

@@ -54,10 +54,9 @@ class SimulatedBus:
     ) -> None:
         """Start with limp servos at `start_deg`, (n_servos,) degrees; None: in neutral.
 
-        capabilities: of the servos; values that they cannot measure are reported as NaN.
-
-        The newest `n_remembered` writes stay in `history`: by default more than ten minutes at
-        30 Hz, and 7 MB with ten servos.
+        clock: the servos move as its time passes. capabilities: of the servos; values that they
+        cannot measure are reported as NaN. n_remembered: how many of the newest writes stay in
+        `history`; by default more than ten minutes at 30 Hz, and 7 MB with ten servos.
         """
         n_servos = len(joints)
         self.capabilities = capabilities
@@ -110,7 +109,7 @@ class SimulatedBus:
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Widen the range of the given hobby servos to their pulses' reach; reset all others.
+        """Let goals of the given hobby servos go as far as their pulses reach; reset all others.
 
         Parameters
         ----------
@@ -171,7 +170,10 @@ class SimulatedBus:
         )
 
     def enable_torque(self, index: int) -> str:
-        """Switch a servo's torque on, to hold its position; return "", or why it may not."""
+        """Switch a servo's torque on, to hold its position; return "", or why it stays off.
+
+        The goal becomes the present position first, so that nothing moves.
+        """
         obstacle = self.obstacle(index)
         if not obstacle:
             here = np.arange(len(self._goals_deg)) == index
@@ -228,7 +230,10 @@ class SimulatedBus:
         self.torque.note(index, self._clock.now(), on=on)
 
     def _tell_torque(self) -> NDArray[np.int8]:
-        """Note the torque of every servo as read now; return numbers of `Torque`, (n_servos,)."""
+        """Store in `torque` that every servo's torque was read now; return its states.
+
+        (n_servos,) numbers of `Torque`.
+        """
         now_s = self._clock.now()
         for index, on in enumerate(self._torque_on.tolist()):
             self.torque.note(index, now_s, on=on)

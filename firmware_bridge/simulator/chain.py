@@ -38,7 +38,10 @@ def sync_read(parameters: bytes) -> list[SpanWanted]:
 
 
 def bulk_read(parameters: bytes) -> list[SpanWanted]:
-    """Return the spans that a bulk read requests, one for each id; an id's first span counts."""
+    """Return the spans that a bulk read requests, one for each id; an id's first span counts.
+
+    parameters: five bytes for each servo: id, address (2), size (2); an unfinished rest is ignored.
+    """
     wanted: dict[int, SpanWanted] = {}
     for at in range(0, len(parameters) - 4, 5):
         servo_id, low, high, size_low, size_high = parameters[at : at + 5]
@@ -48,7 +51,10 @@ def bulk_read(parameters: bytes) -> list[SpanWanted]:
 
 
 def sync_write(parameters: bytes) -> dict[int, bytes]:
-    """Split a sync write into the parameters of plain writes, by id; an id's last block counts."""
+    """Split a sync write into the parameters of plain writes, by id; an id's last block counts.
+
+    parameters: address (2 bytes), size (2), then id and `size` bytes for each servo. {}: too short.
+    """
     if len(parameters) < 5:
         return {}
     head = parameters[:2]
@@ -60,7 +66,11 @@ def sync_write(parameters: bytes) -> dict[int, bytes]:
 
 
 def bulk_write(parameters: bytes) -> dict[int, bytes]:
-    """Split a bulk write into parameters of plain writes, by id; a block cut short is left out."""
+    """Split a bulk write into parameters of plain writes, by id; a block cut short is left out.
+
+    parameters: for each servo id, address (2 bytes), size (2), and so many bytes. An id's last
+    block counts.
+    """
     blocks: dict[int, bytes] = {}
     at = 0
     while at + 5 <= len(parameters):
@@ -74,7 +84,7 @@ def bulk_write(parameters: bytes) -> dict[int, bytes]:
 #: Servos answer a broadcast ping one after another, in the order of their ids. The manual does not
 #: say how far apart; the SDK waits for 14 bytes each.
 _PING_SLOT_BYTES: Final = 14
-#: How often the servos look at watchdog and hardware. Ours; finer than any loop.
+#: How often servos check watchdog and hardware errors. Our choice; finer than any control loop.
 _CHECK_S: Final = 0.010
 #: Ints: looking a member up in its enumeration costs as much as comparing three.
 _GROUP_READS: Final = {
@@ -110,8 +120,9 @@ class SimulatedChain:
     ) -> None:
         """Make servos of `models` with these `ids` and factory settings.
 
-        environment, rules: what the manual does not state. baud_rate: sets all servos to it, with
-        return delay 0; None: the factory's. seed: of the faults' chance.
+        environment, rules: what the manual does not state. faults: of a fault script; seed: of
+        those that happen by chance. baud_rate: all servos are set to it, with return delay 0; None:
+        the factory's rate and delay.
         """
         self.motors = Motors(models, environment or Environment())
         self.servos = [
@@ -180,7 +191,11 @@ class SimulatedChain:
         return self._wire.next_delivery_s
 
     def advance(self, now_s: float) -> None:
-        """Simulate motors, watchdogs and scripted faults until `now_s`."""
+        """Simulate motors, watchdogs and scripted faults until `now_s`.
+
+        Watchdogs and hardware errors are checked every 10 ms. Once unplugged, the bytes under way
+        are dropped.
+        """
         if now_s == self._now_s:
             return
         self._now_s = now_s
@@ -195,14 +210,14 @@ class SimulatedChain:
         self.motors.advance(now_s)
         if check:
             self._checked_s = now_s
-            bits = self._afflictions.hardware_errors()
+            bits = self._afflictions.hardware_errors()  # (n_servos,)
             for index in np.flatnonzero(bits).tolist():
                 self.servos[index].latch(int(bits[index]))
 
     def _look_at_clocks(self, now_s: float) -> None:
-        """Trip the bus watchdogs due by `now_s`, with each motor where it was at the time due.
+        """Trip the bus watchdogs due by `now_s`, with each motor where it was when its was due.
 
-        Servos that switch torque on at start-up do so here once they have booted.
+        Servos that are set to switch torque on at start-up do so here once they have booted.
         """
         for servo in self.servos:
             if servo.holds_at_start:
@@ -213,11 +228,16 @@ class SimulatedChain:
                 servo.trip_watchdog()
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
-        """Parse the bytes that the computer writes at `now_s` at its baud rate, and obey them."""
+        """Parse the bytes that the computer writes at `now_s` at its baud rate, and obey them.
+
+        Each packet is executed at the time at which its last byte is on the wire. An unfinished one
+        stays in the parser.
+        """
         byte_s = BITS_PER_BYTE / baud_rate
         heard, start_s = self._wire.host_speaks(data, now_s, byte_s)
         n_bad = self._parser.n_bad
         frames = self._parser.feed(heard)
+        # First when the last packet ends; less all packets: when the first one begins.
         end_s = start_s + (len(heard) - len(self._parser.pending)) * byte_s
         end_s -= sum(len(frame.raw) for frame in frames) * byte_s
         for frame in frames:
@@ -238,6 +258,7 @@ class SimulatedChain:
         self.advance(end_s)
         listening = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
         self.counts.unheard += not listening
+        # Any packet, whichever servo it is for, restarts the bus watchdogs of all that receive it.
         for servo in listening:
             servo.heard_s = end_s
         self._wire.until_s = end_s
@@ -253,7 +274,7 @@ class SimulatedChain:
         elif instruction in _GROUP_READS:
             take_apart, fast = _GROUP_READS[instruction]
             wanted = take_apart(parameters)
-            if frame.packet_id != BROADCAST_ID:  # nobody else feels addressed
+            if frame.packet_id != BROADCAST_ID:  # other servos ignore the packet
                 wanted = [each for each in wanted if each.servo_id == frame.packet_id]
             (self._read_together if fast else self._read_in_turn)(listening, wanted, byte_s)
         elif frame.packet_id == BROADCAST_ID:
@@ -285,7 +306,8 @@ class SimulatedChain:
     ) -> None:
         """Answer a group read for the spans `wanted`, one servo after another.
 
-        A silent servo leaves a gap, or, by the rule `chain_stops`, ends the answers.
+        listening: servos that received the request; byte_s: seconds a byte. A silent servo leaves a
+        gap, or, by the rule `chain_stops`, ends the answers.
         """
         by_id = _by_id(listening)
         for servo_id, address, size in wanted:
@@ -293,6 +315,7 @@ class SimulatedChain:
             if not answering:
                 if self._chain_stops:
                     return
+                # as long as the silent servo's packet would take
                 self._wire.until_s += (11 + size) * byte_s
                 continue
             start_s = self._wire.until_s
@@ -303,7 +326,11 @@ class SimulatedChain:
     def _read_together(
         self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
-        """Answer a fast group read (spans `wanted`) in one frame, cut at the first silent servo."""
+        """Answer a fast group read (spans `wanted`) in one frame, cut at the first silent servo.
+
+        listening: servos that received the request; byte_s: seconds a byte. An invalid span cuts
+        the frame as well; if the first servo is silent, there is no frame.
+        """
         by_id = _by_id(listening)
         replies = []
         for servo_id, address, size in wanted:

@@ -35,6 +35,7 @@ class RegisterMemory:
     def shown(self, address: int, size: int) -> bytes:
         """Return the `size` bytes that a read from `address` on gets, indirect data resolved.
 
+        Indirect data: bytes that show those of the registers to which indirect addresses point.
         Call `Drive.refresh` before, for present values.
         """
         data = bytes(self.bytes[address : address + size])
@@ -54,9 +55,9 @@ class RegisterMemory:
     ) -> list[tuple[Register, int]] | StatusError:
         """Return the registers that a write changes, with their values, or the write's error.
 
-        Indirect data is resolved. []: an allowed write of indirect addresses, whose bytes the
-        caller puts into memory. locked: whether torque is on, so that indirect addresses cannot be
-        changed.
+        Changes nothing. Indirect data is resolved. []: an allowed write of indirect addresses,
+        whose bytes the caller puts into memory. locked: whether torque is on, so that indirect
+        addresses cannot be changed.
         """
         for block in self._indirect:
             if block.data <= address < block.data + block.count:
@@ -79,8 +80,11 @@ class RegisterMemory:
     def _indirect_pieces(
         self, block: IndirectBlock, address: int, data: bytes
     ) -> list[tuple[Register, int]] | StatusError:
-        """Return the registers, with values, that a write of indirect data changes, or an error."""
-        shown: dict[int, int] = {}
+        """Return the registers, with values, that a write of indirect data changes, or an error.
+
+        Every register must be written whole.
+        """
+        shown: dict[int, int] = {}  # the bytes to write, by the addresses pointed to
         for offset, byte in enumerate(data):
             number = address + offset - block.data
             if number >= block.count:
@@ -108,6 +112,7 @@ class RegisterMemory:
         targets = struct.unpack(f"<{len(data) // 2}H", data)
         if address + len(data) > block.addresses + 2 * block.count:
             return StatusError.ACCESS
+        # Only RAM, which begins at address 64, can be pointed to.
         if not all(64 <= target < len(self.bytes) for target in targets):
             return StatusError.DATA_RANGE
         return []
@@ -119,6 +124,7 @@ class RegisterMemory:
         """
         shown = bytearray(data)
         for offset in range(len(data)):
+            # The n-th data byte shows the byte to which the n-th indirect address points.
             number = address + offset - block.data
             if 0 <= number < block.count:
                 at = block.addresses + 2 * number
@@ -153,6 +159,10 @@ class Drive:
     """
 
     def __init__(self, model: ServoModel, index: int, motors: Motors) -> None:
+        """Make the registers of a `model`, all 0; its motor is number `index` of `motors`.
+
+        `_sign`, `_zero`: present_position is `_sign` x the motor's position + `_zero`.
+        """
         self.index = index
         self.motors = motors
         self.table = RegisterMemory(model)
@@ -195,7 +205,8 @@ class Drive:
     def settle(self) -> None:
         """Apply the registers in `SHAPING` (modes, offset, profile, limits) to the motor.
 
-        A changed profile counts from the next goal on.
+        To be called after each change of one of them. A changed profile counts from the next goal
+        on.
         """
         table, motors, i = self.table, self.motors, self.index
         drive_mode = table["drive_mode"]
@@ -234,19 +245,20 @@ class Drive:
         self.settle()
 
     def pursue(self, goal: int) -> None:
-        """Start a profile to `goal`, in pulses; without torque do nothing, or switch it on.
+        """Start the motor's motion to `goal`, in pulses of the register; without torque do nothing.
 
-        Torque is switched on where the drive mode has torque on by goal update, unless `broken`.
+        But a drive mode with "torque on by goal update" then switches torque on, unless the servo
+        is `broken`.
         """
         if not self._memory[_TORQUE]:
             if self._memory[_DRIVE_MODE] & TORQUE_BY_GOAL and not self.broken:
                 self.set_torque(on=True)
             return
         motors, i = self.motors, self.index
-        shaft = (goal - self._zero) * self._sign
+        shaft = (goal - self._zero) * self._sign  # in the motor's pulses
         if self._depends_on_distance:
             way = shaft - float(motors.trajectory[i])
-            speed = float(motors.trajectory_velocity[i])
+            speed = float(motors.trajectory_velocity[i])  # below: positive towards the goal
             course = self._profile.course(abs(way), math.copysign(speed, speed * way))
             motors.set_course(i, course)
         elif self._profile_is_new:
@@ -256,7 +268,11 @@ class Drive:
         motors.shown_at_s = -1.0
 
     def set_torque(self, *, on: bool) -> None:
-        """Switch torque on or off; when it comes on, the motor runs to the goal in the register."""
+        """Switch torque on or off; when it comes on, the motor runs to the goal in the register.
+
+        In position mode (one turn) whole turns are forgotten first. A motor whose torque is on
+        already goes on as before.
+        """
         motors, i = self.motors, self.index
         was_on = self.torque_on
         self._memory[_TORQUE] = on

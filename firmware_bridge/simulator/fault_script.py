@@ -19,7 +19,7 @@ from firmware_bridge.simulator.faults import (
 )
 
 _LONGEST_S: Final = 1e9
-#: Of the numbers that many kinds may have.
+#: Least and greatest value of the keys that many kinds may have.
 _BOUNDS: Final = {
     "probability": (0.0, 1.0),
     "every_s": (0.001, _LONGEST_S),
@@ -49,9 +49,10 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def read_faults(text: str | None, n_servos: int) -> tuple[int, tuple[Fault, ...]]:
-    """Return seed and faults of the YAML script `text` for `n_servos`; (0, ()) for None.
+    """Return (seed, faults) of the YAML script `text`; (0, ()) for None.
 
-    Raises FaultScriptError for an invalid script.
+    n_servos: length of the simulated chain, whose indices the script may use. Raises
+    FaultScriptError for an invalid script.
     """
     if text is None:
         return 0, ()
@@ -98,6 +99,7 @@ class _Reader:
     """A parser of one entry of the list of faults; refuses unknown kinds and keys."""
 
     def __init__(self, number: int, raw: object, n_servos: int) -> None:
+        """Check kind and keys of `raw`, the entry of this number. Raises FaultScriptError."""
         self._where = f"fault {number}"
         self._n_servos = n_servos
         if not isinstance(raw, Mapping):
@@ -117,7 +119,10 @@ class _Reader:
                 )
 
     def fault(self) -> Fault:
-        """Return the entry's fault. Raises FaultScriptError for an invalid value."""
+        """Return the entry's fault. Raises FaultScriptError for an invalid or missing value.
+
+        `servos` and `at_s` may be one number or a list.
+        """
         amount = AMOUNTS.get(self._kind)
         if not self._by_chance:
             self._check_times()
@@ -183,7 +188,7 @@ class _Reader:
     ) -> float:
         """Return `value` if it is a number in low..high; raise FaultScriptError otherwise.
 
-        key, meaning: name the value in the error, and say what it means. whole: only integers.
+        whole: only integers. key: name of the value, and meaning: what it means, for the error.
         """
         kind = "a whole number" if whole else "a number"
         bounds = f"from {low:g} on" if high == _LONGEST_S else f"between {low:g} and {high:g}"

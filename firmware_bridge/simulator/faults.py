@@ -124,10 +124,11 @@ class FaultInjector:
     def __init__(
         self, servos: Sequence[SimulatedServo], motors: Motors, faults: Sequence[Fault]
     ) -> None:
+        """Schedule those of `faults` that hit servos; `Wire` injects those that hit packets."""
         self._servos = servos
         self._motors = motors
-        #: When, in which order at the same moment, how often before (-1: at a moment of its own),
-        #: whether it begins or ends.
+        #: A heap of (time in s, number that orders equal times, number of earlier occurrences or -1
+        #: if the fault does not repeat, whether it begins or ends then, fault).
         self._coming: list[tuple[float, int, int, bool, Fault]] = []
         self._n = 0
         for fault in faults:
@@ -141,7 +142,10 @@ class FaultInjector:
         self._low_v, self._high_v, self._hottest = low / 10.0, high / 10.0, hot
 
     def advance(self, now_s: float) -> None:
-        """Begin and end all faults that are due by `now_s`."""
+        """Begin and end all faults that are due by `now_s`, each with the motors at its time.
+
+        When a fault begins, its end and its next occurrence are scheduled, if it has them.
+        """
         while self._coming and self._coming[0][0] <= now_s:
             when_s, _, n_before, begins, fault = heapq.heappop(self._coming)
             self._motors.advance(when_s)
@@ -178,7 +182,11 @@ class FaultInjector:
         return self._motors.hardware_errors(self._low_v, self._high_v, self._hottest)
 
     def _begin(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
-        """Begin a fault of one servo at `now_s`."""
+        """Begin a fault of one servo at `now_s`; an `amount` of 0 means the kind's default, if any.
+
+        The end of a fault that lasts is scheduled by `advance`; with lasts_s 0 it lasts for ever,
+        but a brown-out half a second.
+        """
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind == "silence":
             servo.ignore_until(now_s + fault.lasts_s if fault.lasts_s else math.inf)
@@ -213,7 +221,7 @@ class FaultInjector:
         elif kind == "id_change":
             servo["id"] = int(fault.amount)
         elif kind == "baud_reset":
-            servo["baud_rate"] = 1
+            servo["baud_rate"] = 1  # code of the factory's rate
         elif kind == "return_delay_drift":
             servo["return_delay_time"] = int(fault.amount) or 250
         elif kind == "limits_drift":

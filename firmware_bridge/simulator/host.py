@@ -16,7 +16,7 @@ from firmware_bridge.simulator.fault_script import read_faults
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
 from firmware_bridge.simulator.wire import WireRules
 
-#: Of servos of no face.
+#: Model of simulated servos that belong to no face.
 _MODEL: Final = "XL330-M288"
 
 
@@ -31,9 +31,9 @@ def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) 
     """Return a host that serves simulated Dynamixels at a pseudo-terminal.
 
     They are the servos of the face in `wiring`, or if that is None, new ones of one model. link:
-    path of a symbolic link to the terminal. request.chain_stops: as of `WireRules`. Raises
-    ServoError for unknown models, rates and ids, FaultScriptError for a bad script, and PortError
-    where no terminal or link can be made.
+    path of a symbolic link to the terminal. request.chain_stops: servos behind a silent one do not
+    answer group reads. Raises ServoError for unknown models, rates and ids, FaultScriptError for a
+    bad script, and PortError where no terminal or link can be made.
     """
     if request.log is not None:
         raise ServoError("--log only records hobby servos; leave it out")

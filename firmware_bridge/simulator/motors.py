@@ -57,8 +57,8 @@ class Profile:
     def course(self, distance: float, speed: float = 0.0) -> Course:
         """Return the course to a goal `distance` pulses away, moving towards it at `speed` already.
 
-        A timed profile takes the set time, T, of which it speeds up and slows down for t each:
-        distance = speed t / 2 + top speed (T - t).
+        speed: pulses/s. With a timed profile the motion takes the time T of the register velocity,
+        and speeds up and slows down for t each: distance = speed t / 2 + top speed (T - t).
         """
         if not self.velocity:
             return Course(UNBOUNDED, self._bound, STEP)
@@ -79,10 +79,14 @@ class Profile:
         return self.acceleration * ACCELERATION_UNIT
 
     def _timed_course(self, distance: float, speed: float) -> Course:
-        """Return `course` of a timed profile, whose velocity and acceleration are times in ms."""
+        """Return `course` of a timed profile, whose velocity and acceleration are times in ms.
+
+        distance: pulses; speed: present speed towards the goal, pulses/s.
+        """
         total_s = self.velocity * 1e-3
         # As the manual says, speeding up never takes more than half of the time.
         rising_s = min(self.acceleration * 1e-3, 0.5 * total_s)
+        # From distance = speed t / 2 + top speed (T - t), with T: total_s, t: rising_s.
         top_speed = abs(distance - 0.5 * speed * rising_s) / (total_s - rising_s)
         if not rising_s:
             return Course(max(top_speed, 1e-6), UNBOUNDED, RECTANGLE)
@@ -91,8 +95,8 @@ class Profile:
         return Course(max(top_speed, 1e-6), max(acceleration, 1e-6), shape)
 
 
-#: The integration runs on a grid of its own, so that the motion does not depend on who asks when.
-#: Short against any profile; between two points of the grid positions go on in straight lines.
+#: The integration has fixed steps, so that the motion does not depend on when `advance` is called.
+#: Short against any profile; between two steps positions go on in straight lines.
 _STEP_S = 0.005
 #: How fast the position loop closes an error, 1/s. It has no feedforward, as the factory settings
 #: have none, so a shaft is 12 ms behind its trajectory and never quicker. Ours; not measured.
@@ -160,6 +164,10 @@ class Motors:
     """
 
     def __init__(self, models: Sequence[MotorModel], environment: Environment) -> None:
+        """Start all motors in the middle of their range, without torque, at ambient temperature.
+
+        trajectory: where the profile is now; position: where the shaft is, which follows.
+        """
         n = len(models)
         self._environment = environment
         self.no_load = np.array([m.no_load_deg_s * PULSES_PER_DEG for m in models])
@@ -192,21 +200,23 @@ class Motors:
         #: are the motors' own array: copy what is kept. None costs nothing.
         self.motion: Callable[[float, Array], None] | None = None
         self._effort = np.zeros(n)  # share of the stall torque, without its direction
-        self._wanted = np.zeros(n)  # the speed asked of the motor, whose direction it pushes in
-        self._grid_s = 0.0  # so far the motion is worked out
+        self._wanted = np.zeros(n)  # speed that the position loop asks for; its sign: of the push
+        self._grid_s = 0.0  # until when the motion is computed, a multiple of the step
         self._heat_kept = float(np.exp(-_STEP_S / environment.cooling_s))
         units = [(m.current_unit_ma, m.stall_a * 1e3) for m in models]
         # Models without a current sensor count load in 0.1 %.
         self._effort_scale = np.array([stall / unit if unit else 1e3 for unit, stall in units])
         self._values = np.zeros((10, n))
         self._shown: list[list[int]] = []
-        #: Of when `register_values` are; -1 makes them anew although no time has passed.
+        #: The time of the stored `register_values`; -1: they must be computed again.
         self.shown_at_s = -1.0
 
     def register_values(self) -> list[list[int]]:
         """Return each servo's registers from `moving` to present_temperature, in register units.
 
-        The values are those at the time of the last `advance`.
+        Ten whole numbers a servo, for the time of the last `advance`: moving, moving_status, PWM,
+        current or load, velocity, position, trajectory's velocity and position, voltage (0.1 V),
+        temperature (degC). Computed once for each time.
         """
         if self.shown_at_s != self.now_s:
             self.shown_at_s = self.now_s
@@ -256,7 +266,7 @@ class Motors:
         if not n_steps:
             return
         end_s = self._grid_s + n_steps * _STEP_S
-        if self._at_rest():
+        if self._at_rest():  # only temperatures change: one long step
             self.velocity[:] = 0.0
             span_s = n_steps * _STEP_S
             keep = float(np.exp(-span_s / self._environment.cooling_s))
@@ -279,9 +289,14 @@ class Motors:
         return not (on & (strained | (self.load != 0.0))).any()
 
     def _step(self) -> None:
-        """Advance all motors by 5 ms: trajectory, speed, position, effort, voltage and heat."""
+        """Advance all motors by 5 ms: trajectory, speed, position, effort, voltage and heat.
+
+        A proportional position loop, with a speed limited by load and voltage. The constants of the
+        effort are our assumptions.
+        """
         on = self.torque_on
         self._follow_profile()
+        # room: share of the strength that the load leaves; top: highest speed that is possible
         room = np.maximum(0.0, 1.0 - self.load / np.maximum(self.strength, 1e-6))
         top = self.free_speed * room * self.voltage_v / self._nominal_v
         top = np.where(on & ~self.jammed, top, 0.0)
@@ -289,9 +304,10 @@ class Motors:
         wanted = POSITION_LOOP_PER_S * error
         velocity = np.minimum(np.maximum(wanted, -top), top)
         pace = np.abs(velocity) / self.no_load
+        # Effort (share of the stall torque): load, friction of the motion, acceleration.
         effort = self.load + 0.05 * pace
         effort += 0.001 / _STEP_S * np.abs(velocity - self.velocity) / self.no_load
-        # Held back, it pushes the harder the farther away; at top speed nothing is left to push.
+        # A motor held back pushes harder with distance; at top speed it has no torque to spare.
         spare = np.minimum(0.004 * np.abs(error), np.maximum(0.0, room - pace))
         effort += spare * (np.abs(wanted) > top)
         self.velocity = velocity
@@ -303,16 +319,19 @@ class Motors:
     def _follow_profile(self) -> None:
         """Move every trajectory by a step: full acceleration, top speed, braking in time.
 
+        Trajectories of motors without torque are at the shaft's position. Profiles:
         https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-velocity112
         """
         on, v = self.torque_on, self.trajectory_velocity
         change = self.acceleration * _STEP_S
         left = self.goal - self.trajectory
         distance = np.abs(left)
+        # brake: highest speed from which whole steps of braking still stop at the goal
         brake = change * (np.sqrt(0.25 + (2.0 / _STEP_S) * distance / change) - 0.5)
         speed = np.minimum(np.minimum(self.top_speed, brake), distance / _STEP_S)
         v = np.minimum(np.maximum(np.copysign(speed, left), v - change), v + change)
         reach = np.abs(v)
+        # there: reaches the goal within this step, slowly enough to stop there
         there = (distance <= reach * (_STEP_S * (1 + 1e-9))) & (reach <= 2 * change)
         there |= distance < 1e-6
         moved = np.where(there, self.goal, self.trajectory + v * _STEP_S)
@@ -322,12 +341,14 @@ class Motors:
     def _supply_and_heat(self, dt_s: float, effort: Array, keep: float) -> None:
         """Compute voltage, temperature and overload after `dt_s` of `effort`, (n,) shares of stall.
 
-        keep: the share of a difference in temperature that is left after `dt_s`.
+        keep: the share of a difference in temperature that is left after `dt_s`. The supply's
+        voltage falls with the sum of all currents.
         """
         around = self._environment
         self._effort = effort
         current_a = self._stall_a * effort + around.standby_a
         self.voltage_v = self.supply_v - around.supply_ohm * current_a.sum()
+        # The temperature to which this effort would lead in the long run.
         settles = around.ambient_degc + effort * effort * (around.heat_deg_s * around.cooling_s)
         self.temperature = settles + (self.temperature - settles) * keep
         over = effort >= around.overload_share

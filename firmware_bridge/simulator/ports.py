@@ -66,7 +66,11 @@ class MemoryTransport:
         baud_rate: int = 1_000_000,
         tap: Callable[[float, bytes], None] | None = None,
     ) -> None:
-        """Open the port of the device `chain`. Raises PortGone while that is unplugged."""
+        """Open the port of the device `chain`. Raises PortGone while the device is unplugged.
+
+        clock: advanced by reads, if it is a manual one. tap: called as tap(time_s, data) for every
+        write.
+        """
         self._chain = chain
         self.clock = clock
         self.baud_rate = baud_rate
@@ -131,7 +135,7 @@ class PortLink:
             raise PortError(
                 f"--link {self._path}: a file or another program's link is there; give another path"
             )
-        # Beside it under a name that nobody has, then in one step to its place.
+        # Made under a new name beside the path, then moved there in one step.
         fresh = self._path.with_name(f"{self._path.name}.{secrets.token_hex(8)}")
         try:
             fresh.symlink_to(port)
@@ -193,7 +197,10 @@ class ExclusiveAccess:
         return [] if self._watch is None else [self._watch]
 
     def other_end_closed(self) -> None:
-        """Clear the exclusive flag after a client's close, unless a client has the port open."""
+        """Clear the exclusive flag after a client's close, unless a client has the port open.
+
+        A real port would lose the flag when closed; this one is kept open by the host.
+        """
         if self._watch is not None:
             with contextlib.suppress(BlockingIOError):
                 os.read(self._watch, _EVENTS)
@@ -257,7 +264,7 @@ _TERMIOS2_SIZE, _OUTPUT_SPEED_AT = 44, 40
 #: How long the loop sleeps at most, so that scripted faults and a stop are noticed.
 _LONGEST_SLEEP_S: Final = 0.05
 _CHUNK: Final = 65_536
-#: Motors are not moved on when a reply is due within this: it would be late.
+#: If a reply is due within this time, motors are not simulated before: it would be late.
 _BUSY_S: Final = 0.001
 
 
@@ -287,11 +294,15 @@ class PtyHost:
                 raise
 
     def serve(self, stopped: Callable[[], bool], wake_fd: int | None = None) -> None:
-        """Serve until `stopped()` is True, checked every 50 ms, or `wake_fd` is readable."""
+        """Serve until `stopped()` is True, checked every 50 ms, or `wake_fd` is readable.
+
+        The loop delivers replies when they are due, and between them simulates the device, follows
+        its plug, and receives the client's bytes.
+        """
         while not stopped():
             now_s = time.monotonic() - self._zero_s
             wait_s = self._chain.next_delivery_s - now_s
-            if wait_s > _BUSY_S:  # nothing to say soon: time for everything else
+            if wait_s > _BUSY_S:  # no reply is due soon
                 self._chain.advance(now_s)
                 self._mind_the_plug()
             elif wait_s <= 0.0:
@@ -341,7 +352,7 @@ class PtyHost:
         if self._chain.plugged and self._master < 0:
             self._plug_in()
             if self._link is not None:
-                # Somebody may have put something else there meanwhile: then that stays.
+                # A file of another program may be there meanwhile: it stays.
                 with contextlib.suppress(PortError):
                     self._link.lead_to(self.port)
         elif not self._chain.plugged and self._master >= 0:

@@ -24,7 +24,7 @@ from firmware_bridge.simulator.drive import (
 )
 from firmware_bridge.simulator.motors import Motors
 
-#: Of a model's modes those whose motion is simulated. Current, velocity and PWM control are not.
+#: The operating modes whose motion is simulated. Current, velocity and PWM control are not.
 SIMULATED_MODES: Final = frozenset({POSITION, EXTENDED_POSITION, CURRENT_BASED_POSITION})
 _DRIVE_MODE_BITS: Final = REVERSED | TIMED_PROFILE | TORQUE_BY_GOAL
 _MODE, _LIMITS = register("operating_mode").address, register("max_position_limit").address
@@ -44,9 +44,9 @@ _PRESENT: Final = register("realtime_tick").address
 _RAM: Final = register("torque_enable").address
 #: Bit of startup_configuration: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#startup-configuration60
 _TORQUE_AT_START: Final = 0x01
-#: What the instruction clear needs: https://emanual.robotis.com/docs/en/dxl/protocol2/#clear
+#: Parameters of the instruction clear: https://emanual.robotis.com/docs/en/dxl/protocol2/#clear
 _CLEAR_REVOLUTIONS: Final = b"\x01\x44\x58\x4c\x22"
-#: Not in the manual: how long a restart takes, and that a reset takes as long.
+#: How long a restart and a factory reset take; not in the manual.
 BOOT_S: Final = 0.5
 
 Answer = tuple[int, bytes]
@@ -71,6 +71,11 @@ class SimulatedServo:
     """
 
     def __init__(self, model: ServoModel, servo_id: int, index: int, motors: Motors) -> None:
+        """Make a servo with factory settings but for its id, just powered up.
+
+        deaf_until_s: no packet is received before; booted_s, heard_s: when the servo was started,
+        and received its last packet. `_registered`: the write that waits for an action.
+        """
         self.model = model
         self.index = index
         self._drive = Drive(model, index, motors)
@@ -165,7 +170,10 @@ class SimulatedServo:
             self._drive.set_torque(on=not self._drive.broken)
 
     def answer(self, instruction: int, parameters: bytes, now_s: float) -> Answer | None:
-        """Execute one instruction; return (error, data) of its status packet, None: no packet."""
+        """Execute one instruction; return (error, data) of its status packet, None: no packet.
+
+        A ping is always answered, a read from status return level 1 on, all else at level 2.
+        """
         if instruction == Instruction.PING:
             return self._error(), struct.pack("<HB", self["model_number"], self["firmware_version"])
         if instruction == Instruction.READ:
@@ -190,7 +198,10 @@ class SimulatedServo:
         return (self._error(error), b"") if level == 2 else None
 
     def read_span(self, address: int, size: int) -> Answer:
-        """Return (error, data) for a read of `size` bytes at `address`, alone or in a group."""
+        """Return (error, data) for a read of `size` bytes at `address`, alone or in a group.
+
+        An invalid address or size is an access error without data.
+        """
         if size < 1 or address + size > len(self._memory):
             return self._error(StatusError.ACCESS), b""
         if address + size > _PRESENT:
@@ -203,7 +214,7 @@ class SimulatedServo:
         if len(parameters) < 3:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
-        if address == _GOAL and len(data) == 4:  # what nearly every write is
+        if address == _GOAL and len(data) == 4:  # a goal position, as nearly every write is
             goal = int.from_bytes(data, "little", signed=True)
             error = self._refusal_of_goal(goal)
             if not error:
@@ -219,11 +230,14 @@ class SimulatedServo:
         for entry, value in pieces:
             self._set(entry.name, value)
         if not pieces:
-            self._memory[address : address + len(data)] = data  # what indirect data shows
+            self._memory[address : address + len(data)] = data  # indirect addresses
         return 0
 
     def _refusal_of_all(self, pieces: Sequence[tuple[Register, int]]) -> int:
-        """Return the first status error against writing `pieces` (register, value); 0: none."""
+        """Return the first status error against writing `pieces` (register, value); 0: none.
+
+        Besides errors of single registers: a lower position limit above the upper one.
+        """
         for entry, value in pieces:
             error = self._refusal_of_one(entry, value)
             if error:
@@ -244,12 +258,16 @@ class SimulatedServo:
         if self._memory[_WATCHDOG] == _TRIPPED:
             return StatusError.DATA_RANGE
         low, high = -_FARTHEST, _FARTHEST
-        if self._memory[_MODE] == POSITION:
+        if self._memory[_MODE] == POSITION:  # the upper limit comes first in the table
             high, low = struct.unpack_from("<II", self._memory, _LIMITS)
         return 0 if low <= goal <= high else StatusError.DATA_LIMIT
 
     def _refusal_of_one(self, entry: Register, value: int) -> int:
-        """Return the status error against writing `value` to one register; 0: it is allowed."""
+        """Return the status error against writing `value` to one register; 0: it is allowed.
+
+        Refused are EEPROM with torque on, values out of range, goals above their limit or while the
+        watchdog has tripped, and torque on after a hardware error.
+        """
         name, table = entry.name, self._table
         if entry.in_eeprom and self._drive.torque_on:
             return StatusError.ACCESS
@@ -273,7 +291,7 @@ class SimulatedServo:
         return StatusError.DATA_RANGE if wrong else 0
 
     def _set(self, name: str, value: int) -> None:
-        """Write one register, with all effects of a write on the motor."""
+        """Write one register, with all effects of a write on the motor; the value was checked."""
         drive = self._drive
         if name == "torque_enable":
             drive.set_torque(on=bool(value))
@@ -286,7 +304,10 @@ class SimulatedServo:
             drive.change_mode()
 
     def _register(self, parameters: bytes) -> int:
-        """Keep a write for the next action instruction; return the write's status error."""
+        """Obey the instruction reg write: keep the write for the next action.
+
+        Return the status error, with which the write is not kept; 0: none.
+        """
         if len(parameters) < 3:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
@@ -308,7 +329,7 @@ class SimulatedServo:
     def _clear(self, parameters: bytes) -> int:
         """Obey the instruction clear: forget whole turns; return the status error.
 
-        It is RESULT_FAIL while the servo moves.
+        The error is RESULT_FAIL while the servo moves.
         """
         if parameters != _CLEAR_REVOLUTIONS:
             return StatusError.DATA_RANGE
@@ -353,7 +374,7 @@ class SimulatedServo:
     def _reset(self, parameters: bytes, now_s: float) -> int:
         """Obey the instruction factory reset, then restart; return the status error.
 
-        parameters: one byte, of what is reset: 0xFF: all; 1: all but the id; 2: all but id and baud
+        parameters: one byte. 0xFF: reset all registers; 1: all but the id; 2: all but id and baud
         rate.
         """
         if len(parameters) != 1:

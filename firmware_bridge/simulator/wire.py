@@ -10,10 +10,9 @@ from firmware_bridge.dynamixel.wire.codec import fast_status, status
 from firmware_bridge.simulator.faults import ON_INSTRUCTIONS, ON_REPLIES, Fault
 from firmware_bridge.simulator.servo import SimulatedServo
 
-#: Start bit, eight data bits, stop bit: https://emanual.robotis.com/docs/en/dxl/protocol2/
-#: Rounding of sums of byte times; a bit lasts 220 ns at the fastest rate.
+#: Times that differ by less are equal: sums of byte times are rounded. A bit lasts 220 ns at least.
 _SAME_S: Final = 1e-9
-#: What an adapter that hears itself sends back before the reply: here a broadcast ping.
+#: The bytes that the fault `echo` puts before a reply: a broadcast ping.
 _ECHO: Final = b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42"
 
 
@@ -59,6 +58,10 @@ class Wire:
     """A half-duplex wire: carries packets at their speed, with faults by seeded chance."""
 
     def __init__(self, rules: WireRules, faults: Iterable[Fault], seed: int) -> None:
+        """Make an idle wire; only the faults that hit packets count here.
+
+        host_until_s, until_s: when the computer's, and the servos', last byte is over.
+        """
         self.counts = WireCounts()
         self.host_until_s = 0.0
         self.until_s = 0.0
@@ -91,7 +94,7 @@ class Wire:
         """Send the computer's bytes; return those that servos receive, and when the first is sent.
 
         byte_s: seconds a byte. Replies that are on the wire at that time are destroyed, and
-        counted.
+        counted. Faults may lose or damage the computer's bytes.
         """
         start_s = max(now_s, self.host_until_s)
         self._disturbed = False
@@ -124,6 +127,7 @@ class Wire:
         start_s = after_s + servo.return_delay_s
         error, data = answer
         raw = status(replied_id, error, data)
+        # uninvited: a fault made the packet late, double or noise: the computer cannot foresee it
         times, uninvited = 1, False
         for fault in self._on_replies:
             if not fault.hits(servo.index, after_s, self._rng):
@@ -157,7 +161,10 @@ class Wire:
             start_s = max(start_s, self.until_s)
 
     def swallows(self, servo: SimulatedServo) -> bool:
-        """Return whether a fault keeps a servo's part of a fast read's frame from arriving."""
+        """Return whether a fault, by chance, keeps a servo's part of a fast read's frame away.
+
+        Kinds that lose, delay or cut a reply do.
+        """
         return any(
             fault.kind in ("drop_reply", "late_reply", "truncate_reply")
             and fault.hits(servo.index, self.until_s, self._rng)
@@ -177,10 +184,11 @@ class Wire:
         those after it. after_s: when the return delay begins. byte_s: seconds a byte.
         """
         blocks = [(servo.servo_id, error, data) for servo, error, data in replies]
+        # The header's length counts the silent servos' blocks, which are then cut off.
         frame = fast_status([*blocks, *((0, 0, bytes(size)) for size in missing)])
         frame = frame[: len(frame) - sum(size + 4 for size in missing)]
         for fault in self._on_replies:
-            at = 8
+            at = 8  # where the first servo's block begins
             for servo, _, data in replies:
                 if fault.kind == "corrupt_reply" and fault.hits(servo.index, after_s, self._rng):
                     frame = self._flip(frame, at, len(data) + 4)
@@ -199,6 +207,7 @@ class Wire:
         uninvited: whether a fault made the bytes late, double or noise.
         """
         end_s = start_s + len(raw) * byte_s
+        # Two servos at once: one spoilt packet takes the place of both.
         for other in self._out:
             if other.start_s < end_s - _SAME_S and start_s < other.end_s - _SAME_S:
                 self.counts.contention += not (uninvited or other.uninvited)
@@ -207,7 +216,7 @@ class Wire:
                 # Two transmitters are never in step: bits are lost even where both say the same.
                 raw = mixed[:-1] + bytes(each ^ 0xFF for each in mixed[-1:]) + raw[n:]
                 other.data = b""
-        if self.host_until_s > start_s + _SAME_S:
+        if self.host_until_s > start_s + _SAME_S:  # the computer is still sending
             self.counts.contention += 1
             raw = b"\x00" * len(raw)
         self.counts.replies += 1

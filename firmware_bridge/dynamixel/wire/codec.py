@@ -32,8 +32,8 @@ EMPTY_STATUS_SIZE: Final = 11
 BROADCAST_ID: Final = 254
 #: The largest id a servo may have: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#id
 MAX_ID: Final = 252
-#: No packet is longer than this: a fast sync read of 252 servos and 40 bytes each. A length field
-#: above it is noise, and not waited for.
+#: No packet is longer than this: the answer to a fast sync read of 252 servos, 40 bytes each. A
+#: larger value in a length field is noise, and the parser waits for no such packet.
 MAX_LENGTH: Final = 12_000
 #: Added to the error number while a servo's hardware_error_status is not 0.
 ALERT_BIT: Final = 0x80
@@ -168,7 +168,8 @@ def undisturbed_status(raw: bytes) -> Status | None:
 def fast_status(blocks: Sequence[tuple[int, int, bytes]]) -> bytes:
     """Return the common frame that answers a fast sync read, from (id, error, data) of each servo.
 
-    Positional, so it is not stuffed; each block ends in the CRC of everything up to there.
+    Parsed by position and therefore not stuffed; each servo's block ends in the CRC of all bytes
+    before. For the simulator.
     """
     length = 1 + sum(4 + len(data) for _, _, data in blocks)
     frame = bytearray(HEADER + struct.pack("<BHB", BROADCAST_ID, length, Instruction.STATUS))
@@ -185,6 +186,7 @@ def split_fast_status(frame: bytes, size: int) -> list[Status]:
     the frame's last CRC is right, all its blocks count, whatever the inner CRCs are: whether real
     servos send them cumulative, as here, is not verified on hardware.
     """
+    # A block: error, id, data, CRC. declared: bytes of the whole frame by its length field.
     step = size + 4
     ends = range(8 + step, len(frame) + 1, step)
     declared = int.from_bytes(frame[5:7], "little") + 7
@@ -235,25 +237,28 @@ class FrameParser:
         self.pending = b""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Append received bytes; return the packets that they complete."""
+        """Append received bytes; return the packets that they complete, in order.
+
+        Bytes of an unfinished packet stay in `pending` for the next call.
+        """
         buffer = self.pending + data if self.pending else data
         frames: list[Frame] = []
         at = 0
         while True:
             start = buffer.find(HEADER, at)
-            if start < 0:
+            if start < 0:  # only the last bytes are kept, if they may begin a header
                 kept = _header_begun(buffer, at)
                 at = len(buffer) - kept
                 break
             at = start
-            if len(buffer) - start < 7:
+            if len(buffer) - start < 7:  # the length field has yet to come
                 break
             length = buffer[start + 5] | buffer[start + 6] << 8
             end = start + 7 + length
             if not 3 <= length <= MAX_LENGTH:
                 self.n_bad += 1
                 at = start + len(HEADER)
-            elif end > len(buffer):
+            elif end > len(buffer):  # not whole yet, or damaged if it contains a whole packet
                 inner = self._whole_packet_inside(buffer, start)
                 if inner is None:
                     break
@@ -272,10 +277,9 @@ class FrameParser:
     def _whole_packet_inside(buffer: bytes, start: int) -> int | None:
         """Return where a whole packet begins inside the unfinished one at `start`; None: nowhere.
 
-        The unfinished packet is damaged if it contains another.
-
-        Stuffing keeps headers out of packets, except out of fast replies, which a CRC that holds
-        over a whole inner packet tells apart.
+        An unfinished packet that contains a whole one is damaged, since stuffing keeps headers out
+        of packets. The reply to a fast read is not stuffed; a header in its data is very unlikely
+        to be followed by bytes with the right CRC.
         """
         at = buffer.find(HEADER, start + len(HEADER))
         while 0 <= at <= len(buffer) - EMPTY_PACKET_SIZE:
@@ -314,6 +318,7 @@ class GoalWrite:
     """A prepared sync write of one four-byte register of several servos; only values are new."""
 
     def __init__(self, ids: Sequence[int], address: int) -> None:
+        """Prepare the packet to servos `ids` for the four-byte register at `address`."""
         self._blocks = np.zeros(len(ids), dtype=[("id", "u1"), ("value", "<i4")])
         self._blocks["id"] = ids
         self._values = self._blocks["value"]
@@ -337,7 +342,7 @@ class GoalWrite:
         """
         self._values[:] = values
         blocks = self._blocks.tobytes()
-        if b"\xff\xff\xfd" in blocks:
+        if b"\xff\xff\xfd" in blocks:  # to be stuffed, so the prepared header does not fit
             parameters = self._head[8:] + blocks
             return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
         raw = self._head + blocks
@@ -352,7 +357,10 @@ class CommonFrame(Sequence[Status]):
     """
 
     def __init__(self, ids: tuple[int, ...], size: int, stream: bytes) -> None:
-        """Wrap a frame of `size` data bytes per servo, whose CRC the caller has checked."""
+        """Wrap the frame `stream`, whose ids and CRC the caller has checked.
+
+        size: data bytes of each servo.
+        """
         self.ids = ids
         self.stream = stream
         self.errors = stream[_BLOCKS_AT :: size + 4]
@@ -370,7 +378,9 @@ class CommonFrame(Sequence[Status]):
 
     @staticmethod
     def blocks(stream: bytes | bytearray, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """Return a view of all servos' fields in a buffer for a common frame, filled now or later.
+        """Return a view of all servos' fields in `stream`, the frame that answers a fast sync read.
+
+        The buffer may be filled later: the view then shows the new values.
 
         Parameters
         ----------
@@ -410,6 +420,11 @@ class SpanRead:
     """
 
     def __init__(self, ids: Sequence[int], address: int, size: int, *, fast: bool) -> None:
+        """Prepare the request, and the bytes by which the expected answer is recognised.
+
+        reply_size: bytes of the whole answer. `_step`, `_heads`: of each servo's own frame, if not
+        fast, its size and first eight bytes.
+        """
         self.ids = tuple(ids)
         self.address = address
         self.size = size
@@ -423,6 +438,7 @@ class SpanRead:
         length = 1 + n * (size + 4)
         self._fast_head = HEADER + struct.pack("<BHB", BROADCAST_ID, length, _STATUS)
         self._id_bytes = bytes(self.ids)
+        # A common frame: eight bytes, then error, id, data and CRC of each servo.
         self.reply_size = EMPTY_PACKET_SIZE - 2 + n * (size + 4) if fast else n * self._step
         #: Bytes in the status packet that answers: of one servo, or the common frame of all.
         self.answer_size = self.reply_size - EMPTY_STATUS_SIZE if fast else size
@@ -431,8 +447,8 @@ class SpanRead:
     def widened(self, size: int) -> "SpanRead":
         """Return a read of `size` bytes that includes this read, beginning earlier where possible.
 
-        Another size tells its answers from late ones to earlier requests. Every control table
-        begins at 0; their ends differ.
+        Its answers have another size, and so are not mistaken for late ones to this read. Earlier,
+        since every control table begins at 0, while their ends differ. Made once for each size.
         """
         if size == self.size:
             return self
@@ -443,7 +459,7 @@ class SpanRead:
         return self._wider[size]
 
     def cut(self, statuses: Sequence[Status], address: int) -> list[Status]:
-        """Return the statuses reduced to this span's bytes.
+        """Return the statuses of a wider read, reduced to the bytes of this read.
 
         address: the register address at which the data in `statuses` begin.
         """
@@ -457,6 +473,7 @@ class SpanRead:
         """
         if self.fast:
             return len(stream) >= self.reply_size and stream.startswith(self._fast_head)
+        # Whether the last `_step` bytes begin as the frame of the last servo does.
         return stream[-self._step : 8 - self._step] == self._heads[-1]
 
     def take_undisturbed(self, stream: bytes) -> Sequence[Status] | None:
@@ -467,6 +484,7 @@ class SpanRead:
         if len(stream) != self.reply_size:
             return None
         if self.fast:
+            # An error byte and the id begin every servo's block, behind a head of eight bytes.
             if stream[:8] != self._fast_head or stream[9 :: self.size + 4] != self._id_bytes:
                 return None
             if crc16(stream[:-2]) != stream[-2] | stream[-1] << 8:
@@ -488,7 +506,10 @@ class SpanRead:
         return statuses
 
     def salvage_fast(self, stream: bytes) -> list[Status]:
-        """Return the statuses that arrived whole in a disturbed common frame."""
+        """Return the statuses that arrived whole in a disturbed or cut common frame; [] if none.
+
+        Bytes before the frame are skipped; a status of another id than expected is left out.
+        """
         start = stream.find(self._fast_head)
         if start < 0:
             return []

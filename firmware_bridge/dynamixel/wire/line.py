@@ -21,8 +21,8 @@ _STATUS: Final = int(Instruction.STATUS)
 
 #: Return delay of a servo fresh from the factory: 250 x 2 us.
 FACTORY_RETURN_DELAY_S: Final = 0.0005
-#: What a ping is answered with: model number (2 bytes), firmware version (1). The same bytes lie at
-#: 0 and 6 of every control table.
+#: Data of the answer to a ping: model number (2 bytes), firmware version (1). The same bytes are at
+#: addresses 0 and 6 of every control table.
 _PONG_SIZE: Final = 3
 _IDENTITY_SIZE: Final = 7
 
@@ -40,6 +40,7 @@ class Line(HalfDuplex):
         *,
         extra_wait_s: float = 0.0,
     ) -> None:
+        """Use the line behind `transport`, an open port; parameters as those of `HalfDuplex`."""
         super().__init__(transport, return_delay_s, extra_wait_s)
         self.n_bad = 0
         self._parser = FrameParser()
@@ -47,7 +48,8 @@ class Line(HalfDuplex):
     def ping(self, servo_id: int, extra_wait_s: float = 0.0) -> Status | None:
         """Ping one servo; return model number (2 bytes) and firmware version (1); None: silent.
 
-        extra_wait_s: how long to wait beyond the deadline.
+        extra_wait_s: how long to wait beyond the deadline. Where a late answer could be mistaken
+        for that to the ping, the same values are read from registers instead.
         """
         request = codec.ping(servo_id)
         if self._has_pending() and self._pending.looks_like(servo_id, _PONG_SIZE, request):
@@ -58,7 +60,10 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, _PONG_SIZE, extra_wait_s)
 
     def ping_each(self, servo_id: int) -> list[Status]:
-        """Send one ping and return every answer; two servos with one id may both answer."""
+        """Send one ping and return every answer; two servos with one id may both answer.
+
+        Waits for the time of two answers. May first wait until no late answer can come.
+        """
         if self._has_pending() and self._pending.free_size((servo_id,), _PONG_SIZE) != _PONG_SIZE:
             self._wait_for_pending()
         request = codec.ping(servo_id)
@@ -86,7 +91,8 @@ class Line(HalfDuplex):
     ) -> Status | None:
         """Read `size` bytes of one servo from `address` on; None: no answer.
 
-        extra_wait_s: how long to wait beyond the deadline.
+        extra_wait_s: how long to wait beyond the deadline. While a late answer of this size may
+        still come, more bytes are read than requested, so that the answers differ in size.
         """
         if self._pending.any and self._has_pending():
             span = SpanRead((servo_id,), address, size, fast=False)
@@ -101,7 +107,8 @@ class Line(HalfDuplex):
     ) -> Status | None:
         """Write bytes of one servo from `address` on and return its status; None: not confirmed.
 
-        extra_wait_s: how long to wait beyond the deadline, as EEPROM may need.
+        extra_wait_s: how long to wait beyond the deadline, as EEPROM may need. Where a late
+        acknowledgement could be mistaken for that of this write, the bytes are read back instead.
         """
         request = codec.write(servo_id, address, data)
         if self._acknowledgement_is_ambiguous(servo_id, request):
@@ -111,7 +118,10 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, 0, extra_wait_s)
 
     def reboot(self, servo_id: int) -> Status | None:
-        """Restart one servo; return its status. None: no answer that is surely to this request."""
+        """Restart one servo; return its status; None: none came, or it is ambiguous.
+
+        A late acknowledgement of an earlier request looks like that of the restart.
+        """
         request = codec.reboot(servo_id)
         if self._acknowledgement_is_ambiguous(servo_id, request):
             self._tell_one(servo_id, request, 0.0)
@@ -119,7 +129,11 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, 0)
 
     def sync_read(self, span: SpanRead) -> Sequence[Status]:
-        """Send request `span`; return the statuses that came in time, in the order of its ids."""
+        """Send request `span`; return the statuses that came in time, in the order of its ids.
+
+        While late answers of the same size may still come, more bytes are read than `span` has, and
+        the statuses cut to its bytes.
+        """
         if not (self._pending.any and self._has_pending()):
             return self._ask_span(span)
         if span.fast:
@@ -139,6 +153,7 @@ class Line(HalfDuplex):
         n = len(span.ids)
 
         def take(stream: bytes, *, last: bool) -> Sequence[Status] | None:
+            """Return all statuses, or if no more bytes come those that are whole; None: read on."""
             whole = span.take_undisturbed(stream)
             if whole is not None:
                 return whole
@@ -162,9 +177,9 @@ class Line(HalfDuplex):
         return [by_id[each] for each in span.ids if each in by_id]
 
     def _note_missing(self, span: SpanRead, statuses: Sequence[Status]) -> None:
-        """Note the servos of `span` without a status: they may still answer late.
+        """Note that the servos of `span` without a status may still answer late.
 
-        A common frame comes late as a whole.
+        statuses: those that came. The frame that answers a fast read comes late as a whole.
         """
         now_s = self._clock.now()
         if span.fast:
@@ -194,6 +209,7 @@ class Line(HalfDuplex):
                 status = codec.undisturbed_status(stream)
                 if status is not None and status.servo_id == servo_id:
                     return [status]
+            # An error status has no data; 0x7F: the error number without the alert bit.
             found = [
                 status
                 for status in self._statuses(stream)
@@ -218,9 +234,9 @@ class Line(HalfDuplex):
         return self._pending.expire(self._clock.now())
 
     def _note_late(self, stream: bytes, requested_size: int | None) -> None:
-        """Remove from the pending answers those in `stream` to earlier requests.
+        """Remove from the pending answers the late ones that are in the bytes `stream`.
 
-        requested_size: answers with so many bytes count as answers to the newest request; None:
+        requested_size: data bytes of the answer to the newest request, which is not late; None:
         every answer is late.
         """
         for status in self._statuses(stream):
@@ -228,9 +244,10 @@ class Line(HalfDuplex):
                 self._pending.note_arrived(status.servo_id, len(status.data))
 
     def _acknowledgement_is_ambiguous(self, servo_id: int, request: bytes) -> bool:
-        """Return whether a late acknowledgement of other bytes may be taken for one of `request`.
+        """Return whether a late acknowledgement may be mistaken for that of the write `request`.
 
-        All acknowledgements look alike; one for the same bytes, written again, is as good.
+        All acknowledgements of a servo look alike; a late one of the same request does no harm. On
+        a line with `extra_wait_s` this waits until no late answer can come.
         """
         if self.extra_wait_s:
             self._wait_for_pending()

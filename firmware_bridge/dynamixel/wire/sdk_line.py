@@ -52,9 +52,9 @@ class SdkTransport:
         self.call(lambda: self._reopen(baud_rate))
 
     def _reopen(self, baud_rate: int) -> None:
-        """Set the baud rate by opening the port anew, with our claim on it given up meanwhile.
+        """Set the baud rate by opening the port anew, without the exclusive lock meanwhile.
 
-        The SDK can set a rate in no other manner, and the claim would refuse even us.
+        The SDK can set a rate in no other manner, and the lock would keep out this process as well.
         """
         release(self.handler.ser)
         self.handler.setBaudRate(baud_rate)
@@ -63,7 +63,8 @@ class SdkTransport:
     def call(self, ask: Callable[[], _Result]) -> _Result:
         """Return the result of `ask`, a call of the SDK. Raises PortGone when the port fails.
 
-        Afterwards the port is not marked as in use, whatever happened.
+        The SDK's mark that the port is in use is cleared in any case: after an error it would stay,
+        and every later call be refused.
         """
         try:
             return ask()
@@ -159,9 +160,9 @@ class SdkLine(Line):
         self._sdk.call(group.txPacket)
 
     def sync_read(self, span: SpanRead) -> Sequence[Status]:
-        """Return the statuses of all servos, error 0 in each; [] if any is missing.
+        """Send request `span`; return the statuses of all servos, error 0 in each.
 
-        The SDK discards error bytes and partial answers.
+        [] if any servo did not answer: the SDK discards partial answers, and error bytes.
         """
         group = GroupSyncRead(self._sdk.handler, self._packets, span.address, span.size)
         for servo_id in span.ids:

@@ -6,15 +6,15 @@ from typing import Final
 from firmware_bridge.dynamixel.wire.codec import EMPTY_STATUS_SIZE, SpanRead, Status
 from firmware_bridge.dynamixel.wire.line import Line
 
-#: Silent this often in a row: asked last from now on, since a silent servo may cut off the rest.
+#: A servo silent this often in a row is read last from then on: it may cut off those behind it.
 _SUSPECT_AFTER: Final = 2
-#: Silent this often in a row: not asked at all, but for a try now and then.
+#: A servo silent this often in a row is left out, but for every 200th request.
 _ABSENT_AFTER: Final = 5
 _RETRY_EVERY: Final = 200
-#: Fast reads lose everything behind a lost part. So many bad ones among the last hundred, and each
-#: servo gets a frame of its own again. After a while the fast way is tried once more; after each
-#: relapse the while is twice as long, up to ten minutes at 100 Hz. Some servos do not know fast
-#: reads at all: until one has come whole, whoever it lacks is asked in the plain way, too.
+#: A fast read loses all data behind a lost part. After two bad ones among a hundred, plain reads
+#: are used, with a frame for each servo. After 2,000 requests fast reads are tried once more; after
+#: each relapse plain reads last twice as long, up to ten minutes at 100 Hz. Some servos do not know
+#: fast reads: until one has come whole, servos that it lacks are read in the plain way as well.
 _BAD_FAST_READS: Final = 2
 _FAST_WINDOW: Final = 100
 _SLOW_FOR: Final = 2_000
@@ -38,7 +38,11 @@ class SpanGroup:
         self.reset()
 
     def reset(self) -> None:
-        """Forget which servos were silent."""
+        """Start anew: no servo counts as silent, and fast reads are tried.
+
+        `_proven`: a fast read came whole since the last switch to plain reads; `_ever_proven`:
+        since this reset. `_silent`: by id, how often in a row a servo did not answer.
+        """
         self._proven = False
         self._ever_proven = False
         self._n_refused = 0
@@ -61,7 +65,11 @@ class SpanGroup:
         return self._n_refused >= _BAD_FAST_READS and not self._ever_proven
 
     def ask(self, line: Line) -> Sequence[Status]:
-        """Send the request; return the whole answers that came, in no particular order."""
+        """Send the request; return the whole answers that came, in no particular order.
+
+        Missing answers may be requested once more. Which servos were silent decides on the order of
+        ids in the next request, and on whether that is a fast read.
+        """
         if self._n_requests == self._slow_until or self._n_requests % _RETRY_EVERY == 0:
             self._prepare(retry=self._n_requests % _RETRY_EVERY == 0)
         span = self.request = self._span
@@ -84,8 +92,8 @@ class SpanGroup:
 
         statuses: the answers that came. No retry when no servo answered, since then single packets
         are not the problem; and none for servos that were silent several times. The first missing
-        servo is read last: it may cut off the others. While fast reads have yet to work once, a
-        retry costs time but no answers: all are read again.
+        servo is read last: it may cut off the others. While no fast read has come whole yet, all
+        that are missing are read again, however long that takes.
         """
         on_trial = self.request.fast and not self._proven
         if not statuses and not on_trial:
@@ -116,8 +124,10 @@ class SpanGroup:
     def _judge(self, span: SpanRead, statuses: Sequence[Status], again: Sequence[Status]) -> None:
         """Count which servos were silent, to put them last in the next request or leave them out.
 
-        statuses: the answers to `span`; again: those to the retry for what was missing.
+        statuses: the answers to `span`; again: those to the retry for what was missing. Bad fast
+        reads are counted as well.
         """
+        # cut_off: not in the first answers, in the order of the request; missing: nor in the retry
         at_once = {status.servo_id for status in statuses}
         late = {status.servo_id for status in again}
         answered = at_once | late
@@ -128,8 +138,8 @@ class SpanGroup:
         for servo_id in answered:
             changed |= self._silent[servo_id] >= _SUSPECT_AFTER
             self._silent[servo_id] = 0
-        # Those behind the first silent one may only have been cut off. Nor are all silent where
-        # nobody answers at all: line or computer stood still, and come back with everybody.
+        # In a fast read, servos behind the first silent one may only have been cut off. If no servo
+        # answered, line or computer stalled. In both cases only the first counts as silent.
         first_only = span.fast or not answered
         silent_now = [each for each in cut_off[:1] if each in missing] if first_only else missing
         most = _ABSENT_AFTER if answered else _SUSPECT_AFTER
@@ -141,15 +151,15 @@ class SpanGroup:
         if span.fast and cut_off and answered:
             changed = True
             if not (late and self._retried - late <= {cut_off[0]} and cut_off[0] in missing):
-                self._count_bad_fast(cut_off)  # else it is one servo that is silent
+                self._count_bad_fast(cut_off)  # else one silent servo explains what is missing
         if changed:
             self._prepare()
 
     def _count_bad_fast(self, missing: list[int]) -> None:
         """Count a fast read that lacks ids `missing`; two in 100 requests switch to plain reads.
 
-        They last for 2000 requests, each further time twice as many. Not counted where every
-        missing servo is known to be silent: fast reads are not at fault.
+        Plain reads last for 2,000 requests, each further time twice as many. Not counted where
+        every missing servo is known to be silent: fast reads are not at fault.
         """
         if all(self._silent[each] >= _SUSPECT_AFTER for each in missing):
             return
