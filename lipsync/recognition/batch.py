@@ -1,7 +1,7 @@
 """The phonemes that the live recogniser would report as final, for whole recordings. Offline.
 
-The arithmetic of `NetworkRecognizer` without its waiting: the network takes a recording in one go,
-the decoder goes forward frame by frame, but through many recordings side by side.
+The arithmetic is that of `NetworkRecognizer`, but the network takes a recording in one go, and the
+decoder goes forward frame by frame through many recordings side by side.
 """
 
 from collections.abc import Iterator, Sequence
@@ -53,13 +53,11 @@ def settled_phonemes(
     """
     delay = frames_of_delay(latency_s)
     for first in range(0, len(recordings), TOGETHER):
-        together = recordings[first : first + TOGETHER]
-        n_frames = max(len(samples) for samples in together) // HOP + round(_TAIL_S * FRAMES_PER_S)
-        posteriors = np.stack(
-            [recording_posteriors(weights, s, n_frames + delay) for s in together]
-        )
+        batch = recordings[first : first + TOGETHER]
+        n_frames = max(len(samples) for samples in batch) // HOP + round(_TAIL_S * FRAMES_PER_S)
+        posteriors = np.stack([recording_posteriors(weights, s, n_frames + delay) for s in batch])
         labels = _settled(posteriors, weights.delays, delay)
-        for samples, settled in zip(together, labels, strict=True):
+        for samples, settled in zip(batch, labels, strict=True):
             yield _events(settled[: max(1, -(-len(samples) // HOP))])
 
 
@@ -126,7 +124,7 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
         for source in reversed(sources):
             state = source[rows, state]
             path.append(state)
-        # The nearest frames, the one to be settled first.
+        # After a pause a frame is settled as speech only if the next ones known are speech too.
         nearest = np.stack(path[::-1][: SMOOTH.waking_frames])
         is_believed = (nearest != SILENCE_INDEX).all(axis=0)
         state = np.where((n_silent >= PAUSE_FRAMES) & ~is_believed, SILENCE_INDEX, state)
@@ -136,6 +134,7 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
 
 
 def _events(labels: NDArray[np.int64]) -> tuple[PhonemeEvent, ...]:
+    """Return the runs of equal labels, numbers in `PHONEMES` of 10 ms frames, as events."""
     events, start = [], 0
     for label, run in groupby(labels.tolist()):
         end = start + len(list(run))

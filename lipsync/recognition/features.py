@@ -31,16 +31,17 @@ _DB_PER_NAT = 10.0 / np.log(10.0)
 SPEECH_PEAK = -1.0
 #: Where the peak starts: between a voice at full level and one 30 dB lower.
 _FIRST_PEAK = SPEECH_PEAK - 15.0 / _DB_PER_NAT
-#: Below it nothing is lifted any more: 45 dB under usual speech.
+#: The peak falls no lower, so that quieter sound is not amplified: 45 dB under usual speech.
 _LOWEST_PEAK = SPEECH_PEAK - 45.0 / _DB_PER_NAT
 #: Share of the way to a louder frame; a click of one frame counts by a third.
 _ATTACK = 0.3
 #: The peak falls 1 dB a second.
 _DECAY = 1.0 / _DB_PER_NAT / FRAMES_PER_S
-#: Quieter than this below the peak is all the same: rooms and codecs differ there.
+#: Lower levels below the peak are clipped to this: rooms and codecs differ there.
 _RANGE = 50.0 / _DB_PER_NAT
 #: Frames within 35 dB of the peak move the running mean (design measurement).
 _GATE = 35.0 / _DB_PER_NAT
+#: The running mean: the mean of training counts as so many frames, and so many are remembered.
 _PRIOR_FRAMES, _MEMORY_FRAMES = 100.0, 300.0
 _OFFSETS = np.arange(WINDOW)
 #: The log power of every band of digital silence.

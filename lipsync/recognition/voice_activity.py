@@ -48,6 +48,7 @@ def level_db(frame: NDArray[np.float32]) -> float:
     float
         dB re full scale.
     """
+    # Least squares by projection on the basis.
     slow = _parabolas(len(frame))
     rest = frame - slow @ (slow.T @ frame)
     power = float(np.mean(np.square(rest, dtype=np.float64)))
@@ -102,6 +103,7 @@ class VoiceActivityDetector:
         return self._is_open
 
     def _follow_floor(self, frame_db: float) -> None:
+        """Add a frame's level to the minimum of the present step of 100 ms."""
         if self._n_in_step == 0:
             self._step_minima_db.append(frame_db)
         else:
