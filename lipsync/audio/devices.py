@@ -219,13 +219,13 @@ def list_anew() -> bool:
     return True
 
 
-#: A device that has not asked for sound, or brought any, for so long is lost.
+#: A device whose callback was not called for so long is lost.
 SILENT_S: Final = 0.5
 #: But not so soon after it was opened: a PulseAudio sink that slept took 1.1 s to begin.
 SETTLING_S: Final = 3.0
-#: It is tried so often, once it is lost.
+#: Time between two tries to reopen a lost device.
 RETRY_S: Final = 1.0
-#: It is looked at so often.
+#: Time between two checks for a loss.
 LOOK_S: Final = 0.1
 
 
@@ -297,10 +297,12 @@ class DeviceWatch:
                 self._start()
 
     def _has_stopped(self, stream: OpenStream, now_s: float) -> bool:
+        """Return whether the stream ended, or its callback was not called for 0.5 s."""
         is_settled = now_s - self._opened_s > SETTLING_S
         return not stream.active or (is_settled and now_s - self._called_s > SILENT_S)
 
     def _start(self) -> None:
+        """Open the stream, and note when it was tried and opened. Raises SoundError."""
         self._tried_s = self._clock()
         stream = self._open_stream()
         self._opened_s = self._called_s = self._clock()
