@@ -22,9 +22,9 @@ class LabelError(UserError):
 #: Label, start and end in s.
 Interval = tuple[str, float, float]
 
-#: Praat writes very small times so, and praatio does not read them.
+#: Times with exponents: Praat writes very small ones so, and praatio does not read them.
 _EXPONENT: Final = re.compile(r"(?m)^(\s*x(?:min|max) ?= ?)([\d.]+[eE][-+]?\d+)(?=\s*$)")
-#: praatio drops the sign.
+#: Negative times: praatio drops the sign.
 _NEGATIVE: Final = re.compile(r"(?m)^\s*(?:xmin|xmax) ?= ?(-[\d.]*[1-9][\d.]*)\s*$")
 _WIDE: Final = (b"\xff\xfe", b"\xfe\xff")
 _N_TIERS: Final = re.compile(r"<exists>\s*(?:size ?= ?)?(\d+)")
@@ -43,7 +43,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
     text = text.replace("\r\n", "\n")
     if negative := _NEGATIVE.search(text):
         raise LabelError(f"time {negative[1][:20]} s is before the sound begins; correct it")
-    text = _EXPONENT.sub(lambda found: f"{found[1]}{float(found[2]):.9f}", text)
+    text = _EXPONENT.sub(lambda match: f"{match[1]}{float(match[2]):.9f}", text)
     tiers: dict[str, tuple[Interval, ...]] = {}
     try:
         grid = parseTextgridStr(text + "\n", includeEmptyIntervals=True)["tiers"]
@@ -55,7 +55,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
                 tiers[str(tier["name"])] = tuple(_interval(*row) for row in tier["entries"])
     except LabelError:
         raise
-    # What praatio raises depends on where in the text it loses the thread.
+    # praatio raises these, depending on where in the text it fails.
     except (
         PraatioException,
         AssertionError,
@@ -72,6 +72,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
 
 
 def _interval(start: object, end: object, label: object) -> Interval:
+    """Return (label, start_s, end_s) of an entry. Raises LabelError for impossible times."""
     start_s, end_s = float(str(start)), float(str(end))
     if not 0 <= start_s <= end_s < 1e9:
         raise LabelError(f"{shown(label)}: {shown(start)} to {shown(end)} s cannot be; correct it")
@@ -81,8 +82,8 @@ def _interval(start: object, end: object, label: object) -> Interval:
 def _refuse_cut_off(text: str, tiers: list[dict[str, Any]]) -> None:
     """Raise LabelError if the text promises more tiers or labels than praatio found."""
     counts = [int(long or short) for long, short in _N_LABELS.findall(text)]
-    if (written := _N_TIERS.search(text)) and min(len(tiers), len(counts)) < int(written[1]):
-        raise LabelError(f"has {len(counts)} of {written[1]} tiers: it is cut off; save it again")
+    if (promised := _N_TIERS.search(text)) and min(len(tiers), len(counts)) < int(promised[1]):
+        raise LabelError(f"has {len(counts)} of {promised[1]} tiers: it is cut off; save it again")
     for tier, count in zip(tiers, counts, strict=False):
         if (n := len(tier["entries"])) < count:
             reached_s = float(tier["entries"][-1][-2]) if n else 0.0

@@ -114,8 +114,8 @@ class EspeakLibrary:
                 "espeak-ng's voice data are not installed: `apt install espeak-ng-data`"
             )
         self._sample_rate_hz = int(rate_hz)
-        # The library keeps the pointer: the callback must live as long as it.
-        self._callback = _Callback(self._take)
+        # The library keeps the pointer only: the callback must be kept alive here.
+        self._callback = _Callback(self._store_chunk)
         library.espeak_SetSynthCallback(self._callback)
         self._voice_of = self._list_voices()
 
@@ -143,7 +143,7 @@ class EspeakLibrary:
         samples = np.concatenate([np.zeros(0, np.int16), *chunks])
         return Synthesis((samples / _FULL_SCALE).astype(np.float32), self._sample_rate_hz, marks)
 
-    def _take(self, sound: object, n: int, events: object) -> int:
+    def _store_chunk(self, sound: object, n: int, events: object) -> int:
         """Store `n` samples of sound and the marks in `events`; called back by the library."""
         if sound and n > 0:
             self._chunks.append(np.ctypeslib.as_array(sound, (n,)).copy())
@@ -159,6 +159,7 @@ class EspeakLibrary:
         return 0
 
     def _check(self, status: int) -> None:
+        """Raise SynthesisError for a status of the library other than 0."""
         if status != 0:
             raise SynthesisError(f"espeak-ng failed with status {status}; try another language")
 
