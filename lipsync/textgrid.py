@@ -99,7 +99,7 @@ def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
     Raises LabelError for a missing file and one that is no TextGrid.
     """
     try:
-        return intervals_by_tier(text_of(Path(path)))
+        return intervals_by_tier(read_text(Path(path)))
     except LabelError as error:
         raise LabelError(f"{path}: {error}") from error
 
@@ -128,7 +128,7 @@ def is_textgrid(head: bytes) -> bool:
 _LARGEST_BYTES: Final = 64 * 2**20
 
 
-def text_of(path: Path) -> str:
+def read_text(path: Path) -> str:
     """Return a label file's text. Raises LabelError, without the file's name.
 
     A pipe or a device is refused: it may have no end.
@@ -138,14 +138,14 @@ def text_of(path: Path) -> str:
             raise LabelError("cannot be read: not a regular file; save it first")
         if path.stat().st_size > _LARGEST_BYTES:
             raise LabelError("larger than 64 MiB; give labels of one recording only")
-        return decoded(path.read_bytes())
+        return decode_labels(path.read_bytes())
     except FileNotFoundError:
         raise LabelError("no such file") from None
     except OSError as error:
         raise LabelError(f"cannot be read ({error.strerror}); give a file of labels") from None
 
 
-def decoded(content: bytes) -> str:
+def decode_labels(content: bytes) -> str:
     """Return a label file's content as text. Raises LabelError without the file's name."""
     try:
         return content.decode("utf-16" if content[:2] in _WIDE else "utf-8-sig")

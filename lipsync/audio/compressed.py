@@ -60,7 +60,7 @@ def quiet_decoder(*, is_mp3: bool) -> Iterator[None]:
                 os.write(_STDERR, others)
 
 
-def share_there(path: Path, sound: soundfile.SoundFile) -> float:
+def present_share(path: Path, sound: soundfile.SoundFile) -> float:
     """Return the share of an MP3 file's bytes that is there, of those promised by its first frame.
 
     1.0 for a file whose first frame promises nothing (Xing,

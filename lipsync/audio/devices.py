@@ -171,7 +171,7 @@ _STREAMS: Final = _OpenStreams()
 
 
 @contextmanager
-def opening() -> Iterator[None]:
+def portaudio_lock() -> Iterator[None]:
     """Lock PortAudio while a device is found and its stream made and started: one thread at a time.
 
     Meanwhile no other thread restarts PortAudio, which would end a stream that is not counted yet.
@@ -181,7 +181,7 @@ def opening() -> Iterator[None]:
 
 
 def start_stream(stream: OpenStream) -> None:
-    """Start a stream that was made within `opening` and count it as open; close it on failure.
+    """Start a stream made within `portaudio_lock`, and count it as open; close it on failure.
 
     Raises PortAudioError. The call waits for the device: never make it in the live loop.
     """
@@ -204,7 +204,7 @@ def close_stream(stream: OpenStream) -> None:
             _STREAMS.n_open -= 1
 
 
-def list_anew() -> bool:
+def restart_portaudio() -> bool:
     """Restart PortAudio so that it lists the devices again; return whether it was restarted.
 
     A restart ends every open stream of this program: while any is open, nothing is done.
@@ -263,7 +263,7 @@ class DeviceWatch:
 
     def open(self) -> None:
         """Open the device for the first time, in the caller's thread. Raises SoundError."""
-        with opening():
+        with portaudio_lock():
             self._start()
 
     def start(self) -> None:
@@ -292,8 +292,8 @@ class DeviceWatch:
             self._n_losses += 1
             self._close()
         if self._stream is None and now_s - self._tried_s >= RETRY_S:
-            with opening(), contextlib.suppress(SoundError):  # the next try may do better
-                list_anew()
+            with portaudio_lock(), contextlib.suppress(SoundError):  # the next try may do better
+                restart_portaudio()
                 self._start()
 
     def _has_stopped(self, stream: OpenStream, now_s: float) -> bool:

@@ -36,8 +36,8 @@ from lipsync.audio.compressed import (
     MP3,
     begins_as_mp3,
     lacks_its_end,
+    present_share,
     quiet_decoder,
-    share_there,
 )
 from lipsync.audio.source import BLOCK_SAMPLES, BlockCutter, SoundError
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
@@ -273,7 +273,7 @@ def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
             levels.add(chunk if index is None else chunk[:, [index]])
             has_sound = levels.peak > 0.0
             if n_frames >= CHECKED_S * sound.samplerate:
-                n_frames = round(sound.frames * share_there(path, sound))
+                n_frames = round(sound.frames * present_share(path, sound))
                 has_sound = True  # a minute of silence before speech is allowed
                 break
         rate_hz = int(sound.samplerate)
@@ -550,7 +550,7 @@ def _cut_warning(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
         return f"{path}: cut short: its end is missing; the {holds_s:.2f} s that are there are used"
     says_s = promised_s(sound) or sound.frames / sound.samplerate
     # A compressed file's header counts in frames of up to a tenth of a second.
-    is_cut = share_there(path, sound) < _NEARLY_ALL or holds_s + 0.1 < says_s
+    is_cut = present_share(path, sound) < _NEARLY_ALL or holds_s + 0.1 < says_s
     if not (is_cut and holds_s < says_s < LONGEST_S):
         return ""
     return (

@@ -21,7 +21,7 @@ from lipsync.audio.devices import (
     import_sounddevice,
     is_number,
     offset_ms_of,
-    opening,
+    portaudio_lock,
     start_stream,
 )
 from lipsync.audio.source import SoundError
@@ -191,7 +191,7 @@ class LoudspeakerOutput:
         time.
         """
         self._sounddevice = import_sounddevice()
-        with opening():
+        with portaudio_lock():
             self._device = find_device(device, "output")
             rate_hz, _ = self._rate_and_channels(RATES_HZ)
         # By name: a number may mean another device after one is plugged in.

@@ -18,7 +18,7 @@ from lipsync.audio.devices import (
     find_device,
     import_sounddevice,
     is_number,
-    opening,
+    portaudio_lock,
     start_stream,
 )
 from lipsync.audio.source import BLOCK_SAMPLES, BlockCutter, SoundError
@@ -65,7 +65,7 @@ class MicrophoneSource:
         and the caller calls `watch.look` from time to time.
         """
         self._sounddevice = import_sounddevice()
-        with opening():
+        with portaudio_lock():
             self._device = find_device(device, "input")
         # By name: a number may mean another device after one is plugged in.
         self._wanted_device = self._device.lasting_name if is_number(device) else device

@@ -400,7 +400,7 @@ class Playout:
             from_microphone = self._microphone_block(start_s)
             return from_microphone, self._played_silence, from_microphone
         stream = playing.stream
-        self._known_phonemes.sounds(playing, start_s)
+        self._known_phonemes.note_playing(playing, start_s)
         playing.is_starved = False
         self._not_heard.append((start_s, playing, block, playing.n_taken))
         playing.add(start_s, block.n_samples)
@@ -460,11 +460,11 @@ class Playout:
         """
         if self._microphone is None or not self._is_listening:
             # Known silence, not recognised: the mouth closes a tenth of a second sooner.
-            self._known_phonemes.is_silent(start_s, start_s + BLOCK_S)
+            self._known_phonemes.add_silence(start_s, start_s + BLOCK_S)
             if self._microphone is not None:
                 self._microphone.discard()
             return _SILENCE
-        self._known_phonemes.sounds(None, start_s)
+        self._known_phonemes.note_playing(None, start_s)
         samples = self._microphone.take()
         return _SILENCE if samples is None else samples
 
@@ -533,7 +533,7 @@ class Playout:
         self._known_phonemes.cut(cut_s)
         self._queue_timed_units(TimedUnits("", cut_s))
         if cut_s < self.committed_s:
-            self._known_phonemes.is_silent(cut_s, self.committed_s)
+            self._known_phonemes.add_silence(cut_s, self.committed_s)
 
     def _report_for_all(self, kind: EventKind) -> None:
         """Append an event of this kind for every stream that plays or waits."""

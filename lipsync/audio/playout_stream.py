@@ -521,16 +521,16 @@ class KnownPhonemes:
         self._stretches: deque[KnownStretch] = deque()
         self._sounding: PlayingStream | None = None
 
-    def is_silent(self, start_s: float, end_s: float) -> None:
+    def add_silence(self, start_s: float, end_s: float) -> None:
         """Add a known stretch of silence from `start_s` to `end_s`: no stream plays there."""
-        self.sounds(None, start_s)
+        self.note_playing(None, start_s)
         last = self._stretches[-1] if self._stretches else None
         if last is not None and last[2] == _SILENCE and abs(last[1] - start_s) < 1e-6:
             self._stretches[-1] = (last[0], end_s, _SILENCE)
         else:
             self._stretches.append((start_s, end_s, _SILENCE))
 
-    def sounds(self, playing: PlayingStream | None, start_s: float) -> None:
+    def note_playing(self, playing: PlayingStream | None, start_s: float) -> None:
         """Add the known phonemes of the stream that plays from `start_s` on; called for each block.
 
         playing: None where no stream plays; then the phonemes of the last stream end there.

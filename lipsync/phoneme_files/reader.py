@@ -21,7 +21,7 @@ from lipsync.errors import shown
 from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.phoneme_files.layouts import Tier, kind_of, tiers_in
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.textgrid import LabelError, decoded, text_of
+from lipsync.textgrid import LabelError, decode_labels, read_text
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -84,7 +84,7 @@ def labels_in(content: bytes | None, file: LabelFile, sound_s: float | None = No
     sound in s, with which the labels' times are compared; None: not known.
     """
     try:
-        text = text_of(file.path) if content is None else decoded(content)
+        text = read_text(file.path) if content is None else decode_labels(content)
         tiers = tiers_in(text, file.alphabet)
         tier = _choose_tier(tiers, file.tier)
         untimed = [shown(word) for each in tiers for word in each.untimed]
@@ -120,7 +120,11 @@ def sound_beside(path: Path) -> Path:
 
 
 def _choose_tier(tiers: Sequence[Tier], wanted: str) -> Tier:
-    """Return the tier called `wanted`; "": that of the phonemes, else of visemes, else of words."""
+    """Return the tier called `wanted`; "": that of the phonemes, else of visemes, else of words.
+
+    A single tier of unknown kind is of words or phonemes if `wanted` says `words` or `phones`.
+    Raises LabelError where no tier or several remain.
+    """
     names = ", ".join(each.name for each in tiers)[:200] or "none"
     by_name = {each.name: each for each in tiers if not wanted or each.name == wanted}
     if len(tiers) == 1 and not tiers[0].kind and wanted in ("words", "phones"):

@@ -23,7 +23,7 @@ from lipsync.recognition.decoder import (
 )
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
 from lipsync.recognition.network import LATENCY_S, NetworkWeights
-from lipsync.recognition.network_recognizer import frames_of_delay
+from lipsync.recognition.network_recognizer import delay_frames
 from lipsync.recognition.posteriors import PosteriorStream
 
 #: Recordings side by side: enough that NumPy's own cost does not count, in little memory.
@@ -51,7 +51,7 @@ def settled_phonemes(
     Iterator[tuple[PhonemeEvent, ...]]
         The phonemes of each recording, without gaps from 0 to its end.
     """
-    delay = frames_of_delay(latency_s)
+    delay = delay_frames(latency_s)
     for first in range(0, len(recordings), TOGETHER):
         batch = recordings[first : first + TOGETHER]
         n_frames = max(len(samples) for samples in batch) // HOP + round(_TAIL_S * FRAMES_PER_S)

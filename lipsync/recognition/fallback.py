@@ -57,7 +57,7 @@ _PAUSE_S = 0.2
 
 
 class Pace:
-    """A check that a recogniser is as fast as its sound: call `note` each step, then `failing`."""
+    """A check that a recogniser is fast enough: call `note` each step, then `why_replace`."""
 
     def __init__(self) -> None:
         self._shares: deque[float] = deque(maxlen=_REMEMBERED)
@@ -86,7 +86,7 @@ class Pace:
         if sound_s > 0.0:
             self._shares.append(cost_s / sound_s)
 
-    def failing(self, now_s: float, waiting_s: float) -> str | None:
+    def why_replace(self, now_s: float, waiting_s: float) -> str | None:
         """Return in words why the recogniser should be replaced; None if not (yet).
 
         now_s: by the clock. waiting_s: seconds of sound that wait after the step noted last.
@@ -469,7 +469,7 @@ class FallbackRecognizer:
 
         timer_s: a clock in s. The backlog is the sound not fed yet plus the time since this call.
         Too slow: the backlog is over 0.3 s, and a second of sound costs over 3 s of work, or the
-        backlog lasts 6 s (`Pace.failing`).
+        backlog lasts 6 s (`Pace.why_replace`).
         """
         end_s = blocks[-1].end_s
         if end_s - blocks[0].start_s > LONGEST_WAITING_S:
@@ -485,7 +485,7 @@ class FallbackRecognizer:
             n_fed += len(chunk)
             waiting_s = end_s - chunk[-1].end_s + now_s - began_s
             pace = self._level.pace
-            reason = pace.failing(now_s, waiting_s)
+            reason = pace.why_replace(now_s, waiting_s)
             # A recogniser above `neutral` must be left: late phonemes are better than none.
             if reason is not None and any(n > self._current for n in self._usable[:-1]):
                 is_slow = pace.share > _TRIED_SHARE

@@ -28,7 +28,7 @@ from lipsync.recognition.network import LATENCY_S, NetworkWeights, WeightsError,
 from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
-from lipsync.recognition.text_decoder import FOLLOWING, HEARD, MovedBy, TextDecoder
+from lipsync.recognition.text_decoder import FOLLOWING, OUTSIDE_TEXT, MovedBy, TextDecoder
 from lipsync.spoken_text import PronouncedWord
 
 #: The window of the newest frame ends 25 ms after its start.
@@ -62,7 +62,7 @@ class NetworkRecognizer:
         settings: DecoderSettings | None = None,
     ) -> None:
         self._weights = weights
-        self._delay = frames_of_delay(latency_s)
+        self._delay = delay_frames(latency_s)
         has_lookahead = self._delay > weights.delays[0]
         self._settings = settings or (SMOOTH if has_lookahead else QUICK)
         self._text: TextDecoder | None = None
@@ -93,7 +93,7 @@ class NetworkRecognizer:
     @property
     def moved_by(self) -> MovedBy:
         """`text` if the phonemes now final were found in a given text, `sound` if recognised."""
-        is_text = bool(self._in_text) and self._in_text[0] != HEARD
+        is_text = bool(self._in_text) and self._in_text[0] != OUTSIDE_TEXT
         return "text" if is_text else "sound"
 
     @property
@@ -152,7 +152,7 @@ class NetworkRecognizer:
         """
         if self._own_noise is None:
             self._own_noise = OwnNoise(self._weights.delays[-1] + round(_AHEAD_S * FRAMES_PER_S))
-            self._posteriors.hear_own_noise(self._own_noise)
+            self._posteriors.use_own_noise(self._own_noise)
         self._own_noise.note_speeds(sound_s, speeds_deg_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
@@ -228,7 +228,7 @@ class NetworkRecognizer:
         if self._text is not None:
             n_unsettled = max(0, FOLLOWING.settled_frames - self._delay)
             for age in range(1, min(len(phonemes), len(self._in_text)) + 1):
-                if self._in_text[-age] != HEARD:
+                if self._in_text[-age] != OUTSIDE_TEXT:
                     phonemes[-age] = self._in_text[-age]
         # The newest frame's window reaches 15 ms beyond its end; one frame more has been heard.
         n_missing = self._n_frames + 1 - n_final - len(phonemes)
@@ -237,7 +237,7 @@ class NetworkRecognizer:
         del self._settled[: self._updates.n_final - n_final]
         if self._evidence:
             # Phonemes found in a text are certain: motion is not to blend in others.
-            is_heard = all(each == HEARD for each in self._in_text)
+            is_heard = all(each == OUTSIDE_TEXT for each in self._in_text)
             heard = self._posteriors_heard()
             update = replace(update, evidence=heard, posteriors=heard if is_heard else None)
         self._evidence.clear()
@@ -296,7 +296,7 @@ class _PreparedBlock:
     is_noticed: bool
 
 
-def frames_of_delay(latency_s: float) -> int:
+def delay_frames(latency_s: float) -> int:
     """Return how many frames later a frame is settled, for a latency in seconds."""
     return int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
 

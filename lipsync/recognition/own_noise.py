@@ -101,10 +101,11 @@ class OwnNoise:
 
     def __init__(self, most_frames: int) -> None:
         """Create the model; `learn` may be called up to `most_frames` frames late."""
+        # (sound time, knot weights) by `note_speeds`; (log-mel frame, its knot weights or None).
         self._speeds: deque[tuple[float, Array]] = deque(maxlen=_MOST_SPEEDS)
         self._frames: deque[tuple[Array32, Array | None]] = deque(maxlen=most_frames + 1)
         self._power = np.zeros((0, N_BANDS))  # (n_servos n_knots, n_bands)
-        self._n_learned = np.zeros(0)
+        self._n_learned = np.zeros(0)  # frames, weighted, that each row of _power was learned from
         self._excess: float | None = None  # None: the servos were at rest until now
         self._n_explained = 0  # frames on end within the narrower margin
 
@@ -130,7 +131,7 @@ class OwnNoise:
             self.begin()
         self._speeds.append((sound_s, knot_shares(speeds_deg_s)))
 
-    def explains(self, frame: Array32, sound_s: float, *, is_awake: bool) -> bool:
+    def is_own_noise(self, frame: Array32, sound_s: float, *, is_awake: bool) -> bool:
         """Add a frame; return whether its level is within a margin of the moving servos' noise.
 
         Parameters

@@ -67,7 +67,7 @@ class PosteriorStream:
         # Whether there may have been a voice in each of the last frames, the newest last.
         self._may_be_voice = np.ones(weights.delays[-1], np.bool_)
 
-    def hear_own_noise(self, own_noise: OwnNoise) -> None:
+    def use_own_noise(self, own_noise: OwnNoise) -> None:
         """Use `own_noise`, the noise model of the robot's servos, from now on."""
         self._own_noise = own_noise
 
@@ -138,7 +138,7 @@ class PosteriorStream:
         middles = (first + np.arange(len(frames))) * HOP + WINDOW // 2
         times_s = until_s - (self._n_samples - middles) / SAMPLE_RATE_HZ
         found = [
-            own_noise.explains(frame, time_s, is_awake=is_awake)
+            own_noise.is_own_noise(frame, time_s, is_awake=is_awake)
             for frame, time_s in zip(frames, times_s.tolist(), strict=True)
         ]
         return np.array(found, np.bool_)

@@ -26,8 +26,8 @@ from lipsync.phonemes import PHONEMES
 from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat, best_heads
 from lipsync.spoken_text import PronouncedWord
 
-#: In place of a phoneme's number where the escape wins: there the recognised phoneme counts.
-HEARD: Final = -1
+#: In place of a phoneme's number: the escape wins here, so the recognised phoneme counts.
+OUTSIDE_TEXT: Final = -1
 #: Pronunciations of a word that are searched; the dictionary's first ones.
 MOST_PRONUNCIATIONS: Final = 4
 #: Words that may wait to be spoken: ten minutes of speech.
@@ -137,6 +137,7 @@ class TextDecoder:
         self._tolerance = np.float32(settings.late_s * frames_per_s)
         self._heads = best_heads(self._delays, self._delays[-1])
         n_recent = self._delays[-1] + 1
+        # Scores of the last frames by each head, by frame number modulo the length.
         self._recent = np.zeros((n_recent, len(self._delays), len(PHONEMES)), np.float32)
         self._first_frame = first_frame
         self._n_heard = 0
@@ -224,7 +225,7 @@ class TextDecoder:
         -------
         list[int]
             Phonemes' numbers in `PHONEMES` for the newest frames in order, which may change in the
-            next call; `HEARD` where the sound does not follow the text. [] before the first.
+            next call; `OUTSIDE_TEXT` where the sound does not follow the text. [] before the first.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
@@ -294,7 +295,7 @@ class TextDecoder:
     def _trace_back(self, fronts: "list[_Front]") -> list[int]:
         """Return the best path's phoneme in each front but the first; set `_place` from the first.
 
-        A phoneme's number in `PHONEMES`, or `HEARD`.
+        A phoneme's number in `PHONEMES`, or `OUTSIDE_TEXT`.
         """
         last = fronts[-1]
         state = int(last.scores.argmax())
@@ -302,7 +303,7 @@ class TextDecoder:
         path: list[int] = []
         for front, before in zip(fronts[:0:-1], fronts[-2::-1], strict=True):
             if is_escape:
-                path.append(HEARD)
+                path.append(OUTSIDE_TEXT)
                 exit_score, exit_state = self._best_exit(before)
                 if exit_score > before.escape:
                     is_escape, state = False, exit_state

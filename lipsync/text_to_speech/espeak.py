@@ -59,7 +59,7 @@ _COMPARED_S, _STEP_S, _LEAST_RISE_DB = 0.008, 0.001, 6.0
 _SHARE_OF_JOINED = 1 / 3
 
 
-def refined(
+def refine_times(
     phonemes: list[TimedPhones], samples: NDArray[np.float32], sample_rate_hz: int
 ) -> list[TimedPhones]:
     """Return the phonemes with espeak-ng's times corrected by the sound, in order, without gaps.
@@ -194,7 +194,7 @@ class Espeak:
                 f"{written[:40]!r} has nothing that can be spoken in {voice.language!r}; write "
                 "words"
             )
-        timed = refined(phonemes, spoken.samples, spoken.sample_rate_hz)
+        timed = refine_times(phonemes, spoken.samples, spoken.sample_rate_hz)
         return SynthesizedSpeech(
             spoken.samples,
             spoken.sample_rate_hz,
@@ -225,7 +225,7 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
     A guessed phoneme is missing in the table of IPA phonemes and replaced by a similar one.
     """
     duration_s = len(spoken.samples) / spoken.sample_rate_hz
-    found = [TimedPhones((SILENCE,), 0.0, duration_s)]
+    timed = [TimedPhones((SILENCE,), 0.0, duration_s)]
     guessed: dict[str, None] = {}
     word = -1
     for mark, end in _with_ends(spoken):
@@ -239,12 +239,12 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
         if not phones.phones and (mark.ipa or _is_audible(spoken.samples[mark.sample : end])):
             continue
         start_s = min(mark.sample / spoken.sample_rate_hz, duration_s)
-        last = found[-1]
+        last = timed[-1]
         if not phones.phones and last.phones == (SILENCE,):
             continue
         last.end_s = start_s
         is_pause = not phones.phones
-        found.append(
+        timed.append(
             TimedPhones(
                 (SILENCE,) if is_pause else phones.phones,
                 start_s,
@@ -252,7 +252,7 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
                 -1 if is_pause else word,
             )
         )
-    return found, tuple(guessed)
+    return timed, tuple(guessed)
 
 
 def _with_ends(spoken: Synthesis) -> list[tuple[PhonemeMark | WordMark, int]]:
@@ -285,13 +285,13 @@ def _timed_words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tupl
     (syllables, parts of a number) are joined.
     """
     marks = [mark for mark in spoken.marks if isinstance(mark, WordMark)]
-    found: list[SpokenWord] = []
+    words: list[SpokenWord] = []
     written_end = 0
     for index, (start_s, end_s) in word_times(timed).items():
         mark = marks[index]
-        if found and mark.position < written_end:
+        if words and mark.position < written_end:
             # Syllables of a script without spaces, and parts of a number: within the last word.
-            found[-1] = replace(found[-1], end_s=end_s)
+            words[-1] = replace(words[-1], end_s=end_s)
             continue
         written_end = mark.position + mark.length
         word = text[mark.position : mark.position + mark.length].strip()
@@ -300,5 +300,5 @@ def _timed_words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tupl
             following = _WORD.search(text, max(0, mark.position))
             word = following.group() if following is not None else ""
         if word:
-            found.append(SpokenWord(word, start_s, end_s))
-    return tuple(found)
+            words.append(SpokenWord(word, start_s, end_s))
+    return tuple(words)

@@ -5,7 +5,7 @@ import pytest
 
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.decoder import SMOOTH, PosteriorFormat, log_scores
-from lipsync.recognition.text_decoder import HEARD, MOST_WORDS, TextDecoder, TextError
+from lipsync.recognition.text_decoder import MOST_WORDS, OUTSIDE_TEXT, TextDecoder, TextError
 from lipsync.spoken_text import PronouncedWord
 
 FORMAT = PosteriorFormat(PHONEMES, (2, 7, 12))
@@ -35,7 +35,9 @@ def followed(posteriors, words, told_at=0):
             decoder.tell(words)
         path = decoder.push(scores)
         for age, index in enumerate(reversed(path)):
-            settled[frame - FORMAT.delays[0] - age] = "heard" if index == HEARD else PHONEMES[index]
+            settled[frame - FORMAT.delays[0] - age] = (
+                "heard" if index == OUTSIDE_TEXT else PHONEMES[index]
+            )
     return [settled[frame] for frame in sorted(settled) if frame >= 0]
 
 
@@ -164,7 +166,7 @@ def test_a_text_that_comes_seven_words_late_is_looked_for_around_the_voice():
             decoder.tell(words, behind_s=n_late / 100)
         if frame >= n_late:
             for age, index in enumerate(reversed(decoder.push(scores))):
-                settled[frame - age] = "heard" if index == HEARD else PHONEMES[index]
+                settled[frame - age] = "heard" if index == OUTSIDE_TEXT else PHONEMES[index]
     followed_to_the_end = [settled[frame] for frame in sorted(settled)]
     assert followed_to_the_end.count("heard") < 45
     assert runs(followed_to_the_end)[-7:] == ["F", "IH", "SH", "S", "IY", "K", "SIL"]
