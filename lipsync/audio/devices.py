@@ -238,6 +238,7 @@ class DeviceWatch:
     """
 
     def __init__(self, open_stream: Callable[[], OpenStream], clock: Callable[[], float]) -> None:
+        """Store how to open a stream, as the class says; nothing is opened before `open`."""
         self._open_stream = open_stream
         self._clock = clock
         self._opened_s = self._tried_s = self._called_s = clock()

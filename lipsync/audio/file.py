@@ -519,6 +519,7 @@ def _decode_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
 def _damage_error(
     path: Path, sound: soundfile.SoundFile, error: soundfile.LibsndfileError
 ) -> SoundError:
+    """Return the SoundError for sound that cannot be decoded beyond the present position."""
     reached = f"{sound.tell() / sound.samplerate:.2f} s" if sound.seekable() else "some sound"
     return SoundError(
         f"{path}: damaged after {reached} ({reason_of(error)}); copy or convert it again"

@@ -286,6 +286,7 @@ class _Resampler:
     """A resampler: samples are pushed at one rate and removed at another."""
 
     def __init__(self, from_hz: int, to_hz: int) -> None:
+        """Create a resampler between two rates in Hz; equal rates pass samples unchanged."""
         self.rate_hz = to_hz
         self._resampler = (
             None

@@ -235,6 +235,7 @@ class VoiceTracker:
     """
 
     def __init__(self) -> None:
+        """Start at sound time 0 after silence, without a baseline of the speaker."""
         self._time_s = 0.0
         self._window: Array32 = np.zeros(WINDOW_SAMPLES, np.float32)
         self._pitch = PitchTracker()

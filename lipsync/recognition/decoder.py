@@ -76,6 +76,10 @@ class ViterbiDecoder:
         delay: int,
         settings: DecoderSettings = DecoderSettings(),
     ) -> None:
+        """Create the decoder as at the end of a pause. Raises ValueError as the class says.
+
+        heard: format of the posteriors. delay: frames after which a phoneme is settled.
+        """
         delays = heard.delays
         if heard.names != PHONEMES:
             raise ValueError("columns of posteriors are not the phonemes, in their order")
@@ -91,13 +95,13 @@ class ViterbiDecoder:
         self._recent = np.zeros((delay + 1, len(delays), len(PHONEMES)), np.float32)
         self._settled_scores = np.zeros(len(PHONEMES), np.float32)
         self._n_heard = 0
-        # Frames of silence settled last; before anything was heard there was silence.
+        # Frames of silence settled last; the time before the stream counts as a pause.
         self._n_silent = PAUSE_FRAMES
-        nothing = np.zeros((len(delays), len(PHONEMES)), np.float32)
-        nothing[:, SILENCE_INDEX] = 1.0
-        #: The scores of a frame in which every head hears silence: the very array, given to `push`
-        #: again and again, costs nothing once all that is remembered is silence.
-        self.silence = self.scores(nothing)
+        all_silent = np.zeros((len(delays), len(PHONEMES)), np.float32)
+        all_silent[:, SILENCE_INDEX] = 1.0
+        #: Scores of a frame in which every head finds silence. Given this very array again and again,
+        #: `push` costs nothing once all stored frames are silence.
+        self.silence = self.scores(all_silent)
         self._n_same = 0
 
     @property

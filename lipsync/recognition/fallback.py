@@ -36,8 +36,7 @@ _BACKLOG_S = 0.3
 #: A recogniser that takes so long for a second of sound will not catch up, whatever the computer
 #: does besides, and eight blocks at once will not help either. It is left at once.
 _HOPELESS_SHARE = 3.0
-#: A level that is tried needs time to spare: the one in use goes on beside it.
-_TRIED_SHARE = 0.5
+_TRIED_SHARE = 0.5  # a level that is tried needs time to spare, beside the one in use
 #: In a backlog so many blocks are worked on at once, at a third of the cost.
 _AT_ONCE = 8
 #: So long a backlog may last, of at least so many steps, if the recogniser had this share of the
@@ -113,14 +112,14 @@ class LadderLevel:
     """
 
     def __init__(self, name: str, recognizer: LiveRecognizer) -> None:
+        """Wrap a recogniser called `name`, which counts from sound time 0 until `begin`."""
         self.name = name
         self.pace = Pace()
         self._recognizer = recognizer
         self._listener = recognizer if isinstance(recognizer, Listener) else None
         self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._offset_s = 0.0
-        #: Whether silence has lasted for a while, by the newest update.
-        self.is_pause = True
+        self.is_pause = True  # whether silence has lasted for a while, by the newest update
 
     @property
     def ahead_s(self) -> float:
@@ -314,6 +313,7 @@ class FallbackRecognizer:
         latency_s: float,
         timer_s: Callable[[], float] | None = None,
     ) -> None:
+        """Make all `levels`, and begin the best usable one; parameters as in the class."""
         self._latency_s = latency_s
         self._timer_s = timer_s
         self._levels: list[LadderLevel] = []

@@ -104,6 +104,7 @@ class _StreamingLayer:
     """One convolution with relu on a stream; it stores the past inputs that its kernel needs."""
 
     def __init__(self, layer: Layer) -> None:
+        """Create the layer with a past of zeros."""
         self._layer = layer
         self._n_past = (_TAPS - 1) * layer.dilation
         # Ring of the last inputs, the present one among them, (n_past + 1, n_in).

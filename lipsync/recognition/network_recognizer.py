@@ -61,6 +61,7 @@ class NetworkRecognizer:
         latency_s: float = LATENCY_S,
         settings: DecoderSettings | None = None,
     ) -> None:
+        """Create the recogniser, for a stream from sound time 0; parameters as in the class."""
         self._weights = weights
         self._delay = delay_frames(latency_s)
         has_lookahead = self._delay > weights.delays[0]

@@ -228,8 +228,8 @@ class SteadySoundDetector:
     """Detector of steady sound (hum, fans), frame by frame of 10 ms."""
 
     def __init__(self) -> None:
+        """Start after silence (-100, natural log of power), so that no sound is steady at once."""
         n_steps = round(FLOOR_S * FRAMES_PER_S) // _STEP_FRAMES
-        # Before the stream there was silence: what begins at once is no steady sound yet.
         self._minima = np.full((n_steps, N_BANDS), -100.0, np.float32)
         self._level: Array32 = np.full(N_BANDS, -100.0, np.float32)
         self._n_frames = self._n_near_floor = self._n_same = 0

@@ -16,6 +16,10 @@ class ScriptedPhonemes:
     """
 
     def __init__(self, events: Iterable[PhonemeEvent], lookahead_s: float = 0.0) -> None:
+        """Store the events, in order of time. Raises ValueError as the class says.
+
+        lookahead_s: seconds that phonemes are known before their sound.
+        """
         self._events = tuple(events)
         for event, following in zip(self._events, self._events[1:], strict=False):
             if event.end_s is None or not event.start_s < event.end_s <= following.start_s:

@@ -118,6 +118,7 @@ class SoundAhead:
     """
 
     def __init__(self, source: AudioSource, recognizer: LiveRecognizer) -> None:
+        """Read `source` ahead for `recognizer`, if it can prepare and the source is not live."""
         self._source = source
         self._preparing = (
             recognizer

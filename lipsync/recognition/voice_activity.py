@@ -70,7 +70,7 @@ class VoiceActivityDetector:
     """
 
     def __init__(self) -> None:
-        # As if it had been quiet before the stream began: speech that starts at once is heard.
+        """Start after quiet: the floor is -120 dB, so that speech that starts at once is found."""
         n_steps = round(FLOOR_WINDOW_S / _FLOOR_STEP_S)
         self._step_minima_db = deque([_NOTHING_DB] * n_steps, maxlen=n_steps)
         self._n_in_step = 0

@@ -95,6 +95,10 @@ class EspeakLibrary:
     """The loaded library espeak-ng; one per process, to be used by one thread."""
 
     def __init__(self, library: ctypes.CDLL, data_path: str | None) -> None:
+        """Initialise the library for synthesis in memory, and list its voices.
+
+        data_path: folder of its voice data; None: the system's. Raises SynthesisError without them.
+        """
         self._library = library
         self._chunks: list[NDArray[np.int16]] = []
         self._marks: list[PhonemeMark | WordMark] = []

@@ -138,6 +138,7 @@ def _apply_rules(text: str, rules: Sequence[_Rule]) -> str:
 
 @cache
 def _markdown() -> "MarkdownIt":
+    """Return the parser of Markdown with tables and struck out text, without HTML."""
     from markdown_it import MarkdownIt
 
     # Indented text is no code here: people and models indent speech, too.

@@ -79,6 +79,7 @@ class LitertTracker:
     """
 
     def __init__(self, landmarker: Path) -> None:
+        """Load both networks of the file `landmarker`. Raises as the class says."""
         check_extra("ai_edge_litert", "--landmarker")
         networks = _read_networks(landmarker)
         try:
@@ -145,6 +146,7 @@ class _Network:
     """One TensorFlow Lite network with one input."""
 
     def __init__(self, content: bytes) -> None:
+        """Load the network from the bytes of a .tflite file. Raises ValueError or RuntimeError."""
         from ai_edge_litert.interpreter import Interpreter
 
         self._interpreter: Any = Interpreter(model_content=content, num_threads=1)
@@ -184,6 +186,7 @@ class MediapipeTracker:
     """
 
     def __init__(self) -> None:
+        """Load mediapipe and its face mesh. Raises as the class says."""
         import mediapipe
 
         self._mesh: Any = mediapipe.solutions.face_mesh.FaceMesh(
