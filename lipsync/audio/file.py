@@ -503,7 +503,7 @@ def _seek_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
 
 
 def _decode_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
-    """Yield the undecoded rest of `sound` in pieces (n, n_channels) of 1 s."""
+    """Yield the rest of `sound` in pieces (n, n_channels) of 1 s. Raises SoundError for damage."""
     n_chunk = round(CHUNK_S * sound.samplerate)
     while True:
         try:

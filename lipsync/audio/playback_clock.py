@@ -167,7 +167,7 @@ class OwnPlaybackClock:
     """
 
     def __init__(self, lead_s: float = 0.0) -> None:
-        """Create the clock. lead_s: seconds from the recogniser's input to the loudspeaker's output."""
+        """Create the clock. lead_s: seconds from the recogniser's input to the loudspeaker."""
         #: May be set until `begin`: it depends on the delays of recogniser and servos.
         self.lead_s = lead_s
         self._zero_s = 0.0

@@ -181,6 +181,7 @@ class PlayoutStream:
         """
         if self._ended and (self._dropped or not self._blocks):
             return
+        # Start of the last unit given; 0 where it has none.
         newest = max(
             (t for unit in spoken.units[-1:] for t in (unit.start_sample or 0,)), default=0
         )

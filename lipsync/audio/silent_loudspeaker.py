@@ -33,7 +33,7 @@ class SilentLoudspeaker:
             (n,) float32 mono at `rate_hz`.
         """
         now_s = self._clock()
-        if self._position_at(now_s) >= self._written_s:
+        if self._position_at(now_s) >= self._written_s:  # it stood still: all was played
             self._from_s, self._at_s = now_s, self._written_s
         self._written_s += len(samples) / self.rate_hz
 

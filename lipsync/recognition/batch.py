@@ -97,10 +97,10 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
     labels = np.empty((n_recordings, n_frames - delay), np.int64)
 
     def step(best: Array32, frame: int, age: int) -> tuple[Array32, NDArray[np.int64]]:
-        """Advance the best paths by the frame numbered `frame`; return their scores and sources.
+        """Advance the best paths by frame number `frame`; return new scores, and their sources.
 
-        best: (n_recordings, n_phonemes); age: frames heard after it, which chooses the head. A
-        source is the phoneme from which a path came.
+        best: path scores (n_recordings, n_phonemes) in the frame before. age: frames heard after
+        `frame`, which chooses the head. sources: of each path, its phoneme in the frame before.
         """
         head = heads[age - delays[0]]
         leader = best.argmax(axis=1)
@@ -113,12 +113,14 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
     settled = np.zeros((n_recordings, n_phonemes), np.float32)
     n_silent = np.full(n_recordings, PAUSE_FRAMES)
     for oldest in range(n_frames - delay):
+        # The frame to be settled, then on through all later frames that a head has scored by now.
         best = step(settled, oldest, delay)[0]
         settled = best - best.max(axis=1, keepdims=True)
         sources = []
         for age in range(delay - 1, delays[0] - 1, -1):
             best, source = step(best, oldest + delay - age, age)
             sources.append(source)
+        # Back along the best path, from the newest frame to the one to be settled.
         state = best.argmax(axis=1)
         path = [state]
         for source in reversed(sources):

@@ -535,8 +535,8 @@ class FallbackRecognizer:
             now_s = self._timer_s()
             if left_index == self._usable[0]:
                 self._best_left_s = now_s
-            was_kept = now_s >= self._switched_s + _KEPT_S
-            self._wait_s = _FIRST_WAIT_S if was_kept else min(2.0 * self._wait_s, longest_wait_s)
+            did_well = now_s >= self._switched_s + _KEPT_S
+            self._wait_s = _FIRST_WAIT_S if did_well else min(2.0 * self._wait_s, longest_wait_s)
             self._try_at_s = now_s + self._wait_s
 
     def _try_better(

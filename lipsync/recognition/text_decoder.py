@@ -141,7 +141,7 @@ class TextDecoder:
         self._recent = np.zeros((n_recent, len(self._delays), len(PHONEMES)), np.float32)
         self._first_frame = first_frame
         self._n_heard = 0
-        self._n_idle = 0
+        self._n_idle = 0  # frames since all words were spoken
         self._words = _WordGraph(settings)
         window = self._words.window(0)
         scores = np.full(window.n_states, _NEVER)
@@ -149,7 +149,7 @@ class TextDecoder:
         self._newest = _Front(window, scores, np.float32(0.0), _NO_WORDS)
         n_final = settings.settled_frames - self._delays[-1] + 1
         self._final_fronts: deque[_Front] = deque([self._newest], maxlen=n_final + 1)
-        self._place = 0.0
+        self._place = 0.0  # number of the word being spoken; grows by parts of 1 on the escape
 
     @property
     def place(self) -> int:

@@ -192,7 +192,10 @@ def _date(year: str, month: str, day: str) -> str:
 
 
 def _money(found: re.Match[str]) -> str:
-    """Return a matched amount with its currency in words: `$5.50` as `5 dollars 50 cents`."""
+    """Return a matched amount with its currency in words: `$5.50` as `5 dollars 50 cents`.
+
+    With `million` and the like, or not two decimals, it stays a number: `$1.5` as `1.5 dollars`.
+    """
     sign, whole, cents, long_fraction, scale = found.groups()
     unit = _CURRENCY[sign]
     number = whole.rstrip(",") + (long_fraction or "")
