@@ -142,8 +142,8 @@ def _click_delay(
 ) -> float | None:
     """Return the delay in s of the click due at `expected_s`, within 12 ms of `coarse_s`.
 
-    matched, likeness: the arrays of `_matched`; coarse_s: the delay that fits all clicks best. None
-    if the recording does not reach that far or no stretch there is like a click.
+    matched, likeness: the arrays of `_match_click`; coarse_s: the delay that fits all clicks best.
+    None if the recording does not reach that far or no stretch there is like a click.
     """
     first = max(0, round((expected_s + coarse_s - _AROUND_S) * SAMPLE_RATE_HZ))
     window = matched[first : first + round(2.0 * _AROUND_S * SAMPLE_RATE_HZ)]

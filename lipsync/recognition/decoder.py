@@ -99,8 +99,8 @@ class ViterbiDecoder:
         self._n_silent = PAUSE_FRAMES
         all_silent = np.zeros((len(delays), len(PHONEMES)), np.float32)
         all_silent[:, SILENCE_INDEX] = 1.0
-        #: Scores of a frame in which every head finds silence. Given this very array each time, `push`
-        #: costs nothing once all stored frames are silence.
+        #: Scores of a frame in which every head finds silence. `push` of this very array costs
+        #: nothing once all stored frames are silence.
         self.silence = self.scores(all_silent)
         self._n_same = 0
 

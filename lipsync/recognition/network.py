@@ -287,7 +287,7 @@ def _check_name(name_or_path: str) -> None:
 
 
 def _build_weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
-    """Build the weights from a file's arrays; consistency is checked by `_mistake`.
+    """Build the weights from a file's arrays; consistency is checked by `_inconsistency`.
 
     Raises KeyError, ValueError, TypeError or IndexError for arrays that are missing or unusable.
     """

@@ -238,9 +238,9 @@ class NetworkRecognizer:
         del self._settled[: self._updates.n_final - n_final]
         if self._evidence:
             # Phonemes found in a text are certain: motion is not to blend in others.
-            is_heard = all(each == OUTSIDE_TEXT for each in self._in_text)
+            is_recognised = all(each == OUTSIDE_TEXT for each in self._in_text)
             heard = self._posteriors_heard()
-            update = replace(update, evidence=heard, posteriors=heard if is_heard else None)
+            update = replace(update, evidence=heard, posteriors=heard if is_recognised else None)
         self._evidence.clear()
         return [update]
 

@@ -95,7 +95,7 @@ _EXPLAINED_AT_REST, _EXPLAINED_AWAKE, _AWAKE_FRAMES = 0.7, 0.25, 50
 class OwnNoise:
     """The learned noise of one robot's servos; it is kept from one stream of sound to the next.
 
-    Call `note_speeds` for each reading, `explains` for each frame in order, `learn` once a frame is
+    Call `note_speeds` for each reading, `is_own_noise` for each frame in order, `learn` once a frame is
     known to contain no speech. Memory and time of a call are bounded by the number of servos.
     """
 
@@ -154,8 +154,8 @@ class OwnNoise:
             self._excess, self._n_explained = None, 0
             return False
         excess = float(np.mean(frame - np.log(shares @ self._power)))
-        smoothed = excess if self._excess is None else self._excess
-        self._excess = smoothed + _SMOOTHING * (excess - smoothed)
+        previous = excess if self._excess is None else self._excess
+        self._excess = previous + _SMOOTHING * (excess - previous)
         self._n_explained = self._n_explained + 1 if self._excess < _EXPLAINED_AWAKE else 0
         if is_awake:
             return self._n_explained >= _AWAKE_FRAMES

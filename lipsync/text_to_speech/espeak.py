@@ -145,7 +145,7 @@ def _release_s(
     best_s, best_rise_db = event_s, _LEAST_RISE_DB
     for time_s in np.arange(earliest_s, event_s, _STEP_S):
         place = round(float(time_s) * sample_rate_hz)
-        left, right = (edges[max(0, place - n_compared) : place], edges[place : place + n_compared])
+        left, right = edges[max(0, place - n_compared) : place], edges[place : place + n_compared]
         if len(left) and len(right):
             rise_db = _level_db(right) - _level_db(left)
             if rise_db > best_rise_db:
