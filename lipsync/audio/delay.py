@@ -105,10 +105,10 @@ def _click(sample_rate_hz: int) -> Samples:
 
 
 def _match_click(recorded: Samples) -> tuple[Seconds, Seconds]:
-    """Return the strength and likeness of a click that begins at each sample of `recorded`, (n,).
+    """Return the strength and likeness (n,) of a click that begins at each sample of `recorded`.
 
-    Two arrays (n,); the likeness is 0 to 1, whatever the loudness. A separate echo is more like a
-    click than the click before it, but weaker: so both are needed. Polarity has no influence.
+    Strength: output of a matched filter, without its sign. Likeness: 0 to 1, whatever the loudness.
+    A separate echo is more like a click than the click before it, but weaker: so both are needed.
     """
     click = _click(SAMPLE_RATE_HZ).astype(np.float64)
     click /= np.linalg.norm(click)

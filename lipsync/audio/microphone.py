@@ -106,8 +106,8 @@ class MicrophoneSource:
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """Return the blocks, not returned before, that end at or before sound time `until_s`.
 
-        Takes in what has arrived, closes captures that a newer one has replaced, and fills with
-        silence while the microphone is lost.
+        Adds the samples that arrived, of each opening of the device (capture) in turn; an older
+        capture ends when a newer one follows. While the microphone is lost, silence is added.
         """
         now_s = self._clock()
         while self._captures:

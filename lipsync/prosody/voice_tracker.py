@@ -109,7 +109,10 @@ class GainJumpDetector:
         return min(1.0, self._n_since_jump / _RECOVERY_FRAMES)
 
     def push(self, level_db: float) -> bool:
-        """Add the level of the next 10 ms, speech or not; return whether a jump is detected."""
+        """Add the level of the next 10 ms, speech or not; return whether a jump is detected.
+
+        Once a second the noise floor of the last 3 s is compared with that of the 3 s before.
+        """
         self._n_since_jump += 1
         self._lowest_db = min(self._lowest_db, level_db)
         self._n_in_second += 1
@@ -210,7 +213,7 @@ class SpeechGate:
             self._steady_share += (_USUAL_STEADY - self._steady_share) / _MEMORY_FRAMES
             self._voiced_share += (_USUAL_VOICED - self._voiced_share) / _MEMORY_FRAMES
             return False
-        if moved_st == moved_st:  # not NaN: both frames are voiced
+        if moved_st == moved_st:  # not NaN: this frame and the one 50 ms before are voiced
             is_steady = moved_st < _STEADY_ST
             self._steady_share += (is_steady - self._steady_share) / _STEADY_MEMORY_FRAMES
         self._voiced_share += (is_voiced - self._voiced_share) / _MEMORY_FRAMES

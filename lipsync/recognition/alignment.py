@@ -205,10 +205,11 @@ def goodness_of_pronunciation(
     phones: tuple[PhonemeEvent, ...],
     weights: NetworkWeights | None = None,
 ) -> float:
-    """Return the mean score (<= 0) of aligned phones; it is low where the text is not spoken.
+    """Return the mean over frames of log p(aligned phone) - log p(likeliest phone), 0 or less.
 
-    Counted are the frames in which the alignment or the network has a phone other than silence.
-    Raises WeightsError if the shipped weights are damaged.
+    It is low where the text is not spoken (Witt and Young, Speech Communication 30, 2000). Counted
+    are frames in which the alignment or the network has a phone other than silence. Raises
+    WeightsError if the shipped weights are damaged.
 
     Parameters
     ----------
@@ -222,7 +223,7 @@ def goodness_of_pronunciation(
     Returns
     -------
     float
-        Mean log ratio a frame of 10 ms; 0 where no frame counts.
+        The mean in natural logarithms; 0 where no frame counts.
     """
     weights = weights or _shipped()
     posteriors = _late_posteriors(weights, samples)

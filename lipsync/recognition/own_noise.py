@@ -95,8 +95,9 @@ _EXPLAINED_AT_REST, _EXPLAINED_AWAKE, _AWAKE_FRAMES = 0.7, 0.25, 50
 class OwnNoise:
     """The learned noise of one robot's servos; it is kept from one stream of sound to the next.
 
-    Call `note_speeds` for each reading, `is_own_noise` for each frame in order, `learn` once a frame is
-    known to contain no speech. Memory and time of a call are bounded by the number of servos.
+    Call `note_speeds` for each reading, `is_own_noise` for each frame in order, and `learn` once a
+    frame is known to contain no speech. Memory and time of a call are bounded by the number of
+    servos.
     """
 
     def __init__(self, most_frames: int) -> None:

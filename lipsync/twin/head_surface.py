@@ -270,8 +270,8 @@ def shell_stiffness(
 ) -> sparse.csr_array:
     """Return a shell's stiffness matrix, by which `spread` computes its displacements.
 
-    Q = L^T M^-1 L - k_s L, with L the Laplacian and M the vertices' areas: symmetric, positive
-    semi-definite.
+    Q = L^T M^-1 L - k_s L (Botsch and Sorkine, IEEE TVCG 14(1), 2008), with L the Laplacian and M
+    the vertices' areas: symmetric, positive semi-definite.
 
     Parameters
     ----------
