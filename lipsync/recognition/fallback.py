@@ -368,7 +368,7 @@ class FallbackRecognizer:
         """Drop the words given to the recogniser in use by `tell` that are not spoken yet."""
         try:
             self._level.forget()
-        except Exception as error:  # as in feed
+        except Exception as error:  # whatever a recogniser raises
             self._fall_back(_describe(error))
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
@@ -380,19 +380,19 @@ class FallbackRecognizer:
             self._level.tell(words, behind_s)
         except TextError:
             raise
-        except Exception as error:  # as in feed
+        except Exception as error:  # whatever a recogniser raises
             self._fall_back(_describe(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Pass the servos' speeds (n_servos,), deg/s, to the recognisers in use and on trial."""
         try:
             self._level.note_servo_speeds(sound_s, speeds_deg_s)
-        except Exception as error:  # as in feed
+        except Exception as error:  # whatever a recogniser raises
             self._fall_back(_describe(error))
         try:
             if self._trial is not None:
                 self._trial.level.note_servo_speeds(sound_s, speeds_deg_s)
-        except Exception:  # as in feed
+        except Exception:  # whatever a recogniser raises
             self._end_trial(_LONGEST_WAIT_S)
 
     def reset(self) -> None:
@@ -418,14 +418,14 @@ class FallbackRecognizer:
         """Let the recogniser in use compute ahead on the next blocks; replace it if it raises."""
         try:
             self._level.prepare(blocks)
-        except Exception as error:  # as in feed
+        except Exception as error:  # whatever a recogniser raises
             self._fall_back(_describe(error))
 
     def updates(self) -> list[PhonemeUpdate]:
         """Return the recogniser's new updates, final phonemes unchanged; [] if it raises."""
         try:
             updates = self._level.updates()
-        except Exception as error:  # as in feed
+        except Exception as error:  # whatever a recogniser raises
             self._fall_back(_describe(error))
             return []
         kept = [_without_final_part(update, self._final_until_s) for update in updates]
@@ -527,7 +527,7 @@ class FallbackRecognizer:
                 self._level.feed(self._recent)
                 self._level.updates()
                 break
-            except Exception as error:  # as in feed
+            except Exception as error:  # whatever a recogniser raises
                 reason = _describe(error)
         name, why = self._levels[left_index].name, self._why_not[left_index]
         _LOG.warning("recogniser %s left: %s; %s takes over", name, why, self.level)
@@ -553,7 +553,7 @@ class FallbackRecognizer:
             else:
                 return
             self._trial.go_on(timer_s)
-        except Exception:  # as in feed
+        except Exception:  # whatever a recogniser raises
             self._end_trial(_LONGEST_WAIT_S)
             return
         if self._trial.failed:

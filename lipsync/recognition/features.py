@@ -176,6 +176,9 @@ class LevelNormalizer:
     def push(self, frames: Array32) -> Array32:
         """Return the features of the next log-mel frames, independent of the sound's level.
 
+        That is each band less the running peak level and less its running mean in loud frames, in
+        standard deviations of the training.
+
         Parameters
         ----------
         frames : Array32

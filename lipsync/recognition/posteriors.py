@@ -56,7 +56,9 @@ class PosteriorStream:
         self._log_mel = LogMelStream()
         self._normalizer = LevelNormalizer(weights.scale)
         self._network = StreamingNetwork(weights)
-        self._pending = np.zeros((0, N_BANDS), np.float32)  # frames that the network lacks still
+        self._pending = np.zeros(
+            (0, N_BANDS), np.float32
+        )  # log-mel frames not given to the network yet
         self._silence = np.zeros((1, len(weights.delays), len(weights.phonemes)), np.float32)
         self._silence[..., SILENCE_INDEX] = 1.0
         #: Whether all heads heard silence in all frames of the last push.
@@ -123,7 +125,7 @@ class PosteriorStream:
         return posteriors
 
     def _run_network(self) -> Array32:
-        """Return the posteriors of the frames that the network lacks, all of them."""
+        """Run the network on all pending frames; return their posteriors."""
         frames, self._pending = self._pending, self._pending[:0]
         return self._network.push(self._normalizer.push(frames))
 
