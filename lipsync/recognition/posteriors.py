@@ -56,9 +56,7 @@ class PosteriorStream:
         self._log_mel = LogMelStream()
         self._normalizer = LevelNormalizer(weights.scale)
         self._network = StreamingNetwork(weights)
-        self._pending = np.zeros(
-            (0, N_BANDS), np.float32
-        )  # log-mel frames not given to the network yet
+        self._pending = np.zeros((0, N_BANDS), np.float32)  # frames, not in the network yet
         self._silence = np.zeros((1, len(weights.delays), len(weights.phonemes)), np.float32)
         self._silence[..., SILENCE_INDEX] = 1.0
         #: Whether all heads heard silence in all frames of the last push.

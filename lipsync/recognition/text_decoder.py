@@ -249,10 +249,10 @@ class TextDecoder:
         return self._trace_back([*self._final_fronts, *provisional])
 
     def _step(self, front: "_Front", frame: int, age: int, *, is_final: bool = False) -> "_Front":
-        """Return the front after frame number `frame`, scored by the head that fits its `age`.
+        """Return the search's scores after frame number `frame`; `front`: those before it.
 
-        age: frames heard since. is_final: then the window of words may move, and scores are
-        normalised; other steps are searched again in the next frame.
+        age: frames heard since, which chooses the head. is_final: then the window of words may move
+        and scores are normalised; other steps are searched again in the next frame.
         """
         settings = self._settings
         window = self._words.window(self.place) if is_final else front.window

@@ -155,8 +155,8 @@ class OffsetSearch:
         cost, row = self._change_costs[mode, 0], scores_before[mode]
         fallen = row[index:] - cost * np.arange(len(row) - index, dtype=np.float32)
         n_fallen = int(fallen.argmax())
-        # (score, mode, offset's index): from a larger offset, the other mode, the next smaller offset,
-        # the escape.
+        # (score, mode, offset's index) from a larger offset, from the other mode, from the next
+        # smaller offset, from the escape.
         sources = [
             (fallen[n_fallen], mode, index + n_fallen),
             (scores_before[1 - mode, index] - self._settings.switch, 1 - mode, index),
