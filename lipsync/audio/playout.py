@@ -499,7 +499,7 @@ class Playout:
     def _pause(self) -> bool:
         """Silence the loudspeaker and hold all streams; return False if there was none to hold.
 
-        A block that has begun to be heard counts as heard: up to 10 ms of it never are.
+        A block that has begun to be heard counts as heard, though up to 10 ms of it are cut off.
         """
         if not self._playing or self._is_paused:
             return False

@@ -135,9 +135,9 @@ class NetworkRecognizer:
         self._last_noticed = -(10**9)  # the last frame that a person would have noticed
         self._evidence: list[Array32] = []  # posteriors of the frames heard since the last update
         self._settled: list[int] = []  # phonemes from the first frame not final on
-        self._provisional: list[int] = []  # of the frames after them that a head has spoken about
+        self._provisional: list[int] = []  # of later frames, scored by a head; may change
         self._text = None
-        self._in_text: list[int] = []  # of the same newest frames, as the text has them
+        self._in_text: list[int] = []  # of the newest frames, found in the text
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Store the speeds of the robot's servos, so that their noise is not recognised as voice.

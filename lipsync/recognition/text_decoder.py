@@ -310,6 +310,7 @@ class TextDecoder:
                 continue
             path.append(int(front.window.phonemes[state]))
             is_escape, state = self._predecessor(front, before, state)
+        # Beside the text its words are assumed to pass at the pace of slow speech.
         n_words = self._words.n_words
         if is_escape:
             self._place = min(self._place + _ESCAPED_WORDS_PER_FRAME, float(n_words))

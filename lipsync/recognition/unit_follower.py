@@ -234,10 +234,10 @@ class UnitFollower:
             self._offsets.append(self._path[-1][1])
 
     def stretches(self, from_s: float, until_s: float) -> list[Stretch]:
-        """Return when the units move the mouth between two times, and the shifted units in order.
+        """Return when the units move the mouth between two times: (start_s, end_s, shifted units).
 
-        In the rest of that time the recogniser's phonemes count. Where the search has not been yet,
-        the units are shifted by its newest offset.
+        In the rest of that time the recogniser's phonemes count. For times that the search has not
+        reached, the units are shifted by its newest offset.
         """
         frames = [
             (frame, mode, offset)

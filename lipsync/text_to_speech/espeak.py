@@ -296,7 +296,7 @@ def _timed_words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tupl
         written_end = mark.position + mark.length
         word = text[mark.position : mark.position + mark.length].strip()
         if all(sign in string.punctuation for sign in word):
-            # espeak-ng counts "-- How" as two words, and says that it speaks the first of them.
+            # espeak-ng counts "-- How" as two words, and gives the time of "How" to the first.
             following = _WORD.search(text, max(0, mark.position))
             word = following.group() if following is not None else ""
         if word:
