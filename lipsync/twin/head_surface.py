@@ -359,7 +359,7 @@ class HeadSurface:
         return boundary_loops(self.triangles)
 
     def loop_from(self, first: int, then: int) -> list[int]:
-        """Return the numbers of the vertices round a hole, from `first` the shorter way to `then`."""
+        """Return the numbers of vertices round a hole, from `first` the shorter way to `then`."""
         (loop,) = (each for each in self.loops if first in each)
         start = loop.index(first)
         rotated = loop[start:] + loop[:start]

@@ -19,8 +19,12 @@ def noise_of(speeds_deg_s, rng):
     return (np.log(power) + 0.5 * rng.standard_normal(N_BANDS)).astype(np.float32)
 
 
-def listen(own, rng, n_frames, *, louder=0.0, learns=True):
-    """Servos that start and stop; the share of the moving frames that they explain."""
+def run_servos(own, rng, n_frames, *, louder=0.0, learns=True):
+    """Feed frames of servos that start and stop; return the share taken as the servos' noise.
+
+    The first quarter of the frames is not counted. louder: added to the frames, natural log of
+    power. learns: whether the noise is learned from each frame.
+    """
     explained = []
     for n in range(n_frames):
         time_s = 0.01 * n
@@ -36,20 +40,20 @@ def listen(own, rng, n_frames, *, louder=0.0, learns=True):
 @pytest.fixture
 def taught():
     own = OwnNoise(20)
-    listen(own, np.random.default_rng(0), 1_500)
+    run_servos(own, np.random.default_rng(0), 1_500)
     return own
 
 
 def test_what_was_learned_explains_the_servos_and_no_voice(taught):
     rng = np.random.default_rng(1)
     taught.begin()
-    assert listen(taught, rng, 400, learns=False) > 0.95
+    assert run_servos(taught, rng, 400, learns=False) > 0.95
     taught.begin()
-    assert listen(taught, rng, 400, louder=np.log(10.0), learns=False) == 0.0
+    assert run_servos(taught, rng, 400, louder=np.log(10.0), learns=False) == 0.0
 
 
 def test_before_anything_was_learned_nothing_is_explained():
-    assert listen(OwnNoise(20), np.random.default_rng(0), 200, learns=False) == 0.0
+    assert run_servos(OwnNoise(20), np.random.default_rng(0), 200, learns=False) == 0.0
 
 
 def test_while_somebody_speaks_it_takes_half_a_second(taught):
