@@ -38,7 +38,8 @@ _STRESS = str.maketrans("", "", "ˈˌ")
 #: surrogate pairs.
 _UNSPOKEN = ("So", "Sk", "Cc", "Cf", "Cs", "Cn", "Co")
 DEFAULT_LANGUAGE: Final = "en-us"
-#: Letters of `Mr.` or `Capt.`, which gruut writes out; longer words before a point are words.
+#: A capitalised word of up to so many letters before a full stop may be an abbreviation, such as
+#: `Mr.` or `Capt.`, which gruut writes out.
 _LONGEST_ABBREVIATION: Final = 4
 _PLAIN = re.compile(r"[A-Za-z]?[a-z]*('[a-z]+)?")
 _PUNCTUATION: Final = ".,;:!?\"“”‘’'()[]…-–—"

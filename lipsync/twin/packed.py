@@ -134,17 +134,17 @@ def _part_entry(part: Part, amounts: Mapping[str, float], body: Body) -> dict[st
             {
                 "name": name,
                 "moves": body.add_scaled(moves, "<i2"),
-                "turns": body.add_scaled(_turned(part, moves, amounts.get(name, 1.0)), "i1"),
+                "turns": body.add_scaled(_normal_rates(part, moves, amounts.get(name, 1.0)), "i1"),
             }
             for name, moves in part.morphs.items()
         ],
     }
 
 
-def _turned(part: Part, moves: Array, amount: float) -> Array:
+def _normal_rates(part: Part, moves: Array, amount: float) -> Array:
     """Return the change of a part's normals (n, 3) per unit of a morph target `moves` (n, 3).
 
-    It is their mean change from -`amount` to `amount` of the target.
+    It is the difference of the normals at `amount` and at -`amount` of the target, over 2 `amount`.
     """
     normals_plus = vertex_normals(part.places_mm + amount * moves, part.triangles)
     normals_minus = vertex_normals(part.places_mm - amount * moves, part.triangles)

@@ -90,7 +90,7 @@ def sink():
 def recording(sink, tmp_path_factory):
     """Play noise; return it at 16 kHz, and the arrays recorded meanwhile, by name.
 
-    Up to three times, as long as the devices count overruns on a busy computer.
+    Up to three times, as long as the devices count underruns or lost blocks (a busy computer).
     """
     folder = tmp_path_factory.mktemp("sound")
     rng = np.random.default_rng(3)
