@@ -136,10 +136,11 @@ def _closure_start_s(burst_s: float, loud_s: NDArray[np.float64]) -> float:
 def _release_s(
     event_s: float, earliest_s: float, edges: NDArray[np.float32], sample_rate_hz: int
 ) -> float:
-    """Return when the sound rises most between `earliest_s` and a vowel's event at `event_s`.
+    """Return when the sound rises most between `earliest_s` and a vowel's start by espeak-ng.
 
-    `event_s` if the sound does not rise enough. edges: differences of successive samples, which
-    weigh the higher formants, let out by an open mouth, above the murmur of a closed one.
+    event_s: that start; returned if the sound does not rise enough. edges: differences of
+    successive samples, which weigh the higher formants, let out by an open mouth, above the murmur
+    of a closed one.
     """
     n_compared = round(_COMPARED_S * sample_rate_hz)
     best_s, best_rise_db = event_s, _LEAST_RISE_DB

@@ -112,7 +112,7 @@ def spoken_form(text: str, language: str = "en-us") -> str:
     """Return the words of `text` as a person would read them out; "" where no one would say any.
 
     A text of plain words and punctuation is returned as it is. A result given to the function again
-    is returned unchanged, unless it contains one of the marks above by chance.
+    is returned unchanged, unless it happens to contain marks of Markdown, SSML or the like.
     """
     if _PLAIN.match(text):
         return text
