@@ -153,10 +153,10 @@ def _phones_of_spelling(label: str, alphabet: str, *, guesses: bool) -> tuple[st
         label = _tables()[IPA].get(label, (label,))[0]
         if (arpabet := label.rstrip("012")) in VISEME_OF:
             return (arpabet,)
-    found = phones_of_ipa(label if alphabet == IPA else _as_ipa(label, alphabet))
-    if found.is_guess and not guesses:
+    converted = phones_of_ipa(label if alphabet == IPA else _as_ipa(label, alphabet))
+    if converted.is_guess and not guesses:
         raise AlphabetError(f"{shown(label)} is not a phoneme of {alphabet}; correct this label")
-    return found.phones
+    return converted.phones
 
 
 def _as_ipa(label: str, alphabet: str) -> str:

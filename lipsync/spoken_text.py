@@ -214,10 +214,10 @@ def _units_before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[Sp
         return ()
     n_kept = len(units)
     for number in range(len(units) - 1, -1, -1):
-        known = units[number].start_sample
-        if known is not None and known < start_sample:
+        unit_start = units[number].start_sample
+        if unit_start is not None and unit_start < start_sample:
             break
-        n_kept = n_kept if known is None else number
+        n_kept = n_kept if unit_start is None else number
     units = units[:n_kept]
     if units and (units[-1].end_sample or 0) > start_sample:
         return (*units[:-1], replace(units[-1], end_sample=start_sample))

@@ -30,6 +30,6 @@ def channel_index(channel: str, n_channels: int, where: str) -> int | None:
         # Here: whoever reads settings waits for no numpy.
         from lipsync.audio.source import SoundError
 
-        there = "1 channel" if n_channels == 1 else f"{n_channels} channels"
-        raise SoundError(f"{where}: has {there}, not {channel}; leave --channel out, or give mix")
+        count = "1 channel" if n_channels == 1 else f"{n_channels} channels"
+        raise SoundError(f"{where}: has {count}, not {channel}; leave --channel out, or give mix")
     return number - 1

@@ -149,10 +149,10 @@ def _click_delay(
     window = matched[first : first + round(2.0 * _AROUND_S * SAMPLE_RATE_HZ)]
     if len(window) == 0:
         return None
-    found = first + int(np.argmax(window))
-    if likeness[found] < _LEAST_CORRELATION:
+    best_start = first + int(np.argmax(window))
+    if likeness[best_start] < _LEAST_CORRELATION:
         return None
-    return found / SAMPLE_RATE_HZ - expected_s
+    return best_start / SAMPLE_RATE_HZ - expected_s
 
 
 Reports = NDArray[np.float64]

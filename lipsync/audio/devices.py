@@ -139,9 +139,9 @@ def find_device(wanted: str | int | None, direction: Direction) -> SoundDevice:
         index = sounddevice.query_devices(key, direction)["index"]
         return next(device for device in devices if device.index == index)
     except (ValueError, StopIteration, sounddevice.PortAudioError) as error:
-        known = "; ".join(f"{device.index} {device.name}" for device in devices)
+        device_list = "; ".join(f"{device.index} {device.name}" for device in devices)
         what = f"no default {word}" if wanted is None else f"no single {word} {wanted!r}"
-        raise SoundError(f"{what}; name one of: {known}") from error
+        raise SoundError(f"{what}; name one of: {device_list}") from error
 
 
 def is_number(device: str | int | None) -> bool:

@@ -193,7 +193,7 @@ class PlayoutStream:
         if sum(len(group.words) for group in waiting) + len(words) > _MOST_WORDS:
             raise PlayoutTextError(f"{_MOST_WORDS} words wait to be spoken; send more later")
         earlier = self.spoken.get(spoken.kind)
-        whole = spoken if earlier is None else earlier.revised(spoken)
+        all_units = spoken if earlier is None else earlier.revised(spoken)
         if words:
             # Words replace a text: they have times, or are nearer to the sound than a text is.
             is_better = spoken.kind != "text" and "text" in self.spoken and earlier is None
@@ -201,7 +201,7 @@ class PlayoutStream:
             if not is_worse:
                 self._queue_words(spoken, words, is_better=is_better)
         if spoken.is_timed or not spoken.moves_mouth:
-            self.spoken = {**self.spoken, spoken.kind: whole}
+            self.spoken = {**self.spoken, spoken.kind: all_units}
 
     def _queue_words(
         self, spoken: SpokenText, words: Sequence[PronouncedWord], *, is_better: bool

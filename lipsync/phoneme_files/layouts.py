@@ -136,10 +136,10 @@ def _tiers_of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
             "the file has weights of face shapes (as Audio2Face exports them), not labels; give "
             "the sound itself, or labels of it"
         )
-    found = vendor_units(document, alphabet=alphabet)
-    if not found:
+    labels = vendor_units(document, alphabet=alphabet)
+    if not labels:
         raise LabelError(f"the file has no times of words, phonemes or visemes; {_KNOWN}")
-    return tuple(Tier(_NAMES[u.kind], u.kind, u.units, u.alphabet or "", u.untimed) for u in found)
+    return tuple(Tier(_NAMES[u.kind], u.kind, u.units, u.alphabet or "", u.untimed) for u in labels)
 
 
 def _parsed_json(text: str) -> object:

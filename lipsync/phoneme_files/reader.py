@@ -125,15 +125,15 @@ def _choose_tier(tiers: Sequence[Tier], wanted: str) -> Tier:
     A single tier of unknown kind is of words or phonemes if `wanted` says `words` or `phones`.
     Raises LabelError where no tier or several remain.
     """
-    names = ", ".join(each.name for each in tiers)[:200] or "none"
-    by_name = {each.name: each for each in tiers if not wanted or each.name == wanted}
+    names = ", ".join(tier.name for tier in tiers)[:200] or "none"
+    by_name = {tier.name: tier for tier in tiers if not wanted or tier.name == wanted}
     if len(tiers) == 1 and not tiers[0].kind and wanted in ("words", "phones"):
         return replace(tiers[0], kind="word" if wanted == "words" else "phoneme")
     for kind in ("phoneme", "viseme", "", "word"):
-        found = [each for each in by_name.values() if each.kind == kind and each.units]
-        if len(found) == 1 and (kind or wanted or len(tiers) == 1):
-            return found[0]
-        if found:
+        of_kind = [tier for tier in by_name.values() if tier.kind == kind and tier.units]
+        if len(of_kind) == 1 and (kind or wanted or len(tiers) == 1):
+            return of_kind[0]
+        if of_kind:
             break
     raise LabelError(f"the file has several tiers: {names}; choose one with --tier NAME")
 

@@ -428,10 +428,10 @@ class FallbackRecognizer:
         except Exception as error:  # whatever a recogniser raises
             self._fall_back(_describe(error))
             return []
-        kept = [_without_final_part(update, self._final_until_s) for update in updates]
-        for update in kept:
+        revisable = [_without_final_part(update, self._final_until_s) for update in updates]
+        for update in revisable:
             self._final_until_s = max(self._final_until_s, update.final_until_s)
-        return kept
+        return revisable
 
     @property
     def _level(self) -> LadderLevel:
@@ -579,8 +579,8 @@ class FallbackRecognizer:
         self._try_at_s = now_s + self._wait_s
         away_s = now_s - self._best_left_s
         is_best = self._current == self._usable[0]
-        after = f" after {away_s:.1f} s" if is_best else ""
-        _LOG.info("recogniser %s is back%s", level.name, after)
+        duration = f" after {away_s:.1f} s" if is_best else ""
+        _LOG.info("recogniser %s is back%s", level.name, duration)
 
 
 def _describe(error: Exception) -> str:

@@ -98,8 +98,8 @@ class LogMelStream:
         n_frames = (len(self._waiting) - WINDOW) // HOP + 1
         if n_frames <= 0:
             return np.zeros((0, N_BANDS), np.float32)
-        heard = self._waiting[: (n_frames - 1) * HOP + WINDOW]
-        frames = log_mel(heard) if heard.any() else np.full((n_frames, N_BANDS), _NOTHING)
+        complete = self._waiting[: (n_frames - 1) * HOP + WINDOW]
+        frames = log_mel(complete) if complete.any() else np.full((n_frames, N_BANDS), _NOTHING)
         self._waiting = self._waiting[n_frames * HOP :].copy()
         return frames
 

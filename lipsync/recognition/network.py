@@ -128,11 +128,11 @@ class _StreamingLayer:
         # One row of three inputs side by side for each frame, then one product for all.
         n, dilation = len(frames), self._layer.dilation
         in_order = np.roll(self._past, -1 - self._newest, axis=0)
-        known = np.concatenate((in_order, frames))
-        taps = [known[1 + tap * dilation :][:n] for tap in range(_TAPS)]
+        past_and_new = np.concatenate((in_order, frames))
+        taps = [past_and_new[1 + tap * dilation :][:n] for tap in range(_TAPS)]
         product = _product(np.concatenate(taps, axis=1), self._layer.kernel)
         output: Array32 = product + self._layer.bias
-        self._past = known[n:].copy()
+        self._past = past_and_new[n:].copy()
         self._newest = self._n_past
         return np.maximum(output, np.float32(0.0), out=output)
 
@@ -248,9 +248,9 @@ def weights_digest(name_or_path: str) -> str:
     """
     _check_name(name_or_path)
     shipped = SHIPPED.get(name_or_path)
-    place = Path(name_or_path) if shipped is None else resources.files("lipsync.models") / shipped
+    file = Path(name_or_path) if shipped is None else resources.files("lipsync.models") / shipped
     try:
-        return hashlib.sha256(place.read_bytes()).hexdigest()[:16]
+        return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
     except OSError as error:
         raise WeightsError(f"{name_or_path}: cannot be read: {error.strerror}") from error
 

@@ -208,8 +208,8 @@ def knot_shares(speeds_deg_s: Array) -> Array:
     knots = np.concatenate(([0.0], _KNOTS_DEG_S))
     speeds = np.nan_to_num(np.abs(speeds_deg_s), posinf=knots[-1])
     # The speed's position on the axis of knots; a knot's weight falls to 0 at its neighbours.
-    place = np.interp(speeds, knots, np.arange(len(knots)))
-    shares = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(1, len(knots))))
+    knot_position = np.interp(speeds, knots, np.arange(len(knots)))
+    shares = np.maximum(0.0, 1.0 - np.abs(knot_position[:, None] - np.arange(1, len(knots))))
     return np.asarray(shares.ravel())
 
 

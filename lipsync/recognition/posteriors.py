@@ -134,14 +134,14 @@ class PosteriorStream:
 
         until_s: sound time in s at which the samples pushed so far end.
         """
-        first = self._n_frames - len(frames)
-        middles = (first + np.arange(len(frames))) * HOP + WINDOW // 2
+        first_frame = self._n_frames - len(frames)
+        middles = (first_frame + np.arange(len(frames))) * HOP + WINDOW // 2
         times_s = until_s - (self._n_samples - middles) / SAMPLE_RATE_HZ
-        found = [
+        is_noise = [
             own_noise.is_own_noise(frame, time_s, is_awake=is_awake)
             for frame, time_s in zip(frames, times_s.tolist(), strict=True)
         ]
-        return np.array(found, np.bool_)
+        return np.array(is_noise, np.bool_)
 
     def _learn_own_noise(self, own_noise: OwnNoise, posteriors: Array32) -> None:
         """Learn servo noise from the frames that the last head is now sure are silent."""

@@ -264,15 +264,15 @@ class UpdateBuilder:
         keeps its earlier start when the last final frame belongs to it.
         """
         runs = self._runs(phonemes)
-        replace_from, heard = self._n_final, self._n_final + len(phonemes)
-        self._n_final = max(self._n_final, heard - self._latency_frames - n_later)
+        n_final_before, n_heard = self._n_final, self._n_final + len(phonemes)
+        self._n_final = max(self._n_final, n_heard - self._latency_frames - n_later)
         for phoneme, start in runs:
             if start < self._n_final:
                 self._last_final, self._run_start = phoneme, start
         ends = [start for _, start in runs[1:]]
         return PhonemeUpdate(
-            replace_from_s=replace_from / self._frames_per_s,
-            heard_until_s=heard / self._frames_per_s,
+            replace_from_s=n_final_before / self._frames_per_s,
+            heard_until_s=n_heard / self._frames_per_s,
             final_until_s=self._n_final / self._frames_per_s,
             events=tuple(
                 PhonemeEvent(

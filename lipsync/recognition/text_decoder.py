@@ -509,7 +509,10 @@ class _WordGraph:
 
 
 def _final_silence(number: int, first_state: int) -> _Words:
-    """Return the silence after the last word: one state, as a word numbered `number`."""
+    """Return the silence after the last word: one state, as a word numbered `number`.
+
+    first_state: the number of that state. The word has no pronunciation.
+    """
     none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
     return _Words(
         one + SILENCE_INDEX, np.zeros(1, np.float32), np.full(1, _SILENT, np.int8), one + number,

@@ -50,8 +50,8 @@ def level_db(frame: NDArray[np.float32]) -> float:
     """
     # Least squares by projection on the basis.
     slow = _parabolas(len(frame))
-    rest = frame - slow @ (slow.T @ frame)
-    power = float(np.mean(np.square(rest, dtype=np.float64)))
+    fast = frame - slow @ (slow.T @ frame)
+    power = float(np.mean(np.square(fast, dtype=np.float64)))
     return max(_NOTHING_DB, 10.0 * math.log10(power)) if power > 0.0 else _NOTHING_DB
 
 

@@ -185,12 +185,12 @@ def _languages(address: int) -> list[tuple[str, int]]:
 
     The smaller the priority, the better the voice speaks the language.
     """
-    found = []
+    languages = []
     while priority := ctypes.string_at(address, 1)[0]:
         tag = ctypes.string_at(address + 1)
-        found.append((tag.decode("utf-8", "replace"), priority))
+        languages.append((tag.decode("utf-8", "replace"), priority))
         address += len(tag) + 2
-    return found
+    return languages
 
 
 def load_library() -> EspeakLibrary:

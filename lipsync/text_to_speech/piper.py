@@ -116,13 +116,13 @@ def _speak(request: Request) -> tuple[dict[str, object], bytes]:
 
 def join_ipa(letters: Sequence[str]) -> list[str]:
     """Return IPA letters, the two of each diphthong or affricate joined to one phoneme."""
-    found: list[str] = []
+    phonemes: list[str] = []
     for letter in letters:
-        if found and found[-1] + letter in ipa_table():
-            found[-1] += letter
+        if phonemes and phonemes[-1] + letter in ipa_table():
+            phonemes[-1] += letter
         else:
-            found.append(letter)
-    return found
+            phonemes.append(letter)
+    return phonemes
 
 
 if __name__ == "__main__":

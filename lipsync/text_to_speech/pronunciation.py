@@ -105,9 +105,9 @@ def pronounced_units(
             continue
         for unit in group:
             start_s = (unit.start_sample or 0) / spoken.sample_rate_hz
-            found = pronounced(unit.label, language)
-            words += [replace(each, start_s=start_s) for each in found[:1]]
-            words += found[1:]
+            unit_words = pronounced(unit.label, language)
+            words += [replace(word, start_s=start_s) for word in unit_words[:1]]
+            words += unit_words[1:]
     return tuple(words)
 
 

@@ -71,8 +71,8 @@ class MeanFace:
 
 def load_mean_face() -> MeanFace:
     """Return the mean head of the package. Raises OSError or ValueError where it is damaged."""
-    place = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
-    with place.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+    path = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return MeanFace(
             file["vertices_mm"].astype(np.float64),
             file["triangles"].astype(np.int64),

@@ -100,11 +100,11 @@ class Body:
     def add(self, values: NDArray[Any], kind: str) -> dict[str, object]:
         """Append an array as NumPy type `kind`; return its first byte, number of values, type."""
         data = np.ascontiguousarray(values, dtype=kind).tobytes()
-        place = {"at": self._length, "count": int(values.size), "type": kind}
+        entry = {"at": self._length, "count": int(values.size), "type": kind}
         padded = data + b"\0" * (-len(data) % 4)
         self.pieces.append(padded)
         self._length += len(padded)
-        return place
+        return entry
 
     def add_scaled(self, values: Array, kind: str) -> dict[str, object]:
         """Append an array as whole numbers of type `kind` times a step.
@@ -141,13 +141,14 @@ def _part_entry(part: Part, amounts: Mapping[str, float], body: Body) -> dict[st
     }
 
 
-def _normal_rates(part: Part, moves: Array, amount: float) -> Array:
-    """Return the change of a part's normals (n, 3) per unit of a morph target `moves` (n, 3).
+def _normal_rates(part: Part, displacements: Array, amount: float) -> Array:
+    """Return the change of a part's normals (n, 3) per unit of a morph target.
 
-    It is the difference of the normals at `amount` and at -`amount` of the target, over 2 `amount`.
+    displacements: the target's, (n, 3). The change is the difference between the normals at
+    `amount` and at -`amount` of the target, divided by 2 `amount`.
     """
-    normals_plus = vertex_normals(part.places_mm + amount * moves, part.triangles)
-    normals_minus = vertex_normals(part.places_mm - amount * moves, part.triangles)
+    normals_plus = vertex_normals(part.places_mm + amount * displacements, part.triangles)
+    normals_minus = vertex_normals(part.places_mm - amount * displacements, part.triangles)
     return np.asarray((normals_plus - normals_minus) / (2 * amount), dtype=np.float64)
 
 

@@ -159,11 +159,11 @@ def _lid_shutting(rim_mm: Array) -> Array:
     half = len(rim_mm) // 2
     upper, lower = rim_mm[: half + 1], np.vstack([rim_mm[half:], rim_mm[:1]])[::-1]
     meeting_line = (1 - _LOWER_SHARE) * lower + _LOWER_SHARE * upper
-    moves = np.zeros_like(rim_mm)
-    moves[: half + 1] = meeting_line - upper
-    moves[half:] = meeting_line[::-1][:-1] - rim_mm[half:]
-    moves[[0, half]] = 0.0
-    return moves
+    displacements = np.zeros_like(rim_mm)
+    displacements[: half + 1] = meeting_line - upper
+    displacements[half:] = meeting_line[::-1][:-1] - rim_mm[half:]
+    displacements[[0, half]] = 0.0
+    return displacements
 
 
 def _outside_eyeball(name: str, places: Array, lid: Array, eye: Eyeball) -> dict[str, Array]:
@@ -309,11 +309,11 @@ def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tu
     tuple[Array, Array]
         Mean (n_points, 3) mm and basis (n_components, n_points, 3).
     """
-    chosen = list(points)
-    at_rest = face.markers_mm(face.rest[None])[:, chosen]
+    numbers = list(points)
+    at_rest = face.markers_mm(face.rest[None])[:, numbers]
     scale, rotation, translation = fit_similarity(at_rest, on_head_mm)
-    at_mean = apply_similarity(face.mean_mm[None, chosen], scale, rotation, translation)[0]
-    basis = face.basis.reshape(face.n_components, -1, 3)[:, chosen]
+    at_mean = apply_similarity(face.mean_mm[None, numbers], scale, rotation, translation)[0]
+    basis = face.basis.reshape(face.n_components, -1, 3)[:, numbers]
     return at_mean, scale[0] * basis @ rotation[0].T
 
 
@@ -327,8 +327,8 @@ def _mouth_frame(
     """
     chin = list(CHIN)
     joint = places[list(JAW_JOINT)].mean(axis=0)
-    moves = np.stack([morphs[name][chin] for name in components])
-    motion = jaw_motion(places[chin], joint, moves)
+    chin_moves = np.stack([morphs[name][chin] for name in components])
+    motion = jaw_motion(places[chin], joint, chin_moves)
     return MouthFrame(
         places[lips],
         {name: morphs[name][lips] for name in (*components, "smile", "lip_tuck")},

@@ -84,14 +84,14 @@ def _blend_overlapping(scores: Array, boxes: Array, eyes: Array) -> tuple[Detect
 
     scores: (n,), falling; boxes: (n, 4); eyes: (n, 2, 2).
     """
-    found = []
+    blended = []
     remaining = np.arange(len(scores))
     while len(remaining):
         is_same_face = _overlaps(boxes[remaining[0]], boxes[remaining]) > _SAME_FACE
         is_same_face[0] = True
         group = remaining[is_same_face]
         share = scores[group] / scores[group].sum()
-        found.append(
+        blended.append(
             Detection(
                 float(scores[group[0]]),
                 np.einsum("g,gi->i", share, boxes[group]),
@@ -99,7 +99,7 @@ def _blend_overlapping(scores: Array, boxes: Array, eyes: Array) -> tuple[Detect
             )
         )
         remaining = remaining[~is_same_face]
-    return tuple(found)
+    return tuple(blended)
 
 
 def _overlaps(box: Array, boxes: Array) -> Array:

@@ -105,13 +105,13 @@ class LitertTracker:
         picture : Picture
             (height, width, 3).
         """
-        found = []
+        faces = []
         for detection, square in self._detect(picture):
             points = self._points(picture, _face_box(detection, square))
             if points is not None:
-                found.append(points)
-        found.sort(key=lambda points: -float(np.ptp(points[:, 0])))
-        return tuple(found)
+                faces.append(points)
+        faces.sort(key=lambda points: -float(np.ptp(points[:, 0])))
+        return tuple(faces)
 
     def _detect(self, picture: Picture) -> list[tuple[Detection, FaceBox]]:
         """Return up to three faces, the surest first, each with the square its lengths refer to."""
@@ -119,18 +119,18 @@ class LitertTracker:
         square = FaceBox(width / 2, height / 2, float(max(width, height)), 0.0)
         network_input = cut_out(picture, square, DETECTOR_PIXELS) * 2 - 1
         outputs = self._detector.run(network_input)
-        regressors = next(a for a in outputs if a.shape[-1] == 16)
-        scores = next(a for a in outputs if a.shape[-1] == 1)
+        regressors = next(output for output in outputs if output.shape[-1] == 16)
+        scores = next(output for output in outputs if output.shape[-1] == 1)
         faces = detections(regressors[0].astype(float), scores[0, :, 0].astype(float))
         return [(face, square) for face in faces[:_MOST_FACES]]
 
     def _points(self, picture: Picture, box: FaceBox) -> Array | None:
         """Return the points (478, 3) in pixels of the face in `box`; None if none is there."""
         outputs = self._landmarks.run(cut_out(picture, box, _LANDMARK_PIXELS))
-        presence = next(a for a in outputs if a.shape == (1, 1, 1, 1))
+        presence = next(output for output in outputs if output.shape == (1, 1, 1, 1))
         if 1.0 / (1.0 + np.exp(-float(presence.item()))) < _LEAST_PRESENCE:
             return None
-        flat = next(a for a in outputs if a.size == N_LANDMARKS * 3)
+        flat = next(output for output in outputs if output.size == N_LANDMARKS * 3)
         return box.to_picture(flat.reshape(N_LANDMARKS, 3).astype(float) / _LANDMARK_PIXELS)
 
 
@@ -208,9 +208,9 @@ class MediapipeTracker:
             (height, width, 3).
         """
         height, width = picture.shape[:2]
-        found = self._mesh.process(picture).multi_face_landmarks or ()
+        landmarks = self._mesh.process(picture).multi_face_landmarks or ()
         scale = np.array([width, height, width], dtype=np.float64)
-        faces = [np.array([[p.x, p.y, p.z] for p in face.landmark]) * scale for face in found]
+        faces = [np.array([[p.x, p.y, p.z] for p in face.landmark]) * scale for face in landmarks]
         return tuple(sorted(faces, key=lambda points: -float(np.ptp(points[:, 0]))))
 
 
