@@ -226,7 +226,7 @@ SETTLING_S: Final = 3.0
 #: Time between two tries to reopen a lost device.
 RETRY_S: Final = 1.0
 #: Time between two checks for a loss.
-LOOK_S: Final = 0.1
+CHECK_S: Final = 0.1
 
 
 class DeviceWatch:
@@ -268,7 +268,7 @@ class DeviceWatch:
             self._start()
 
     def start(self) -> None:
-        """Start a thread that calls `look`, the check for a loss, every 0.1 s until `close`."""
+        """Start a thread that calls `check`, the check for a loss, every 0.1 s until `close`."""
         self._ending.clear()
         self._thread = threading.Thread(target=self._run, name="sound device", daemon=True)
         self._thread.start()
@@ -285,7 +285,7 @@ class DeviceWatch:
         """Record that the callback was called at monotonic `now_s`. Any thread; never waits."""
         self._called_s = now_s
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Close the stream if its device is lost; try to reopen a lost one, once a second."""
         now_s = self._clock()
         stream = self._stream
@@ -315,5 +315,5 @@ class DeviceWatch:
             close_stream(stream)
 
     def _run(self) -> None:
-        while not self._ending.wait(LOOK_S):
-            self.look()
+        while not self._ending.wait(CHECK_S):
+            self.check()

@@ -187,8 +187,8 @@ class LoudspeakerOutput:
         """Find the device, without opening it. `device` and `offsets_ms` are as in the class.
 
         volume: factor on samples, 0 to 1. clock: returns monotonic seconds. is_watched: False where
-        no thread watches for the loss of the device, and the caller calls `watch.look` from time to
-        time.
+        no thread watches for the loss of the device, and the caller calls `watch.check` now and
+        then.
         """
         self._sounddevice = import_sounddevice()
         with portaudio_lock():

@@ -62,7 +62,7 @@ class MicrophoneSource:
 
         channel: the one that is heard, `left`, `right`, `mix` or a number from 1; SoundError where
         the device has fewer. is_watched: False where no thread watches for the loss of the device,
-        and the caller calls `watch.look` from time to time.
+        and the caller calls `watch.check` from time to time.
         """
         self._sounddevice = import_sounddevice()
         with portaudio_lock():

@@ -403,7 +403,7 @@ class Playout:
         self._known_phonemes.note_playing(playing, start_s)
         playing.is_starved = False
         self._not_heard.append((start_s, playing, block, playing.n_taken))
-        playing.add(start_s, block.n_samples)
+        playing.add_block(start_s, block.n_samples)
         self._queue_words(playing, start_s)
         units = None if stream.phonemes else phonemes_or_visemes(stream)
         began_s = playing.segments[-1].start_s
@@ -507,7 +507,7 @@ class Playout:
         while self._not_heard and self._not_heard[-1][0] >= cut_s:
             start_s, playing, block, n_before = self._not_heard.pop()
             playing.stream.put_back(block)
-            playing.take_back(start_s, n_before)
+            playing.remove_block(start_s, n_before)
         self._is_paused = bool(self._playing)
         self._report_for_all("paused")
         self._note_silence(cut_s)

@@ -404,7 +404,7 @@ class PlayingStream:
     is_starved: bool = False
     is_followed: bool = False
 
-    def add(self, start_s: float, n_samples: int) -> None:
+    def add_block(self, start_s: float, n_samples: int) -> None:
         """Record that the block of 10 ms at timeline position `start_s` plays the stream's samples.
 
         n_samples: samples of the stream up to and including this block.
@@ -416,7 +416,7 @@ class PlayingStream:
             self.segments.append(Segment(start_s, start_s + BLOCK_S, self.n_taken, n_samples))
         self.n_taken = n_samples
 
-    def take_back(self, start_s: float, n_before: int) -> None:
+    def remove_block(self, start_s: float, n_before: int) -> None:
         """Remove the last block, added at `start_s`; `n_before`: the stream's samples before."""
         last = self.segments[-1]
         last.end_s, last.n_end = start_s, n_before

@@ -44,7 +44,7 @@ class EnergyRecognizer:
 
         Raises ValueError for a block before the last one's end, or of another rate.
         """
-        silence, jump_s, samples = self._input.take(block)
+        silence, jump_s, samples = self._input.convert(block)
         self._classify_frames(silence)
         n_jumped = round(jump_s * FRAMES_PER_S)
         self._heard.extend([SILENCE] * n_jumped)

@@ -166,7 +166,7 @@ class NetworkRecognizer:
         samples: list[Array32] = []
         spans: list[tuple[float, int, int, int]] = []
         for block in blocks:
-            silence, jump_s, sound = self._input.take(block)
+            silence, jump_s, sound = self._input.convert(block)
             samples += [silence, sound]
             n_silent = self._count_frames(len(silence))
             n_jumped = round(jump_s * FRAMES_PER_S)

@@ -183,7 +183,7 @@ class AudioInput:
         self._n_fed = 0  # samples at the stream's own rate, gaps among them
         self._resampler: soxr.ResampleStream | None = None
 
-    def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
+    def convert(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
         """Return the silence and the seconds skipped in the gap before a block, and its samples.
 
         Parameters
