@@ -27,7 +27,7 @@ def channel_index(channel: str, n_channels: int, where: str) -> int | None:
         return None
     number = _NAMED.get(channel) or int(channel)
     if number > n_channels:
-        # Here: whoever reads settings waits for no numpy.
+        # Imported here, so that reading settings does not load numpy.
         from lipsync.audio.source import SoundError
 
         count = "1 channel" if n_channels == 1 else f"{n_channels} channels"

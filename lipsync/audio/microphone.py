@@ -263,13 +263,14 @@ class _Capture:
         self._channel = channel
         self.rate_hz = rate_hz
         self.arrived: deque[_Arrival] = deque(maxlen=round(QUEUE_S / BLOCK_S))
-        #: The reader's: sound time of the first sample, and samples taken so far.
+        #: Changed by the reading thread alone: first sample's sound time, samples taken so far.
         self.begins_s: float | None = None
         self.n_taken = 0
         self._clock = clock
         self._watch = watch
-        self._n_heard = 0  # samples at the device's rate, lost ones among them: the callback's
-        self._next_adc_s: float | None = None  # when the device takes the next sample: likewise
+        # Changed by the callback alone.
+        self._n_heard = 0  # samples at the device's rate, lost ones among them
+        self._next_adc_s: float | None = None  # when the device takes the next sample
         is_same = rate_hz == SAMPLE_RATE_HZ
         self._resampler = (
             None

@@ -129,14 +129,14 @@ class Playout:
         self._listen_from_s = 0.0
         n_played = BLOCK_SAMPLES if loudspeaker is None else loudspeaker.rate_hz // 100
         self._played_silence: Samples = np.zeros(n_played, dtype=np.float32)
-        #: Any thread appends.
+        #: What is to be done in the next `advance`; any thread appends.
         self.requests: deque[PlayoutRequest] = deque(maxlen=_MOST_REQUESTS)
         #: Senders that will request more; the playout is not over while any is in it. Any thread.
         self.announced: set[object] = set()
         #: (monotonic seconds, stream, samples of it that had left the loudspeaker by then), from
         #: who plays a stream elsewhere; any thread appends.
         self.reports: deque[tuple[float, str, int]] = deque(maxlen=_MOST_REQUESTS)
-        #: One other thread removes.
+        #: What has happened; one other thread removes.
         self.events: deque[PlayoutEvent] = deque(maxlen=_MOST_EVENTS)
         self._playing: deque[PlayingStream] = deque()
         #: Blocks not heard yet: (start_s, stream, block, samples of the stream before it).
@@ -425,7 +425,7 @@ class Playout:
         started_words = playing.stream.started_words
         while started_words:
             added = started_words.popleft()
-            # A text whose time has passed is searched for from the present on.
+            # A text that began earlier: in place of its start, how far its sound has passed.
             shift_s, behind_s, given_words = playing.shift_s, 0.0, added.words
             began_s = given_words[0].start_s if added.kind == "text" and given_words else None
             if began_s is not None and began_s + shift_s < start_s:

@@ -486,7 +486,7 @@ class FallbackRecognizer:
             waiting_s = end_s - chunk[-1].end_s + now_s - began_s
             pace = self._level.pace
             reason = pace.why_replace(now_s, waiting_s)
-            # A recogniser above `neutral` must be left: late phonemes are better than none.
+            # Never to `neutral` for slowness: late phonemes are better than a closed mouth.
             if reason is not None and any(n > self._current for n in self._usable[:-1]):
                 is_slow = pace.share > _TRIED_SHARE
                 self._fall_back(reason, _LONGEST_WAIT_S if is_slow else _LONGEST_WAIT_BUSY_S)

@@ -238,6 +238,7 @@ class TextDecoder:
         oldest, newest = n - self._delays[-1], n - self._delays[0]
         if newest < 0:
             return []
+        # The frame that the last head has just scored is final; newer ones are searched on trial.
         if oldest >= 0:
             self._newest = self._step(self._newest, oldest, self._delays[-1], is_final=True)
             self._final_fronts.append(self._newest)

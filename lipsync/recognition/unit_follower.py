@@ -276,6 +276,7 @@ class UnitFollower:
         One stretch each, cut to what lies between `from_s` and `until_s` (times after the move).
         """
         first = max(0, bisect_right(self._starts_s, from_s - by_s) - 1)
+        # Silence before the first unit begins with the sound.
         found: list[Stretch] = []
         previous_end_s = self._start_s + by_s if first == 0 else -math.inf
         for unit in self._units[first:]:
