@@ -145,7 +145,7 @@ def _phones_of_spelling(label: str, alphabet: str, *, guesses: bool) -> tuple[st
 
     guesses: as in `phones_of`. Raises AlphabetError for a letter that would have to be guessed.
     """
-    # Vowels of X-SAMPA are punctuation.
+    # X-SAMPA writes some vowels as punctuation, which is a pause elsewhere.
     if label.lower() in PAUSES or (alphabet != X_SAMPA and is_pause(label)):
         return (SILENCE,)
     if alphabet == IPA:

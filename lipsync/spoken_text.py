@@ -132,6 +132,7 @@ class SpokenText:
             )
         start = later.units[0].start_sample if later.units else None
         earlier = self.units if start is None else _units_before(self.units, start)
+        # The first time given now, and the last one known from earlier units.
         first = next((t for unit in later.units for t in _known_times(unit)), None)
         newest = next((t for unit in reversed(earlier) for t in reversed(_known_times(unit))), 0)
         if first is not None and first < newest:

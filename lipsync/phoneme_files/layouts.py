@@ -143,7 +143,10 @@ def _tiers_of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
 
 
 def _parsed_json(text: str) -> object:
-    """Return the parsed JSON document, or for JSON Lines a dict of parsed lines by `line N`."""
+    """Return the parsed JSON document, or for JSON Lines a dict of parsed lines by `line N`.
+
+    Raises LabelError for an empty text, and for a line that is no JSON.
+    """
     if not text.strip():
         raise LabelError(f"the file is empty; {_KNOWN}")
     lines: dict[str, object] = {}

@@ -204,7 +204,7 @@ class SpeechGate:
 
     def push(self, level_db: float, pitch_st: float) -> bool:
         """Add a 10 ms frame; return whether it is speech. pitch_st: semitones, NaN if unvoiced."""
-        is_voiced = pitch_st == pitch_st
+        is_voiced = pitch_st == pitch_st  # not NaN
         moved_st = abs(pitch_st - self._pitches_st[0])
         self._pitches_st.append(pitch_st)
         self._n_unvoiced = 0 if is_voiced else self._n_unvoiced + 1
@@ -296,7 +296,7 @@ class VoiceTracker:
         loud_db = sound.loudness_db
         tilt_db = sound.high_db - sound.low_db
         pitch_hz = self._pitch.push(sound.newest)
-        is_voiced = pitch_hz == pitch_hz
+        is_voiced = pitch_hz == pitch_hz  # not NaN
         pitch_st = 12.0 * math.log2(pitch_hz) if is_voiced else math.nan
         voice_db = max(sound.low_db, sound.high_db)
         is_speech = self._gate.push(voice_db, pitch_st)

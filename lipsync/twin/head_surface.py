@@ -324,6 +324,7 @@ def cotangent_laplacian(vertices_mm: Array, triangles: Indices) -> tuple[sparse.
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
     ).tocsr()
     laplacian = off_diagonal - sparse.diags_array(off_diagonal.sum(axis=1))
+    # A triangle's area is the same from each of its corners; a third of it goes to each.
     thirds = np.repeat(twice_area / 6, 3)
     areas = np.bincount(triangles.ravel(), thirds, minlength=n).astype(np.float64)
     return sparse.csr_array(laplacian), areas

@@ -279,6 +279,7 @@ def _dental_arch(edge: Array, widths_mm: tuple[float, ...], height_mm: float, up
             height_share = 1.0 - 0.03 * start / 8.0
             half_mm = (width * 0.49, height_mm * height_share / 2, _THICKNESS_MM / 2)
             tooth, triangles, colours = _ellipsoid(np.zeros(3), half_mm, _ENAMEL, roundness=0.45)
+            # Turned about y, to stand along the arch.
             tooth = tooth @ np.array(
                 [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
             )
@@ -373,8 +374,8 @@ def _mouth_inside(frame: MouthFrame) -> Part:
         colours.append(np.broadcast_to((1 - fade) * _INSIDE_FRONT + fade * _INSIDE_BACK, (n, 3)))
     all_places = np.concatenate(places)
     of_lips = np.concatenate(lip_shares)[:, None]
+    # Share of the jaw's motion: 1 in the lower half of a ring, 0 in the upper.
     lower = np.clip(0.5 - 2.0 * np.sin(np.tile(angle, _ROWS)), 0.0, 1.0)[:, None]
-    # lower: share of the jaw's motion, 1 in the lower half of a ring.
     jaw = frame.displacements_with_jaw(all_places)
     still = np.zeros_like(all_places)
     morphs = {

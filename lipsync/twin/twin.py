@@ -158,6 +158,7 @@ def _lid_shutting(rim_mm: Array) -> Array:
     """
     half = len(rim_mm) // 2
     upper, lower = rim_mm[: half + 1], np.vstack([rim_mm[half:], rim_mm[:1]])[::-1]
+    # Both from the same corner of the eye to the other.
     meeting_line = (1 - _LOWER_SHARE) * lower + _LOWER_SHARE * upper
     displacements = np.zeros_like(rim_mm)
     displacements[: half + 1] = meeting_line - upper
@@ -175,6 +176,7 @@ def _outside_eyeball(name: str, places: Array, lid: Array, eye: Eyeball) -> dict
     on_lid = np.linalg.norm(lid, axis=1) > 0.05
 
     def pushed_out(points: Array) -> Array:
+        """Return the points, those of the lid moved from inside the eyeball to just outside it."""
         ray = points - eye.centre_mm
         length = np.linalg.norm(ray, axis=1, keepdims=True)
         least = np.where(on_lid & (ray[:, 2] > 0), eye.radius_mm + _CLEARANCE_MM, 0.0)[:, None]
