@@ -6,7 +6,7 @@ speaker's own baseline, then their fusion. Weights and times are design choices.
 not distinguished. After a jump of a microphone's automatic gain loudness counts less for a while.
 
 Speech is sound that is loud above the noise, voiced now and then, and unlike music. Loudness is
-judged by `VoiceActivityDetector` (noise floor by minimum statistics), for which steady noise is no
+decided by `VoiceActivityDetector` (noise floor by minimum statistics): to it steady noise is no
 speech after 1.2 s. Speech is voiced for a good part of its time, and its pitch glides; notes do
 not. Thresholds were measured on grid_s1, LibriSpeech, speechocean762 (speech), and on synthetic
 chords, bands and coloured noise (docs/expression.md). Whispering does not count as speech.
