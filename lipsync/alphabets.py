@@ -21,11 +21,11 @@ from lipsync.ipa import phones_of_ipa
 from lipsync.phonemes import SILENCE, VISEME_OF
 from lipsync.spoken_text import SpokenText, SpokenUnit, UnitKind
 
-#: Ours, without an alphabet's name too.
+#: The alphabet of our inventory, also meant where none is named.
 ARPABET: Final = "arpabet"
 IPA: Final = "ipa"
 X_SAMPA: Final = "x-sampa"
-#: Other letters for IPA's.
+#: Alphabets that write IPA in other letters.
 _SPELLINGS: Final = (X_SAMPA, "misaki", "voicevox")
 
 #: Marks of X-SAMPA that stand for no letter: `_h`, aspirated.
@@ -86,7 +86,7 @@ def phones_of(label: str, alphabet: str = ARPABET, *, guesses: bool = True) -> t
             )
         return (phone,)
     if alphabet in (IPA, *_SPELLINGS):
-        return _spelled(label, alphabet, guesses=guesses)
+        return _phones_of_spelling(label, alphabet, guesses=guesses)
     visemes = viseme_sets().get(alphabet)
     if visemes is None:
         raise AlphabetError(
@@ -111,19 +111,19 @@ def in_inventory(
     """
     found: list[SpokenUnit] = []
     units = tuple(units)
-    for number, (unit, after) in enumerate(zip(units, (*units[1:], None), strict=True)):
+    for number, (unit, next_unit) in enumerate(zip(units, (*units[1:], None), strict=True)):
         try:
             phones = phones_of(unit.label, alphabet)
         except AlphabetError as error:
             raise AlphabetError(f"{kind} {number + 1}: {error}") from None
         if phones:
-            found += _shared(phones, unit, None if after is None else after.start_sample)
+            found += _split(phones, unit, None if next_unit is None else next_unit.start_sample)
         elif found and unit.end_sample is not None:
             found[-1] = SpokenUnit(found[-1].label, found[-1].start_sample, unit.end_sample)
     return SpokenText(kind, tuple(found), sample_rate_hz)
 
 
-def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) -> list[SpokenUnit]:
+def _split(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) -> list[SpokenUnit]:
     """Return one unit for each of `phones`, with the time of `unit` divided evenly among them.
 
     next_sample: start of the next unit, used as the end where `unit` has none; None: not known.
@@ -133,19 +133,19 @@ def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) 
     if unit.start_sample is None:
         return [SpokenUnit(each) for each in phones]
     if end_sample is None or end_sample < unit.start_sample:
-        # Where the others begin is not known.
+        # When the other phones begin is not known.
         return [SpokenUnit(phones[0], unit.start_sample, unit.end_sample)]
     span = end_sample - unit.start_sample
     bounds = [unit.start_sample + round(span * n / len(phones)) for n in range(len(phones) + 1)]
     return [SpokenUnit(each, bounds[n], bounds[n + 1]) for n, each in enumerate(phones)]
 
 
-def _spelled(label: str, alphabet: str, *, guesses: bool) -> tuple[str, ...]:
+def _phones_of_spelling(label: str, alphabet: str, *, guesses: bool) -> tuple[str, ...]:
     """Return the phones for a `label` of IPA or of a spelling that stands for IPA; SIL for a pause.
 
     guesses: as in `phones_of`. Raises AlphabetError for a letter that would have to be guessed.
     """
-    # Vowels of X-SAMPA are punctuation.
+    # X-SAMPA writes some vowels as punctuation, which is a pause elsewhere.
     if label.lower() in PAUSES or (alphabet != X_SAMPA and is_pause(label)):
         return (SILENCE,)
     if alphabet == IPA:
@@ -153,28 +153,28 @@ def _spelled(label: str, alphabet: str, *, guesses: bool) -> tuple[str, ...]:
         label = _tables()[IPA].get(label, (label,))[0]
         if (arpabet := label.rstrip("012")) in VISEME_OF:
             return (arpabet,)
-    found = phones_of_ipa(label if alphabet == IPA else _as_ipa(label, alphabet))
-    if found.is_guess and not guesses:
+    converted = phones_of_ipa(label if alphabet == IPA else _as_ipa(label, alphabet))
+    if converted.is_guess and not guesses:
         raise AlphabetError(f"{shown(label)} is not a phoneme of {alphabet}; correct this label")
-    return found.phones
+    return converted.phones
 
 
 def _as_ipa(label: str, alphabet: str) -> str:
     """Return a label in IPA; letters that the table of its `alphabet` lacks are kept.
 
-    The longest symbols are replaced first.
+    From the left, the longest symbol that the table has is replaced.
     """
     table = _tables()[alphabet]
     longest = max(map(len, table))
-    found, place = "", 0
+    ipa, index = "", 0
     label = _MARK.sub("", label)
-    while place < len(label):
-        for length in range(min(longest, len(label) - place), 0, -1):
-            if (row := table.get(label[place : place + length])) is not None:
-                found += row[0]
+    while index < len(label):
+        for length in range(min(longest, len(label) - index), 0, -1):
+            if (row := table.get(label[index : index + length])) is not None:
+                ipa += row[0]
                 break
         else:
             length = 1
-            found += label[place]
-        place += length
-    return found
+            ipa += label[index]
+        index += length
+    return ipa

@@ -57,17 +57,17 @@ def phones_of_ipa(phoneme: str) -> InventoryPhones:
     longest = max(map(len, table))
     phones: list[str] = []
     is_guess = False
-    place = 0
-    while place < len(symbols):
-        for length in range(min(longest, len(symbols) - place), 0, -1):
-            row = table.get(symbols[place : place + length])
+    index = 0
+    while index < len(symbols):
+        for length in range(min(longest, len(symbols) - index), 0, -1):
+            row = table.get(symbols[index : index + length])
             if row is not None:
                 phones += row.phones
                 break
         else:
             length, is_guess = 1, True
-            phones += _nearest(symbols[place])
-        place += length
+            phones += _phones_of_similar(symbols[index])
+        index += length
     return InventoryPhones(tuple(phones), is_guess)
 
 
@@ -82,7 +82,8 @@ def _without_marks(phoneme: str) -> str:
     return "".join(letters).replace("\0", "ç")
 
 
-def _nearest(letter: str) -> tuple[str, ...]:
+def _phones_of_similar(letter: str) -> tuple[str, ...]:
+    """Return the phones of the plain letter in a letter's Unicode name, else the neutral vowel."""
     words = unicodedata.name(letter, "").split(" WITH ")[0].split()
     row = ipa_table().get(words[-1].lower()) if words else None
     return row.phones if row is not None else (_NEUTRAL_VOWEL,)

@@ -67,9 +67,10 @@ _STAND_INS: Mapping[str, tuple[tuple[str, ...], ...]] = MappingProxyType(
 def stand_in(phoneme: str, known: Sequence[str] | frozenset[str]) -> tuple[str, ...]:
     """Return phones of `known` that together resemble `phoneme` on the lips.
 
-    `(phoneme,)` if `phoneme` itself is known; else a named substitute (OY as AO then IY), else a
-    phone of the same viseme class, else any known phone, so that every phone of the inventory moves
-    the mouth. Raises ValueError for a phoneme outside the inventory or an empty `known`.
+    known: phones that a model has. Returned is `(phoneme,)` if `phoneme` itself is known, else a
+    named substitute (OY as AO then IY), else a phone of the same viseme class, else any known
+    phone, so that every phone of the inventory moves the mouth. Raises ValueError for a phoneme
+    outside the inventory or an empty `known`.
     """
     if phoneme not in VISEME_OF:
         raise ValueError(f"unknown phoneme {phoneme!r}; use one of {' '.join(PHONEMES)}")

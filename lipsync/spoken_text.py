@@ -25,9 +25,9 @@ LONGEST_TEXT: Final = 20_000
 LONGEST_LABEL: Final = 100
 #: Of all units together, as of an hour of speech.
 MOST_CHARACTERS: Final = 100_000
-#: The last unit of all, whose end is not known, lasts so long: the longest vowels do.
+#: Duration of a last unit whose end is not known: as long as the longest vowels.
 _OPEN_S: Final = 0.3
-#: No mouth moves faster: of units that begin closer together the first one counts.
+#: Of units that begin closer together than this only the first counts: no mouth moves faster.
 _SHORTEST_S: Final = 0.01
 
 
@@ -119,9 +119,10 @@ class SpokenText:
         return all(unit.start_sample is not None for unit in self.units)
 
     def revised(self, later: "SpokenText") -> "SpokenText":
-        """Return a copy with the units of `later` appended, or in place of all from their start on.
+        """Return a copy with the units of `later` added.
 
-        The newest units are kept where there are too many. Raises SpokenTextError for another kind
+        If the first of them has a start, they replace all units from there on; else they are
+        appended. Of too many units the oldest are dropped. Raises SpokenTextError for another kind
         or rate, or where the result goes back in time.
         """
         if (later.kind, later.sample_rate_hz) != (self.kind, self.sample_rate_hz):
@@ -130,24 +131,25 @@ class SpokenText:
                 f"{self.sample_rate_hz} Hz; send one kind at one rate"
             )
         start = later.units[0].start_sample if later.units else None
-        kept = self.units if start is None else _before(self.units, start)
-        first = next((t for unit in later.units for t in _times(unit)), None)
-        newest = next((t for unit in reversed(kept) for t in reversed(_times(unit))), 0)
+        earlier = self.units if start is None else _units_before(self.units, start)
+        # The first time given now, and the last one known from earlier units.
+        first = next((t for unit in later.units for t in _known_times(unit)), None)
+        newest = next((t for unit in reversed(earlier) for t in reversed(_known_times(unit))), 0)
         if first is not None and first < newest:
             raise SpokenTextError(
                 f"these {later.kind}s start at sample {first}, before sample {newest}, which was "
                 "sent already; to correct what was sent, give the first of them a start time"
             )
-        units = (*kept, *later.units)[-MOST_UNITS:]
+        units = (*earlier, *later.units)[-MOST_UNITS:]
         if self.kind == "text":
             while len(units) > 1 and sum(len(unit.label) for unit in units) > MOST_CHARACTERS:
                 units = units[1:]
-        return _joined(self.kind, units, self.sample_rate_hz)
+        return _unchecked(self.kind, units, self.sample_rate_hz)
 
     def is_corrected_by(self, later: "SpokenText") -> bool:
-        """Return whether `revised` puts units of `later` in place of units, not only after them."""
+        """Return whether `revised(later)` would replace any of these units."""
         start = later.units[0].start_sample if later.units else None
-        return start is not None and len(_before(self.units, start)) < len(self.units)
+        return start is not None and len(_units_before(self.units, start)) < len(self.units)
 
     def events(
         self, from_sample: int = 0, until_sample: int | None = None
@@ -159,33 +161,34 @@ class SpokenText:
         """
         if not (self.moves_mouth and (not self.units or self.units[-1].start_sample is not None)):
             raise SpokenTextError(f"{self.kind}s need times to move a mouth (start_sample)")
-        first = max(0, bisect_right(self.units, from_sample, key=_start) - 1)
+        first = max(0, bisect_right(self.units, from_sample, key=_start_sample) - 1)
         end = len(self.units)
         if until_sample is not None:
-            end = bisect_right(self.units, until_sample, key=_start)
+            end = bisect_right(self.units, until_sample, key=_start_sample)
         rate_hz = self.sample_rate_hz
         shortest, open_end = round(_SHORTEST_S * rate_hz), round(_OPEN_S * rate_hz)
-        kept: list[SpokenUnit] = []
+        # Units that begin within 10 ms of the one before are merged into it.
+        apart: list[SpokenUnit] = []
         for unit in self.units[first:end]:
-            if kept and _start(unit) < _start(kept[-1]) + shortest:
-                if unit.end_sample is not None and kept[-1].end_sample is not None:
-                    kept[-1] = replace(kept[-1], end_sample=unit.end_sample)
+            if apart and _start_sample(unit) < _start_sample(apart[-1]) + shortest:
+                if unit.end_sample is not None and apart[-1].end_sample is not None:
+                    apart[-1] = replace(apart[-1], end_sample=unit.end_sample)
             else:
-                kept.append(unit)
+                apart.append(unit)
         events = []
-        after_all = self.units[end] if end < len(self.units) else None
-        for unit, after in zip(kept, (*kept[1:], after_all), strict=True):
-            start = _start(unit)
-            next_start = start + open_end if after is None else _start(after)
+        unit_after = self.units[end] if end < len(self.units) else None
+        for unit, next_unit in zip(apart, (*apart[1:], unit_after), strict=True):
+            start = _start_sample(unit)
+            next_start = start + open_end if next_unit is None else _start_sample(next_unit)
             end_sample = next_start if unit.end_sample is None else unit.end_sample
-            if after is not None:
+            if next_unit is not None:
                 end_sample = min(end_sample, next_start)
             if end_sample > max(start, from_sample):
                 events.append(PhonemeEvent(unit.label, start / rate_hz, end_sample / rate_hz))
         return tuple(events)
 
 
-def _joined(kind: UnitKind, units: tuple[SpokenUnit, ...], sample_rate_hz: int) -> SpokenText:
+def _unchecked(kind: UnitKind, units: tuple[SpokenUnit, ...], sample_rate_hz: int) -> SpokenText:
     """Return a `SpokenText` of units already checked, so that adding one unit costs little."""
     joined = object.__new__(SpokenText)
     fields = {"kind": kind, "units": units, "sample_rate_hz": sample_rate_hz}
@@ -194,15 +197,15 @@ def _joined(kind: UnitKind, units: tuple[SpokenUnit, ...], sample_rate_hz: int) 
     return joined
 
 
-def _times(unit: SpokenUnit) -> tuple[int, ...]:
+def _known_times(unit: SpokenUnit) -> tuple[int, ...]:
     return tuple(t for t in (unit.start_sample, unit.end_sample) if t is not None)
 
 
-def _start(unit: SpokenUnit) -> int:
+def _start_sample(unit: SpokenUnit) -> int:
     return unit.start_sample or 0
 
 
-def _before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUnit]:
+def _units_before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUnit]:
     """Return the units before `start_sample`; one that lasts beyond it is cut there.
 
     The result ends at the first unit known to begin at or after that sample. No unit is before
@@ -212,10 +215,10 @@ def _before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUn
         return ()
     n_kept = len(units)
     for number in range(len(units) - 1, -1, -1):
-        known = units[number].start_sample
-        if known is not None and known < start_sample:
+        unit_start = units[number].start_sample
+        if unit_start is not None and unit_start < start_sample:
             break
-        n_kept = n_kept if known is None else number
+        n_kept = n_kept if unit_start is None else number
     units = units[:n_kept]
     if units and (units[-1].end_sample or 0) > start_sample:
         return (*units[:-1], replace(units[-1], end_sample=start_sample))

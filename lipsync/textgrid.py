@@ -22,9 +22,9 @@ class LabelError(UserError):
 #: Label, start and end in s.
 Interval = tuple[str, float, float]
 
-#: Praat writes very small times so, and praatio does not read them.
+#: Times with exponents: Praat writes very small ones so, and praatio does not read them.
 _EXPONENT: Final = re.compile(r"(?m)^(\s*x(?:min|max) ?= ?)([\d.]+[eE][-+]?\d+)(?=\s*$)")
-#: praatio drops the sign.
+#: Negative times: praatio drops the sign.
 _NEGATIVE: Final = re.compile(r"(?m)^\s*(?:xmin|xmax) ?= ?(-[\d.]*[1-9][\d.]*)\s*$")
 _WIDE: Final = (b"\xff\xfe", b"\xfe\xff")
 _N_TIERS: Final = re.compile(r"<exists>\s*(?:size ?= ?)?(\d+)")
@@ -43,7 +43,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
     text = text.replace("\r\n", "\n")
     if negative := _NEGATIVE.search(text):
         raise LabelError(f"time {negative[1][:20]} s is before the sound begins; correct it")
-    text = _EXPONENT.sub(lambda found: f"{found[1]}{float(found[2]):.9f}", text)
+    text = _EXPONENT.sub(lambda match: f"{match[1]}{float(match[2]):.9f}", text)
     tiers: dict[str, tuple[Interval, ...]] = {}
     try:
         grid = parseTextgridStr(text + "\n", includeEmptyIntervals=True)["tiers"]
@@ -55,7 +55,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
                 tiers[str(tier["name"])] = tuple(_interval(*row) for row in tier["entries"])
     except LabelError:
         raise
-    # What praatio raises depends on where in the text it loses the thread.
+    # praatio raises these, depending on where in the text it fails.
     except (
         PraatioException,
         AssertionError,
@@ -72,6 +72,7 @@ def intervals_by_tier(text: str) -> dict[str, tuple[Interval, ...]]:
 
 
 def _interval(start: object, end: object, label: object) -> Interval:
+    """Return (label, start_s, end_s) of an entry. Raises LabelError for impossible times."""
     start_s, end_s = float(str(start)), float(str(end))
     if not 0 <= start_s <= end_s < 1e9:
         raise LabelError(f"{shown(label)}: {shown(start)} to {shown(end)} s cannot be; correct it")
@@ -81,8 +82,8 @@ def _interval(start: object, end: object, label: object) -> Interval:
 def _refuse_cut_off(text: str, tiers: list[dict[str, Any]]) -> None:
     """Raise LabelError if the text promises more tiers or labels than praatio found."""
     counts = [int(long or short) for long, short in _N_LABELS.findall(text)]
-    if (written := _N_TIERS.search(text)) and min(len(tiers), len(counts)) < int(written[1]):
-        raise LabelError(f"has {len(counts)} of {written[1]} tiers: it is cut off; save it again")
+    if (promised := _N_TIERS.search(text)) and min(len(tiers), len(counts)) < int(promised[1]):
+        raise LabelError(f"has {len(counts)} of {promised[1]} tiers: it is cut off; save it again")
     for tier, count in zip(tiers, counts, strict=False):
         if (n := len(tier["entries"])) < count:
             reached_s = float(tier["entries"][-1][-2]) if n else 0.0
@@ -98,7 +99,7 @@ def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
     Raises LabelError for a missing file and one that is no TextGrid.
     """
     try:
-        return intervals_by_tier(text_of(Path(path)))
+        return intervals_by_tier(read_text(Path(path)))
     except LabelError as error:
         raise LabelError(f"{path}: {error}") from error
 
@@ -127,7 +128,7 @@ def is_textgrid(head: bytes) -> bool:
 _LARGEST_BYTES: Final = 64 * 2**20
 
 
-def text_of(path: Path) -> str:
+def read_text(path: Path) -> str:
     """Return a label file's text. Raises LabelError, without the file's name.
 
     A pipe or a device is refused: it may have no end.
@@ -137,14 +138,14 @@ def text_of(path: Path) -> str:
             raise LabelError("cannot be read: not a regular file; save it first")
         if path.stat().st_size > _LARGEST_BYTES:
             raise LabelError("larger than 64 MiB; give labels of one recording only")
-        return decoded(path.read_bytes())
+        return decode_labels(path.read_bytes())
     except FileNotFoundError:
         raise LabelError("no such file") from None
     except OSError as error:
         raise LabelError(f"cannot be read ({error.strerror}); give a file of labels") from None
 
 
-def decoded(content: bytes) -> str:
+def decode_labels(content: bytes) -> str:
     """Return a label file's content as text. Raises LabelError without the file's name."""
     try:
         return content.decode("utf-16" if content[:2] in _WIDE else "utf-8-sig")

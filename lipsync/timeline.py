@@ -16,7 +16,7 @@ class PhonemeTimeline:
     """
 
     def __init__(self, horizon_s: float = 5.0) -> None:
-        # More than the longest display delay; a caller who is done earlier calls `forget_before`.
+        # More than the longest display delay; a caller that needs less calls `forget_before`.
         self._horizon_s = horizon_s
         self._events: list[PhonemeEvent] = []
         self._final_until_s = 0.0
@@ -51,14 +51,14 @@ class PhonemeTimeline:
         """
         _refuse_disorder(update)
         from_s = max(update.replace_from_s, self._final_until_s, self._forgotten_until_s)
-        going_on = self._cut_at(from_s)
+        continuing = self._drop_after(from_s)
         for event in update.events:
             if _end_s(event) <= from_s:
                 continue
             if event.start_s >= from_s:
                 self._events.append(event)
-            elif going_on is not None and going_on.phoneme == event.phoneme:
-                self._events[-1] = replace(event, start_s=going_on.start_s)
+            elif continuing is not None and continuing.phoneme == event.phoneme:
+                self._events[-1] = replace(event, start_s=continuing.start_s)
             else:
                 self._events.append(replace(event, start_s=from_s))
         self._final_until_s = max(self._final_until_s, update.final_until_s)
@@ -73,7 +73,7 @@ class PhonemeTimeline:
             n_old += 1
         del self._events[:n_old]
 
-    def _cut_at(self, time_s: float) -> PhonemeEvent | None:
+    def _drop_after(self, time_s: float) -> PhonemeEvent | None:
         """Drop all events, and parts of events, after `time_s`.
 
         Return the event that reached `time_s`, cut there; None if no event did.
@@ -95,6 +95,7 @@ def _end_s(event: PhonemeEvent) -> float:
 
 
 def _refuse_disorder(update: PhonemeUpdate) -> None:
+    """Raise ValueError if events overlap, are out of order, or are open before the last."""
     for event, following in zip(update.events, update.events[1:], strict=False):
         if not _end_s(event) <= following.start_s:
             raise ValueError(f"{following} begins before {event} ends")

@@ -27,9 +27,9 @@ def channel_index(channel: str, n_channels: int, where: str) -> int | None:
         return None
     number = _NAMED.get(channel) or int(channel)
     if number > n_channels:
-        # Here: whoever reads settings waits for no numpy.
+        # Imported here, so that reading settings does not load numpy.
         from lipsync.audio.source import SoundError
 
-        there = "1 channel" if n_channels == 1 else f"{n_channels} channels"
-        raise SoundError(f"{where}: has {there}, not {channel}; leave --channel out, or give mix")
+        count = "1 channel" if n_channels == 1 else f"{n_channels} channels"
+        raise SoundError(f"{where}: has {count}, not {channel}; leave --channel out, or give mix")
     return number - 1

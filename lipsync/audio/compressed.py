@@ -11,13 +11,14 @@ from typing import Final
 
 import soundfile
 
-#: Of an MP3 file, with its first frame.
+#: Bytes of an MP3 file within which its first frame lies.
 _LONGEST_HEADER: Final = 4096
 #: RFC 3533, section 6: the longest page of an Ogg file, and the bit of a stream's last one.
 _LONGEST_PAGE, _LAST_PAGE = 65_307, 0x04
 _STDERR: Final = 2
 #: As libsndfile calls it.
 MP3: Final = ("MP3", "MPEG")
+#: stderr is one for all threads.
 _ONE_AT_A_TIME: Final = threading.Lock()
 #: How lines of libmpg123 begin.
 _OF_MPG123: Final = re.compile(
@@ -59,7 +60,7 @@ def quiet_decoder(*, is_mp3: bool) -> Iterator[None]:
                 os.write(_STDERR, others)
 
 
-def share_there(path: Path, sound: soundfile.SoundFile) -> float:
+def present_share(path: Path, sound: soundfile.SoundFile) -> float:
     """Return the share of an MP3 file's bytes that is there, of those promised by its first frame.
 
     1.0 for a file whose first frame promises nothing (Xing,
@@ -70,16 +71,17 @@ def share_there(path: Path, sound: soundfile.SoundFile) -> float:
     with path.open("rb") as file:
         head = file.read(_LONGEST_HEADER)
         if head[:3] == b"ID3":  # ID3v2, section 3.1: seven bits a byte
-            tag = 10 + sum((each & 0x7F) << 7 * (3 - n) for n, each in enumerate(head[6:10]))
-            file.seek(tag)
+            id3_size = 10 + sum((byte & 0x7F) << 7 * (3 - n) for n, byte in enumerate(head[6:10]))
+            file.seek(id3_size)
             head = file.read(_LONGEST_HEADER)
         else:
-            tag = 0
+            id3_size = 0
+    # The Xing header in the first frame: 4 bytes name, flags, number of frames, number of bytes.
     at = max(head.find(b"Xing"), head.find(b"Info"))
-    if at < 0 or len(head) < at + 16 or head[at + 7] & 3 != 3:  # frames and bytes are told
+    if at < 0 or len(head) < at + 16 or head[at + 7] & 3 != 3:  # neither frames nor bytes are given
         return 1.0
     promised = int.from_bytes(head[at + 12 : at + 16], "big")
-    return min(1.0, (path.stat().st_size - tag) / promised) if promised else 1.0
+    return min(1.0, (path.stat().st_size - id3_size) / promised) if promised else 1.0
 
 
 def lacks_its_end(path: Path, sound: soundfile.SoundFile) -> bool:
@@ -89,5 +91,5 @@ def lacks_its_end(path: Path, sound: soundfile.SoundFile) -> bool:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - _LONGEST_PAGE))
         tail = file.read()
-    at = tail.rfind(b"OggS")
-    return at < 0 or len(tail) < at + 6 or not tail[at + 5] & _LAST_PAGE
+    page_start = tail.rfind(b"OggS")
+    return page_start < 0 or len(tail) < page_start + 6 or not tail[page_start + 5] & _LAST_PAGE

@@ -71,13 +71,13 @@ def find_delay(recorded: Samples, expected_s: Seconds) -> Delay:
     """
     if np.max(np.abs(recorded), initial=0.0) < _LEAST_PEAK:
         raise SoundError("the microphone recorded no sound: is it the right one, is either muted?")
-    matched, likeness = _matched(recorded)
-    near = _largest_near(matched, round(0.003 * SAMPLE_RATE_HZ))
+    matched, likeness = _match_click(recorded)
+    peaks = _running_maximum(matched, round(0.003 * SAMPLE_RATE_HZ))
     delays_s = np.arange(EARLIEST_S, LATEST_S, 0.001)
-    # Of all clicks the median: a door that slams is louder than any of them, but only once.
-    strength = np.median(_at(near, expected_s[None, :] + delays_s[:, None]), axis=1)
+    # For each delay the median over all clicks: a slamming door is louder, but only once.
+    strength = np.median(_values_at(peaks, expected_s[None, :] + delays_s[:, None]), axis=1)
     coarse_s = float(delays_s[np.argmax(strength)])
-    each_s = [_one_delay(matched, likeness, when_s, coarse_s) for when_s in expected_s]
+    each_s = [_click_delay(matched, likeness, due_s, coarse_s) for due_s in expected_s]
     found_s = np.array([delay_s for delay_s in each_s if delay_s is not None])
     n_played = len(expected_s)
     if len(found_s) < _LEAST_FOUND:
@@ -96,6 +96,7 @@ def find_delay(recorded: Samples, expected_s: Seconds) -> Delay:
 
 
 def _click(sample_rate_hz: int) -> Samples:
+    """Return a click (n,): a sweep of 40 ms from 1.5 to 6 kHz in a Hann window."""
     time_s = np.arange(round(_CLICK_S * sample_rate_hz)) / sample_rate_hz
     sweep = np.sin(
         2.0 * np.pi * (_FROM_HZ * time_s + (_TO_HZ - _FROM_HZ) * time_s**2 / (2.0 * _CLICK_S))
@@ -103,11 +104,11 @@ def _click(sample_rate_hz: int) -> Samples:
     return (_LEVEL * np.hanning(len(time_s)) * sweep).astype(np.float32)
 
 
-def _matched(recorded: Samples) -> tuple[Seconds, Seconds]:
-    """Return the strength and likeness of a click that begins at each sample of `recorded`, (n,).
+def _match_click(recorded: Samples) -> tuple[Seconds, Seconds]:
+    """Return the strength and likeness (n,) of a click that begins at each sample of `recorded`.
 
-    Two arrays (n,); the likeness is 0 to 1, whatever the loudness. A separate echo is more like a
-    click than the click before it, but weaker: so both are needed. Polarity has no influence.
+    Strength: output of a matched filter, without its sign. Likeness: 0 to 1, whatever the loudness.
+    A separate echo is more like a click than the click before it, but weaker: so both are needed.
     """
     click = _click(SAMPLE_RATE_HZ).astype(np.float64)
     click /= np.linalg.norm(click)
@@ -121,13 +122,14 @@ def _matched(recorded: Samples) -> tuple[Seconds, Seconds]:
     return matched, matched / np.maximum(loudness[: len(recorded)], floor)
 
 
-def _largest_near(values: Seconds, reach: int) -> Seconds:
+def _running_maximum(values: Seconds, reach: int) -> Seconds:
+    """Return the largest of `values` (n,) within `reach` samples of each, (n,)."""
     padded = np.pad(values, reach)
     largest: Seconds = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
     return largest
 
 
-def _at(values: Seconds, times_s: Seconds) -> Seconds:
+def _values_at(values: Seconds, times_s: Seconds) -> Seconds:
     """Return `values`, one per sample at 16 kHz, at the times `times_s`; 0 outside of them."""
     places = np.round(times_s * SAMPLE_RATE_HZ).astype(np.int64)
     is_there = (places >= 0) & (places < len(values))
@@ -135,22 +137,22 @@ def _at(values: Seconds, times_s: Seconds) -> Seconds:
     return found
 
 
-def _one_delay(
+def _click_delay(
     matched: Seconds, likeness: Seconds, expected_s: float, coarse_s: float
 ) -> float | None:
     """Return the delay in s of the click due at `expected_s`, within 12 ms of `coarse_s`.
 
-    matched, likeness: the arrays of `_matched`; coarse_s: the delay that fits all clicks best. None
-    if the recording does not reach that far or no stretch there is like a click.
+    matched, likeness: the arrays of `_match_click`; coarse_s: the delay that fits all clicks best.
+    None if the recording does not reach that far or no stretch there is like a click.
     """
     first = max(0, round((expected_s + coarse_s - _AROUND_S) * SAMPLE_RATE_HZ))
     window = matched[first : first + round(2.0 * _AROUND_S * SAMPLE_RATE_HZ)]
     if len(window) == 0:
         return None
-    found = first + int(np.argmax(window))
-    if likeness[found] < _LEAST_CORRELATION:
+    best_start = first + int(np.argmax(window))
+    if likeness[best_start] < _LEAST_CORRELATION:
         return None
-    return found / SAMPLE_RATE_HZ - expected_s
+    return best_start / SAMPLE_RATE_HZ - expected_s
 
 
 Reports = NDArray[np.float64]
@@ -160,7 +162,7 @@ _AHEAD_S: Final = 0.5
 #: A loudspeaker that has not played it by then does not play.
 _PATIENCE_S: Final = 15.0
 _TICK_S: Final = 0.01
-#: Time stamps within this of a click say when it left.
+#: Time stamps within this of a click are used for the time at which it left.
 _NEAR_S: Final = 0.25
 
 
@@ -188,15 +190,15 @@ def measure_delay(
     train = np.concatenate((click_train(speaker.rate_hz), np.zeros(speaker.rate_hz, np.float32)))
     begun_s = clock()
     n_written = 0
-    left: list[tuple[float, float]] = []
-    captured: list[tuple[float, float]] = []
+    speaker_reports: list[tuple[float, float]] = []
+    microphone_reports: list[tuple[float, float]] = []
     heard: list[Samples] = []
     ends_s = math.inf
     while clock() < ends_s:
         report = speaker.position()
         position_s = 0.0 if report is None else report[1]
         if report is not None:
-            left.append(report)
+            speaker_reports.append(report)
             if position_s > CLICKS_S[-1] and ends_s == math.inf:
                 ends_s = clock() + LATEST_S
         n_due = round((position_s + _AHEAD_S) * speaker.rate_hz)
@@ -205,17 +207,17 @@ def measure_delay(
             n_written = n_due
         heard += [block.samples for block in microphone.blocks(math.inf)]
         if microphone.captured is not None:
-            captured.append(microphone.captured)
+            microphone_reports.append(microphone.captured)
         if ends_s == math.inf and clock() - begun_s > _PATIENCE_S:
             raise SoundError("the loudspeaker has not started to play; choose another")
         sleep(_TICK_S)
-    if not captured:
+    if not microphone_reports:
         raise SoundError("the microphone recorded no sound; choose another microphone")
-    expected_s = _expected_s(np.array(left), np.array(captured))
+    expected_s = _expected_times_s(np.array(speaker_reports), np.array(microphone_reports))
     return find_delay(np.concatenate(heard), expected_s)
 
 
-def _expected_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
+def _expected_times_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
     """Return the microphone's sound time at which each click is heard if it is not late, (n,).
 
     left: (n, 2), the loudspeaker's reports of clock and position heard then; captured: (n, 2), the
@@ -224,12 +226,12 @@ def _expected_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
     """
     expected_s = []
     for click_s in CLICKS_S:
-        leaves_s = click_s + _zero_s(left, left[:, 1] - click_s)
-        expected_s.append(leaves_s - _zero_s(captured, captured[:, 0] - leaves_s))
+        leaves_s = click_s + _zero_at_s(left, left[:, 1] - click_s)
+        expected_s.append(leaves_s - _zero_at_s(captured, captured[:, 0] - leaves_s))
     return np.array(expected_s)
 
 
-def _zero_s(reports: Reports, distance_s: NDArray[np.float64]) -> float:
+def _zero_at_s(reports: Reports, distance_s: NDArray[np.float64]) -> float:
     """Return the clock time in s of a device's position 0, the median over reports near a click.
 
     reports: (n, 2) clock and position; distance_s: (n,) of each from the click. Near is within 0.25

@@ -139,9 +139,9 @@ def find_device(wanted: str | int | None, direction: Direction) -> SoundDevice:
         index = sounddevice.query_devices(key, direction)["index"]
         return next(device for device in devices if device.index == index)
     except (ValueError, StopIteration, sounddevice.PortAudioError) as error:
-        known = "; ".join(f"{device.index} {device.name}" for device in devices)
+        device_list = "; ".join(f"{device.index} {device.name}" for device in devices)
         what = f"no default {word}" if wanted is None else f"no single {word} {wanted!r}"
-        raise SoundError(f"{what}; name one of: {known}") from error
+        raise SoundError(f"{what}; name one of: {device_list}") from error
 
 
 def is_number(device: str | int | None) -> bool:
@@ -171,7 +171,7 @@ _STREAMS: Final = _OpenStreams()
 
 
 @contextmanager
-def opening() -> Iterator[None]:
+def portaudio_lock() -> Iterator[None]:
     """Lock PortAudio while a device is found and its stream made and started: one thread at a time.
 
     Meanwhile no other thread restarts PortAudio, which would end a stream that is not counted yet.
@@ -181,7 +181,7 @@ def opening() -> Iterator[None]:
 
 
 def start_stream(stream: OpenStream) -> None:
-    """Start a stream that was made within `opening` and count it as open; close it on failure.
+    """Start a stream made within `portaudio_lock`, and count it as open; close it on failure.
 
     Raises PortAudioError. The call waits for the device: never make it in the live loop.
     """
@@ -204,7 +204,7 @@ def close_stream(stream: OpenStream) -> None:
             _STREAMS.n_open -= 1
 
 
-def list_anew() -> bool:
+def restart_portaudio() -> bool:
     """Restart PortAudio so that it lists the devices again; return whether it was restarted.
 
     A restart ends every open stream of this program: while any is open, nothing is done.
@@ -219,14 +219,14 @@ def list_anew() -> bool:
     return True
 
 
-#: A device that has not asked for sound, or brought any, for so long is lost.
+#: A device whose callback was not called for so long is lost.
 SILENT_S: Final = 0.5
 #: But not so soon after it was opened: a PulseAudio sink that slept took 1.1 s to begin.
 SETTLING_S: Final = 3.0
-#: It is tried so often, once it is lost.
+#: Time between two tries to reopen a lost device.
 RETRY_S: Final = 1.0
-#: It is looked at so often.
-LOOK_S: Final = 0.1
+#: Time between two checks for a loss.
+CHECK_S: Final = 0.1
 
 
 class DeviceWatch:
@@ -238,6 +238,7 @@ class DeviceWatch:
     """
 
     def __init__(self, open_stream: Callable[[], OpenStream], clock: Callable[[], float]) -> None:
+        """Store how to open a stream, as the class says; nothing is opened before `open`."""
         self._open_stream = open_stream
         self._clock = clock
         self._opened_s = self._tried_s = self._called_s = clock()
@@ -263,11 +264,11 @@ class DeviceWatch:
 
     def open(self) -> None:
         """Open the device for the first time, in the caller's thread. Raises SoundError."""
-        with opening():
+        with portaudio_lock():
             self._start()
 
     def start(self) -> None:
-        """Start a thread that calls `look`, the check for a loss, every 0.1 s until `close`."""
+        """Start a thread that calls `check`, the check for a loss, every 0.1 s until `close`."""
         self._ending.clear()
         self._thread = threading.Thread(target=self._run, name="sound device", daemon=True)
         self._thread.start()
@@ -284,7 +285,7 @@ class DeviceWatch:
         """Record that the callback was called at monotonic `now_s`. Any thread; never waits."""
         self._called_s = now_s
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Close the stream if its device is lost; try to reopen a lost one, once a second."""
         now_s = self._clock()
         stream = self._stream
@@ -292,15 +293,17 @@ class DeviceWatch:
             self._n_losses += 1
             self._close()
         if self._stream is None and now_s - self._tried_s >= RETRY_S:
-            with opening(), contextlib.suppress(SoundError):  # the next try may do better
-                list_anew()
+            with portaudio_lock(), contextlib.suppress(SoundError):  # the next try may do better
+                restart_portaudio()
                 self._start()
 
     def _has_stopped(self, stream: OpenStream, now_s: float) -> bool:
+        """Return whether the stream ended, or its callback was not called for 0.5 s."""
         is_settled = now_s - self._opened_s > SETTLING_S
         return not stream.active or (is_settled and now_s - self._called_s > SILENT_S)
 
     def _start(self) -> None:
+        """Open the stream, and note when it was tried and opened. Raises SoundError."""
         self._tried_s = self._clock()
         stream = self._open_stream()
         self._opened_s = self._called_s = self._clock()
@@ -312,5 +315,5 @@ class DeviceWatch:
             close_stream(stream)
 
     def _run(self) -> None:
-        while not self._ending.wait(LOOK_S):
-            self.look()
+        while not self._ending.wait(CHECK_S):
+            self.check()

@@ -36,8 +36,8 @@ from lipsync.audio.compressed import (
     MP3,
     begins_as_mp3,
     lacks_its_end,
+    present_share,
     quiet_decoder,
-    share_there,
 )
 from lipsync.audio.source import BLOCK_SAMPLES, BlockCutter, SoundError
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
@@ -75,7 +75,7 @@ def open_sound(path: Path) -> soundfile.SoundFile:
         with quiet_decoder(is_mp3=begins_as_mp3(path)):
             sound = soundfile.SoundFile(os.fsencode(path))  # names need not be UTF-8
         if sound.frames == 0 and sound.format == "WAV":
-            sound = _to_the_end(path, sound)
+            sound = _reopen_unsized(path, sound)
     except soundfile.LibsndfileError as error:
         raise SoundError(
             f"{path}: not a sound file that can be read ({reason_of(error)}); "
@@ -103,8 +103,8 @@ class _SizedFile(io.FileIO):
         """Read bytes into `buffer`; return how many."""
         first = self.tell()
         n_read = super().readinto(buffer) or 0
-        for at in range(max(first, self._size_at), min(first + n_read, self._size_at + 4)):
-            memoryview(buffer).cast("B")[at - first] = 0xFF
+        for position in range(max(first, self._size_at), min(first + n_read, self._size_at + 4)):
+            memoryview(buffer).cast("B")[position - first] = 0xFF
         return n_read
 
     def __del__(self) -> None:
@@ -112,14 +112,14 @@ class _SizedFile(io.FileIO):
         self.close()
 
 
-def _to_the_end(path: Path, sound: soundfile.SoundFile) -> soundfile.SoundFile:
-    """Return an empty WAV file opened anew, to be read to its end, if its header has no size."""
+def _reopen_unsized(path: Path, sound: soundfile.SoundFile) -> soundfile.SoundFile:
+    """Return `sound`, or opened anew, to be read to its end, if its WAV header gives no size."""
     with path.open("rb") as file:
-        at = file.read(_LONGEST_HEADER).find(_NO_SIZE)
-    if at < 0:
+        start = file.read(_LONGEST_HEADER).find(_NO_SIZE)
+    if start < 0:
         return sound
     sound.close()
-    return soundfile.SoundFile(_SizedFile(path, at + 4))
+    return soundfile.SoundFile(_SizedFile(path, start + 4))
 
 
 def promised_s(sound: soundfile.SoundFile) -> float | None:
@@ -128,13 +128,13 @@ def promised_s(sound: soundfile.SoundFile) -> float | None:
     Only WAV and AIFF files are examined whose header gives a length; None for all others, where
     only decoding shows a cut.
     """
-    found = _CUT_SHORT.search(sound.extra_info)
-    if found is None:
+    match = _CUT_SHORT.search(sound.extra_info)
+    if match is None:
         return None
-    promised, there = int(found[1]), int(found[2])
-    if promised >= _UNKNOWN_BYTES or not 0 < there < promised:
+    promised, present = int(match[1]), int(match[2])
+    if promised >= _UNKNOWN_BYTES or not 0 < present < promised:
         return None
-    return float(sound.frames / sound.samplerate * promised / there)
+    return float(sound.frames / sound.samplerate * promised / present)
 
 
 def reason_of(error: soundfile.LibsndfileError) -> str:
@@ -145,7 +145,7 @@ def reason_of(error: soundfile.LibsndfileError) -> str:
 def _refuse_other_than_files(path: Path) -> None:
     """Raise SoundError unless `path` is a readable file with content; open no pipe or device."""
     try:
-        kind = path.stat().st_mode
+        mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError) as error:
         raise SoundError(f"{path}: no such file; check the path") from error
     except OSError as error:
@@ -153,9 +153,9 @@ def _refuse_other_than_files(path: Path) -> None:
         raise SoundError(f"{short}: cannot be read ({error.strerror}); check the path") from error
     except ValueError as error:  # a name with a zero byte
         raise SoundError(f"{str(path)!r}: no file can have this name; check the path") from error
-    if stat.S_ISDIR(kind):
+    if stat.S_ISDIR(mode):
         raise SoundError(f"{path}: is a directory; give the path of a sound file")
-    if not stat.S_ISREG(kind):
+    if not stat.S_ISREG(mode):
         raise SoundError(
             f"{path}: is a pipe or a device, not a file; save the sound to a file first, "
             "or listen with --mic"
@@ -189,11 +189,11 @@ Samples = NDArray[np.float32]
 CHUNK_S = 1.0
 #: So much is decoded before anything moves.
 CHECKED_S = 60.0
-#: Pieces after the first broken one in which more of the same is counted, for the message.
+#: Pieces after the first with NaN or infinity in which such samples are counted, for the message.
 _COUNTED = 60
 #: Formats in which libsndfile 1.2 finds a sample exactly (measured: Vorbis and MP3 are off).
 _SEEKS_EXACTLY = {"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF", "FLAC"}
-#: A resampler that starts in the middle of a file is right after so much; soxr's filter is shorter.
+#: Decoding starts so much early where a resampler needs to settle; soxr's filter is shorter.
 _RUN_IN_S = 0.25
 
 
@@ -221,7 +221,7 @@ class Mix:
         return mono
 
 
-#: Of sounds that need nothing else.
+#: The average of all channels, unscaled.
 _PLAIN_MIX: Final = Mix()
 
 
@@ -235,10 +235,10 @@ def read_sound(path: str | PathLike[str], channel: str = MIX) -> tuple[Samples, 
     checked = checked_sound(path, channel)
     log_once(checked.warning)
     with open_sound(path) as sound:
-        mono = (checked.mix.mono(chunk) for chunk in _numbers(path, sound))
+        mono = (checked.mix.mono(chunk) for chunk in _finite_chunks(path, sound))
         samples = np.concatenate([np.zeros(0, np.float32), *mono])
         sample_rate_hz = int(sound.samplerate)
-        _refuse_nothing(path, len(samples) / sample_rate_hz, bool(np.any(samples)))
+        _refuse_empty(path, len(samples) / sample_rate_hz, bool(np.any(samples)))
     return samples, sample_rate_hz
 
 
@@ -267,22 +267,22 @@ def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
     n_frames, has_sound = 0, False
     levels = _Levels()
     with open_sound(path) as sound:
-        only = channel_index(channel, sound.channels, str(path))
-        for chunk in _numbers(path, sound):
+        index = channel_index(channel, sound.channels, str(path))
+        for chunk in _finite_chunks(path, sound):
             n_frames += len(chunk)
-            levels.add(chunk if only is None else chunk[:, [only]])
+            levels.add(chunk if index is None else chunk[:, [index]])
             has_sound = levels.peak > 0.0
             if n_frames >= CHECKED_S * sound.samplerate:
-                n_frames = round(sound.frames * share_there(path, sound))
-                has_sound = True  # or not yet: a minute of silence before speech is allowed
+                n_frames = round(sound.frames * present_share(path, sound))
+                has_sound = True  # a minute of silence before speech is allowed
                 break
         rate_hz = int(sound.samplerate)
         duration_s = n_frames / float(rate_hz)
-        _refuse_nothing(path, duration_s, has_sound)
-        mix, odd = levels.mix("FLOAT" in sound.subtype or sound.subtype == "DOUBLE")
-        if only is not None:
-            mix = replace(mix, channel=only)
-        remarks = [_cut_short(path, sound, n_frames), odd and f"{path}: {odd}"]
+        _refuse_empty(path, duration_s, has_sound)
+        mix, remark = levels.mix("FLOAT" in sound.subtype or sound.subtype == "DOUBLE")
+        if index is not None:
+            mix = replace(mix, channel=index)
+        remarks = [_cut_warning(path, sound, n_frames), remark and f"{path}: {remark}"]
         warning = "; ".join(filter(None, remarks))
     if duration_s > LONGEST_S:
         raise SoundError(
@@ -343,8 +343,8 @@ def sound_chunks(
     """
     path = Path(path)
     with open_sound(path) as sound:
-        _go_to(path, sound, round(start_s * sound.samplerate))
-        yield from map(mix.mono, _numbers(path, sound))
+        _seek_to(path, sound, round(start_s * sound.samplerate))
+        yield from map(mix.mono, _finite_chunks(path, sound))
 
 
 class FileSource:
@@ -374,14 +374,14 @@ class FileSource:
         checked = checked_sound(self._path, channel)
         log_once(checked.warning)
         self._duration_s, self._mix = checked.duration_s, checked.mix
-        self._n_left = round(self._duration_s * SAMPLE_RATE_HZ)
+        self._n_unread = round(self._duration_s * SAMPLE_RATE_HZ)
         first = math.floor(max(0.0, start_s) * SAMPLE_RATE_HZ + 1e-3)
-        first = min(first // BLOCK_SAMPLES * BLOCK_SAMPLES, self._n_left)
-        self._n_left -= first
+        first = min(first // BLOCK_SAMPLES * BLOCK_SAMPLES, self._n_unread)
+        self._n_unread -= first
         self._cutter = BlockCutter(first)
         self._chunks: Iterator[Samples] | None = self._speech_chunks(first)
         self._n_lost = 0
-        self._trouble = ""
+        self._decode_problem = ""
 
     @property
     def name(self) -> str:
@@ -401,12 +401,12 @@ class FileSource:
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """Return the blocks, not returned before, that end at or before sound time `until_s`."""
         while self._chunks is not None and self._cutter.held_until_s < until_s:
-            if self._n_left == 0:
+            if self._n_unread == 0:
                 self._chunks = None
             else:
-                # Never more than was promised: others count on when the sound ends.
-                chunk = next(self._chunks)[: self._n_left]
-                self._n_left -= len(chunk)
+                # Never more than `duration_s` says: callers rely on when the sound ends.
+                chunk = next(self._chunks)[: self._n_unread]
+                self._n_unread -= len(chunk)
                 self._cutter.push(chunk)
         ended = self._chunks is None
         return self._cutter.take_rest(until_s) if ended else self._cutter.take(until_s)
@@ -416,13 +416,13 @@ class FileSource:
 
     def __exit__(self, *exc: object) -> None:
         self._chunks = None
-        if self._trouble:
-            log_once(f"{self._path}: {self._trouble}")
+        if self._decode_problem:
+            log_once(f"{self._path}: {self._decode_problem}")
 
     def _speech_chunks(self, first: int) -> Iterator[Samples]:
         """Yield pieces (n,) of the file at 16 kHz from sample `first` on, then endless silence."""
         with open_sound(self._path) as sound:
-            yield from _resampled(self._played_chunks(sound, first), sound.samplerate, first)
+            yield from _resample_from(self._played_chunks(sound, first), sound.samplerate, first)
         while True:
             yield np.zeros(SAMPLE_RATE_HZ, np.float32)
 
@@ -434,8 +434,8 @@ class FileSource:
         """
         n_played = _first_frame(sound.samplerate, first)
         try:
-            _go_to(self._path, sound, n_played)
-            for chunk in _chunks(self._path, sound):
+            _seek_to(self._path, sound, n_played)
+            for chunk in _decode_chunks(self._path, sound):
                 broken = ~np.isfinite(chunk)
                 if broken.any():
                     lost = broken.any(axis=1)
@@ -448,11 +448,12 @@ class FileSource:
             self._lose(missing_s, str(error).removeprefix(f"{self._path}: "))
 
     def _lose(self, lost_s: float, trouble: str) -> None:
+        """Add `lost_s` seconds to the lost sound; keep the first `trouble`, for `__exit__`."""
         self._n_lost += round(lost_s * SAMPLE_RATE_HZ)
-        self._trouble = self._trouble or f"{trouble}; played as silence"
+        self._decode_problem = self._decode_problem or f"{trouble}; played as silence"
 
 
-def _resampled(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[Samples]:
+def _resample_from(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[Samples]:
     """Yield `chunks` of a file at `rate_hz` resampled to 16 kHz, from its sample `first` on.
 
     The chunks begin at `_first_frame`; `first` counts samples at 16 kHz.
@@ -463,15 +464,15 @@ def _resampled(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[
     resampler = soxr.ResampleStream(rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32")
     n_early = first - _first_frame(rate_hz, first) * SAMPLE_RATE_HZ // rate_hz
 
-    def later(samples: Samples) -> Samples:
+    def without_early(samples: Samples) -> Samples:
         nonlocal n_early
         n_dropped = min(n_early, len(samples))
         n_early -= n_dropped
         return np.clip(samples[n_dropped:], -1.0, 1.0)
 
     for chunk in chunks:
-        yield later(resampler.resample_chunk(chunk))
-    yield later(resampler.resample_chunk(np.zeros(0, np.float32), last=True))
+        yield without_early(resampler.resample_chunk(chunk))
+    yield without_early(resampler.resample_chunk(np.zeros(0, np.float32), last=True))
 
 
 def _first_frame(rate_hz: int, first: int) -> int:
@@ -487,7 +488,7 @@ def _first_frame(rate_hz: int, first: int) -> int:
     return early // (SAMPLE_RATE_HZ // common) * (rate_hz // common)
 
 
-def _go_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
+def _seek_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
     """Move the position of `sound` so that the next sample decoded is number `frame`."""
     try:
         if sound.format in _SEEKS_EXACTLY and sound.seekable():
@@ -498,36 +499,37 @@ def _go_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
             while frame > 0 and (n_read := len(sound.read(min(frame, n_chunk), dtype="float32"))):
                 frame -= n_read
     except soundfile.LibsndfileError as error:
-        raise _damaged(path, sound, error) from error
+        raise _damage_error(path, sound, error) from error
 
 
-def _chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
-    """Yield the undecoded rest of `sound` in pieces (n, n_channels) of 1 s."""
+def _decode_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
+    """Yield the rest of `sound` in pieces (n, n_channels) of 1 s. Raises SoundError for damage."""
     n_chunk = round(CHUNK_S * sound.samplerate)
     while True:
         try:
             with quiet_decoder(is_mp3=sound.format in MP3):
                 chunk: Samples = sound.read(n_chunk, dtype="float32", always_2d=True)
         except soundfile.LibsndfileError as error:
-            raise _damaged(path, sound, error) from error
+            raise _damage_error(path, sound, error) from error
         if len(chunk) == 0:
             return
         yield chunk
 
 
-def _damaged(
+def _damage_error(
     path: Path, sound: soundfile.SoundFile, error: soundfile.LibsndfileError
 ) -> SoundError:
+    """Return the SoundError for sound that cannot be decoded beyond the present position."""
     reached = f"{sound.tell() / sound.samplerate:.2f} s" if sound.seekable() else "some sound"
     return SoundError(
         f"{path}: damaged after {reached} ({reason_of(error)}); copy or convert it again"
     )
 
 
-def _numbers(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
+def _finite_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
     """Yield the undecoded rest of `sound` (n, n_channels); SoundError for NaN or infinity."""
     n_read = 0
-    chunks = _chunks(path, sound)
+    chunks = _decode_chunks(path, sound)
     for chunk in chunks:
         broken = ~np.isfinite(chunk)
         if broken.any():
@@ -542,14 +544,14 @@ def _numbers(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
         yield chunk
 
 
-def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
+def _cut_warning(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
     """Return a line for the log if a file of `n_frames` frames is cut short, else ""."""
     holds_s = n_frames / sound.samplerate
     if lacks_its_end(path, sound):
         return f"{path}: cut short: its end is missing; the {holds_s:.2f} s that are there are used"
     says_s = promised_s(sound) or sound.frames / sound.samplerate
     # A compressed file's header counts in frames of up to a tenth of a second.
-    is_cut = share_there(path, sound) < _NEARLY_ALL or holds_s + 0.1 < says_s
+    is_cut = present_share(path, sound) < _NEARLY_ALL or holds_s + 0.1 < says_s
     if not (is_cut and holds_s < says_s < LONGEST_S):
         return ""
     return (
@@ -558,7 +560,7 @@ def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
     )
 
 
-def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
+def _refuse_empty(path: Path, duration_s: float, has_sound: bool) -> None:
     """Raise SoundError for sound that is empty, below 25 ms, or zeros alone (no `has_sound`)."""
     if duration_s == 0.0:
         raise SoundError(f"{path}: has no sound (0 samples); record or export it again")

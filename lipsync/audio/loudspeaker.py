@@ -21,7 +21,7 @@ from lipsync.audio.devices import (
     import_sounddevice,
     is_number,
     offset_ms_of,
-    opening,
+    portaudio_lock,
     start_stream,
 )
 from lipsync.audio.source import SoundError
@@ -45,11 +45,12 @@ class SampleRing:
         """Create an empty ring. rate_hz: samples a second, a multiple of 100."""
         self.rate_hz = rate_hz
         self._ring: Samples = np.zeros((round(RING_S * rate_hz), 1), dtype=np.float32)
+        # Each number is changed by one thread only: the writer's or the taker's.
         self._n_written = 0  # the writer's
         self._n_taken = 0  # the taker's
-        self._n_lost = 0  # likewise
-        self._n_underruns = 0  # likewise
-        self._is_starved = True  # likewise: nothing is missing before the first sample
+        self._n_lost = 0  # the taker's
+        self._n_underruns = 0  # the taker's
+        self._is_starved = True  # the taker's: no underrun is counted before the first sample
         # Half a cosine, 1 to 0.
         turn = np.arange(round(FADE_S * rate_hz), dtype=np.float32) / round(FADE_S * rate_hz)
         self._fade: Samples = (0.5 + 0.5 * np.cos(np.pi * turn)).astype(np.float32)[:, None]
@@ -76,9 +77,9 @@ class SampleRing:
 
     def write(self, samples: Samples) -> None:
         """Write the next samples (n,) of the timeline; n is at most the ring's length, 2 s."""
-        here, from_start = self._parts(self._n_written, self._n_written + len(samples))
-        here[:, 0] = samples[: len(here)]
-        from_start[:, 0] = samples[len(here) :]
+        before_wrap, after_wrap = self._ring_views(self._n_written, self._n_written + len(samples))
+        before_wrap[:, 0] = samples[: len(before_wrap)]
+        after_wrap[:, 0] = samples[len(before_wrap) :]
         self._n_written += len(samples)
 
     def take_into(self, frames: Samples) -> int:
@@ -93,9 +94,9 @@ class SampleRing:
             self._n_taken += n_ready - size
             n_ready = size
         n = min(n_ready, len(frames))
-        here, from_start = self._parts(self._n_taken, self._n_taken + n)
-        frames[: len(here)] = here
-        frames[len(here) : n] = from_start
+        before_wrap, after_wrap = self._ring_views(self._n_taken, self._n_taken + n)
+        frames[: len(before_wrap)] = before_wrap
+        frames[len(before_wrap) : n] = after_wrap
         frames[n:] = 0.0
         if n < len(frames) and not self._is_starved:
             self._n_underruns += 1
@@ -107,21 +108,21 @@ class SampleRing:
         """Replace the samples not taken yet by a fade-out and zeros; the writing thread calls it.
 
         n_untouched: number of the next samples that stay, because the device may be reading them.
-        Return the number, on the timeline, of the first silent sample.
+        Return the number, counted on the timeline, of the first silent sample.
         """
         oldest = max(self._n_taken, self._n_written - len(self._ring))
-        cut = min(oldest + n_untouched, self._n_written)
-        n_fade = min(len(self._fade), self._n_written - cut)
-        # Zeros first: were the taker faster than this, it would meet silence.
-        for part in self._parts(cut + n_fade, self._n_written):
-            part[:] = 0.0
+        first_cut = min(oldest + n_untouched, self._n_written)
+        n_fade = min(len(self._fade), self._n_written - first_cut)
+        # Zeros first: a taker that overtakes the fade plays silence.
+        for view in self._ring_views(first_cut + n_fade, self._n_written):
+            view[:] = 0.0
         n_faded = 0
-        for part in self._parts(cut, cut + n_fade):
-            part *= self._fade[n_faded : n_faded + len(part)]
-            n_faded += len(part)
-        return max(cut + n_fade, min(self._n_taken, self._n_written))
+        for view in self._ring_views(first_cut, first_cut + n_fade):
+            view *= self._fade[n_faded : n_faded + len(view)]
+            n_faded += len(view)
+        return max(first_cut + n_fade, min(self._n_taken, self._n_written))
 
-    def _parts(self, first: int, end: int) -> tuple[Samples, Samples]:
+    def _ring_views(self, first: int, end: int) -> tuple[Samples, Samples]:
         """Return samples `first` to `end` as two views: up to the ring's end, from its start."""
         size = len(self._ring)
         n_here = min(end - first, size - first % size)
@@ -186,23 +187,23 @@ class LoudspeakerOutput:
         """Find the device, without opening it. `device` and `offsets_ms` are as in the class.
 
         volume: factor on samples, 0 to 1. clock: returns monotonic seconds. is_watched: False where
-        no thread watches for the loss of the device, and the caller calls `watch.look` from time to
-        time.
+        no thread watches for the loss of the device, and the caller calls `watch.check` now and
+        then.
         """
         self._sounddevice = import_sounddevice()
-        with opening():
+        with portaudio_lock():
             self._device = find_device(device, "output")
             rate_hz, _ = self._rate_and_channels(RATES_HZ)
-        # A number may be another device's after the next plug.
-        self._wanted = self._device.lasting_name if is_number(device) else device
+        # By name: a number may mean another device after one is plugged in.
+        self._wanted_device = self._device.lasting_name if is_number(device) else device
         self._offsets_ms = dict(offsets_ms or {})
         self._volume = np.float32(volume)
         self._clock = clock
         self._is_watched = is_watched
         self._ring = SampleRing(rate_hz)
         self._report: PositionReport | None = None
-        self._ahead_s = 0.0
-        self._dac_s = -np.inf
+        self._largest_ahead_s = 0.0
+        self._last_dac_s = -np.inf
         self._stream: OpenStream
         self._n_device_underruns = 0
         self.watch = DeviceWatch(self._open, clock)
@@ -237,12 +238,12 @@ class LoudspeakerOutput:
         """
         stream = self.watch.stream
         claimed_s = 0.0 if stream is None else stream.latency
-        return max(claimed_s, self._ahead_s) + _BLOCK_S + self.output_offset_ms / 1e3
+        return max(claimed_s, self._largest_ahead_s) + _BLOCK_S + self.output_offset_ms / 1e3
 
     @property
     def claimed_latency_s(self) -> float:
         """The largest latency in s by the device's own time stamps so far, without the offset."""
-        return self._ahead_s
+        return self._largest_ahead_s
 
     @property
     def is_lost(self) -> bool:
@@ -299,7 +300,7 @@ class LoudspeakerOutput:
 
         Called by `watch`, at first and after each loss; waits for the device. Raises SoundError.
         """
-        self._device = find_device(self._wanted, "output")
+        self._device = find_device(self._wanted_device, "output")
         # The timeline is counted in samples: another rate would tear it.
         rate_hz, n_channels = self._rate_and_channels((self.rate_hz,))
         try:
@@ -350,12 +351,12 @@ class LoudspeakerOutput:
         if status.output_underflow:
             self._n_device_underruns += 1
         self.watch.note_call(called_s)
-        ahead_s = self._ahead_of(stream_s, timing.outputBufferDacTime)
+        ahead_s = self._seconds_to_dac(stream_s, timing.outputBufferDacTime)
         leaves_s = called_s + ahead_s + self.output_offset_ms / 1e3
         ends_s = leaves_s + len(frames) / self.rate_hz
         self._report = PositionReport(leaves_s, position_s, ends_s, position_s + taken_s)
 
-    def _ahead_of(self, stream_s: float, dac_s: float) -> float:
+    def _seconds_to_dac(self, stream_s: float, dac_s: float) -> float:
         """Return the seconds from `stream_s`, now, until the frames leave the device at `dac_s`.
 
         Both are of the stream's clock, which is not the monotonic one (with ALSA it is the time of
@@ -363,11 +364,11 @@ class LoudspeakerOutput:
         stream's claimed latency is returned.
         """
         ahead_s = dac_s - stream_s
-        is_usable = dac_s > self._dac_s and 0.0 <= ahead_s < _FARTHEST_S
-        self._dac_s = dac_s
+        is_usable = dac_s > self._last_dac_s and 0.0 <= ahead_s < _FARTHEST_S
+        self._last_dac_s = dac_s
         if not is_usable:
             return self._stream.latency
-        self._ahead_s = max(self._ahead_s, ahead_s)
+        self._largest_ahead_s = max(self._largest_ahead_s, ahead_s)
         return ahead_s
 
 

@@ -18,7 +18,7 @@ from lipsync.audio.devices import (
     find_device,
     import_sounddevice,
     is_number,
-    opening,
+    portaudio_lock,
     start_stream,
 )
 from lipsync.audio.source import BLOCK_SAMPLES, BlockCutter, SoundError
@@ -26,7 +26,7 @@ from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
 
 Samples = NDArray[np.float32]
 
-#: Sound that waited longer than this is not worth showing any more; the oldest is dropped.
+#: Sound that waited longer than this is dropped, the oldest first: too late to be shown.
 QUEUE_S: Final = 2.0
 #: A clock of the sound card that reports a longer gap than this is ignored.
 LONGEST_GAP_S: Final = 10.0
@@ -62,18 +62,18 @@ class MicrophoneSource:
 
         channel: the one that is heard, `left`, `right`, `mix` or a number from 1; SoundError where
         the device has fewer. is_watched: False where no thread watches for the loss of the device,
-        and the caller calls `watch.look` from time to time.
+        and the caller calls `watch.check` from time to time.
         """
         self._sounddevice = import_sounddevice()
-        with opening():
+        with portaudio_lock():
             self._device = find_device(device, "input")
-        # A number may be another device's after the next plug.
-        self._wanted = self._device.lasting_name if is_number(device) else device
+        # By name: a number may mean another device after one is plugged in.
+        self._wanted_device = self._device.lasting_name if is_number(device) else device
         self._channel = channel_index(channel, self._device.n_channels, self.name)
         self._clock = clock
         self._is_watched = is_watched
         self.watch = DeviceWatch(self._open, clock)
-        self._start_afresh()
+        self._reset()
 
     @property
     def name(self) -> str:
@@ -106,25 +106,25 @@ class MicrophoneSource:
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """Return the blocks, not returned before, that end at or before sound time `until_s`.
 
-        Takes in what has arrived, closes captures that a newer one has replaced, and fills with
-        silence while the microphone is lost.
+        Adds the samples that arrived, of each opening of the device (capture) in turn; an older
+        capture ends when a newer one follows. While the microphone is lost, silence is added.
         """
         now_s = self._clock()
         while self._captures:
             capture = self._captures[0]
             while capture.arrived:
-                self._take(capture, capture.arrived.popleft())
+                self._add_arrival(capture, capture.arrived.popleft())
             if len(self._captures) == 1:
                 break
-            self._end(self._captures.popleft())
+            self._add_rest(self._captures.popleft())
         if self.watch.is_lost and self._captures:
-            self._end(self._captures[0])
+            self._add_rest(self._captures[0])
         if self.watch.is_lost or (self.n_losses and self._captures[0].begins_s is None):
-            self._be_silent(now_s)
+            self._fill_silence(now_s)
         return self._cutter.take(until_s)
 
     def __enter__(self) -> "MicrophoneSource":
-        self._start_afresh()
+        self._reset()
         self.watch.open()
         if self._is_watched:
             self.watch.start()
@@ -133,14 +133,14 @@ class MicrophoneSource:
     def __exit__(self, *exc: object) -> None:
         self.watch.close()
 
-    def _start_afresh(self) -> None:
+    def _reset(self) -> None:
         """Reset the source to sound time 0, with no capture, no samples and no lost blocks."""
         # One for each time that the device was opened; all but the newest have ended.
         self._captures: deque[_Capture] = deque()
         self._n_pushed = 0  # samples at 16 kHz that went on to the cutter
         self._lost_blocks = 0
         self._n_away = 0  # samples of silence at 16 kHz, given while the device was away
-        # The clock when the last sound came, or until when there was silence in its place.
+        # Clock time of the last sound that arrived, or the end of the silence put in its place.
         self._until_s = self._clock()
         self._captured: tuple[float, float] | None = None
         self._cutter = BlockCutter()
@@ -150,7 +150,7 @@ class MicrophoneSource:
 
         Called by `watch`, at first and after each loss; waits for the device. Raises SoundError.
         """
-        self._device = find_device(self._wanted, "input")
+        self._device = find_device(self._wanted_device, "input")
         rate_hz, n_channels = self._rate_and_channels()
         make_stream = partial(
             self._sounddevice.InputStream,
@@ -193,37 +193,38 @@ class MicrophoneSource:
             return rate_hz, n_channels
         return own_rate_hz, all_channels
 
-    def _take(self, capture: "_Capture", arrival: "_Arrival") -> None:
+    def _add_arrival(self, capture: "_Capture", arrival: "_Arrival") -> None:
         """Add the samples of one callback, after silence for those lost before them, to the blocks.
 
         capture: the opening of the device that delivered `arrival`.
         """
         if capture.begins_s is None:
             if self.n_losses:  # the device was away
-                self._be_silent(arrival.called_s - len(arrival.samples) / capture.rate_hz)
+                self._fill_silence(arrival.called_s - len(arrival.samples) / capture.rate_hz)
             capture.begin(self._n_pushed / SAMPLE_RATE_HZ)
         n_missing = arrival.first_sample - capture.n_taken
         if n_missing:
             lost = capture.convert(np.zeros(n_missing, dtype=np.float32))
             self._lost_blocks += -(-len(lost) // BLOCK_SAMPLES)
-            self._push(lost)
-        self._push(capture.convert(arrival.samples))
+            self._push_samples(lost)
+        self._push_samples(capture.convert(arrival.samples))
         self._until_s = arrival.called_s
         sound_s = capture.sound_s(arrival.first_sample)
         self._captured = (arrival.captured_s, sound_s)
 
-    def _end(self, capture: "_Capture") -> None:
+    def _add_rest(self, capture: "_Capture") -> None:
         """Add the last samples that the resampler of `capture`, a lost device, has held back."""
-        self._push(capture.rest())
+        self._push_samples(capture.rest())
 
-    def _be_silent(self, until_s: float) -> None:
+    def _fill_silence(self, until_s: float) -> None:
         """Add silence to the blocks for a device that is away, up to the clock time `until_s`."""
         n = max(0, round((until_s - self._until_s) * SAMPLE_RATE_HZ))
         self._until_s += n / SAMPLE_RATE_HZ
         self._n_away += n
-        self._push(np.zeros(n, dtype=np.float32))
+        self._push_samples(np.zeros(n, dtype=np.float32))
 
-    def _push(self, samples: Samples) -> None:
+    def _push_samples(self, samples: Samples) -> None:
+        """Add samples (n,) at 16 kHz to the blocks, NaN as 0, clipped to [-1, 1]."""
         self._n_pushed += len(samples)
         self._cutter.push(np.clip(np.nan_to_num(samples), -1.0, 1.0))
 
@@ -262,13 +263,14 @@ class _Capture:
         self._channel = channel
         self.rate_hz = rate_hz
         self.arrived: deque[_Arrival] = deque(maxlen=round(QUEUE_S / BLOCK_S))
-        #: The reader's: sound time of the first sample, and samples taken so far.
+        #: Changed by the reading thread alone: first sample's sound time, samples taken so far.
         self.begins_s: float | None = None
         self.n_taken = 0
         self._clock = clock
         self._watch = watch
-        self._n_heard = 0  # samples at the device's rate, lost ones among them: the callback's
-        self._next_adc_s: float | None = None  # when the device takes the next sample: likewise
+        # Changed by the callback alone.
+        self._n_heard = 0  # samples at the device's rate, lost ones among them
+        self._next_adc_s: float | None = None  # when the device takes the next sample
         is_same = rate_hz == SAMPLE_RATE_HZ
         self._resampler = (
             None
@@ -277,7 +279,7 @@ class _Capture:
                 rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32", quality=RESAMPLING
             )
         )
-        self.stream = make_stream(callback=self.hear)
+        self.stream = make_stream(callback=self.enqueue)
 
     def begin(self, sound_s: float) -> None:
         """Set the sound time of the device's first sample, when the reading thread comes to it."""
@@ -288,7 +290,7 @@ class _Capture:
         assert self.begins_s is not None
         return self.begins_s + sample / self.rate_hz
 
-    def hear(self, frames: Samples, n_frames: int, timing: "_Timing", status: "_Status") -> None:
+    def enqueue(self, frames: Samples, n_frames: int, timing: "_Timing", status: "_Status") -> None:
         """Queue the frames (n, channels), mixed to mono; PortAudio calls it in its own thread.
 
         timing: when the frames were captured; status: whether samples were lost before them, which
@@ -302,9 +304,9 @@ class _Capture:
         if not (adc_s > 0.0 and 0.0 <= age_s < _OLDEST_S):
             age_s = max(length_s, self.stream.latency)
         if status.input_overflow:
-            self._n_heard += self._n_lost(adc_s, n_frames)
-        only = self._channel
-        samples: Samples = frames.mean(axis=1) if only is None else frames[:, only].copy()
+            self._n_heard += self._count_lost(adc_s, n_frames)
+        channel = self._channel
+        samples: Samples = frames.mean(axis=1) if channel is None else frames[:, channel].copy()
         self.arrived.append(_Arrival(self._n_heard, samples, called_s - age_s, called_s))
         self._n_heard += n_frames
         self._next_adc_s = adc_s + length_s
@@ -326,7 +328,7 @@ class _Capture:
         self._resampler = None
         return rest
 
-    def _n_lost(self, adc_s: float, n_frames: int) -> int:
+    def _count_lost(self, adc_s: float, n_frames: int) -> int:
         """Return how many samples were lost before a buffer of `n_frames` captured at `adc_s`.
 
         Counted from the gap in the device's clock; `n_frames` where it shows no gap or one above 10

@@ -15,14 +15,14 @@ from typing import Protocol
 
 from lipsync.audio.source import AudioSource
 
-#: A late arrival is believed at half the speed of time: the mouth slows down rather than stops.
-#: When the lag goes back, the mouth is as much faster.
+#: `lag_s` changes by at most this much a second: for a late arrival the mouth slows down to half
+#: its speed rather than stops. When the lag goes back, the mouth is as much faster.
 _QUICK = 0.5
-#: An early one slowly, so that a device that delivers in large pieces does not shake the mouth;
-#: still ten times as fast as cheap clocks drift (50 parts in a million).
+#: After an early arrival it falls by so much a second, so that a device that delivers in large
+#: pieces does not shake the mouth; still ten times as fast as cheap clocks drift (50 ppm).
 _FALL = 0.0005
-#: Sound is remembered for one to two of these: more pieces than a device ever takes to be as late
-#: as it usually is.
+#: The largest lateness is taken over one to two of these: longer than a device ever takes to be as
+#: late as it usually is.
 _REMEMBERED_S = 1.0
 #: The latest piece of one second and that of the next differ by less: devices deliver on a timer,
 #: and are asked every 10 to 30 ms.
@@ -35,7 +35,7 @@ class ArrivalLag:
     def __init__(self) -> None:
         self.lag_s = 0.0
         self._observed_s: float | None = None
-        # The latest of this second, which began at `_second_s`, and of the one before.
+        # Largest lateness of the second that began at `_second_s`, and of the one before.
         self._second_s = -math.inf
         self._latest_s = self._latest_before_s = math.inf
 
@@ -47,14 +47,16 @@ class ArrivalLag:
         """
         elapsed_s = 0.0 if self._observed_s is None else max(0.0, now_s - self._observed_s)
         self._observed_s = now_s
-        self._remember(now_s, behind_s)
-        slowly_s = max(behind_s, self.lag_s - _FALL * elapsed_s)
+        self._note_lateness(now_s, behind_s)
+        # The largest lateness, forgotten slowly, but not above the usual one of the last seconds.
+        falling_s = max(behind_s, self.lag_s - _FALL * elapsed_s)
         usual_s = max(self._latest_s, self._latest_before_s) + _JITTER_S
-        wanted_s = min(slowly_s, max(behind_s, usual_s))
-        change_s = wanted_s - self.lag_s
+        target_s = min(falling_s, max(behind_s, usual_s))
+        change_s = target_s - self.lag_s
         self.lag_s += min(max(change_s, -_QUICK * elapsed_s), _QUICK * elapsed_s)
 
-    def _remember(self, now_s: float, behind_s: float) -> None:
+    def _note_lateness(self, now_s: float, behind_s: float) -> None:
+        """Add `behind_s` to the largest lateness of the second to which `now_s` belongs."""
         if now_s < self._second_s + _REMEMBERED_S:
             self._latest_s = max(self._latest_s, behind_s)
             return
@@ -126,7 +128,7 @@ class ArrivalClock:
     def __init__(self) -> None:
         self._zero_s = 0.0
         self._lag = ArrivalLag()
-        # Until when sound had come, and how far the clock was ahead of that.
+        # (sound time up to which sound had arrived, monotonic time then less that sound time).
         self._arrivals: deque[tuple[float, float]] = deque(maxlen=_ARRIVALS)
 
     def begin(self, zero_s: float) -> None:
@@ -165,12 +167,13 @@ class OwnPlaybackClock:
     """
 
     def __init__(self, lead_s: float = 0.0) -> None:
-        #: May be set until `begin`: only who has both ears and lips knows what it has to be.
+        """Create the clock. lead_s: seconds from the recogniser's input to the loudspeaker."""
+        #: May be set until `begin`: it depends on the delays of recogniser and servos.
         self.lead_s = lead_s
         self._zero_s = 0.0
-        # The lag was `_lag_s` at `_since_s`, and goes to `_wanted_s` from there.
-        self._lag_s = self._wanted_s = 0.0
-        self._since_s = self._queried_s = 0.0
+        # The lag was `_lag_s` at `_lag_since_s`, and goes to `_target_lag_s` from there.
+        self._lag_s = self._target_lag_s = 0.0
+        self._lag_since_s = self._queried_s = 0.0
 
     def begin(self, zero_s: float) -> None:
         """Start the sound: the recogniser gets sound time 0 at monotonic `zero_s`.
@@ -178,8 +181,8 @@ class OwnPlaybackClock:
         The loudspeaker plays it `lead_s` later.
         """
         self._zero_s = zero_s
-        self._lag_s = self._wanted_s = 0.0
-        self._since_s = self._queried_s = zero_s
+        self._lag_s = self._target_lag_s = 0.0
+        self._lag_since_s = self._queried_s = zero_s
 
     def played(self, now_s: float, position_s: float) -> None:
         """Record the report that at monotonic `now_s` sound time `position_s` left the loudspeaker.
@@ -188,8 +191,8 @@ class OwnPlaybackClock:
         the last time that was queried, so that no earlier answer changes.
         """
         self._lag_s = self._lag_at(self._queried_s)
-        self._since_s = self._queried_s
-        self._wanted_s = now_s - self._zero_s - (position_s + self.lead_s)
+        self._lag_since_s = self._queried_s
+        self._target_lag_s = now_s - self._zero_s - (position_s + self.lead_s)
 
     def sound_s(self, now_s: float) -> float:
         """Return the sound time up to which the recogniser gets sound at monotonic `now_s`."""
@@ -212,16 +215,16 @@ class OwnPlaybackClock:
 
         The lag changes at a bounded rate and, near the reported value, approaches it exponentially.
         """
-        elapsed_s = max(0.0, now_s - self._since_s)
-        missing_s = self._wanted_s - self._lag_s
+        elapsed_s = max(0.0, now_s - self._lag_since_s)
+        missing_s = self._target_lag_s - self._lag_s
         rate = _MOST_RISE if missing_s > 0.0 else _MOST_FALL
-        # Farther than this from the goal it moves at the full rate.
+        # Farther than `near_s` from the target the lag moves at the full rate, for `full_s`.
         near_s = rate * _FOLLOWING_S
         full_s = max(0.0, abs(missing_s) - near_s) / rate
         if elapsed_s < full_s:
             return self._lag_s + math.copysign(rate * elapsed_s, missing_s)
-        left_s = min(abs(missing_s), near_s) * math.exp(-(elapsed_s - full_s) / _FOLLOWING_S)
-        return self._wanted_s - math.copysign(left_s, missing_s)
+        remaining_s = min(abs(missing_s), near_s) * math.exp(-(elapsed_s - full_s) / _FOLLOWING_S)
+        return self._target_lag_s - math.copysign(remaining_s, missing_s)
 
 
 def clock_for(source: AudioSource) -> PlaybackClock:

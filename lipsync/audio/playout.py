@@ -2,11 +2,11 @@
 
 The live loop requests blocks as sound time passes; a block is *committed* then: the recogniser gets
 it at once, and the loudspeaker plays it later, by the declared delay that recogniser and servos
-need until its face is shown. So the loudspeaker always holds that delay in sound, and lips and
-sound agree. Where a stream has nothing ready, silence is committed, and the stream continues when
-more has come.
+need until its face is shown. So the loudspeaker always holds that much sound, and lips and sound
+agree. Where a stream has nothing ready, silence is committed, and the stream continues when more
+has come.
 
-Other threads only append to `requests` and remove from `events`; all is decided in the loop.
+Other threads only append to `requests` and remove from `events`; the live loop does all else.
 
 A microphone is listened to while the robot is silent (half duplex): while the robot speaks its
 mouth shows its own words, never those of the person it talks to, nor its own echo.
@@ -40,22 +40,22 @@ from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
 
 Samples = NDArray[np.float32]
 
-#: Requests that wait for the next tick; streams beyond it are refused by whoever receives them.
+#: Requests that wait for the next tick; who receives streams refuses more.
 _MOST_REQUESTS: Final = 64
-#: Events that wait to be told; the oldest are dropped beyond it.
+#: Events that wait to be sent; beyond it the oldest are dropped.
 _MOST_EVENTS: Final = 1024
-#: Phonemes that wait to be told; nobody is told those of a minute ago.
+#: Phonemes that wait to be sent; beyond it the oldest are dropped.
 _MOST_PHONEMES: Final = 256
-#: Texts of streams that wait for who looks for them; each tick takes them all.
+#: Groups of words and of units that wait for the recogniser; each tick takes them all.
 _MOST_STARTED: Final = 256
-#: Words that are shown around the one that is said.
+#: Words that are shown before the one that is spoken, and from it on.
 _WORDS_BEFORE, _WORDS_AFTER = 3, 11
-#: Words that were said so long ago are not looked for any more.
+#: Words that began longer ago than this are not searched for in the sound.
 _OVER_S: Final = 1.0
 #: A stream begins, and goes on after it ran dry, when so much of it waits: senders keep the pace of
 #: speech in pieces of 20 to 40 ms, and a resampler holds 20 ms back.
 _WAITING_S: Final = 0.05
-#: A room goes on sounding after a word; so long nobody is listened to.
+#: A room echoes after a word; so long the microphone is not listened to.
 _ECHO_S: Final = 0.3
 _SILENCE: Final = np.zeros(BLOCK_SAMPLES, dtype=np.float32)
 _SILENCE.flags.writeable = False
@@ -126,35 +126,35 @@ class Playout:
         """
         self.loudspeaker = loudspeaker
         self._microphone = microphone
-        self._quiet_from_s = 0.0
+        self._listen_from_s = 0.0
         n_played = BLOCK_SAMPLES if loudspeaker is None else loudspeaker.rate_hz // 100
         self._played_silence: Samples = np.zeros(n_played, dtype=np.float32)
-        #: Any thread appends.
+        #: What is to be done in the next `advance`; any thread appends.
         self.requests: deque[PlayoutRequest] = deque(maxlen=_MOST_REQUESTS)
-        #: Who will request more; until they are gone the playout is not over. For any thread.
+        #: Senders that will request more; the playout is not over while any is in it. Any thread.
         self.announced: set[object] = set()
         #: (monotonic seconds, stream, samples of it that had left the loudspeaker by then), from
         #: who plays a stream elsewhere; any thread appends.
         self.reports: deque[tuple[float, str, int]] = deque(maxlen=_MOST_REQUESTS)
-        #: One other thread takes.
+        #: What has happened; one other thread removes.
         self.events: deque[PlayoutEvent] = deque(maxlen=_MOST_EVENTS)
         self._playing: deque[PlayingStream] = deque()
-        #: (start_s, stream, block, samples of the stream before it), of what is not heard yet.
-        self._on_way: deque[tuple[float, PlayingStream, PlayoutBlock, int]] = deque(
+        #: Blocks not heard yet: (start_s, stream, block, samples of the stream before it).
+        self._not_heard: deque[tuple[float, PlayingStream, PlayoutBlock, int]] = deque(
             maxlen=_MOST_ON_WAY
         )
         self._is_paused = False
-        self._known = KnownPhonemes()
+        self._known_phonemes = KnownPhonemes()
         self._started_words: deque[StartedWords] = deque(maxlen=_MOST_STARTED)
-        self._telling: PlayingStream | None = None
-        self._timed: deque[TimedUnits] = deque(maxlen=_MOST_STARTED)
-        self._timed_last = _NO_UNITS
+        self._words_stream: PlayingStream | None = None
+        self._timed_units: deque[TimedUnits] = deque(maxlen=_MOST_STARTED)
+        self._last_units = _NO_UNITS
         self._n_blocks = 0
         self._n_underruns = 0
         #: (phoneme, start_s, end_s) on the timeline, each when it begins to be heard: as `events`.
         self.phonemes: deque[tuple[str, float, float]] = deque(maxlen=_MOST_PHONEMES)
         self._position_s = 0.0
-        self._quiet_s = 0.0
+        self._mute_until_s = 0.0
         #: Silence that was written before the timeline began.
         self.preroll_s = 0.0
 
@@ -183,7 +183,8 @@ class Playout:
 
     @property
     def _is_listening(self) -> bool:
-        return not self._playing and self._position_s >= self._quiet_from_s
+        """Whether no stream is queued and the echo of the last one is over."""
+        return not self._playing and self._position_s >= self._listen_from_s
 
     @property
     def output_rate_hz(self) -> int:
@@ -241,7 +242,7 @@ class Playout:
         The part of the lead that the loudspeaker does not hold back by itself is filled with
         silence. quiet_s: no speech is played before this position of the timeline, in s.
         """
-        self._quiet_s = quiet_s
+        self._mute_until_s = quiet_s
         if self.loudspeaker is None:
             return
         n_blocks = round((lead_s - self.loudspeaker.latency_s) / BLOCK_S)
@@ -251,7 +252,7 @@ class Playout:
 
     def be_quiet(self, for_s: float) -> None:
         """Play no speech for the next `for_s` seconds, then continue."""
-        self._quiet_s = max(self._quiet_s, self.committed_s + for_s)
+        self._mute_until_s = max(self._mute_until_s, self.committed_s + for_s)
 
     def report(self) -> tuple[float, float] | None:
         """Return the newest report of what is heard: (monotonic seconds, timeline seconds then).
@@ -266,7 +267,7 @@ class Playout:
                 at_s = playing.timeline_s(n_samples)
                 if playing.stream.name == stream and at_s is not None:
                     return now_s, at_s
-        # Two who play would pull the clock to and fro.
+        # One player at a time: reports of two would pull the clock to and fro.
         is_elsewhere = bool(self._playing) and self._playing[0].stream.played_elsewhere
         if self.loudspeaker is None or is_elsewhere:
             return None
@@ -302,13 +303,13 @@ class Playout:
             elif request.kind == "interrupt":
                 is_cut = self._interrupt() or is_cut
             elif request.kind == "clear":
-                self._clear()
+                self._drop_uncommitted()
             elif request.kind == "pause":
                 is_cut = self._pause() or is_cut
             elif request.kind == "resume":
                 self._resume()
-        self._tell()
-        self._known.forget(self.committed_s)
+        self._report_progress()
+        self._known_phonemes.forget(self.committed_s)
         return is_cut
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
@@ -329,7 +330,7 @@ class Playout:
 
     def known_phonemes(self, from_s: float) -> list[KnownStretch]:
         """Return stretches (start_s, end_s, phonemes) of known phonemes that end after `from_s`."""
-        return self._known.after(from_s)
+        return self._known_phonemes.after(from_s)
 
     def take_words(self) -> list[StartedWords]:
         """Remove and return the words committed since the last call, in timeline seconds."""
@@ -339,8 +340,8 @@ class Playout:
 
     def take_timed(self) -> list[TimedUnits]:
         """Remove and return, in order, the units of the sound committed since the last call."""
-        timed = list(self._timed)
-        self._timed.clear()
+        timed = list(self._timed_units)
+        self._timed_units.clear()
         return timed
 
     def timed_words(self) -> tuple[tuple[str, ...], int] | None:
@@ -375,12 +376,12 @@ class Playout:
         while self._n_blocks < n_until:
             start_s = self.committed_s
             self._n_blocks += 1
-            heard, played, spoken = self._next(start_s)
+            heard, played, spoken = self._next_block(start_s)
             if self.loudspeaker is not None:
                 self.loudspeaker.write(played)
             yield AudioBlock(heard, start_s), AudioBlock(spoken, start_s)
 
-    def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
+    def _next_block(self, start_s: float) -> tuple[Samples, Samples, Samples]:
         """Return the next 10 ms, from `start_s` on, as three blocks.
 
         The blocks are for the recogniser, the loudspeaker and the prosody tracker. All are of the
@@ -388,81 +389,82 @@ class Playout:
         known, the loudspeaker's if another program plays the stream. Without a stream the
         loudspeaker's is silent, the other two are the microphone's, or silent.
         """
-        waiting = (each for each in self._playing if not each.stream.is_over)
-        may_speak = start_s >= self._quiet_s and not self._is_paused
-        playing = next(waiting, None) if may_speak else None
+        candidates = (queued for queued in self._playing if not queued.stream.is_over)
+        may_speak = start_s >= self._mute_until_s and not self._is_paused
+        playing = next(candidates, None) if may_speak else None
         block = None if playing is None or not _is_ready(playing) else playing.stream.take()
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:
                 self._note_underrun(playing)
-            self._note_timed(TimedUnits("", start_s))
-            listened = self._listened(start_s)
-            return listened, self._played_silence, listened
+            self._queue_timed_units(TimedUnits("", start_s))
+            from_microphone = self._microphone_block(start_s)
+            return from_microphone, self._played_silence, from_microphone
         stream = playing.stream
-        self._known.sounds(playing, start_s)
+        self._known_phonemes.note_playing(playing, start_s)
         playing.is_starved = False
-        self._on_way.append((start_s, playing, block, playing.n_taken))
-        playing.add(start_s, block.n_samples)
-        self._tell_words(playing, start_s)
+        self._not_heard.append((start_s, playing, block, playing.n_taken))
+        playing.add_block(start_s, block.n_samples)
+        self._queue_words(playing, start_s)
         units = None if stream.phonemes else phonemes_or_visemes(stream)
         began_s = playing.segments[-1].start_s
-        self._note_timed(TimedUnits(stream.name, start_s, units, began_s, playing.shift_s))
-        # A recogniser that hears what is known anyway would only disagree.
+        self._queue_timed_units(TimedUnits(stream.name, start_s, units, began_s, playing.shift_s))
+        # Where phonemes are known, those that a recogniser finds could only be worse.
         heard = _SILENCE if stream.phonemes else block.heard
         played = self._played_silence if stream.played_elsewhere else block.played
         return heard, played, block.heard
 
-    def _tell_words(self, playing: PlayingStream, start_s: float) -> None:
+    def _queue_words(self, playing: PlayingStream, start_s: float) -> None:
         """Queue the words that a stream's sender added since its last block, in timeline seconds.
 
         playing: the stream whose block begins at timeline position `start_s`.
         """
-        is_other = playing is not self._telling
-        if is_other:
-            self._forget_words()
-            self._telling = playing
+        is_new_stream = playing is not self._words_stream
+        if is_new_stream:
+            self._cancel_words()
+            self._words_stream = playing
         started_words = playing.stream.started_words
         while started_words:
-            passed = started_words.popleft()
-            shift_s, behind_s, given = playing.shift_s, 0.0, passed.words
-            began_s = given[0].start_s if passed.kind == "text" and given else None
+            added = started_words.popleft()
+            # A text that began earlier: in place of its start, how far its sound has passed.
+            shift_s, behind_s, given_words = playing.shift_s, 0.0, added.words
+            began_s = given_words[0].start_s if added.kind == "text" and given_words else None
             if began_s is not None and began_s + shift_s < start_s:
                 behind_s = start_s - began_s - shift_s
-                given = (replace(given[0], start_s=None), *given[1:])
+                given_words = (replace(given_words[0], start_s=None), *given_words[1:])
             words = tuple(
-                each if each.start_s is None else replace(each, start_s=each.start_s + shift_s)
-                for each in given
-                if each.start_s is None or each.start_s + shift_s > start_s - _OVER_S
+                word if word.start_s is None else replace(word, start_s=word.start_s + shift_s)
+                for word in given_words
+                if word.start_s is None or word.start_s + shift_s > start_s - _OVER_S
             )
             playing.is_followed = True
-            self._started_words.append(StartedWords(passed.kind, words, passed.is_new, behind_s))
+            self._started_words.append(StartedWords(added.kind, words, added.is_new, behind_s))
 
-    def _note_timed(self, timed: TimedUnits) -> None:
+    def _queue_timed_units(self, timed: TimedUnits) -> None:
         """Queue the units of the sound from `timed.from_s` on, if they differ from the last."""
-        last = self._timed_last
+        last = self._last_units
         if timed.units is not last.units or timed.start_s != last.start_s:
-            self._timed_last = timed
-            self._timed.append(timed)
+            self._last_units = timed
+            self._timed_units.append(timed)
 
-    def _forget_words(self) -> None:
+    def _cancel_words(self) -> None:
         """Queue a message that cancels the words of the last stream that were not spoken yet."""
-        if self._telling is not None and self._telling.is_followed:
+        if self._words_stream is not None and self._words_stream.is_followed:
             self._started_words.append(StartedWords("text", (), is_new=True))
-        self._telling = None
+        self._words_stream = None
 
-    def _listened(self, start_s: float) -> Samples:
+    def _microphone_block(self, start_s: float) -> Samples:
         """Return 10 ms (160,) of the microphone, for the recogniser, from `start_s` on; or silence.
 
         Silence without a microphone, while too little has come, while the robot speaks, and until
         the echo of its speech is over.
         """
         if self._microphone is None or not self._is_listening:
-            # Nobody need hear that it is silent: the mouth closes a tenth of a second sooner.
-            self._known.is_silent(start_s, start_s + BLOCK_S)
+            # Known silence, not recognised: the mouth closes a tenth of a second sooner.
+            self._known_phonemes.add_silence(start_s, start_s + BLOCK_S)
             if self._microphone is not None:
                 self._microphone.discard()
             return _SILENCE
-        self._known.sounds(None, start_s)
+        self._known_phonemes.note_playing(None, start_s)
         samples = self._microphone.take()
         return _SILENCE if samples is None else samples
 
@@ -480,7 +482,7 @@ class Playout:
         """Drop all streams and silence the loudspeaker; return whether any stream was queued."""
         if not self._playing:
             return False
-        cut_s = self._silenced()
+        cut_s = self._silence_loudspeaker()
         self._is_paused = False
         for playing in self._playing:
             playing.stream.drop()
@@ -489,56 +491,58 @@ class Playout:
             event = PlayoutEvent("interrupted", playing.stream.name, cut_s, n_played, n_dropped)
             self.events.append(event)
         self._playing.clear()
-        self._on_way.clear()
-        self._forget_words()
+        self._not_heard.clear()
+        self._cancel_words()
         self._note_silence(cut_s)
         return True
 
     def _pause(self) -> bool:
         """Silence the loudspeaker and hold all streams; return False if there was none to hold.
 
-        A block that has begun to be heard counts as heard: up to 10 ms of it never are.
+        A block that has begun to be heard counts as heard, though up to 10 ms of it are cut off.
         """
         if not self._playing or self._is_paused:
             return False
-        cut_s = self._silenced()
-        while self._on_way and self._on_way[-1][0] >= cut_s:
-            start_s, playing, block, n_before = self._on_way.pop()
+        cut_s = self._silence_loudspeaker()
+        while self._not_heard and self._not_heard[-1][0] >= cut_s:
+            start_s, playing, block, n_before = self._not_heard.pop()
             playing.stream.put_back(block)
-            playing.take_back(start_s, n_before)
+            playing.remove_block(start_s, n_before)
         self._is_paused = bool(self._playing)
-        self._tell_all("paused")
+        self._report_for_all("paused")
         self._note_silence(cut_s)
         return True
 
     def _resume(self) -> None:
+        """Continue after a pause, and append the event `resumed` for every stream."""
         if self._is_paused:
             self._is_paused = False
-            self._tell_all("resumed")
+            self._report_for_all("resumed")
 
-    def _silenced(self) -> float:
-        """Silence the loudspeaker, append events until then, return where silence begins, in s."""
+    def _silence_loudspeaker(self) -> float:
+        """Silence the loudspeaker, append the events due; return where silence begins, in s."""
         if self.loudspeaker is not None:
             silent_s = self.loudspeaker.silence_rest() - self.preroll_s
             self._position_s = max(self._position_s, silent_s)
-        self._tell()
+        self._report_progress()
         return self._position_s
 
     def _note_silence(self, cut_s: float) -> None:
         """Record that no speech is heard after timeline position `cut_s`; its echo lasts 0.3 s."""
-        self._quiet_from_s = cut_s + _ECHO_S
-        self._known.cut(cut_s)
-        self._note_timed(TimedUnits("", cut_s))
+        self._listen_from_s = cut_s + _ECHO_S
+        self._known_phonemes.cut(cut_s)
+        self._queue_timed_units(TimedUnits("", cut_s))
         if cut_s < self.committed_s:
-            self._known.is_silent(cut_s, self.committed_s)
+            self._known_phonemes.add_silence(cut_s, self.committed_s)
 
-    def _tell_all(self, kind: EventKind) -> None:
+    def _report_for_all(self, kind: EventKind) -> None:
+        """Append an event of this kind for every stream that plays or waits."""
         for playing in self._playing:
             name, n_played = playing.stream.name, playing.n_played(self._position_s)
             self.events.append(PlayoutEvent(kind, name, self._position_s, n_played))
 
-    def _clear(self) -> None:
-        """Drop all speech not committed to the loudspeaker yet; committed speech is heard."""
+    def _drop_uncommitted(self) -> None:
+        """Drop all speech that is not committed yet; committed speech is still heard."""
         for playing in self._playing:
             if playing.stream.is_over:
                 continue
@@ -548,10 +552,10 @@ class Playout:
             name = playing.stream.name
             self.events.append(PlayoutEvent("cleared", name, self._position_s, n_played, n_dropped))
 
-    def _tell(self) -> None:
+    def _report_progress(self) -> None:
         """Append events for the starts, marks and ends of streams that the position has passed."""
-        while self._on_way and self._on_way[0][0] < self._position_s:
-            self._on_way.popleft()
+        while self._not_heard and self._not_heard[0][0] < self._position_s:
+            self._not_heard.popleft()
         while self._playing:
             playing, position_s = self._playing[0], self._position_s
             name = playing.stream.name
@@ -571,7 +575,7 @@ class Playout:
             self.events.append(PlayoutEvent("finished", name, position_s, n_played))
             self._playing.popleft()
             self._is_paused = self._is_paused and bool(self._playing)
-            self._quiet_from_s = position_s + _ECHO_S
+            self._listen_from_s = position_s + _ECHO_S
 
 
 def _is_ready(playing: PlayingStream) -> bool:

@@ -1,8 +1,8 @@
 """Streams of speech that the robot is to say, and their positions and phonemes on the timeline.
 
 Samples come at any rate and pace: the sender pushes them, the live loop removes blocks of 10 ms.
-All that costs time, resampling and cutting, is done by the sender in its own thread. The two
-exchange blocks through a deque: no lock, no waiting.
+What costs time, resampling and cutting, is done in the sender's thread. The two threads exchange
+blocks through a deque: no lock, no waiting.
 """
 
 from collections import deque
@@ -21,7 +21,7 @@ from lipsync.spoken_text import MOST_UNITS, PronouncedWord, SpokenText, UnitKind
 
 Samples = NDArray[np.float32]
 
-#: Speech that may wait to be said: five minutes, 72 MB at 48 kHz.
+#: Speech that may wait to be played: five minutes, 72 MB at 48 kHz.
 MOST_WAITING_S: Final = 300.0
 #: soxr's "LQ" holds back 20 ms, "HQ" 40 (24 and 48 kHz); every one of them is a later first sound.
 _RESAMPLING: Final = "LQ"
@@ -33,7 +33,7 @@ class PlayoutFullError(ValueError):
     """Error for pushing more than five minutes of waiting speech; no pushed sample was accepted."""
 
 
-#: Words of one stream that wait to be looked for; who says more tells them later.
+#: Words of one stream that may wait for the recogniser; a sender with more sends them later.
 _MOST_WORDS: Final = 2_000
 
 
@@ -99,17 +99,17 @@ class PlayoutStream:
         self.name = name
         self.sample_rate_hz = sample_rate_hz
         self.phonemes = tuple(phonemes)
-        #: What its sender told by now: of each kind all, and the words that nobody has taken.
+        #: What its sender gave so far: all units of each kind; and words not taken by the playout.
         self.spoken: dict[UnitKind, SpokenText] = {}
         self.started_words: deque[StartedWords] = deque()
         self._words: tuple[PronouncedWord, ...] = ()
         self.played_elsewhere = played_elsewhere
-        self._heard = _Resampled(sample_rate_hz, SAMPLE_RATE_HZ)
-        self._played = _Resampled(sample_rate_hz, output_rate_hz)
+        self._at_16k = _Resampler(sample_rate_hz, SAMPLE_RATE_HZ)
+        self._output = _Resampler(sample_rate_hz, output_rate_hz)
         self._blocks: deque[PlayoutBlock] = deque()
         self._marks: deque[tuple[int, str]] = deque()
         self._n_received = 0
-        # Blocks that were cut since the samples were last filled up, and the samples before them.
+        # Blocks that were cut since the last `fill`, and the stream's samples before these blocks.
         self._n_cut = 0
         self._n_before = 0
         self._is_marked = False
@@ -167,9 +167,9 @@ class PlayoutStream:
             raise PlayoutFullError(f"stream {self.name!r}: {waiting}")
         self._n_received += len(samples)
         self._is_marked = self._is_filled = False
-        self._heard.push(samples)
-        self._played.push(samples)
-        self._cut()
+        self._at_16k.push(samples)
+        self._output.push(samples)
+        self._cut_blocks()
 
     def tell(self, spoken: SpokenText, words: Sequence[PronouncedWord] = ()) -> None:
         """Add units (words, phonemes, ...) of the speech to the earlier units of the same kind.
@@ -181,6 +181,7 @@ class PlayoutStream:
         """
         if self._ended and (self._dropped or not self._blocks):
             return
+        # Start of the last unit given; 0 where it has none.
         newest = max(
             (t for unit in spoken.units[-1:] for t in (unit.start_sample or 0,)), default=0
         )
@@ -189,20 +190,20 @@ class PlayoutStream:
                 f"sample {newest} is more than {MOST_WAITING_S:g} s after the sound sent so far"
             )
         waiting = list(self.started_words)  # at once: the live loop takes them meanwhile
-        if sum(len(each.words) for each in waiting) + len(words) > _MOST_WORDS:
+        if sum(len(group.words) for group in waiting) + len(words) > _MOST_WORDS:
             raise PlayoutTextError(f"{_MOST_WORDS} words wait to be spoken; send more later")
-        before = self.spoken.get(spoken.kind)
-        whole = spoken if before is None else before.revised(spoken)
+        earlier = self.spoken.get(spoken.kind)
+        all_units = spoken if earlier is None else earlier.revised(spoken)
         if words:
-            # Words have times, or are nearer to the sound than a text is.
-            is_better = spoken.kind != "text" and "text" in self.spoken and before is None
+            # Words replace a text: they have times, or are nearer to the sound than a text is.
+            is_better = spoken.kind != "text" and "text" in self.spoken and earlier is None
             is_worse = spoken.kind == "text" and "word" in self.spoken
             if not is_worse:
-                self._note_words(spoken, words, is_better=is_better)
+                self._queue_words(spoken, words, is_better=is_better)
         if spoken.is_timed or not spoken.moves_mouth:
-            self.spoken = {**self.spoken, spoken.kind: whole}
+            self.spoken = {**self.spoken, spoken.kind: all_units}
 
-    def _note_words(
+    def _queue_words(
         self, spoken: SpokenText, words: Sequence[PronouncedWord], *, is_better: bool
     ) -> None:
         """Queue the words of `spoken` in `started_words`, after earlier words or in their place.
@@ -210,14 +211,14 @@ class PlayoutStream:
         All earlier words are replaced if `is_better`, as by words in place of a text; if `spoken`
         corrects earlier units, those from its start on.
         """
-        before = self.spoken.get(spoken.kind)
-        is_correction = before is not None and before.is_corrected_by(spoken)
+        earlier = self.spoken.get(spoken.kind)
+        is_correction = earlier is not None and earlier.is_corrected_by(spoken)
         from_s = (spoken.units[0].start_sample or 0) / self.sample_rate_hz
         if is_better or is_correction:
             self._words = tuple(
-                each
-                for each in self._words
-                if is_correction and from_s and (each.start_s is None or each.start_s < from_s)
+                word
+                for word in self._words
+                if is_correction and from_s and (word.start_s is None or word.start_s < from_s)
             )
             self._words += tuple(words)
             self.started_words.append(StartedWords(spoken.kind, self._words, is_new=True))
@@ -240,14 +241,14 @@ class PlayoutStream:
         """Flush the resamplers and fill the last block up with silence, as the sender pauses."""
         if self._is_filled:
             return
-        both = (self._heard, BLOCK_SAMPLES), (self._played, self._played.rate_hz // 100)
-        for resampled, _ in both:
-            resampled.push(np.zeros(0, dtype=np.float32), last=True)
-        # The two may differ by a sample, which may be the first of a block.
-        n_blocks = max(-(-resampled.n_ready // length) for resampled, length in both)
-        for resampled, length in both:
-            resampled.fill(n_blocks * length)
-        self._cut()
+        both = (self._at_16k, BLOCK_SAMPLES), (self._output, self._output.rate_hz // 100)
+        for resampler, _ in both:
+            resampler.push(np.zeros(0, dtype=np.float32), last=True)
+        # The two rates may differ by a sample, which may begin a block: the longer one decides.
+        n_blocks = max(-(-resampler.n_ready // n_block) for resampler, n_block in both)
+        for resampler, n_block in both:
+            resampler.fill(n_blocks * n_block)
+        self._cut_blocks()
         self._n_before, self._n_cut = self._n_received, 0
         self._is_filled = True
 
@@ -272,20 +273,21 @@ class PlayoutStream:
             reached.append(self._marks.popleft()[1])
         return reached
 
-    def _cut(self) -> None:
+    def _cut_blocks(self) -> None:
         """Cut as many blocks of 10 ms as both resamplers have samples for."""
-        n_played = self._played.rate_hz // 100
-        while self._heard.n_ready >= BLOCK_SAMPLES and self._played.n_ready >= n_played:
+        n_output = self._output.rate_hz // 100
+        while self._at_16k.n_ready >= BLOCK_SAMPLES and self._output.n_ready >= n_output:
             self._n_cut += 1
             n_samples = self._n_before + round(self._n_cut * BLOCK_S * self.sample_rate_hz)
-            heard, played = self._heard.take(BLOCK_SAMPLES), self._played.take(n_played)
+            heard, played = self._at_16k.take(BLOCK_SAMPLES), self._output.take(n_output)
             self._blocks.append(PlayoutBlock(heard, played, min(self._n_received, n_samples)))
 
 
-class _Resampled:
+class _Resampler:
     """A resampler: samples are pushed at one rate and removed at another."""
 
     def __init__(self, from_hz: int, to_hz: int) -> None:
+        """Create a resampler between two rates in Hz; equal rates pass samples unchanged."""
         self.rate_hz = to_hz
         self._resampler = (
             None
@@ -296,9 +298,11 @@ class _Resampled:
 
     @property
     def n_ready(self) -> int:
+        """The number of samples at the new rate that can be taken."""
         return len(self._ready)
 
     def push(self, samples: Samples, *, last: bool = False) -> None:
+        """Resample and append samples (n,); `last`: also those that the resampler holds back."""
         if self._resampler is not None:
             samples = self._resampler.resample_chunk(samples, last=last)
             if last:
@@ -311,6 +315,7 @@ class _Resampled:
         self._ready = np.concatenate((self._ready, silence))
 
     def take(self, n_samples: int) -> Samples:
+        """Remove and return the first `n_samples` that are ready."""
         taken, self._ready = self._ready[:n_samples], self._ready[n_samples:]
         return taken
 
@@ -321,8 +326,8 @@ EventKind = Literal[
 ]  # fmt: skip
 
 
-#: Why the mouth is moved by what it is: its sender told it; told nothing better of this sound; or
-#: told what is not heard.
+#: Why the mouth is moved by what moves it: the sender gave it (told), gave nothing better for this
+#: sound (not_told), or gave what is not in the sound (not_said).
 MoverReason = Literal["told", "not_told", "not_said"]
 
 
@@ -361,11 +366,10 @@ class PlayoutRequest:
     after: PlayoutStream | None = None
 
 
-#: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
-#: does not reach farther back.
+#: Known phonemes are remembered so long after their end: a recogniser does not reach farther back.
 _REMEMBERED_S: Final = 5.0
 
-#: Goes on from the beginning of time: each stretch cuts its own part out of it.
+#: Endless silence: it counts within its stretch only.
 _SILENCE: Final = (PhonemeEvent(SILENCE, 0.0, None),)
 
 #: (start_s, end_s, events) on the timeline; an event may reach beyond the end, where it is cut off.
@@ -400,7 +404,7 @@ class PlayingStream:
     is_starved: bool = False
     is_followed: bool = False
 
-    def add(self, start_s: float, n_samples: int) -> None:
+    def add_block(self, start_s: float, n_samples: int) -> None:
         """Record that the block of 10 ms at timeline position `start_s` plays the stream's samples.
 
         n_samples: samples of the stream up to and including this block.
@@ -412,7 +416,7 @@ class PlayingStream:
             self.segments.append(Segment(start_s, start_s + BLOCK_S, self.n_taken, n_samples))
         self.n_taken = n_samples
 
-    def take_back(self, start_s: float, n_before: int) -> None:
+    def remove_block(self, start_s: float, n_before: int) -> None:
         """Remove the last block, added at `start_s`; `n_before`: the stream's samples before."""
         last = self.segments[-1]
         last.end_s, last.n_end = start_s, n_before
@@ -422,8 +426,8 @@ class PlayingStream:
 
     def _is_filled_up(self, segment: Segment) -> bool:
         """Return whether a segment ends with filled-in silence, where the sender paused."""
-        n_long = (segment.end_s - segment.start_s) * self.stream.sample_rate_hz
-        return segment.n_end - segment.n_before < n_long - 1.5
+        n_duration = (segment.end_s - segment.start_s) * self.stream.sample_rate_hz
+        return segment.n_end - segment.n_before < n_duration - 1.5
 
     def n_played(self, position_s: float) -> int:
         """Return how many samples of the stream are heard by a timeline position in s."""
@@ -456,23 +460,24 @@ class PlayingStream:
         return last.start_s - last.n_before / self.stream.sample_rate_hz
 
     def known_from(self, start_s: float) -> KnownStretch:
-        """Return the stream's own phonemes from `start_s` on, without another gap after it.
+        """Return (start_s, end_s, events): the stream's own phonemes not over at `start_s`.
 
-        In timeline seconds: (start_s, end_s, events).
+        In timeline seconds, as if the stream plays without a gap from there on; end_s is inf where
+        the last phoneme has no end.
         """
         shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
-        moved = [event.later(shift_s) for event in self.stream.phonemes]
-        ahead = tuple(e for e in moved if e.end_s is None or e.end_s > start_s)
+        events = [event.later(shift_s) for event in self.stream.phonemes]
+        ahead = tuple(each for each in events if each.end_s is None or each.end_s > start_s)
         last = ahead[-1].end_s if ahead else start_s
         return start_s, float("inf") if last is None else last, ahead
 
 
 @dataclass(frozen=True, slots=True)
 class TimedUnits:
-    """Units with times, as the sender of what sounds from `from_s` on sent them; None: none.
+    """The units with times that a stream's sender gave for the sound from `from_s` on; None: none.
 
     All times are timeline seconds. start_s: where the stream's sound began, or went on after a gap;
-    shift_s: that of its sample 0, if it played without gaps.
+    shift_s: where its sample 0 would be if it had played without gaps.
     """
 
     stream: str
@@ -502,13 +507,13 @@ def add_playing(
     if after is not None and after.is_dropped:
         stream.drop()
         return
-    place = len(playing)
+    index = len(playing)
     if after is not None:
-        # Where that was heard to its end already: behind what is being said now.
-        place = 1 if playing and playing[0].segments else 0
-        for number, each in enumerate(playing, 1):
-            place = number if each.stream is after else place
-    playing.insert(place, PlayingStream(stream))
+        # If `after` is not queued any more, behind the stream that plays now.
+        index = 1 if playing and playing[0].segments else 0
+        for number, queued in enumerate(playing, 1):
+            index = number if queued.stream is after else index
+    playing.insert(index, PlayingStream(stream))
 
 
 class KnownPhonemes:
@@ -516,29 +521,29 @@ class KnownPhonemes:
 
     def __init__(self) -> None:
         self._stretches: deque[KnownStretch] = deque()
-        self._going_on: PlayingStream | None = None
+        self._sounding: PlayingStream | None = None
 
-    def is_silent(self, start_s: float, end_s: float) -> None:
+    def add_silence(self, start_s: float, end_s: float) -> None:
         """Add a known stretch of silence from `start_s` to `end_s`: no stream plays there."""
-        self.sounds(None, start_s)
+        self.note_playing(None, start_s)
         last = self._stretches[-1] if self._stretches else None
         if last is not None and last[2] == _SILENCE and abs(last[1] - start_s) < 1e-6:
             self._stretches[-1] = (last[0], end_s, _SILENCE)
         else:
             self._stretches.append((start_s, end_s, _SILENCE))
 
-    def sounds(self, playing: PlayingStream | None, start_s: float) -> None:
+    def note_playing(self, playing: PlayingStream | None, start_s: float) -> None:
         """Add the known phonemes of the stream that plays from `start_s` on; called for each block.
 
         playing: None where no stream plays; then the phonemes of the last stream end there.
         """
-        if playing is self._going_on:
+        if playing is self._sounding:
             return
-        if self._going_on is not None:
+        if self._sounding is not None:
             self.cut(start_s)
         if playing is not None and playing.stream.phonemes:
             self._stretches.append(playing.known_from(start_s))
-            self._going_on = playing
+            self._sounding = playing
 
     def cut(self, cut_s: float) -> None:
         """Remove everything after timeline position `cut_s`, because it will not be played."""
@@ -547,7 +552,7 @@ class KnownPhonemes:
             for start_s, end_s, events in self._stretches
             if start_s < cut_s
         )
-        self._going_on = None
+        self._sounding = None
 
     def after(self, from_s: float) -> list[KnownStretch]:
         """Return the stretches (start_s, end_s, events) that end after `from_s`, in order."""

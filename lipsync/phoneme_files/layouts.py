@@ -1,7 +1,7 @@
-"""Formats of label files: each a row of a table, known by its text, and a function of that alone.
+"""Formats of label files, recognised by the text alone; docs/text.md lists them.
 
-A layout gives tiers: labels with their times as written, before anything is joined or spelled.
-docs/text.md lists the formats.
+Every format gives tiers: labels with their times as written, before neighbours are joined and
+labels become phonemes.
 """
 
 import json
@@ -19,9 +19,9 @@ from lipsync.textgrid import LabelError, intervals_by_tier, is_textgrid
 
 @dataclass(frozen=True, slots=True)
 class Tier:
-    """Labels of one kind with their times; kind "": of phonemes, unless the user says of words.
+    """Labels of one kind with their times; kind "": phonemes, unless the user says it is words.
 
-    alphabet: "" where the file does not say which. untimed: words without a time.
+    alphabet: "" where the file does not name it. untimed: words without a time.
     """
 
     name: str
@@ -33,10 +33,10 @@ class Tier:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A format with one label a line. row: an expression that each line matches.
+    """A format with one label a line. row: a regular expression that each line matches.
 
-    Its groups: start; end, or lasts (neither: up to the next start); label; tier; speaker. unit_s:
-    seconds per unit of its times.
+    Groups of `row`: start; end, or lasts (the duration; with neither, up to the next start); label;
+    tier; speaker. unit_s: seconds per unit of the file's times.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Layout:
 
 
 _TIME: Final = r"-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-#: The first that all lines match counts: whole numbers may be HTK's, and Audacity's as well.
+#: In order of preference: whole numbers match HTK's row, and Audacity's as well.
 LAYOUTS: Final = (
     Layout(
         "Montreal aligner's CSV",
@@ -62,7 +62,7 @@ LAYOUTS: Final = (
     Layout("Rhubarb's TSV", rf"(?P<start>{_TIME})\s+(?P<label>[A-HX])", "viseme", "rhubarb"),
     Layout("Audacity's label track", rf"(?P<start>{_TIME})\s+(?P<end>{_TIME})(?P<label>(?:\s.*)?)"),
 )
-#: Headers and comments of those, and Audacity's frequencies of the label before.
+#: Lines without a label: headers, comments, and Audacity's frequencies of the label before.
 _NO_ROW: Final = re.compile(r"begin,end,label.*|;;.*|\\.*|", re.IGNORECASE)
 _NAMES: Final[Mapping[Kind, str]] = {"phoneme": "phones", "viseme": "visemes", "word": "words"}
 #: The last word of a tier's name, as in `speaker 1 - phones`.
@@ -83,17 +83,18 @@ def tiers_in(text: str, alphabet: str = "") -> tuple[Tier, ...]:
         return tuple(Tier(n, kind_of(n), tuple(map(TimedUnit._make, t))) for n, t in tiers.items())
     numbered = enumerate(map(str.strip, text.splitlines()), start=1)
     lines = [(n, line) for n, line in numbered if not _NO_ROW.fullmatch(line)]
-    begun = [each for each in LAYOUTS if lines and re.fullmatch(each.row, lines[0][1])]
-    for layout in begun:
+    # Formats that the first line matches; the first of them that all lines match is taken.
+    candidates = [each for each in LAYOUTS if lines and re.fullmatch(each.row, lines[0][1])]
+    for layout in candidates:
         rows = [(n, re.fullmatch(layout.row, line)) for n, line in lines]
         if all(row for _, row in rows):
-            return _of_rows(layout, [(n, row.groupdict("")) for n, row in rows if row])
-    for layout in begun:
+            return _tiers_of_rows(layout, [(n, row.groupdict("")) for n, row in rows if row])
+    for layout in candidates:
         number, line = next(e for e in lines if not re.fullmatch(layout.row, e[1]))
         raise LabelError(
             f"line {number}: {shown(line)} lacks columns of the lines before; correct it"
         )
-    return _of_json(_documents(text), alphabet)
+    return _tiers_of_json(_parsed_json(text), alphabet)
 
 
 def kind_of(name: str) -> Kind | Literal[""]:
@@ -101,21 +102,21 @@ def kind_of(name: str) -> Kind | Literal[""]:
     return _KINDS.get((re.findall(r"\w+", name.lower()) or [""])[-1], "")
 
 
-def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Tier, ...]:
+def _tiers_of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Tier, ...]:
     """Return the tiers in the rows of a file, each (line number, the row's groups by name).
 
     Raises LabelError, with the line, for a time that is negative or an end before its start.
     """
-    several = len({row.get("speaker") for _, row in rows}) > 1
+    has_speakers = len({row.get("speaker") for _, row in rows}) > 1
     tiers: dict[str, list[TimedUnit]] = {}
-    for (number, row), (_, after) in pairwise([*rows, (0, {})]):
+    for (number, row), (_, next_row) in pairwise([*rows, (0, {})]):
         start_s = layout.unit_s * float(row["start"])
         lasts = row.get("lasts")
-        end = row.get("end") or after.get("start")
+        end = row.get("end") or next_row.get("start")
         end_s = start_s + float(lasts) if lasts else layout.unit_s * float(end) if end else None
         if start_s < 0 or (end_s or start_s) < start_s:
             raise LabelError(f"line {number}: {start_s:g} to {end_s or 0:g} s cannot be; fix it")
-        name = f"{row['speaker']} - {row['tier']}" if several else row.get("tier", layout.name)
+        name = f"{row['speaker']} - {row['tier']}" if has_speakers else row.get("tier", layout.name)
         unit = TimedUnit(row["label"].strip(' \t"'), start_s, end_s)
         tiers.setdefault(name, []).append(unit)
     return tuple(
@@ -124,7 +125,7 @@ def _of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tuple[Ti
     )
 
 
-def _of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
+def _tiers_of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
     """Return the tiers in a parsed JSON document of a speech service.
 
     alphabet: of phonemes where the document names none. Raises LabelError or VendorError for a
@@ -135,14 +136,17 @@ def _of_json(document: object, alphabet: str) -> tuple[Tier, ...]:
             "the file has weights of face shapes (as Audio2Face exports them), not labels; give "
             "the sound itself, or labels of it"
         )
-    found = vendor_units(document, alphabet=alphabet)
-    if not found:
+    labels = vendor_units(document, alphabet=alphabet)
+    if not labels:
         raise LabelError(f"the file has no times of words, phonemes or visemes; {_KNOWN}")
-    return tuple(Tier(_NAMES[u.kind], u.kind, u.units, u.alphabet or "", u.untimed) for u in found)
+    return tuple(Tier(_NAMES[u.kind], u.kind, u.units, u.alphabet or "", u.untimed) for u in labels)
 
 
-def _documents(text: str) -> object:
-    """Return the parsed JSON document, or for JSON Lines a dict of parsed lines by `line N`."""
+def _parsed_json(text: str) -> object:
+    """Return the parsed JSON document, or for JSON Lines a dict of parsed lines by `line N`.
+
+    Raises LabelError for an empty text, and for a line that is no JSON.
+    """
     if not text.strip():
         raise LabelError(f"the file is empty; {_KNOWN}")
     lines: dict[str, object] = {}

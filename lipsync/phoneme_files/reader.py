@@ -1,7 +1,7 @@
 """The reader of label files of any program, for every command: phonemes or words with times.
 
-Nothing is guessed: what leaves tier or alphabet in doubt is refused, and the message names the
-option that decides. layouts.py has the formats.
+Nothing is guessed: a file that leaves tier or alphabet in doubt is refused, and the message names
+the option that decides. layouts.py has the formats.
 """
 
 import logging
@@ -21,17 +21,17 @@ from lipsync.errors import shown
 from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.phoneme_files.layouts import Tier, kind_of, tiers_in
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.textgrid import LabelError, decoded, text_of
+from lipsync.textgrid import LabelError, decode_labels, read_text
 
 _LOG: Final = logging.getLogger(__name__)
 
 _SOUND_ENDINGS: Final = (".wav", ".flac", ".ogg", ".opus", ".mp3")
-#: A file that tells starts alone does not say how long its last phoneme is.
+#: Duration of the last phoneme in a file that has only starts.
 _LAST_PHONEME_S: Final = 0.1
-#: Edges nearer than this are one: files round their times, and a mouth moves slower.
+#: A gap or an overlap shorter than this is closed: files round their times.
 _EDGE_S: Final = 0.001
-#: Labels may end so much after their sound: aligners work in frames, and pad. Without labels at its
-#: end that share of a sound is told of, if it is more than 0.3 s.
+#: Labels may end so much after their sound, as aligners work in frames, and pad. A note is made
+#: where so large a share of the sound, and more than 0.3 s, has no labels at its end.
 _AFTER_SOUND_S, _UNLABELLED = 0.25, 0.25
 
 
@@ -84,9 +84,9 @@ def labels_in(content: bytes | None, file: LabelFile, sound_s: float | None = No
     sound in s, with which the labels' times are compared; None: not known.
     """
     try:
-        text = text_of(file.path) if content is None else decoded(content)
+        text = read_text(file.path) if content is None else decode_labels(content)
         tiers = tiers_in(text, file.alphabet)
-        tier = _chosen(tiers, file.tier)
+        tier = _choose_tier(tiers, file.tier)
         untimed = [shown(word) for each in tiers for word in each.untimed]
         notes = [f"word {word} has no time; it is passed over" for word in untimed]
         if tier.kind == "word":
@@ -99,7 +99,7 @@ def labels_in(content: bytes | None, file: LabelFile, sound_s: float | None = No
             raise LabelError("all labels are silence, or times are not in seconds; correct it")
         if sound_s is not None:
             labelled_s = max(*spoken_s, *(unit.end_s or 0.0 for unit in tier.units))
-            notes += _checked_times(max(spoken_s), labelled_s, sound_s)
+            notes += _check_times(max(spoken_s), labelled_s, sound_s)
     except (LabelError, VendorError) as error:
         raise LabelError(f"{str(file.path)[:200]}: {error}") from None
     return replace(labels, notes=(*notes, *labels.notes))
@@ -119,84 +119,89 @@ def sound_beside(path: Path) -> Path:
     )
 
 
-def _chosen(tiers: Sequence[Tier], wanted: str) -> Tier:
-    """Return the tier called `wanted`; "": that of the phonemes, else of visemes, else of words."""
-    names = ", ".join(each.name for each in tiers)[:200] or "none"
-    by_name = {each.name: each for each in tiers if not wanted or each.name == wanted}
+def _choose_tier(tiers: Sequence[Tier], wanted: str) -> Tier:
+    """Return the tier called `wanted`; "": that of the phonemes, else of visemes, else of words.
+
+    A single tier of unknown kind is of words or phonemes if `wanted` says `words` or `phones`.
+    Raises LabelError where no tier or several remain.
+    """
+    names = ", ".join(tier.name for tier in tiers)[:200] or "none"
+    by_name = {tier.name: tier for tier in tiers if not wanted or tier.name == wanted}
     if len(tiers) == 1 and not tiers[0].kind and wanted in ("words", "phones"):
         return replace(tiers[0], kind="word" if wanted == "words" else "phoneme")
     for kind in ("phoneme", "viseme", "", "word"):
-        found = [each for each in by_name.values() if each.kind == kind and each.units]
-        if len(found) == 1 and (kind or wanted or len(tiers) == 1):
-            return found[0]
-        if found:
+        of_kind = [tier for tier in by_name.values() if tier.kind == kind and tier.units]
+        if len(of_kind) == 1 and (kind or wanted or len(tiers) == 1):
+            return of_kind[0]
+        if of_kind:
             break
     raise LabelError(f"the file has several tiers: {names}; choose one with --tier NAME")
 
 
-def _phones(tier: Tier, given: str) -> Labels:
+def _phones(tier: Tier, named_alphabet: str) -> Labels:
     """Return a tier's phonemes or visemes as events; phones of one unit share its time evenly.
 
-    given: the alphabet that the user names, or "". Raises LabelError for an overlap and for a label
-    that is not in the alphabet.
+    named_alphabet: the one that the user names, or "". Raises LabelError for an overlap and for a
+    label that is not in the alphabet.
     """
-    units, n_without = _joined(tier)
-    alphabet = given or tier.alphabet or alphabet_of(tier.units)
+    units, n_no_length = _join_edges(tier)
+    alphabet = named_alphabet or tier.alphabet or alphabet_of(tier.units)
     events: list[PhonemeEvent] = []
     for unit in units:
         end_s = unit.start_s + _LAST_PHONEME_S if unit.end_s is None else unit.end_s
         try:
             phones = phones_of(unit.label, alphabet, guesses=False)
         except AlphabetError as error:
-            raise LabelError(f"{_place(tier, unit)}: {error}") from None
-        _append(events, SILENCE, events[-1].end_s or 0.0 if events else 0.0, unit.start_s)
-        # A mark of length or a space has no phones: what was said before it goes on.
-        spoken = phones or (events[-1].phoneme if events else SILENCE,)
-        share_s = (end_s - unit.start_s) / len(spoken)
-        bounds_s = [unit.start_s + n * share_s for n in range(len(spoken))] + [end_s]
-        for phone, (start_s, stop_s) in zip(spoken, pairwise(bounds_s), strict=True):
-            _append(events, phone, start_s, stop_s, goes_on=not phones)
+            raise LabelError(f"{_where(tier, unit)}: {error}") from None
+        _append_phone(events, SILENCE, events[-1].end_s or 0.0 if events else 0.0, unit.start_s)
+        # A mark of length or a space has no phones: the phoneme before it continues.
+        phones_in_turn = phones or (events[-1].phoneme if events else SILENCE,)
+        share_s = (end_s - unit.start_s) / len(phones_in_turn)
+        bounds_s = [unit.start_s + n * share_s for n in range(len(phones_in_turn))] + [end_s]
+        for phone, (start_s, stop_s) in zip(phones_in_turn, pairwise(bounds_s), strict=True):
+            _append_phone(events, phone, start_s, stop_s, extends=not phones)
     if units and units[-1].end_s is None and events and events[-1].phoneme == SILENCE:
         del events[-1]
     n_unspelt = sum(each.label.lower() in UNSPELT for each in units)
     counts = {
-        "labels without length, left out": n_without,
+        "labels without length, left out": n_no_length,
         "stretches not spelt by the aligner, where the mouth rests": n_unspelt,
     }
     return Labels(tuple(events), (), tuple(f"{what}: {n}" for what, n in counts.items() if n))
 
 
-def _joined(tier: Tier) -> tuple[list[TimedUnit], int]:
+def _join_edges(tier: Tier) -> tuple[list[TimedUnit], int]:
     """Return a tier's units, edges within 1 ms joined, and the number of labels without length.
 
     A unit without an end ends where the next one begins. Raises LabelError for an overlap.
     """
     joined: list[TimedUnit] = []
-    n_without = 0
-    for unit, after in zip(tier.units, (*tier.units[1:], None), strict=True):
-        if unit.end_s is None and after is not None:
-            unit = unit._replace(end_s=after.start_s)
+    n_no_length = 0
+    for unit, next_unit in zip(tier.units, (*tier.units[1:], None), strict=True):
+        if unit.end_s is None and next_unit is not None:
+            unit = unit._replace(end_s=next_unit.start_s)
         if unit.end_s is not None and unit.end_s - unit.start_s < _EDGE_S:
-            n_without += bool(unit.label)
+            n_no_length += bool(unit.label)
             continue
         reached_s = (joined[-1].end_s or 0.0) if joined else 0.0
         if joined and unit.start_s < reached_s - _EDGE_S:
             raise LabelError(
-                f"{_place(tier, joined[-1])}: {shown(joined[-1].label)} ends at {reached_s:.3f} s, "
+                f"{_where(tier, joined[-1])}: {shown(joined[-1].label)} ends at {reached_s:.3f} s, "
                 f"but {shown(unit.label)} begins at {unit.start_s:.3f} s; remove the overlap"
             )
         if abs(unit.start_s - reached_s) < _EDGE_S:
             unit = unit._replace(start_s=reached_s)
         joined.append(unit)
-    return joined, n_without
+    return joined, n_no_length
 
 
-def _place(tier: Tier, unit: TimedUnit) -> str:
+def _where(tier: Tier, unit: TimedUnit) -> str:
+    """Return for a message where a unit is: tier, number of the label, time."""
     number = next(n for n, each in enumerate(tier.units, 1) if each.start_s >= unit.start_s)
     return f"tier {shown(tier.name)}, {tier.kind or 'label'} {number} at {unit.start_s:.3f} s"
 
 
-def _checked_times(spoken_s: float, reached_s: float, sound_s: float) -> list[str]:
+def _check_times(spoken_s: float, reached_s: float, sound_s: float) -> list[str]:
     """Return a note if labels end long before the sound, else []; times in s.
 
     spoken_s: end of the last label that is not silence (start of the last word); reached_s: end of
@@ -214,16 +219,16 @@ def _checked_times(spoken_s: float, reached_s: float, sound_s: float) -> list[st
     return [note] if sound_s - reached_s > max(0.3, _UNLABELLED * sound_s) else []
 
 
-def _append(
-    events: list[PhonemeEvent], phone: str, start_s: float, end_s: float, *, goes_on: bool = False
+def _append_phone(
+    events: list[PhonemeEvent], phone: str, start_s: float, end_s: float, *, extends: bool = False
 ) -> None:
     """Append `phone` from `start_s` to `end_s` to the events, unless it has no length.
 
-    Silence, or any phone if `goes_on`, extends a last event of the same phone instead.
+    Silence, or any phone if `extends`, extends a last event of the same phone instead.
     """
     if end_s <= start_s:
         return
-    if events and events[-1].phoneme == phone and (goes_on or phone == SILENCE):
+    if events and events[-1].phoneme == phone and (extends or phone == SILENCE):
         events[-1] = replace(events[-1], end_s=end_s)
     else:
         events.append(PhonemeEvent(phone, start_s, end_s))

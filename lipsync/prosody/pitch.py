@@ -27,11 +27,12 @@ BLOCK_SAMPLES = round(BLOCK_S * SAMPLE_RATE_HZ)
 #: The level of digital silence; keeps logarithms finite.
 SILENCE_DB = -120.0
 _LEAST_POWER = 10.0 ** (SILENCE_DB / 10.0)
-#: Of HF500 (Bone, Lee and Narayanan, IEEE Trans. Affective Computing 5(2), 2014).
+#: Limits of the two bands of HF500 (Bone, Lee and Narayanan, IEEE Trans. Affective Computing 5(2),
+#: 2014).
 _LOWEST_HZ, _SPLIT_HZ, _HIGHEST_HZ = 80.0, 500.0, 4000.0
 #: Bins of a window of 25 ms are 40 Hz apart.
 _BIN_HZ = SAMPLE_RATE_HZ / WINDOW_SAMPLES
-#: Cosine and sine of each bin.
+#: Rows of the matrix below 500 Hz, and in all: cosine and sine of each bin.
 _N_LOW = 2 * (math.floor(_SPLIT_HZ / _BIN_HZ) - math.ceil(_LOWEST_HZ / _BIN_HZ) + 1)
 _N_BANDS = 2 * (math.floor(_HIGHEST_HZ / _BIN_HZ) - math.ceil(_LOWEST_HZ / _BIN_HZ) + 1)
 LOW_RATE_HZ = 4000
@@ -78,6 +79,7 @@ def analyse_window(samples: Array32) -> SoundWindow:
 
 
 def _db(power: float) -> float:
+    """Return a mean square in dB re full scale, at least -120."""
     return 10.0 * math.log10(power) if power > _LEAST_POWER else SILENCE_DB
 
 
@@ -133,7 +135,7 @@ class PitchTracker:
 
     def __init__(self) -> None:
         self._window = np.zeros(_WINDOW)
-        self._last: deque[float] = deque([math.nan] * _MEDIAN_OF, maxlen=_MEDIAN_OF)
+        self._last_pitches_hz: deque[float] = deque([math.nan] * _MEDIAN_OF, maxlen=_MEDIAN_OF)
 
     def push(self, samples: Array32) -> float:
         """Add 10 ms of sound; return the pitch, the median of the last five windows' pitches.
@@ -150,8 +152,9 @@ class PitchTracker:
         """
         self._window[:-_NEW] = self._window[_NEW:]
         self._window[-_NEW:] = samples
-        self._last.append(pitch_hz(self._window))
-        voiced = [each for each in self._last if each == each]
+        self._last_pitches_hz.append(pitch_hz(self._window))
+        # NaN, unvoiced, does not equal itself.
+        voiced = [each for each in self._last_pitches_hz if each == each]
         return median(voiced) if len(voiced) >= _FEWEST_VOICED else math.nan
 
 
@@ -174,9 +177,10 @@ def pitch_hz(window: Array) -> float:
     energy = float(energies[0])
     if energy < _LEAST_ENERGY:
         return math.nan
+    # d(lag) = energy of the first stretch + that of the stretch at the lag - 2 x their product.
     differences = np.correlate(window, -2.0 * window[:_COMPARED], "valid")
     differences += energies
-    # A millionth more than YIN has: a window that repeats itself exactly is divided by no zero.
+    # A millionth more than in YIN's formula, against a division by 0 for exactly periodic windows.
     differences += energy * (1.0 + 1e-6)
     differences = differences[1:]  # [i] belongs to lag i + 1
     sums = np.add.accumulate(differences)

@@ -5,11 +5,11 @@ Affective Computing 5(2), 2014: a score of how loud, high and bright the voice i
 speaker's own baseline, then their fusion. Weights and times are design choices. Anger and joy are
 not distinguished. After a jump of a microphone's automatic gain loudness counts less for a while.
 
-Speech is sound that is loud above the noise, voiced now and then, and unlike music. The level
-opens the gate (`VoiceActivityDetector`: noise floor by minimum statistics), so steady noise
-closes it within 1.2 s. Speech is voiced for a good part of its time, and its pitch glides; notes
-do not. Bars measured on grid_s1, LibriSpeech, speechocean762 (speech), on made-up chords,
-bands and coloured noise (docs/expression.md). Whispering is no speech here.
+Speech is sound that is loud above the noise, voiced now and then, and unlike music. Loudness is
+decided by `VoiceActivityDetector` (noise floor by minimum statistics): to it steady noise is no
+speech after 1.2 s. Speech is voiced for a good part of its time, and its pitch glides; notes do
+not. Thresholds were measured on grid_s1, LibriSpeech, speechocean762 (speech), and on synthetic
+chords, bands and coloured noise (docs/expression.md). Whispering does not count as speech.
 """
 
 import math
@@ -26,10 +26,10 @@ from lipsync.recognition.voice_activity import FRAMES_PER_S, VoiceActivityDetect
 
 _FRAME_S = 0.010
 _LOUDNESS_WEIGHT, _PITCH_WEIGHT, _TILT_WEIGHT = 0.40, 0.35, 0.25
-#: So much voiced time until the baseline is believed in full.
+#: So much voiced time until the scores count in full, as the baseline is learned from it.
 _CONFIDENT_S = 10.0
 _ATTACK_S, _RELEASE_S, _DECAY_S = 0.4, 1.5, 2.0
-#: Syllables rise and fall; what they do on average over half a second is arousal.
+#: The fused score is averaged over so long, as it rises and falls with each syllable.
 _SYLLABLES_S = 0.5
 
 
@@ -67,9 +67,9 @@ class ArousalTracker:
 
     def push_unvoiced(self) -> float:
         """Add an unvoiced speech frame; return the arousal, eased towards the last voiced score."""
-        aim = min(1.0, self._voiced_s / _CONFIDENT_S) * self._fused
-        time_s = _ATTACK_S if aim > self.arousal else _RELEASE_S
-        self.arousal += _FRAME_S / time_s * (aim - self.arousal)
+        target = min(1.0, self._voiced_s / _CONFIDENT_S) * self._fused
+        time_constant_s = _ATTACK_S if target > self.arousal else _RELEASE_S
+        self.arousal += _FRAME_S / time_constant_s * (target - self.arousal)
         return self.arousal
 
     def push_silence(self) -> float:
@@ -80,13 +80,13 @@ class ArousalTracker:
 
 
 _FRAMES_PER_S = 100
-#: The noise floor of each second; three of them hold a pause or a stop closure of any speech.
+#: The floors of 3 s are compared with those of the 3 s before: any speech has a pause in them.
 _SECONDS = 3
-#: A floor that moved so much in 3 s: fans and traffic stay within it.
+#: Least change of the floor that is a gain jump: fans and traffic change by less.
 _JUMP_DB = 6.0
-#: Below it there is no microphone's noise to compare with: digital silence between played words.
+#: Floors below it are not compared: digital silence between played words, no microphone's noise.
 _LEAST_FLOOR_DB = -75.0
-#: So long until loudness counts in full again.
+#: Frames after a jump until loudness counts in full again.
 _RECOVERY_FRAMES = 20.0 * _FRAMES_PER_S
 
 
@@ -101,16 +101,19 @@ class GainJumpDetector:
         self._floors_db: deque[float] = deque(maxlen=2 * _SECONDS)
         self._lowest_db = 0.0
         self._n_in_second = 0
-        self._n_since = _RECOVERY_FRAMES
+        self._n_since_jump = _RECOVERY_FRAMES
 
     @property
     def trust(self) -> float:
         """The weight of loudness, 0 to 1: 0 just after a gain jump, 1 after 20 s without one."""
-        return min(1.0, self._n_since / _RECOVERY_FRAMES)
+        return min(1.0, self._n_since_jump / _RECOVERY_FRAMES)
 
     def push(self, level_db: float) -> bool:
-        """Add the level of the next 10 ms, speech or not; return whether a jump is detected."""
-        self._n_since += 1
+        """Add the level of the next 10 ms, speech or not; return whether a jump is detected.
+
+        Once a second the noise floor of the last 3 s is compared with that of the 3 s before.
+        """
+        self._n_since_jump += 1
         self._lowest_db = min(self._lowest_db, level_db)
         self._n_in_second += 1
         if self._n_in_second < _FRAMES_PER_S:
@@ -123,13 +126,13 @@ class GainJumpDetector:
         before_db, now_db = min(floors_db[:_SECONDS]), min(floors_db[_SECONDS:])
         if min(before_db, now_db) < _LEAST_FLOOR_DB or abs(now_db - before_db) < _JUMP_DB:
             return False
-        self._n_since = 0.0
-        # The next jump is one from here.
+        self._n_since_jump = 0.0
+        # The next jump is looked for from here on.
         self._floors_db.clear()
         return True
 
 
-#: A spread is trusted after some seconds; until then it is the prior's.
+#: The prior standard deviation counts as so many frames.
 _PRIOR_FRAMES = 10.0 * _FRAMES_PER_S
 _MOST_Z = 4.0
 
@@ -153,9 +156,9 @@ class SpeakerBaseline:
         """Add the feature's value in one more voiced frame."""
         self._n_frames = min(self._n_frames + 1.0, self._most_frames)
         share = 1.0 / self._n_frames
-        away = value - self._mean
-        self._mean += share * away
-        self._variance += share * ((1.0 - share) * away * away - self._variance)
+        deviation = value - self._mean
+        self._mean += share * deviation
+        self._variance += share * ((1.0 - share) * deviation * deviation - self._variance)
 
     def z(self, value: float) -> float:
         """Return (value - mean) / deviation, clipped to -4 to 4; 0 before the first frame."""
@@ -166,9 +169,9 @@ class SpeakerBaseline:
         sd = math.sqrt((self._n_frames * self._variance + prior) / n_all)
         return min(_MOST_Z, max(-_MOST_Z, (value - self._mean) / sd))
 
-    def doubt(self, worth_s: float) -> None:
-        """Let all frames so far count as at most `worth_s` seconds, so that new ones prevail."""
-        self._n_frames = min(self._n_frames, worth_s * _FRAMES_PER_S)
+    def limit_weight(self, weight_s: float) -> None:
+        """Let all frames so far count as at most `weight_s` seconds, so that new ones prevail."""
+        self._n_frames = min(self._n_frames, weight_s * _FRAMES_PER_S)
 
 
 #: A voiced frame is steady when 50 ms before it the pitch was within so many semitones.
@@ -201,16 +204,16 @@ class SpeechGate:
 
     def push(self, level_db: float, pitch_st: float) -> bool:
         """Add a 10 ms frame; return whether it is speech. pitch_st: semitones, NaN if unvoiced."""
-        is_voiced = pitch_st == pitch_st
+        is_voiced = pitch_st == pitch_st  # not NaN
         moved_st = abs(pitch_st - self._pitches_st[0])
         self._pitches_st.append(pitch_st)
         self._n_unvoiced = 0 if is_voiced else self._n_unvoiced + 1
         if not self._activity.push(level_db):
-            # What was heard before a pause says less and less of what comes after it.
+            # In a pause the shares go back to those of speech.
             self._steady_share += (_USUAL_STEADY - self._steady_share) / _MEMORY_FRAMES
             self._voiced_share += (_USUAL_VOICED - self._voiced_share) / _MEMORY_FRAMES
             return False
-        if moved_st == moved_st:
+        if moved_st == moved_st:  # not NaN: this frame and the one 50 ms before are voiced
             is_steady = moved_st < _STEADY_ST
             self._steady_share += (is_steady - self._steady_share) / _STEADY_MEMORY_FRAMES
         self._voiced_share += (is_voiced - self._voiced_share) / _MEMORY_FRAMES
@@ -223,7 +226,7 @@ class SpeechGate:
 
 #: Standard deviations to begin with: loudness in dB, pitch in semitones, tilt in dB.
 _PRIOR_SDS = (6.0, 2.5, 4.0)
-#: What the old loudness baseline is worth after a jump of the microphone's gain.
+#: The old loudness baseline counts as so long after a jump of the microphone's gain.
 _AFTER_JUMP_S = 2.0
 
 
@@ -235,6 +238,7 @@ class VoiceTracker:
     """
 
     def __init__(self) -> None:
+        """Start at sound time 0 after silence, without a baseline of the speaker."""
         self._time_s = 0.0
         self._window: Array32 = np.zeros(WINDOW_SAMPLES, np.float32)
         self._pitch = PitchTracker()
@@ -292,12 +296,12 @@ class VoiceTracker:
         loud_db = sound.loudness_db
         tilt_db = sound.high_db - sound.low_db
         pitch_hz = self._pitch.push(sound.newest)
-        is_voiced = pitch_hz == pitch_hz
+        is_voiced = pitch_hz == pitch_hz  # not NaN
         pitch_st = 12.0 * math.log2(pitch_hz) if is_voiced else math.nan
         voice_db = max(sound.low_db, sound.high_db)
         is_speech = self._gate.push(voice_db, pitch_st)
         if self._gain_jumps.push(voice_db):
-            self._loudness.doubt(_AFTER_JUMP_S)
+            self._loudness.limit_weight(_AFTER_JUMP_S)
         if not is_speech:
             arousal = self._arousal.push_silence()
             z = (0.0, 0.0, 0.0)

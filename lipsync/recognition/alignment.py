@@ -104,9 +104,9 @@ def align(
         # A decoder that was used before aligns every third utterance differently (measured over
         # LibriSpeech), and one that failed does not recover; loading is a sixth of an alignment.
         decoder = Decoder(lm=None, cmn="batch", loglevel="FATAL", **options)
-        guessed = _teach(decoder, words, pronouncer)
+        guessed = _add_missing_words(decoder, words, pronouncer)
         try:
-            return _alignment(_segments(decoder, pcm, words), beams, guessed)
+            return _to_alignment(_align_words(decoder, pcm, words), beams, guessed)
         except RuntimeError as error:
             reason = str(error)
     raise AlignmentError(f"the text does not fit the sound ({reason}); check both")
@@ -122,7 +122,7 @@ def words_of(text: str) -> list[str]:
     return _WORD.findall(text.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'"))
 
 
-def _teach(
+def _add_missing_words(
     decoder: "Decoder", words: list[str], pronouncer: Callable[[str], tuple[str, ...]]
 ) -> tuple[str, ...]:
     """Add the words that the decoder's dictionary lacks; return these words.
@@ -135,7 +135,7 @@ def _teach(
     return missing
 
 
-def _segments(
+def _align_words(
     decoder: "Decoder", pcm: bytes, words: list[str]
 ) -> list[tuple[str, list[tuple[str, int, int]]]]:
     """Align words with int16 sound at 16 kHz, in two passes of the decoder.
@@ -144,25 +144,26 @@ def _segments(
     10 ms. Raises RuntimeError if pocketsphinx finds no alignment.
     """
     decoder.set_align_text(" ".join(words))
-    _process(decoder, pcm)
+    _run_decoder(decoder, pcm)
     # Only now: asked after the second pass, pocketsphinx 5.1.1 crashes.
     if decoder.hyp() is None:
         raise RuntimeError("no way through the words fits the sound")
     decoder.set_alignment()
-    _process(decoder, pcm)
+    _run_decoder(decoder, pcm)
     alignment = decoder.get_alignment()
     if alignment is None:
         raise RuntimeError("the phones do not fit the sound")
     return [(w.name, [(p.name, p.start, p.duration) for p in w]) for w in alignment.words()]
 
 
-def _process(decoder: "Decoder", pcm: bytes) -> None:
+def _run_decoder(decoder: "Decoder", pcm: bytes) -> None:
+    """Let the decoder search all of an utterance, int16 samples at 16 kHz."""
     decoder.start_utt()
     decoder.process_raw(pcm, no_search=False, full_utt=True)
     decoder.end_utt()
 
 
-def _alignment(
+def _to_alignment(
     segments: list[tuple[str, list[tuple[str, int, int]]]],
     beams: Beams,
     guessed: tuple[str, ...],
@@ -174,16 +175,16 @@ def _alignment(
     """
     phones: list[PhonemeEvent] = []
     words: list[tuple[str, float, float]] = []
-    for word, parts in segments:
-        for name, start, n_frames in parts:
+    for word, word_phones in segments:
+        for name, start, n_frames in word_phones:
             phoneme = name if name in VISEME_OF else SILENCE
             start_s, end_s = start / FRAMES_PER_S, (start + n_frames) / FRAMES_PER_S
             if phones and phoneme == SILENCE == phones[-1].phoneme:
                 phones[-1] = PhonemeEvent(SILENCE, phones[-1].start_s, end_s)
             elif n_frames > 0:
                 phones.append(PhonemeEvent(phoneme, start_s, end_s))
-        if not word.startswith(("<", "[", "+")) and parts:
-            start, (_, last, n_last) = parts[0][1], parts[-1]
+        if not word.startswith(("<", "[", "+")) and word_phones:
+            start, (_, last, n_last) = word_phones[0][1], word_phones[-1]
             name = re.sub(r"\(\d+\)$", "", word)
             words.append((name, start / FRAMES_PER_S, (last + n_last) / FRAMES_PER_S))
     return Alignment(tuple(phones), tuple(words), beams, guessed)
@@ -204,10 +205,11 @@ def goodness_of_pronunciation(
     phones: tuple[PhonemeEvent, ...],
     weights: NetworkWeights | None = None,
 ) -> float:
-    """Return the mean score (<= 0) of aligned phones; it is low where the text is not spoken.
+    """Return the mean over frames of log p(aligned phone) - log p(likeliest phone), 0 or less.
 
-    Counted are the frames in which the alignment or the network has a phone other than silence.
-    Raises WeightsError if the shipped weights are damaged.
+    It is low where the text is not spoken (Witt and Young, Speech Communication 30, 2000). Counted
+    are frames in which the alignment or the network has a phone other than silence. Raises
+    WeightsError if the shipped weights are damaged.
 
     Parameters
     ----------
@@ -221,21 +223,21 @@ def goodness_of_pronunciation(
     Returns
     -------
     float
-        Mean log ratio a frame of 10 ms; 0 where no frame counts.
+        The mean in natural logarithms; 0 where no frame counts.
     """
     weights = weights or _shipped()
     posteriors = _late_posteriors(weights, samples)
-    numbers = {phoneme: number for number, phoneme in enumerate(weights.phonemes)}
-    aligned = np.full(len(posteriors), numbers[SILENCE])
+    index_of = {phoneme: number for number, phoneme in enumerate(weights.phonemes)}
+    aligned = np.full(len(posteriors), index_of[SILENCE])
     for event in phones:
         end_s = event.start_s if event.end_s is None else event.end_s
         first, end = round(event.start_s * FRAMES_PER_S), round(end_s * FRAMES_PER_S)
-        aligned[first:end] = numbers[event.phoneme]
+        aligned[first:end] = index_of[event.phoneme]
     logs = np.log(np.maximum(posteriors, np.float32(_SMALLEST)))
-    ratio = logs[np.arange(len(logs)), aligned] - logs.max(axis=1)
-    heard = logs.argmax(axis=1) != numbers[SILENCE]
-    spoken = heard | (aligned != numbers[SILENCE])
-    return float(ratio[spoken].mean()) if spoken.any() else 0.0
+    log_ratio = logs[np.arange(len(logs)), aligned] - logs.max(axis=1)
+    is_heard = logs.argmax(axis=1) != index_of[SILENCE]
+    counts = is_heard | (aligned != index_of[SILENCE])
+    return float(log_ratio[counts].mean()) if counts.any() else 0.0
 
 
 def _late_posteriors(weights: NetworkWeights, samples: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,7 +1,7 @@
 """The phonemes that the live recogniser would report as final, for whole recordings. Offline.
 
-The arithmetic of `NetworkRecognizer` without its waiting: the network takes a recording in one go,
-the decoder goes forward frame by frame, but through many recordings side by side.
+The arithmetic is that of `NetworkRecognizer`, but the network takes a recording in one go, and the
+decoder goes forward frame by frame through many recordings side by side.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ from lipsync.recognition.decoder import (
 )
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
 from lipsync.recognition.network import LATENCY_S, NetworkWeights
-from lipsync.recognition.network_recognizer import frames_of_delay
+from lipsync.recognition.network_recognizer import delay_frames
 from lipsync.recognition.posteriors import PosteriorStream
 
 #: Recordings side by side: enough that NumPy's own cost does not count, in little memory.
@@ -51,15 +51,13 @@ def settled_phonemes(
     Iterator[tuple[PhonemeEvent, ...]]
         The phonemes of each recording, without gaps from 0 to its end.
     """
-    delay = frames_of_delay(latency_s)
+    delay = delay_frames(latency_s)
     for first in range(0, len(recordings), TOGETHER):
-        together = recordings[first : first + TOGETHER]
-        n_frames = max(len(samples) for samples in together) // HOP + round(_TAIL_S * FRAMES_PER_S)
-        posteriors = np.stack(
-            [recording_posteriors(weights, s, n_frames + delay) for s in together]
-        )
+        batch = recordings[first : first + TOGETHER]
+        n_frames = max(len(samples) for samples in batch) // HOP + round(_TAIL_S * FRAMES_PER_S)
+        posteriors = np.stack([recording_posteriors(weights, s, n_frames + delay) for s in batch])
         labels = _settled(posteriors, weights.delays, delay)
-        for samples, settled in zip(together, labels, strict=True):
+        for samples, settled in zip(batch, labels, strict=True):
             yield _events(settled[: max(1, -(-len(samples) // HOP))])
 
 
@@ -99,10 +97,10 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
     labels = np.empty((n_recordings, n_frames - delay), np.int64)
 
     def step(best: Array32, frame: int, age: int) -> tuple[Array32, NDArray[np.int64]]:
-        """Advance the best paths by the frame numbered `frame`; return their scores and sources.
+        """Advance the best paths by frame number `frame`; return new scores, and their sources.
 
-        best: (n_recordings, n_phonemes); age: frames heard after it, which chooses the head. A
-        source is the phoneme from which a path came.
+        best: path scores (n_recordings, n_phonemes) in the frame before. age: frames heard after
+        `frame`, which chooses the head. sources: of each path, its phoneme in the frame before.
         """
         head = heads[age - delays[0]]
         leader = best.argmax(axis=1)
@@ -115,18 +113,20 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
     settled = np.zeros((n_recordings, n_phonemes), np.float32)
     n_silent = np.full(n_recordings, PAUSE_FRAMES)
     for oldest in range(n_frames - delay):
+        # The frame to be settled, then on through all later frames that a head has scored by now.
         best = step(settled, oldest, delay)[0]
         settled = best - best.max(axis=1, keepdims=True)
         sources = []
         for age in range(delay - 1, delays[0] - 1, -1):
             best, source = step(best, oldest + delay - age, age)
             sources.append(source)
+        # Back along the best path, from the newest frame to the one to be settled.
         state = best.argmax(axis=1)
         path = [state]
         for source in reversed(sources):
             state = source[rows, state]
             path.append(state)
-        # The nearest frames, the one to be settled first.
+        # After a pause a frame is settled as speech only if the next ones known are speech too.
         nearest = np.stack(path[::-1][: SMOOTH.waking_frames])
         is_believed = (nearest != SILENCE_INDEX).all(axis=0)
         state = np.where((n_silent >= PAUSE_FRAMES) & ~is_believed, SILENCE_INDEX, state)
@@ -136,6 +136,7 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
 
 
 def _events(labels: NDArray[np.int64]) -> tuple[PhonemeEvent, ...]:
+    """Return the runs of equal labels, numbers in `PHONEMES` of 10 ms frames, as events."""
     events, start = [], 0
     for label, run in groupby(labels.tolist()):
         end = start + len(list(run))

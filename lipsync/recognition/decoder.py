@@ -5,8 +5,8 @@ Every frame in between has the scores of the best head that covers it (that of t
 A Viterbi search with a penalty for every change of phoneme runs over all of it: the frames after
 n - D, known from the quick heads, smooth what is settled without waiting any longer.
 
-After a pause speech has to be believed before it is settled (docs/decisions/ears.md): leaving
-silence costs more, so that evidence adds up over frames as in Wald's sequential test (Annals of
+After a pause speech needs more evidence to be settled (docs/decisions/ears.md): leaving silence
+costs more, so that evidence adds up over frames as in Wald's sequential test (Annals of
 Mathematical Statistics 16(2), 1945), and all that is known of the frames after n - D has to be
 speech too.
 """
@@ -18,6 +18,7 @@ import numpy as np
 from lipsync.arrays import Array32
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 
+#: Viseme classes of the closures.
 _CLOSERS = (VISEME_OF["P"], VISEME_OF["F"])
 _SMALLEST = np.float32(1e-6)
 #: Silence that has lasted so many frames is a pause (`PAUSE_S` of lipsync.motion.tick_plan is as
@@ -65,8 +66,8 @@ class PosteriorFormat:
 class ViterbiDecoder:
     """Decoder of scores to phonemes, one frame after the other, each settled D frames later.
 
-    heard: the format of the posteriors; their names are `PHONEMES`. delay: D, at least the delay of
-    the quickest head. settings: penalties and weights.
+    heard: the format of the posteriors; its names are `PHONEMES`. delay: D, at least the delay of
+    the quickest head. Raises ValueError for other names and for a smaller delay.
     """
 
     def __init__(
@@ -75,6 +76,10 @@ class ViterbiDecoder:
         delay: int,
         settings: DecoderSettings = DecoderSettings(),
     ) -> None:
+        """Create the decoder as at the end of a pause. Raises ValueError as the class says.
+
+        heard: format of the posteriors. delay: frames after which a phoneme is settled.
+        """
         delays = heard.delays
         if heard.names != PHONEMES:
             raise ValueError("columns of posteriors are not the phonemes, in their order")
@@ -88,15 +93,15 @@ class ViterbiDecoder:
         self._waking_penalties = waking_penalties(settings)
         # Scores (n_heads, n_phonemes) of the last frames, by frame number modulo the length.
         self._recent = np.zeros((delay + 1, len(delays), len(PHONEMES)), np.float32)
-        self._best = np.zeros(len(PHONEMES), np.float32)
+        self._settled_scores = np.zeros(len(PHONEMES), np.float32)
         self._n_heard = 0
-        # Frames of silence settled last; before anything was heard there was silence.
+        # Frames of silence settled last; the time before the stream counts as a pause.
         self._n_silent = PAUSE_FRAMES
-        nothing = np.zeros((len(delays), len(PHONEMES)), np.float32)
-        nothing[:, SILENCE_INDEX] = 1.0
-        #: The scores of a frame in which every head hears silence: the very array, given to `push`
-        #: again and again, costs nothing once all that is remembered is silence.
-        self.silence = self.scores(nothing)
+        all_silent = np.zeros((len(delays), len(PHONEMES)), np.float32)
+        all_silent[:, SILENCE_INDEX] = 1.0
+        #: Scores of a frame in which every head finds silence. `push` of this very array costs
+        #: nothing once all stored frames are silence.
+        self.silence = self.scores(all_silent)
         self._n_same = 0
 
     @property
@@ -139,6 +144,7 @@ class ViterbiDecoder:
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
         self._n_same = self._n_same + 1 if scores is self.silence else 0
+        # Nothing but silence is stored by now, so the result is known.
         if self._n_same > 2 * length + PAUSE_FRAMES:
             self._n_silent += 1
             return SILENCE_INDEX, [SILENCE_INDEX] * (self._delay - self._delays[0])
@@ -154,10 +160,11 @@ class ViterbiDecoder:
             self._recent[f % length, self._head_at_age[n - f - self._delays[0]]]
             for f in range(first, newest + 1)
         ]
-        best = self._changed(self._best)[0] + frames[0]
+        best = self._enter_frame(self._settled_scores)[0] + frames[0]
         if oldest >= 0:
-            self._best = best - best.max()
+            self._settled_scores = best - best.max()
         path = self._path(best, frames[1:])
+        # After a pause all of the first frames have to be speech.
         if not self.is_awake and SILENCE_INDEX in path[: self._settings.waking_frames]:
             path = [SILENCE_INDEX] * len(path)
         if oldest < 0:
@@ -165,11 +172,11 @@ class ViterbiDecoder:
         self._n_silent = self._n_silent + 1 if path[0] == SILENCE_INDEX else 0
         return path[0], path[1:]
 
-    def _changed(self, best: Array32) -> tuple[Array32, Array32, int]:
-        """Return each phoneme's best score on entering the next frame, by staying or by a change.
+    def _enter_frame(self, best: Array32) -> tuple[Array32, Array32, int]:
+        """Return the phonemes' scores on entering the next frame, by staying or by a change.
 
-        best: each phoneme's score in the frame before. Also returned: for each phoneme whether
-        staying gives its score, and the number of the phoneme that changes come from.
+        best: (n_phonemes,), scores in the frame before. Also returned: whether staying gives each
+        score, (n_phonemes,), and the number of the likeliest phoneme, from which changes come.
         """
         leader = int(best.argmax())
         is_waking = leader == SILENCE_INDEX and not self.is_awake
@@ -177,16 +184,16 @@ class ViterbiDecoder:
         return np.maximum(best, changed), best >= changed, leader
 
     def _path(self, best: Array32, frames: list[Array32]) -> list[int]:
-        """Return the phonemes of the best path: one of the frame scored `best`, then one per frame.
+        """Return the best path's phonemes, from the frame scored `best` through all of `frames`.
 
         In each of `frames`, scores (n_phonemes,), a phoneme stays, or comes from the best phoneme
         of the frame before at the penalty of a change.
         """
         steps = []
         for scores in frames:
-            way, stays, leader = self._changed(best)
+            entered, stays, leader = self._enter_frame(best)
             steps.append((stays, leader))
-            best = way + scores
+            best = entered + scores
         state = int(best.argmax())
         path = [state]
         for stays, leader in reversed(steps):
@@ -208,7 +215,7 @@ def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
 
 
 def change_penalties(settings: DecoderSettings) -> Array32:
-    """Return the cost of a change from any other phoneme to each phoneme.
+    """Return the cost of a change from any other phoneme to each phoneme; closures cost less.
 
     Parameters
     ----------

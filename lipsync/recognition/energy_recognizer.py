@@ -12,7 +12,7 @@ from lipsync.recognition.voice_activity import FRAMES_PER_S, VoiceActivityDetect
 _FRAME_SAMPLES = SAMPLE_RATE_HZ // FRAMES_PER_S
 #: Voice activity begins 30 ms after the onset; two frames more let a plosive's burst pass.
 LATENCY_S = 0.05
-#: The jaw opens wide within this of the loudest of the last second, as vowels do.
+#: The jaw opens wide (AA) for frames within this of the peak, which falls by 10 dB a second.
 _WIDE_BELOW_PEAK_DB = 8.0
 _PEAK_FALL_DB = 0.1
 _QUIET, _WIDE = "AH", "AA"
@@ -40,13 +40,16 @@ class EnergyRecognizer:
         self._n_heard = self._n_reported = 0
 
     def feed(self, block: AudioBlock) -> None:
-        """Process the next block of any size and rate; a gap before it counts as silence."""
-        silence, jump_s, samples = self._input.take(block)
-        self._process(silence)
+        """Process the next block of any size and rate; a gap before it counts as silence.
+
+        Raises ValueError for a block before the last one's end, or of another rate.
+        """
+        silence, jump_s, samples = self._input.convert(block)
+        self._classify_frames(silence)
         n_jumped = round(jump_s * FRAMES_PER_S)
         self._heard.extend([SILENCE] * n_jumped)
         self._n_heard += n_jumped
-        self._process(samples)
+        self._classify_frames(samples)
 
     def updates(self) -> list[PhonemeUpdate]:
         """Return one update if a 10 ms frame was completed since the last call, else []."""
@@ -58,7 +61,7 @@ class EnergyRecognizer:
         del self._heard[: self._updates.n_final - n_final]
         return [update]
 
-    def _process(self, samples: np.ndarray) -> None:
+    def _classify_frames(self, samples: np.ndarray) -> None:
         """Append AA (loud), AH (quieter) or silence to `_heard` for each 10 ms that is complete.
 
         samples: (n,) float32 at 16 kHz; an incomplete rest waits for the next call.

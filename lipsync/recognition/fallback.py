@@ -2,11 +2,9 @@
 
 Levels from the best down: network, energy (the jaw only), neutral (a closed mouth; cannot fail). A
 level that raises is left at once, a slow one once there is a backlog (`Pace`); the next one is fed
-the last seconds of sound, and goes on from there. Where a clock is given, better levels are tried
+the last 3 s of sound, and goes on from there. Where a clock is given, better levels are tried
 beside the one in use (`Trial`), and take over in a pause. Why so: docs/decisions/ears.md.
-
-Whether a level keeps up is decided by its own cost and by what waits, not by one second: a
-computer that is busy for a moment makes any recogniser late, and a fast one catches up afterwards.
+A busy computer makes any recogniser late for a moment, so a single slow second decides nothing.
 """
 
 import logging
@@ -38,8 +36,7 @@ _BACKLOG_S = 0.3
 #: A recogniser that takes so long for a second of sound will not catch up, whatever the computer
 #: does besides, and eight blocks at once will not help either. It is left at once.
 _HOPELESS_SHARE = 3.0
-#: A level that is tried needs time to spare: the one in use goes on beside it.
-_TRIED_SHARE = 0.5
+_TRIED_SHARE = 0.5  # a level that is tried needs time to spare, beside the one in use
 #: In a backlog so many blocks are worked on at once, at a third of the cost.
 _AT_ONCE = 8
 #: So long a backlog may last, of at least so many steps, if the recogniser had this share of the
@@ -59,7 +56,7 @@ _PAUSE_S = 0.2
 
 
 class Pace:
-    """A check that a recogniser is as fast as its sound: call `note` each step, then `failing`."""
+    """A check that a recogniser is fast enough: call `note` each step, then `why_replace`."""
 
     def __init__(self) -> None:
         self._shares: deque[float] = deque(maxlen=_REMEMBERED)
@@ -69,10 +66,7 @@ class Pace:
 
     @property
     def share(self) -> float:
-        """Seconds of work per second of sound: the median of the last steps, 0 before the first.
-
-        On a busy computer this is inexact, as a step is shorter than a time slice.
-        """
+        """Seconds of work per second of sound: median of the last 9 steps, 0 before the first."""
         return median(self._shares) if self._shares else 0.0
 
     @property
@@ -91,7 +85,7 @@ class Pace:
         if sound_s > 0.0:
             self._shares.append(cost_s / sound_s)
 
-    def failing(self, now_s: float, waiting_s: float) -> str | None:
+    def why_replace(self, now_s: float, waiting_s: float) -> str | None:
         """Return in words why the recogniser should be replaced; None if not (yet).
 
         now_s: by the clock. waiting_s: seconds of sound that wait after the step noted last.
@@ -114,19 +108,18 @@ class Pace:
 class LadderLevel:
     """A named recogniser of the ladder (best first); inputs and results are in sound time.
 
-    The recogniser itself counts from where it was begun: one that begins after hours would
-    otherwise fill these hours with silence, frame by frame.
+    The recogniser counts time from where it was begun, lest it fills the hours before with silence.
     """
 
     def __init__(self, name: str, recognizer: LiveRecognizer) -> None:
+        """Wrap a recogniser called `name`, which counts from sound time 0 until `begin`."""
         self.name = name
         self.pace = Pace()
         self._recognizer = recognizer
         self._listener = recognizer if isinstance(recognizer, Listener) else None
         self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._offset_s = 0.0
-        #: Whether silence has lasted for a while, by the newest update.
-        self.is_pause = True
+        self.is_pause = True  # whether silence has lasted for a while, by the newest update
 
     @property
     def ahead_s(self) -> float:
@@ -171,21 +164,21 @@ class LadderLevel:
         if self._follower is None:
             return
         offset_s = self._offset_s
-        own_time = [
-            each if each.start_s is None else replace(each, start_s=each.start_s - offset_s)
-            for each in words
+        shifted = [
+            word if word.start_s is None else replace(word, start_s=word.start_s - offset_s)
+            for word in words
         ]
-        self._follower.tell(own_time, behind_s)
+        self._follower.tell(shifted, behind_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Let the recogniser compute ahead on the next blocks; do nothing if it cannot."""
         if isinstance(self._recognizer, PreparingRecognizer):
-            self._recognizer.prepare([self._of_its_own_time(block) for block in blocks])
+            self._recognizer.prepare([self._in_recognizer_time(block) for block in blocks])
 
     def feed(self, blocks: Iterable[AudioBlock]) -> None:
         """Feed blocks to the recogniser in order, one by one."""
         for block in blocks:
-            self._recognizer.feed(self._of_its_own_time(block))
+            self._recognizer.feed(self._in_recognizer_time(block))
 
     def updates(self) -> list[PhonemeUpdate]:
         """Return the recogniser's updates since the last call, in sound time."""
@@ -193,10 +186,11 @@ class LadderLevel:
         if updates:
             self.is_pause = _ends_in_pause(updates[-1])
         if self._offset_s != 0.0:
-            updates = [_later(update, self._offset_s) for update in updates]
+            updates = [_shift_update(update, self._offset_s) for update in updates]
         return updates
 
-    def _of_its_own_time(self, block: AudioBlock) -> AudioBlock:
+    def _in_recognizer_time(self, block: AudioBlock) -> AudioBlock:
+        """Return the block with its start counted from where the recogniser was begun."""
         if self._offset_s == 0.0:
             return block
         return AudioBlock(block.samples, block.start_s - self._offset_s, block.sample_rate_hz)
@@ -224,14 +218,17 @@ class Trial:
         self._waiting.extend(blocks)
 
     def go_on(self, timer_s: Callable[[], float]) -> None:
-        """Feed waiting blocks, timed by clock `timer_s`; set `failed`, `is_ready`. May raise."""
+        """Feed waiting blocks for up to 15 ms by the clock `timer_s`; set `failed` or `is_ready`.
+
+        Failed: over 6 s of sound wait, it did not catch up in the first 3 s, or it is slow.
+        """
         began_s = now_s = timer_s()
         n_fed = 0
         while self._waiting and n_fed < _TRIED_IN_A_STEP and now_s < began_s + _TRIED_FOR_S:
             n = _AT_ONCE if self.level.pace.may_hurry and len(self._waiting) >= _AT_ONCE else 1
             n_fed += n
             chunk = list(islice(self._waiting, n))
-            now_s = _fed(self.level, chunk, timer_s, now_s)
+            now_s = _feed_and_time(self.level, chunk, timer_s, now_s)
             for _ in range(n):
                 self._waiting.popleft()
         self.level.updates()
@@ -243,23 +240,23 @@ class Trial:
             return
         if self._ready_since_s is None:
             self._ready_since_s = now_s
-        goes_on_s = now_s - self._ready_since_s
-        self.is_ready = self.level.is_pause or goes_on_s > _LONGEST_WITHOUT_PAUSE_S
+        caught_up_for_s = now_s - self._ready_since_s
+        self.is_ready = self.level.is_pause or caught_up_for_s > _LONGEST_WITHOUT_PAUSE_S
 
 
-def _fed(
-    level: LadderLevel, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], before_s: float
+def _feed_and_time(
+    level: LadderLevel, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], began_s: float
 ) -> float:
-    """Feed a recogniser, add the time since `before_s` to its cost, return the clock's time."""
+    """Feed blocks to a level, note the time since `began_s` as its cost; return the time now, s."""
     if len(blocks) > 1:
         level.prepare(blocks)
     level.feed(blocks)
     now_s = timer_s()
-    level.pace.note(now_s - before_s, blocks[-1].end_s - blocks[0].start_s)
+    level.pace.note(now_s - began_s, blocks[-1].end_s - blocks[0].start_s)
     return now_s
 
 
-def _later(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
+def _shift_update(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
     """Return the update with all its times moved later by `by_s` seconds."""
     return PhonemeUpdate(
         update.replace_from_s + by_s,
@@ -271,6 +268,7 @@ def _later(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
 
 
 def _ends_in_pause(update: PhonemeUpdate) -> bool:
+    """Return whether the last phoneme is silence that has lasted for at least 0.2 s."""
     if not update.events:
         return False
     last = update.events[-1]
@@ -289,7 +287,7 @@ _CALM_S = 1.0
 _FIRST_WAIT_S = 2.0
 #: The longest wait: where the computer was busy, and where the level itself raised or was slow.
 _LONGEST_WAIT_BUSY_S, _LONGEST_WAIT_S = 8.0, 300.0
-#: A level that was kept so long was rightly taken.
+#: A level left after so long in use did well: the wait before the next try starts anew.
 _KEPT_S = 30.0
 
 
@@ -304,9 +302,9 @@ class FallbackLevel:
 class FallbackRecognizer:
     """A ladder of recognisers (levels), the best first: one that fails is replaced by the next.
 
-    All levels are made at the beginning, so that nothing is loaded while a face runs. latency_s: no
-    level may need longer. timer_s: seconds on a clock, to find that a level is too slow, and
-    to try better ones again; None in offline use, where sound may be prepared ahead of its time.
+    All levels are made at the beginning, so that nothing is loaded while a face runs. latency_s: a
+    level that needs longer is not used. timer_s: a clock in s, to find that a level is too slow,
+    and to try better ones again; None in offline use, where sound may be prepared ahead of time.
     """
 
     def __init__(
@@ -315,19 +313,20 @@ class FallbackRecognizer:
         latency_s: float,
         timer_s: Callable[[], float] | None = None,
     ) -> None:
+        """Make all `levels`, and begin the best usable one; parameters as in the class."""
         self._latency_s = latency_s
         self._timer_s = timer_s
         self._levels: list[LadderLevel] = []
-        # Why each level cannot be used, or was left last.
+        # For each level in words: why it cannot be used, or was left last; None: it is usable.
         self._why_not: list[str | None] = []
         for level in levels:
-            self._add(level)
+            self._add_level(level)
         self._levels.append(LadderLevel("neutral", NeutralRecognizer()))
         self._why_not.append(None)
         self._usable = tuple(n for n, reason in enumerate(self._why_not) if reason is None)
         self._final_until_s = 0.0
         self._recent: deque[AudioBlock] = deque(maxlen=round(WARM_UP_S / BLOCK_S))
-        self._forget()
+        self._restart()
 
     @property
     def latency_s(self) -> float:
@@ -369,8 +368,8 @@ class FallbackRecognizer:
         """Drop the words given to the recogniser in use by `tell` that are not spoken yet."""
         try:
             self._level.forget()
-        except Exception as error:  # as in feed
-            self._fall_back(_in_words(error))
+        except Exception as error:  # whatever a recogniser raises
+            self._fall_back(_describe(error))
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """Give the recogniser in use the next words of a text. Raises TextError for too many.
@@ -381,24 +380,24 @@ class FallbackRecognizer:
             self._level.tell(words, behind_s)
         except TextError:
             raise
-        except Exception as error:  # as in feed
-            self._fall_back(_in_words(error))
+        except Exception as error:  # whatever a recogniser raises
+            self._fall_back(_describe(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Pass the servos' speeds (n_servos,), deg/s, to the recognisers in use and on trial."""
         try:
             self._level.note_servo_speeds(sound_s, speeds_deg_s)
-        except Exception as error:  # as in feed
-            self._fall_back(_in_words(error))
+        except Exception as error:  # whatever a recogniser raises
+            self._fall_back(_describe(error))
         try:
             if self._trial is not None:
                 self._trial.level.note_servo_speeds(sound_s, speeds_deg_s)
-        except Exception:  # as in feed
+        except Exception:  # whatever a recogniser raises
             self._end_trial(_LONGEST_WAIT_S)
 
     def reset(self) -> None:
         """Switch to the best usable recogniser, ready for a new stream at sound time 0."""
-        self._forget()
+        self._restart()
 
     def feed(self, block: AudioBlock) -> None:
         """Feed the next block; a recogniser that raises is replaced by the next lower one."""
@@ -411,34 +410,34 @@ class FallbackRecognizer:
         """
         if self._timer_s is None:
             for block in blocks:
-                self._hear((block,), lambda: 0.0, 0.0)
+                self._feed_in_use((block,), lambda: 0.0, 0.0)
         elif blocks:
-            self._keep_up(blocks, self._timer_s)
+            self._feed_on_clock(blocks, self._timer_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Let the recogniser in use compute ahead on the next blocks; replace it if it raises."""
         try:
             self._level.prepare(blocks)
-        except Exception as error:  # as in feed
-            self._fall_back(_in_words(error))
+        except Exception as error:  # whatever a recogniser raises
+            self._fall_back(_describe(error))
 
     def updates(self) -> list[PhonemeUpdate]:
         """Return the recogniser's new updates, final phonemes unchanged; [] if it raises."""
         try:
             updates = self._level.updates()
-        except Exception as error:  # as in feed
-            self._fall_back(_in_words(error))
+        except Exception as error:  # whatever a recogniser raises
+            self._fall_back(_describe(error))
             return []
-        kept = [_after(update, self._final_until_s) for update in updates]
-        for update in kept:
+        revisable = [_without_final_part(update, self._final_until_s) for update in updates]
+        for update in revisable:
             self._final_until_s = max(self._final_until_s, update.final_until_s)
-        return kept
+        return revisable
 
     @property
     def _level(self) -> LadderLevel:
         return self._levels[self._current]
 
-    def _add(self, level: FallbackLevel) -> None:
+    def _add_level(self, level: FallbackLevel) -> None:
         """Make and add the recogniser `level`; one that cannot be made is marked unusable."""
         recognizer: LiveRecognizer = NeutralRecognizer()
         reason = None
@@ -453,28 +452,28 @@ class FallbackRecognizer:
         if reason is not None:
             _LOG.warning("recogniser %s cannot be used: %s", level.name, reason)
 
-    def _forget(self) -> None:
+    def _restart(self) -> None:
         """Reset all state and begin the best usable recogniser at sound time 0."""
         self._current = self._usable[0]
         self._final_until_s = 0.0
         self._recent.clear()
         self._trial: Trial | None = None
-        self._next_tried = 0
+        self._next_trial = 0
         self._wait_s = _FIRST_WAIT_S
         self._calm_since_s = self._try_at_s = self._best_left_s = 0.0
-        self._taken_s = -math.inf
+        self._switched_s = -math.inf
         self._level.begin(0.0)
 
-    def _keep_up(self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float]) -> None:
+    def _feed_on_clock(self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float]) -> None:
         """Feed blocks, in a backlog several at once; replace a recogniser that is too slow.
 
-        As sound arrives meanwhile, the backlog is the blocks left plus the time that has passed.
+        timer_s: a clock in s. The backlog is the sound not fed yet plus the time since this call.
         Too slow: the backlog is over 0.3 s, and a second of sound costs over 3 s of work, or the
-        backlog lasts 6 s (`Pace.failing`).
+        backlog lasts 6 s (`Pace.why_replace`).
         """
         end_s = blocks[-1].end_s
         if end_s - blocks[0].start_s > LONGEST_WAITING_S:
-            blocks = [each for each in blocks if each.end_s > end_s - LONGEST_WAITING_S]
+            blocks = [block for block in blocks if block.end_s > end_s - LONGEST_WAITING_S]
         began_s = now_s = timer_s()
         waiting_s, n_fed = end_s - blocks[0].start_s, 0
         while n_fed < len(blocks):
@@ -482,12 +481,12 @@ class FallbackRecognizer:
                 self._calm_since_s = now_s
             hurries = len(blocks) - n_fed >= _AT_ONCE and self._level.pace.may_hurry
             chunk = blocks[n_fed : n_fed + (_AT_ONCE if hurries else 1)]
-            now_s = self._hear(chunk, timer_s, now_s)
+            now_s = self._feed_in_use(chunk, timer_s, now_s)
             n_fed += len(chunk)
             waiting_s = end_s - chunk[-1].end_s + now_s - began_s
             pace = self._level.pace
-            reason = pace.failing(now_s, waiting_s)
-            # The cheapest that hears anything is late rather than replaced by a closed mouth.
+            reason = pace.why_replace(now_s, waiting_s)
+            # Never to `neutral` for slowness: late phonemes are better than a closed mouth.
             if reason is not None and any(n > self._current for n in self._usable[:-1]):
                 is_slow = pace.share > _TRIED_SHARE
                 self._fall_back(reason, _LONGEST_WAIT_S if is_slow else _LONGEST_WAIT_BUSY_S)
@@ -495,16 +494,16 @@ class FallbackRecognizer:
         if self._current > self._usable[0]:
             self._try_better(blocks, timer_s, now_s)
 
-    def _hear(
+    def _feed_in_use(
         self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], now_s: float
     ) -> float:
-        """Feed blocks to the recogniser in use, or the next that works; return the clock's time."""
+        """Feed blocks to the recogniser in use, or the next that works; return the time now, s."""
         while True:
             try:
-                now_s = _fed(self._level, blocks, timer_s, now_s)
+                now_s = _feed_and_time(self._level, blocks, timer_s, now_s)
                 break
             except Exception as error:  # whatever it is, the mouth must not stay open for it
-                self._fall_back(_in_words(error), next_s=blocks[0].start_s)
+                self._fall_back(_describe(error), next_s=blocks[0].start_s)
         self._recent.extend(blocks)
         return now_s
 
@@ -513,10 +512,11 @@ class FallbackRecognizer:
     ) -> None:
         """Replace the recogniser in use by the next lower one that works; the last one stays.
 
-        reason: in words. longest_wait_s: until a better one is tried. next_s: next block's start.
+        The next one is fed the last seconds of sound first. reason: in words. longest_wait_s: limit
+        in s of the doubling wait until a better one is tried. next_s: next block's sound time.
         """
-        left = self._current
-        if left == self._usable[-1]:
+        left_index = self._current
+        if left_index == self._usable[-1]:
             return  # the neutral one: nothing is below
         self._trial = None
         while True:
@@ -527,68 +527,68 @@ class FallbackRecognizer:
                 self._level.feed(self._recent)
                 self._level.updates()
                 break
-            except Exception as error:  # as in feed
-                reason = _in_words(error)
-        name, why = self._levels[left].name, self._why_not[left]
+            except Exception as error:  # whatever a recogniser raises
+                reason = _describe(error)
+        name, why = self._levels[left_index].name, self._why_not[left_index]
         _LOG.warning("recogniser %s left: %s; %s takes over", name, why, self.level)
         if self._timer_s is not None:
             now_s = self._timer_s()
-            if left == self._usable[0]:
+            if left_index == self._usable[0]:
                 self._best_left_s = now_s
-            was_kept = now_s >= self._taken_s + _KEPT_S
-            self._wait_s = _FIRST_WAIT_S if was_kept else min(2.0 * self._wait_s, longest_wait_s)
+            did_well = now_s >= self._switched_s + _KEPT_S
+            self._wait_s = _FIRST_WAIT_S if did_well else min(2.0 * self._wait_s, longest_wait_s)
             self._try_at_s = now_s + self._wait_s
 
     def _try_better(
         self, heard: Sequence[AudioBlock], timer_s: Callable[[], float], now_s: float
     ) -> None:
-        """Start a trial of a better recogniser if due, or feed it `heard`; use it if ready."""
+        """Start a trial if due, or feed the running one the blocks `heard`; switch if ready."""
         try:
             if self._trial is not None:
                 self._trial.add(heard)
             elif now_s >= max(self._try_at_s, self._calm_since_s + _CALM_S):
                 better = [n for n in self._usable if n < self._current]
-                index = better[self._next_tried % len(better)]
+                index = better[self._next_trial % len(better)]
                 self._trial = Trial(self._levels[index], self._recent, now_s)
             else:
                 return
             self._trial.go_on(timer_s)
-        except Exception:  # as in feed
+        except Exception:  # whatever a recogniser raises
             self._end_trial(_LONGEST_WAIT_S)
             return
         if self._trial.failed:
             is_slow = self._trial.level.pace.is_too_slow_to_be_tried
             self._end_trial(_LONGEST_WAIT_S if is_slow else _LONGEST_WAIT_BUSY_S)
         elif self._trial.is_ready:
-            self._take(self._trial.level, timer_s())
+            self._switch_to(self._trial.level, timer_s())
 
     def _end_trial(self, longest_wait_s: float) -> None:
-        """Drop a failed trial; schedule the next recogniser's, in `longest_wait_s` at most."""
+        """Drop a failed trial; try again after twice the last wait, at most `longest_wait_s`."""
         self._trial = None
-        self._next_tried += 1
+        self._next_trial += 1
         self._wait_s = min(2.0 * self._wait_s, longest_wait_s)
         if self._timer_s is not None:
             self._try_at_s = self._timer_s() + self._wait_s
 
-    def _take(self, level: LadderLevel, now_s: float) -> None:
+    def _switch_to(self, level: LadderLevel, now_s: float) -> None:
         """Switch to `level` after its trial: it provides all phonemes that are not final yet."""
         self._trial = None
         self._current = self._levels.index(level)
-        self._next_tried = 0
-        self._taken_s = now_s
+        self._next_trial = 0
+        self._switched_s = now_s
         self._try_at_s = now_s + self._wait_s
         away_s = now_s - self._best_left_s
         is_best = self._current == self._usable[0]
-        after = f" after {away_s:.1f} s" if is_best else ""
-        _LOG.info("recogniser %s is back%s", level.name, after)
+        duration = f" after {away_s:.1f} s" if is_best else ""
+        _LOG.info("recogniser %s is back%s", level.name, duration)
 
 
-def _in_words(error: Exception) -> str:
+def _describe(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _after(update: PhonemeUpdate, final_until_s: float) -> PhonemeUpdate:
-    """Return the update from `final_until_s` on: events that end before are left out."""
+def _without_final_part(update: PhonemeUpdate, final_until_s: float) -> PhonemeUpdate:
+    """Return the update without what it says about times before `final_until_s`."""
     if update.replace_from_s >= final_until_s:
         return update
     return replace(

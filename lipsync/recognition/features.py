@@ -31,16 +31,17 @@ _DB_PER_NAT = 10.0 / np.log(10.0)
 SPEECH_PEAK = -1.0
 #: Where the peak starts: between a voice at full level and one 30 dB lower.
 _FIRST_PEAK = SPEECH_PEAK - 15.0 / _DB_PER_NAT
-#: Below it nothing is lifted any more: 45 dB under usual speech.
+#: The peak falls no lower, so that quieter sound is not amplified: 45 dB under usual speech.
 _LOWEST_PEAK = SPEECH_PEAK - 45.0 / _DB_PER_NAT
 #: Share of the way to a louder frame; a click of one frame counts by a third.
 _ATTACK = 0.3
 #: The peak falls 1 dB a second.
 _DECAY = 1.0 / _DB_PER_NAT / FRAMES_PER_S
-#: Quieter than this below the peak is all the same: rooms and codecs differ there.
+#: Lower levels below the peak are clipped to this: rooms and codecs differ there.
 _RANGE = 50.0 / _DB_PER_NAT
 #: Frames within 35 dB of the peak move the running mean (design measurement).
 _GATE = 35.0 / _DB_PER_NAT
+#: The running mean: the mean of training counts as so many frames, and so many are remembered.
 _PRIOR_FRAMES, _MEMORY_FRAMES = 100.0, 300.0
 _OFFSETS = np.arange(WINDOW)
 #: The log power of every band of digital silence.
@@ -97,8 +98,8 @@ class LogMelStream:
         n_frames = (len(self._waiting) - WINDOW) // HOP + 1
         if n_frames <= 0:
             return np.zeros((0, N_BANDS), np.float32)
-        heard = self._waiting[: (n_frames - 1) * HOP + WINDOW]
-        frames = log_mel(heard) if heard.any() else np.full((n_frames, N_BANDS), _NOTHING)
+        complete = self._waiting[: (n_frames - 1) * HOP + WINDOW]
+        frames = log_mel(complete) if complete.any() else np.full((n_frames, N_BANDS), _NOTHING)
         self._waiting = self._waiting[n_frames * HOP :].copy()
         return frames
 
@@ -174,6 +175,9 @@ class LevelNormalizer:
 
     def push(self, frames: Array32) -> Array32:
         """Return the features of the next log-mel frames, independent of the sound's level.
+
+        That is each band less the running peak level and less its running mean in loud frames, in
+        standard deviations of the training.
 
         Parameters
         ----------

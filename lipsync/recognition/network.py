@@ -29,9 +29,9 @@ LATENCY_S = 0.095
 _TAPS = 3
 #: Key of the provenance: the digest of the weights that adaptation began with.
 ADAPTED_FROM = "adapted_from"
-#: Rows of one product of matrices. More cost as much a row (4.5 us at 192 channels), but BLAS then
-#: shares the product among threads, and on a computer with other work these wait for each other:
-#: 16 rows took 56 ms in place of 0.1 (2 cores, 16 processes, OpenBLAS).
+#: Rows of one product of matrices. With more, a row costs as much (4.5 us at 192 channels), but
+#: BLAS shares the product among threads, which wait for each other on a busy computer: 16 rows took
+#: 56 ms in place of 0.1 (2 cores, 16 processes, OpenBLAS).
 _ROWS = 8
 
 
@@ -104,11 +104,12 @@ class _StreamingLayer:
     """One convolution with relu on a stream; it stores the past inputs that its kernel needs."""
 
     def __init__(self, layer: Layer) -> None:
+        """Create the layer with a past of zeros."""
         self._layer = layer
         self._n_past = (_TAPS - 1) * layer.dilation
-        # A ring of the last inputs, the present one among them.
+        # Ring of the last inputs, the present one among them, (n_past + 1, n_in).
         self._past = np.zeros((self._n_past + 1, len(layer.kernel) // _TAPS), np.float32)
-        self._taps = np.empty(len(layer.kernel), np.float32)
+        self._inputs = np.empty(len(layer.kernel), np.float32)
         self._newest = 0
 
     def step(self, frame: Array32) -> Array32:
@@ -118,19 +119,20 @@ class _StreamingLayer:
         self._past[self._newest] = frame
         for tap in range(_TAPS):
             age = (_TAPS - 1 - tap) * self._layer.dilation
-            self._taps[tap * n_in : (tap + 1) * n_in] = self._past[(self._newest - age) % n_ring]
-        output: Array32 = self._taps @ self._layer.kernel + self._layer.bias
+            self._inputs[tap * n_in : (tap + 1) * n_in] = self._past[(self._newest - age) % n_ring]
+        output: Array32 = self._inputs @ self._layer.kernel + self._layer.bias
         return np.maximum(output, np.float32(0.0), out=output)
 
     def push(self, frames: Array32) -> Array32:
         """Return the layer's outputs (n, n_out) for the next frames (n, n_in)."""
+        # One row of three inputs side by side for each frame, then one product for all.
         n, dilation = len(frames), self._layer.dilation
         in_order = np.roll(self._past, -1 - self._newest, axis=0)
-        known = np.concatenate((in_order, frames))
-        taps = [known[1 + tap * dilation :][:n] for tap in range(_TAPS)]
+        past_and_new = np.concatenate((in_order, frames))
+        taps = [past_and_new[1 + tap * dilation :][:n] for tap in range(_TAPS)]
         product = _product(np.concatenate(taps, axis=1), self._layer.kernel)
         output: Array32 = product + self._layer.bias
-        self._past = known[n:].copy()
+        self._past = past_and_new[n:].copy()
         self._newest = self._n_past
         return np.maximum(output, np.float32(0.0), out=output)
 
@@ -145,6 +147,7 @@ def _product(rows: Array32, matrix: Array32) -> Array32:
 
 
 def _posteriors(logits: Array32, weights: NetworkWeights) -> Array32:
+    """Return each head's softmax (n, n_heads, n_phonemes) of logits (n, n_heads n_phonemes)."""
     by_head = logits.reshape(len(logits), len(weights.delays), len(weights.phonemes))
     powers = np.exp(by_head - by_head.max(axis=2, keepdims=True))
     posteriors: Array32 = powers / powers.sum(axis=2, keepdims=True)
@@ -209,7 +212,7 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
         raise WeightsError(f"{path}: damaged or no weights; copy or train them again") from error
     try:
         version = int(arrays["format"])
-        weights = _weights(arrays) if version == _FORMAT else None
+        weights = _build_weights(arrays) if version == _FORMAT else None
     except KeyError as error:
         raise WeightsError(f"{path}: not weights of a recogniser: {error} is missing") from error
     except (ValueError, TypeError, IndexError) as error:  # no layers, text for numbers
@@ -219,8 +222,8 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
             f"{path}: weights of format {version}, this lipservo reads format {_FORMAT}; update "
             "lipservo, or train them again"
         )
-    if mistake := _mistake(weights):
-        raise WeightsError(f"{path}: {mistake}; copy or train it again")
+    if inconsistency := _inconsistency(weights):
+        raise WeightsError(f"{path}: {inconsistency}; copy or train it again")
     return weights
 
 
@@ -245,15 +248,18 @@ def weights_digest(name_or_path: str) -> str:
     """
     _check_name(name_or_path)
     shipped = SHIPPED.get(name_or_path)
-    place = Path(name_or_path) if shipped is None else resources.files("lipsync.models") / shipped
+    file = Path(name_or_path) if shipped is None else resources.files("lipsync.models") / shipped
     try:
-        return hashlib.sha256(place.read_bytes()).hexdigest()[:16]
+        return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
     except OSError as error:
         raise WeightsError(f"{name_or_path}: cannot be read: {error.strerror}") from error
 
 
 def adapted_from(name_or_path: str) -> str | None:
-    """Return the digest of the weights that those of a file were adapted from; None: of none."""
+    """Return the digest of the weights that a file's weights were adapted from.
+
+    None for shipped weights, for weights trained from scratch, and for an unreadable file.
+    """
     if name_or_path in SHIPPED:
         return None
     try:
@@ -280,8 +286,8 @@ def _check_name(name_or_path: str) -> None:
         )
 
 
-def _weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
-    """Build the weights from a file's arrays; consistency is checked by `_mistake`.
+def _build_weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
+    """Build the weights from a file's arrays; consistency is checked by `_inconsistency`.
 
     Raises KeyError, ValueError, TypeError or IndexError for arrays that are missing or unusable.
     """
@@ -305,7 +311,7 @@ def _float(array: NDArray[np.generic]) -> NDArray[np.float32]:
     return np.ascontiguousarray(array, dtype=np.float32)
 
 
-def _mistake(weights: NetworkWeights) -> str:
+def _inconsistency(weights: NetworkWeights) -> str:
     """Return the first inconsistency of the weights, in words; "" if there is none."""
     n_channels = len(weights.entry.bias)
     n_outputs = len(weights.delays) * len(weights.phonemes)

@@ -28,31 +28,31 @@ from lipsync.recognition.network import LATENCY_S, NetworkWeights, WeightsError,
 from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
-from lipsync.recognition.text_decoder import FOLLOWING, HEARD, MovedBy, TextDecoder
+from lipsync.recognition.text_decoder import FOLLOWING, OUTSIDE_TEXT, MovedBy, TextDecoder
 from lipsync.spoken_text import PronouncedWord
 
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025
 #: Sound that is worked on at once where nobody waits for it: 64 frames make one matrix product.
 _AHEAD_S = 0.64
-#: Between two keys that are struck there is noise still.
+#: Noise counts as lasting so long after a noticeable frame, as between two key strokes.
 _NOISE_LASTS_S = 0.5
 
 
-#: What is followed in a text is settled so long after it began; what is heard, after `latency_s`.
+#: Seconds until a phoneme found in a given text is final; a recognised one is after `latency_s`.
 FOLLOWING_LATENCY_S: Final = _WINDOW_S + FOLLOWING.settled_frames / FRAMES_PER_S
 
 
 class NetworkRecognizer:
     """A `PreparingRecognizer` of phonemes; accepts any rate and block size, gaps count as silence.
 
-    Where words are given it is a `TextFollower`: what it finds of them in the sound is reported as
-    soon as its phonemes, but is final later, when the network's last head has scored it. A
-    look-ahead waits as long anyway.
+    Where words are given it is a `TextFollower`: phonemes found in the text are reported as early
+    as recognised ones, but are final later, when the network's last head has scored them. A motion
+    with look-ahead waits as long anyway.
 
-    latency_s: 25 ms plus the frames that a head of the network waits, or more. The recogniser
-    revises only phonemes that are not final. Memory stays bounded as long as `updates` is called.
-    settings: of the decoder; None for those that fit the latency.
+    latency_s: 25 ms plus the frames that a head of the network waits, or more; ValueError for less.
+    Only phonemes that are not final are revised. Memory stays bounded as long as `updates` is
+    called. settings: of the decoder; None for those that fit the latency.
     """
 
     def __init__(
@@ -61,8 +61,9 @@ class NetworkRecognizer:
         latency_s: float = LATENCY_S,
         settings: DecoderSettings | None = None,
     ) -> None:
+        """Create the recogniser, for a stream from sound time 0; parameters as in the class."""
         self._weights = weights
-        self._delay = frames_of_delay(latency_s)
+        self._delay = delay_frames(latency_s)
         has_lookahead = self._delay > weights.delays[0]
         self._settings = settings or (SMOOTH if has_lookahead else QUICK)
         self._text: TextDecoder | None = None
@@ -87,13 +88,13 @@ class NetworkRecognizer:
         """The class of the newest final sound: speech until a pause, then noise or silence."""
         if self._decoder.is_awake:
             return "speech"
-        quiet_s = (self._n_heard - self._noticed_at) / FRAMES_PER_S
+        quiet_s = (self._n_frames - self._last_noticed) / FRAMES_PER_S
         return "noise" if quiet_s < self.latency_s + _NOISE_LASTS_S else "silence"
 
     @property
     def moved_by(self) -> MovedBy:
         """`text` if the phonemes now final were found in a given text, `sound` if recognised."""
-        is_text = bool(self._followed) and self._followed[0] != HEARD
+        is_text = bool(self._in_text) and self._in_text[0] != OUTSIDE_TEXT
         return "text" if is_text else "sound"
 
     @property
@@ -116,7 +117,7 @@ class NetworkRecognizer:
         if not words:
             return
         if self._text is None:
-            self._text = TextDecoder(self._posteriors.format, FRAMES_PER_S, self._n_heard)
+            self._text = TextDecoder(self._posteriors.format, FRAMES_PER_S, self._n_frames)
         self._text.tell(words, behind_s)
 
     def reset(self) -> None:
@@ -129,14 +130,14 @@ class NetworkRecognizer:
         self._prepared: deque[_PreparedBlock] = deque()
         self._decoder = ViterbiDecoder(self._posteriors.format, self._delay, self._settings)
         self._updates = UpdateBuilder(FRAMES_PER_S, self._delay + 1)
-        self._n_heard = 0  # frames whose window was heard, those jumped over among them
+        self._n_frames = 0  # frames whose window was heard, those jumped over among them
         self._n_reported = 0
-        self._noticed_at = -(10**9)  # the last frame that a person would have noticed
-        self._believed: list[Array32] = []  # posteriors of the frames heard since the last update
+        self._last_noticed = -(10**9)  # the last frame that a person would have noticed
+        self._evidence: list[Array32] = []  # posteriors of the frames heard since the last update
         self._settled: list[int] = []  # phonemes from the first frame not final on
-        self._provisional: list[int] = []  # of the frames after them that a head has spoken about
+        self._provisional: list[int] = []  # of later frames, scored by a head; may change
         self._text = None
-        self._followed: list[int] = []  # of the same newest frames, as the text has them
+        self._in_text: list[int] = []  # of the newest frames, found in the text
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Store the speeds of the robot's servos, so that their noise is not recognised as voice.
@@ -152,7 +153,7 @@ class NetworkRecognizer:
         """
         if self._own_noise is None:
             self._own_noise = OwnNoise(self._weights.delays[-1] + round(_AHEAD_S * FRAMES_PER_S))
-            self._posteriors.hear_own_noise(self._own_noise)
+            self._posteriors.use_own_noise(self._own_noise)
         self._own_noise.note_speeds(sound_s, speeds_deg_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
@@ -161,14 +162,15 @@ class NetworkRecognizer:
         Raises ValueError for blocks that `feed` refuses, WeightsError where the network overflows;
         after that only `reset` helps.
         """
+        # Of each block: its start, frames of silence in its gap, frames skipped, frames of sound.
         samples: list[Array32] = []
-        counts: list[tuple[float, int, int, int]] = []
+        spans: list[tuple[float, int, int, int]] = []
         for block in blocks:
-            silence, jump_s, sound = self._input.take(block)
+            silence, jump_s, sound = self._input.convert(block)
             samples += [silence, sound]
-            n_silent = self._n_completed(len(silence))
+            n_silent = self._count_frames(len(silence))
             n_jumped = round(jump_s * FRAMES_PER_S)
-            counts.append((block.start_s, n_silent, n_jumped, self._n_completed(len(sound))))
+            spans.append((block.start_s, n_silent, n_jumped, self._count_frames(len(sound))))
         until_s = blocks[-1].end_s if blocks else 0.0
         posteriors = self._posteriors.push(
             np.concatenate(samples), until_s, is_awake=self._decoder.is_awake
@@ -180,14 +182,14 @@ class NetworkRecognizer:
             scores = self._decoder.scores(posteriors)
         noticeable = self._posteriors.noticeable
         end = 0
-        for start_s, n_silent, n_jumped, n_sound in counts:
+        for start_s, n_silent, n_jumped, n_sound in spans:
             first, middle, end = end, end + n_silent, end + n_silent + n_sound
             is_noticed = bool(noticeable[first:end].any())
-            before, heard = (
-                _Frames(posteriors[part], scores[part])
-                for part in (slice(first, middle), slice(middle, end))
+            gap, heard = (
+                _Frames(posteriors[span], scores[span])
+                for span in (slice(first, middle), slice(middle, end))
             )
-            self._prepared.append(_PreparedBlock(start_s, before, n_jumped, heard, is_noticed))
+            self._prepared.append(_PreparedBlock(start_s, gap, n_jumped, heard, is_noticed))
 
     def feed(self, block: AudioBlock) -> None:
         """Process the next block of any size; a gap before it counts as silence.
@@ -206,51 +208,53 @@ class NetworkRecognizer:
         self._decode(prepared.silence)
         # All that the decoder still holds is silence by now.
         self._settled.extend([SILENCE_INDEX] * prepared.n_jumped)
-        self._n_heard += prepared.n_jumped
+        self._n_frames += prepared.n_jumped
         if prepared.n_jumped:
-            self._believed.clear()
+            self._evidence.clear()
         if self._text is not None:
             self._text.jump(prepared.n_jumped)
         self._decode(prepared.sound)
         if prepared.is_noticed:
-            self._noticed_at = self._n_heard
+            self._last_noticed = self._n_frames
 
     def updates(self) -> list[PhonemeUpdate]:
         """Return one update if a 25 ms frame was completed since the last call, else []."""
-        if self._n_heard == self._n_reported:
+        if self._n_frames == self._n_reported:
             return []
-        self._n_reported = self._n_heard
+        self._n_reported = self._n_frames
         n_final = self._updates.n_final
-        known = self._settled + self._provisional
-        n_later = 0
+        phonemes = self._settled + self._provisional
+        # Of the newest frames, phonemes found in the text replace the recognised ones.
+        n_unsettled = 0
         if self._text is not None:
-            n_later = max(0, FOLLOWING.settled_frames - self._delay)
-            for age in range(1, min(len(known), len(self._followed)) + 1):
-                if self._followed[-age] != HEARD:
-                    known[-age] = self._followed[-age]
+            n_unsettled = max(0, FOLLOWING.settled_frames - self._delay)
+            for age in range(1, min(len(phonemes), len(self._in_text)) + 1):
+                if self._in_text[-age] != OUTSIDE_TEXT:
+                    phonemes[-age] = self._in_text[-age]
         # The newest frame's window reaches 15 ms beyond its end; one frame more has been heard.
-        n_missing = self._n_heard + 1 - n_final - len(known)
-        known += [known[-1] if known else SILENCE_INDEX] * n_missing
-        update = self._updates.update([PHONEMES[index] for index in known], n_later)
+        n_missing = self._n_frames + 1 - n_final - len(phonemes)
+        phonemes += [phonemes[-1] if phonemes else SILENCE_INDEX] * n_missing
+        update = self._updates.update([PHONEMES[index] for index in phonemes], n_unsettled)
         del self._settled[: self._updates.n_final - n_final]
-        if self._believed:
-            # Words that are known are not doubted.
-            is_heard = all(each == HEARD for each in self._followed)
+        if self._evidence:
+            # Phonemes found in a text are certain: motion is not to blend in others.
+            is_recognised = all(each == OUTSIDE_TEXT for each in self._in_text)
             heard = self._posteriors_heard()
-            update = replace(update, evidence=heard, posteriors=heard if is_heard else None)
-        self._believed.clear()
+            update = replace(update, evidence=heard, posteriors=heard if is_recognised else None)
+        self._evidence.clear()
         return [update]
 
     def _posteriors_heard(self) -> FramePosteriors:
-        values = np.stack(self._believed)
+        """Return the posteriors of the frames heard since the last update."""
+        values = np.stack(self._evidence)
         delays = self._weights.delays
-        return FramePosteriors(FRAMES_PER_S, self._n_heard - len(values), delays, values)
+        return FramePosteriors(FRAMES_PER_S, self._n_frames - len(values), delays, values)
 
-    def _n_completed(self, n_samples: int) -> int:
+    def _count_frames(self, n_samples: int) -> int:
         """Add `n_samples` to the samples counted; return how many frames they complete."""
-        n_before = _n_frames(self._n_samples)
+        n_before = _complete_frames(self._n_samples)
         self._n_samples += n_samples
-        return _n_frames(self._n_samples) - n_before
+        return _complete_frames(self._n_samples) - n_before
 
     def _decode(self, frames: "_Frames") -> None:
         """Push frames to the decoder, and to the text's decoder until its words are over.
@@ -258,16 +262,16 @@ class NetworkRecognizer:
         Settled phonemes are appended; those of newer frames, provisional and found in the text, are
         replaced.
         """
-        self._believed.extend(frames.posteriors)
+        self._evidence.extend(frames.posteriors)
         for frame in frames.scores:
             settled, self._provisional = self._decoder.push(frame)
             if settled is not None:
                 self._settled.append(settled)
-            self._n_heard += 1
+            self._n_frames += 1
             if self._text is not None:
-                self._followed = self._text.push(frame)
+                self._in_text = self._text.push(frame)
                 if self._text.is_over:
-                    self._text, self._followed = None, []
+                    self._text, self._in_text = None, []
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,17 +297,18 @@ class _PreparedBlock:
     is_noticed: bool
 
 
-def frames_of_delay(latency_s: float) -> int:
+def delay_frames(latency_s: float) -> int:
     """Return how many frames later a frame is settled, for a latency in seconds."""
     return int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
 
 
-def _n_frames(n_samples: int) -> int:
+def _complete_frames(n_samples: int) -> int:
     """Return how many 25 ms frames, one each 10 ms, are complete in `n_samples` at 16 kHz."""
     return max(0, (n_samples - WINDOW) // HOP + 1)
 
 
 def _shipped_or_file(weights: str, latency_s: float) -> NetworkRecognizer:
+    """Make a recogniser with `weights`, a shipped name or a file's path. Raises WeightsError."""
     return NetworkRecognizer(find_weights(weights), latency_s)
 
 

@@ -10,18 +10,22 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 class ScriptedPhonemes:
     """A `PhonemeSource` that releases known events only as a perfect recogniser would find them.
 
-    For sound until t, it reports the starts before t + `lookahead_s` and the ends not after that;
-    all of it is final. Raises ValueError for events out of order or overlapping, and for an event
-    without an end that is not the last.
+    At sound time t it reports the starts before t + `lookahead_s` and the ends up to there; all of
+    it is final. Raises ValueError for events out of order or overlapping, and for an event without
+    an end that is not the last.
     """
 
     def __init__(self, events: Iterable[PhonemeEvent], lookahead_s: float = 0.0) -> None:
+        """Store the events, in order of time. Raises ValueError as the class says.
+
+        lookahead_s: seconds that phonemes are known before their sound.
+        """
         self._events = tuple(events)
         for event, following in zip(self._events, self._events[1:], strict=False):
             if event.end_s is None or not event.start_s < event.end_s <= following.start_s:
                 raise ValueError(f"{event} must end before {following} begins")
         self._lookahead_s = lookahead_s
-        self._n_over = 0  # events that were told with their end
+        self._n_over = 0  # events that were reported with their end
         self._known_until_s = 0.0
         self._heard_until_s = 0.0
 

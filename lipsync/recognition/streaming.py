@@ -4,8 +4,8 @@
 `SoundAhead` returns a source's blocks at their times; for sound that is not live it lets the
 recogniser compute ahead on many blocks at once, which is cheaper and changes no result and no time.
 
-Recognisers share `AudioInput`, which makes 16 kHz without gaps of blocks of any size and rate, and
-`UpdateBuilder`, which makes updates from one phoneme a frame and never revises final ones.
+Recognisers share `AudioInput`, which turns blocks of any size and rate into gapless 16 kHz sound,
+and `UpdateBuilder`, which turns one phoneme a frame into updates and never revises final ones.
 """
 
 import time
@@ -118,24 +118,26 @@ class SoundAhead:
     """
 
     def __init__(self, source: AudioSource, recognizer: LiveRecognizer) -> None:
+        """Read `source` ahead for `recognizer`, if it can prepare and the source is not live."""
         self._source = source
         self._preparing = (
             recognizer
             if isinstance(recognizer, PreparingRecognizer) and not source.is_live
             else None
         )
-        self._shown_until_s = 0.0
+        self._prepared_until_s = 0.0
         self._waiting: deque[AudioBlock] = deque()
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """Return the blocks, not returned before, that end at or before sound time `until_s`."""
-        if self._preparing is not None and until_s > self._shown_until_s:
+        if self._preparing is not None and until_s > self._prepared_until_s:
             ahead_s = self._preparing.ahead_s
             if ahead_s > 0.0:
-                self._shown_until_s = until_s + ahead_s
-                shown = self._source.blocks(self._shown_until_s)
-                self._preparing.prepare(shown)
-                self._waiting.extend(shown)
+                self._prepared_until_s = until_s + ahead_s
+                prepared = self._source.blocks(self._prepared_until_s)
+                self._preparing.prepare(prepared)
+                self._waiting.extend(prepared)
+        # Prepared blocks that are due; more of the source only where none is left waiting.
         n_due = samples_before(until_s)
         due = []
         while self._waiting and round(self._waiting[0].end_s * SAMPLE_RATE_HZ) <= n_due:
@@ -181,7 +183,7 @@ class AudioInput:
         self._n_fed = 0  # samples at the stream's own rate, gaps among them
         self._resampler: soxr.ResampleStream | None = None
 
-    def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
+    def convert(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
         """Return the silence and the seconds skipped in the gap before a block, and its samples.
 
         Parameters
@@ -213,20 +215,23 @@ class AudioInput:
                 f"the block starts at {block.start_s} s, but sound was heard until "
                 f"{self._n_fed / rate_hz} s; feed blocks in order, or reset for a new stream"
             )
+        # Up to 2 s of the gap become silence; whole steps of 10 ms beyond are skipped.
         n_jumps = max(0, n_missing - round(HEARD_GAP_S * rate_hz)) * 100 // rate_hz
-        n_heard = n_missing - n_jumps * rate_hz // 100
+        n_silent = n_missing - n_jumps * rate_hz // 100
         self._n_fed += n_missing + len(block.samples)
-        silence = self._at_16_khz(np.zeros(n_heard, np.float32))
-        heard = np.where(np.isfinite(block.samples), block.samples, np.float32(0.0))
-        samples = np.clip(heard, -1.0, 1.0)
-        return silence, n_jumps / 100, self._at_16_khz(samples.astype(np.float32, copy=False))
+        silence = self._resample(np.zeros(n_silent, np.float32))
+        finite = np.where(np.isfinite(block.samples), block.samples, np.float32(0.0))
+        samples = np.clip(finite, -1.0, 1.0)
+        return silence, n_jumps / 100, self._resample(samples.astype(np.float32, copy=False))
 
     def _begin(self, rate_hz: int) -> None:
+        """Set the rate of the stream, and create the resampler if it is not 16 kHz."""
         self._rate_hz = rate_hz
         if rate_hz != SAMPLE_RATE_HZ:
             self._resampler = soxr.ResampleStream(rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32")
 
-    def _at_16_khz(self, samples: Array32) -> Array32:
+    def _resample(self, samples: Array32) -> Array32:
+        """Return what the resampler has ready at 16 kHz; at 16 kHz the samples themselves."""
         if self._resampler is None or len(samples) == 0:
             return samples
         resampled: Array32 = self._resampler.resample_chunk(samples)
@@ -259,15 +264,15 @@ class UpdateBuilder:
         keeps its earlier start when the last final frame belongs to it.
         """
         runs = self._runs(phonemes)
-        replace_from, heard = self._n_final, self._n_final + len(phonemes)
-        self._n_final = max(self._n_final, heard - self._latency_frames - n_later)
+        n_final_before, n_heard = self._n_final, self._n_final + len(phonemes)
+        self._n_final = max(self._n_final, n_heard - self._latency_frames - n_later)
         for phoneme, start in runs:
             if start < self._n_final:
                 self._last_final, self._run_start = phoneme, start
         ends = [start for _, start in runs[1:]]
         return PhonemeUpdate(
-            replace_from_s=replace_from / self._frames_per_s,
-            heard_until_s=heard / self._frames_per_s,
+            replace_from_s=n_final_before / self._frames_per_s,
+            heard_until_s=n_heard / self._frames_per_s,
             final_until_s=self._n_final / self._frames_per_s,
             events=tuple(
                 PhonemeEvent(
@@ -282,7 +287,8 @@ class UpdateBuilder:
     def _runs(self, phonemes: Sequence[str]) -> list[tuple[str, int]]:
         """Return (phoneme, first frame) of each run of equal phonemes.
 
-        A first run that continues the last final frame's phoneme has that run's first frame.
+        phonemes: of the frames from the first that is not final. Where the first run continues the
+        last final phoneme, its first frame is where that phoneme began.
         """
         runs, start = [], self._n_final
         for phoneme, frames in groupby(phonemes):

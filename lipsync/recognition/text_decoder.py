@@ -3,12 +3,12 @@
 The words are a graph from left to right: silence may come before each, each has one or several
 pronunciations, one may be left out, repeated or broken off, at a penalty. Beside it runs a path
 without constraint, the escape, which costs a little more in every frame than the likeliest phoneme
-does: it wins where the sound does not follow the text, and there what is heard counts. Viterbi's
-search over both (Rabiner, Proceedings of the IEEE 77(2), 1989; the escape is the filler model of
-keyword spotting, Rose and Paul, ICASSP 1990).
+does: it wins where the sound does not follow the text, and there the recognised phonemes count.
+The search over both is Viterbi's (Rabiner, Proceedings of the IEEE 77(2), 1989); the escape is the
+filler model of keyword spotting (Rose and Paul, ICASSP 1990).
 
-A frame's scores change until the last of the network's heads has scored it. So the search keeps one
-step a frame, up to the frame that the last head has just scored; later frames are searched anew.
+A frame's scores change until the last of the network's heads has scored it. So a step of the search
+is final only up to the frame that the last head has just scored; later frames are searched anew.
 """
 
 from collections import deque
@@ -26,13 +26,13 @@ from lipsync.phonemes import PHONEMES
 from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat, best_heads
 from lipsync.spoken_text import PronouncedWord
 
-#: In place of a phoneme where the escape wins.
-HEARD: Final = -1
-#: Of a word; the dictionary's first ones.
+#: In place of a phoneme's number: the escape wins here, so the recognised phoneme counts.
+OUTSIDE_TEXT: Final = -1
+#: Pronunciations of a word that are searched; the dictionary's first ones.
 MOST_PRONUNCIATIONS: Final = 4
-#: Words told and not yet said, at once: ten minutes of speech.
+#: Words that may wait to be spoken: ten minutes of speech.
 MOST_WORDS: Final = 2_000
-#: Words around the present one that the search goes through.
+#: The search's window: it begins so many words before the present one, and has so many.
 _BEHIND, _WINDOW = 3, 14
 _NEVER: Final = np.float32(-1e9)
 _NO_WORDS: Final = np.zeros(0, np.float32)
@@ -81,14 +81,14 @@ class TextFollower(MouthMover, Protocol):
 class TextSettings:
     """Costs in natural-log units, chosen on two talkers that are not scored (docs/recognition.md).
 
-    settled_frames: frames after which the path to a frame is final. n_heads: number of the
-    network's heads used, the quickest; the one that waits longest adds nothing where words are
-    known. lowest: least score of a phoneme in one frame, relative to the likeliest. silence: of
-    every frame of it: phonemes that begin or end softly are known. pause: of silence between two
-    words. left_out: of each word that is left out; again: of going back. escape: of every frame on
-    the escape; leave, resume: of going over to it and back; leave_pause: of going over to it from
-    silence, where other words are spoken most often. least_frames: least duration of a phoneme.
-    late_s: a word may begin this much beside its time, if it has one; late: of each second more.
+    settled_frames: frames after which the path to a frame is final. n_heads: how many heads of the
+    network are used, the quickest; the one that waits longest adds nothing where words are known.
+    lowest: least score of a phoneme in one frame, relative to the likeliest. silence: cost of every
+    silent frame. pause: cost of silence between two words. left_out: of each word that is left out;
+    again: of going back. escape: of every frame on the escape; leave, resume: of a change to it and
+    back; leave_pause: of a change to it from silence, where other words begin most often.
+    least_frames: least duration of a phoneme. late_s: how far a word with a time may begin from
+    it without cost; late: cost of each second beyond.
     """
 
     settled_frames: int = 17
@@ -115,60 +115,62 @@ class TextDecoder:
 
     def __init__(
         self,
-        heard: PosteriorFormat,
+        posterior_format: PosteriorFormat,
         frames_per_s: int,
         first_frame: int = 0,
         settings: TextSettings = FOLLOWING,
     ) -> None:
-        """Create the decoder for posteriors of the format `heard`.
+        """Create the decoder for posteriors of the given format.
 
         first_frame: the number, in the stream, of the first frame that will be pushed. Raises
         ValueError if a path would be settled before the last head used has scored it.
         """
-        self._delays = heard.delays[: settings.n_heads]
+        self._delays = posterior_format.delays[: settings.n_heads]
         if settings.settled_frames < self._delays[-1]:
             raise ValueError("the decoder settles words before its last head has scored them")
         self._settings = settings
         self._frames_per_s = frames_per_s
-        self._pause = np.float32(settings.pause)
-        self._silence = np.float32(settings.silence)
-        self._lowest = np.float32(settings.lowest)
-        self._late = np.float32(settings.late / frames_per_s)
-        self._tolerated = np.float32(settings.late_s * frames_per_s)
+        self._pause_cost = np.float32(settings.pause)
+        self._silence_cost = np.float32(settings.silence)
+        self._least_score = np.float32(settings.lowest)
+        self._late_cost = np.float32(settings.late / frames_per_s)
+        self._tolerance = np.float32(settings.late_s * frames_per_s)
         self._heads = best_heads(self._delays, self._delays[-1])
-        length = self._delays[-1] + 1
-        self._recent = np.zeros((length, len(self._delays), len(PHONEMES)), np.float32)
+        n_recent = self._delays[-1] + 1
+        # Scores of the last frames by each head, by frame number modulo the length.
+        self._recent = np.zeros((n_recent, len(self._delays), len(PHONEMES)), np.float32)
         self._first_frame = first_frame
         self._n_heard = 0
-        self._n_idle = 0
+        self._n_idle = 0  # frames since all words were spoken
         self._words = _WordGraph(settings)
         window = self._words.window(0)
         scores = np.full(window.n_states, _NEVER)
         scores[0] = 0.0
         self._newest = _Front(window, scores, np.float32(0.0), _NO_WORDS)
-        n_kept = settings.settled_frames - self._delays[-1] + 1
-        self._kept: deque[_Front] = deque([self._newest], maxlen=n_kept + 1)
-        self._place = 0.0
+        n_final = settings.settled_frames - self._delays[-1] + 1
+        self._final_fronts: deque[_Front] = deque([self._newest], maxlen=n_final + 1)
+        self._place = 0.0  # number of the word being spoken; grows by parts of 1 on the escape
 
     @property
     def place(self) -> int:
-        """The number, from 0, of the word being spoken, by the path that is settled."""
+        """The number, from 0, of the word being spoken, by the final part of the best path."""
         return int(self._place)
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """The words around the one being spoken, and that one's index in them."""
-        return self._words.around(self.place)
+        """The words around the one being spoken, and its index among them."""
+        return self._words.labels_around(self.place)
 
     @property
     def is_over(self) -> bool:
-        """Whether all words were spoken, or passed over, more than a second ago."""
+        """Whether all words were spoken or left out more than a second ago."""
         return self._n_idle > _IDLE_S * self._frames_per_s
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """Add words of the text after all earlier ones. Raises TextError for too many words.
 
-        behind_s: seconds of their sound heard already; the voice is searched for around that word.
+        behind_s: seconds of their sound heard already; for words without times the search goes on
+        at the word that is likely spoken by then.
         """
         n_waiting = self._words.n_words - self.place + len(words)
         if n_waiting > MOST_WORDS:
@@ -177,13 +179,13 @@ class TextDecoder:
             )
         n_behind = min(len(words), int(behind_s * _WORDS_PER_S))
         is_timed = any(word.start_s is not None for word in words)
-        place = self._words.n_words + n_behind
+        present = self._words.n_words + n_behind
         self._words.append(words, self._frames_per_s)
         self._n_idle = 0
         if n_behind and not is_timed:
-            self._place = float(place)
-            window = self._words.window(place)
-            self._replace_newest(window, np.full(window.n_states, _NEVER), np.float32(0.0))
+            self._place = float(present)
+            window = self._words.window(present)
+            self._set_newest(window, np.full(window.n_states, _NEVER), np.float32(0.0))
 
     def forget(self) -> None:
         """Drop the words given by `tell` that are not spoken yet."""
@@ -198,88 +200,92 @@ class TextDecoder:
         self._words.drop_after(place)
         self._place = min(self._place, float(self._words.n_words))
         window = self._words.window(self.place)
-        self._replace_newest(window, window.taken_over(newest), newest.escape)
+        self._set_newest(window, window.scores_from(newest), newest.escape)
 
-    def _replace_newest(self, window: "_Window", scores: Array32, escape: np.float32) -> None:
+    def _set_newest(self, window: "_Window", scores: Array32, escape: np.float32) -> None:
+        """Replace the newest final front by one on `window`; the words' `begins` are kept."""
         begins = np.full(len(window.silences), _NEVER)
         known = self._newest.begins[max(0, window.first_word - self._newest.window.first_word) :]
         begins[: len(known)] = known[: len(begins)]
-        self._newest = self._kept[-1] = _Front(window, scores, escape, begins)
+        self._newest = self._final_fronts[-1] = _Front(window, scores, escape, begins)
 
     def jump(self, n_frames: int) -> None:
         """Advance the frame number by `n_frames` of silence in a long gap, which are not pushed."""
         self._first_frame += n_frames
 
     def push(self, scores: Array32) -> list[int]:
-        """Decode one frame of scores, and settle which word is being spoken.
+        """Decode one frame of scores, and update `place`, the word being spoken.
 
         Parameters
         ----------
         scores : Array32
-            (n_heads, n_phonemes), logarithms.
+            (n_heads, n_phonemes), logarithms; head h's row is of the frame delays[h] frames ago.
 
         Returns
         -------
         list[int]
-            Phonemes' numbers in `PHONEMES` for the newest frames in order; `HEARD` where the sound
-            does not follow the text.
+            Phonemes' numbers in `PHONEMES` for the newest frames in order, which may change in the
+            next call; `OUTSIDE_TEXT` where the sound does not follow the text. [] before the first.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
         scores = scores[: len(self._delays)]
-        relative = np.maximum(scores - scores.max(axis=1, keepdims=True), self._lowest)
-        relative[:, SILENCE_INDEX] -= self._silence
+        relative = np.maximum(scores - scores.max(axis=1, keepdims=True), self._least_score)
+        relative[:, SILENCE_INDEX] -= self._silence_cost
         for head, delay in enumerate(self._delays):
             if delay <= n:
                 self._recent[(n - delay) % length, head] = relative[head]
         oldest, newest = n - self._delays[-1], n - self._delays[0]
         if newest < 0:
             return []
+        # The frame that the last head has just scored is final; newer ones are searched on trial.
         if oldest >= 0:
-            self._newest = self._step(self._newest, oldest, self._delays[-1], keep=True)
-            self._kept.append(self._newest)
+            self._newest = self._step(self._newest, oldest, self._delays[-1], is_final=True)
+            self._final_fronts.append(self._newest)
         front = self._newest
-        steps = []
+        provisional = []
         for frame in range(max(0, oldest + 1), newest + 1):
             front = self._step(front, frame, n - frame)
-            steps.append(front)
-        return self._path([*self._kept, *steps])
+            provisional.append(front)
+        return self._trace_back([*self._final_fronts, *provisional])
 
-    def _step(self, front: "_Front", frame: int, age: int, *, keep: bool = False) -> "_Front":
-        """Return the paths' scores after frame number `frame`, by the head that fits its `age`.
+    def _step(self, front: "_Front", frame: int, age: int, *, is_final: bool = False) -> "_Front":
+        """Return the search's scores after frame number `frame`; `front`: those before it.
 
-        keep: whether the step is final: then the window of words may move, and scores are
-        normalised. Steps that are not final are searched again in the next frame.
+        age: frames heard since, which chooses the head. is_final: then the window of words may move
+        and scores are normalised; other steps are searched again in the next frame.
         """
         settings = self._settings
-        window = self._words.window(self.place) if keep else front.window
+        window = self._words.window(self.place) if is_final else front.window
         scores = front.scores
         if window is not front.window:
-            scores = window.taken_over(front)
+            scores = window.scores_from(front)
         row = self._recent[frame % len(self._recent), self._heads[age - self._delays[0]]]
-        begins = self._begins(window, scores, front.escape)
+        # What each state is entered with: from the state before it; silence before a word from any
+        # word's end; a word's first state from such an end, or from the silence before the word.
+        begins = self._start_scores(window, scores, front.escape)
         entered = np.empty_like(scores)
         entered[1:] = scores[:-1]
-        entered[window.silences] = begins - self._pause
-        into_first = np.maximum(begins, scores.take(window.silences))
+        entered[window.silences] = begins - self._pause_cost
+        to_first = np.maximum(begins, scores.take(window.silences))
         if window.has_times:
-            apart = np.abs(window.start_frames - np.float32(frame + self._first_frame))
-            into_first -= np.fmax(np.float32(0.0), apart - self._tolerated) * self._late
-        entered[window.firsts] = into_first.take(window.word_of_first)
-        found = np.maximum(scores + window.stays, entered)
-        found += row.take(window.phonemes)
-        left = max(
+            off_frames = np.abs(window.start_frames - np.float32(frame + self._first_frame))
+            to_first -= np.fmax(np.float32(0.0), off_frames - self._tolerance) * self._late_cost
+        entered[window.firsts] = to_first.take(window.word_of_first)
+        new_scores = np.maximum(scores + window.stays, entered)
+        new_scores += row.take(window.phonemes)
+        best_exit = max(
             np.maximum.reduce(scores) - np.float32(settings.leave),
             np.maximum.reduce(scores.take(window.silences)) - np.float32(settings.leave_pause),
         )
-        escape = max(front.escape, left) - np.float32(settings.escape)
-        if keep:
-            best = max(np.maximum.reduce(found), escape)
-            found -= best
+        escape = max(front.escape, best_exit) - np.float32(settings.escape)
+        if is_final:
+            best = max(np.maximum.reduce(new_scores), escape)
+            new_scores -= best
             escape -= best
-        return _Front(window, found, escape, begins)
+        return _Front(window, new_scores, escape, begins)
 
-    def _begins(self, window: "_Window", scores: Array32, escape: np.float32) -> Array32:
+    def _start_scores(self, window: "_Window", scores: Array32, escape: np.float32) -> Array32:
         """Return the best score (n_words,) with which each word of a window may begin now."""
         ends = np.empty(window.ends.shape[1] + 1, np.float32)
         np.maximum.reduce(scores.take(window.ends), axis=0, out=ends[:-1])
@@ -287,23 +293,27 @@ class TextDecoder:
         begins: Array32 = np.maximum.reduce(ends[:, None] + window.between, axis=0)
         return begins
 
-    def _path(self, fronts: "list[_Front]") -> list[int]:
-        """Return the best path's phonemes, one a frame after the first; settle the present word."""
+    def _trace_back(self, fronts: "list[_Front]") -> list[int]:
+        """Return the best path's phoneme in each front but the first; set `_place` from the first.
+
+        A phoneme's number in `PHONEMES`, or `OUTSIDE_TEXT`.
+        """
         last = fronts[-1]
         state = int(last.scores.argmax())
-        is_heard = bool(last.escape >= last.scores[state])
+        is_escape = bool(last.escape >= last.scores[state])
         path: list[int] = []
         for front, before in zip(fronts[:0:-1], fronts[-2::-1], strict=True):
-            if is_heard:
-                path.append(HEARD)
-                left, source = self._left_from(before)
-                if left > before.escape:
-                    is_heard, state = False, source
+            if is_escape:
+                path.append(OUTSIDE_TEXT)
+                exit_score, exit_state = self._best_exit(before)
+                if exit_score > before.escape:
+                    is_escape, state = False, exit_state
                 continue
             path.append(int(front.window.phonemes[state]))
-            is_heard, state = self._source(front, before, state)
+            is_escape, state = self._predecessor(front, before, state)
+        # Beside the text its words are assumed to pass at the pace of slow speech.
         n_words = self._words.n_words
-        if is_heard:
+        if is_escape:
             self._place = min(self._place + _ESCAPED_WORDS_PER_FRAME, float(n_words))
         else:
             window = fronts[0].window
@@ -311,21 +321,21 @@ class TextDecoder:
         self._n_idle = self._n_idle + 1 if self._place >= n_words else 0
         return path[::-1]
 
-    def _left_from(self, front: "_Front") -> tuple[np.float32, int]:
-        """Return the best score of leaving the text for free recognition, and the state left."""
+    def _best_exit(self, front: "_Front") -> tuple[np.float32, int]:
+        """Return the best score of a change from the text to the escape, and the state left."""
         best = int(front.scores.argmax())
         pause = int(front.window.silences[front.scores.take(front.window.silences).argmax()])
         from_best = front.scores[best] - np.float32(self._settings.leave)
         from_pause = front.scores[pause] - np.float32(self._settings.leave_pause)
         return (from_pause, pause) if from_pause > from_best else (from_best, best)
 
-    def _source(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
-        """Return how the best path reached `state` in the frame of `front`.
+    def _predecessor(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
+        """Return where the best path to `state` in `front` came from, one frame earlier.
 
-        (False, its state in the frame of `before`), or (True, `state`) if from free recognition.
+        (False, its state in `before`), or (True, `state`) if it came from the escape.
         """
         window = front.window
-        scores = before.scores if before.window is window else window.taken_over(before)
+        scores = before.scores if before.window is window else window.scores_from(before)
         shift = window.first_state - before.window.first_state
         stay = scores[state] + window.stays[state]
         kind = window.kinds[state]
@@ -340,6 +350,7 @@ class TextDecoder:
             silence = int(window.silences[word])
             if max(stay, scores[silence]) >= begins[word]:
                 return False, (state if stay >= scores[silence] else silence) + shift
+        # From the end of a word (its best pronunciation), or from the escape.
         ends = scores[window.ends].max(axis=0)
         from_words = np.append(ends, before.escape) + window.between[:, word]
         source = int(from_words.argmax())
@@ -351,7 +362,11 @@ class TextDecoder:
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """The words that the search goes through now, as arrays over their states or over words."""
+    """The words that the search goes through now, as arrays over their states or over words.
+
+    Arrays as in `_Words`, but states and words count from the window's first. between: scores of
+    `_transition_scores`. has_times: whether a word of the window has a time.
+    """
 
     first_word: int
     first_state: int
@@ -368,7 +383,7 @@ class _Window:
     start_frames: Array32
     has_times: bool
 
-    def taken_over(self, front: "_Front") -> Array32:
+    def scores_from(self, front: "_Front") -> Array32:
         """Return the scores (n_states,) of this window's states in `front`; -1e9 if not there."""
         scores = np.full(self.n_states, _NEVER)
         shift = front.window.first_state - self.first_state
@@ -379,9 +394,9 @@ class _Window:
 
 @dataclass(frozen=True, slots=True)
 class _Front:
-    """The best score of a path to each state, and to free recognition, after a frame.
+    """The search's scores after a frame: of the best path to each state, and to the escape.
 
-    begins: (n_words,), the score with which each word could begin in that frame.
+    scores: (n_states,). begins: (n_words,), the score with which each word could begin then.
     """
 
     window: _Window
@@ -390,12 +405,13 @@ class _Front:
     begins: Array32
 
 
+#: Kinds of states: within a word, the silence before a word, a pronunciation's first state.
 _WITHIN, _SILENT, _FIRST = 0, 1, 2
-#: Read speech with its pauses; a window reaches several words to both sides.
+#: Speed of read speech with its pauses; a window reaches several words to both sides.
 _WORDS_PER_S: Final = 2.6
-#: Where the text is not said it goes by all the same: slow speech, 100 frames a second.
+#: On the escape the present word advances as in slow speech: 2 words a second at 100 frames.
 _ESCAPED_WORDS_PER_FRAME: Final = 0.02
-#: After the last word.
+#: The text is over so long after its last word.
 _IDLE_S: Final = 1.0
 
 
@@ -403,9 +419,11 @@ _IDLE_S: Final = 1.0
 class _Words:
     """Words as states in one row; each word is silence, then its pronunciations in succession.
 
-    States and words keep their numbers when earlier ones are dropped. phonemes, stays, kinds,
-    words: of each state. firsts: the first state of each pronunciation, word_of_first: its word.
-    silences (n_words,), ends (4, n_words), start_frames (n_words,): of each word.
+    States and words keep their numbers when earlier ones are dropped. Of each state: phonemes;
+    stays, the score of staying in it; kinds (`_WITHIN`, ...); words, its word's number. firsts: the
+    first state of each pronunciation; word_of_first: its word. Of each word: silences (n_words,),
+    the state of the silence before it; ends (4, n_words), the last state of each pronunciation;
+    start_frames (n_words,), when it should begin, NaN: unknown.
     """
 
     phonemes: NDArray[np.int64]
@@ -436,7 +454,7 @@ class _WordGraph:
     def __init__(self, settings: TextSettings) -> None:
         self._settings = settings
         self._labels: list[str] = []
-        self._words = _end(0, 0)
+        self._words = _final_silence(0, 0)
         self._first_word = 0  # of the window, which does not go back
         self._window: _Window | None = None
 
@@ -446,25 +464,25 @@ class _WordGraph:
         return int(self._words.words[-1])
 
     def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:
-        """Append words, which become states; drop words before the present window."""
+        """Append words, which become states; drop the words before the present window."""
         end_state = int(self._words.silences[-1])
         parts = [self._words.part(self._first_word, self.n_words)]
         for number, word in enumerate(words, self.n_words):
             least_frames = self._settings.least_frames
-            parts.append(_compiled(word, number, end_state, least_frames, frames_per_s))
+            parts.append(_word_states(word, number, end_state, least_frames, frames_per_s))
             end_state += len(parts[-1].phonemes)
         self._labels = [*self._labels_from(self._first_word), *(word.label for word in words)]
-        self._lay_out(*parts, _end(self.n_words + len(words), end_state))
+        self._lay_out(*parts, _final_silence(self.n_words + len(words), end_state))
 
     def drop_after(self, number: int) -> None:
         """Drop all words after word number `number`."""
         first, end = int(self._words.words[0]), max(self._first_word, min(number + 1, self.n_words))
         end_state = int(self._words.silences[end - first])
         del self._labels[end - first :]
-        self._lay_out(self._words.part(first, end), _end(end, end_state))
+        self._lay_out(self._words.part(first, end), _final_silence(end, end_state))
 
     def _lay_out(self, *parts: _Words) -> None:
-        """Join `parts` to the graph's words; the window is cut out anew when next asked for."""
+        """Make `parts`, joined, the graph's words; `window` will cut its window out anew."""
         self._words = _Words(
             *(
                 np.concatenate([getattr(part, name) for part in parts], axis=-1)
@@ -473,7 +491,7 @@ class _WordGraph:
         )
         self._window = None
 
-    def around(self, place: int) -> tuple[tuple[str, ...], int]:
+    def labels_around(self, place: int) -> tuple[tuple[str, ...], int]:
         """Return the labels of up to 14 words around word number `place`, and that one's index."""
         labels = self._labels_from(self._first_word)
         return tuple(labels[:_WINDOW]), place - self._first_word
@@ -487,12 +505,15 @@ class _WordGraph:
         if self._window is None or self._window.first_word != first:
             end = first + _WINDOW
             words = self._words.part(first, end if end < self.n_words else self.n_words + 1)
-            self._window = _window_of(words, min(place, self.n_words) - first, self._settings)
+            self._window = _make_window(words, min(place, self.n_words) - first, self._settings)
         return self._window
 
 
-def _end(number: int, first_state: int) -> _Words:
-    """Return the silence after the last word: one state, as a word numbered `number`."""
+def _final_silence(number: int, first_state: int) -> _Words:
+    """Return the silence after the last word: one state, as a word numbered `number`.
+
+    first_state: the number of that state. The word has no pronunciation.
+    """
     none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
     return _Words(
         one + SILENCE_INDEX, np.zeros(1, np.float32), np.full(1, _SILENT, np.int8), one + number,
@@ -502,10 +523,10 @@ def _end(number: int, first_state: int) -> _Words:
     )  # fmt: skip
 
 
-def _compiled(
+def _word_states(
     word: PronouncedWord, number: int, first_state: int, least_frames: int, frames_per_s: int
 ) -> _Words:
-    """Return a word as states: one of silence, then `least_frames` for each phoneme.
+    """Return a word as states: one of silence, then `least_frames` states for each phoneme.
 
     number: the word's; first_state: the number of its first state. A path may stay in silence and
     in a phoneme's last state only, so a phoneme lasts `least_frames` at least.
@@ -527,7 +548,7 @@ def _compiled(
     )  # fmt: skip
 
 
-def _window_of(words: _Words, place: int, settings: TextSettings) -> _Window:
+def _make_window(words: _Words, place: int, settings: TextSettings) -> _Window:
     """Return the window on `words`; states and words in it are numbered from its own first.
 
     place: the index in the window of the word being spoken.
@@ -545,24 +566,26 @@ def _window_of(words: _Words, place: int, settings: TextSettings) -> _Window:
         words.firsts - first_state,
         words.word_of_first - first_word,
         words.ends - first_state,
-        _between(len(words.silences), place, settings),
+        _transition_scores(len(words.silences), place, settings),
         words.start_frames,
         bool(np.isfinite(words.start_frames).any()),
     )
 
 
 @cache
-def _between(n_words: int, place: int, settings: TextSettings) -> Array32:
-    """Return the scores (n_words + 1, n_words) of going from each word's end to each beginning.
+def _transition_scores(n_words: int, place: int, settings: TextSettings) -> Array32:
+    """Return the scores (n_words + 1, n_words) of going from each word's end to each word's start.
 
-    The last row is from the escape. place: index of the present word. A score is a cost times -1.
+    The last row is from the escape; there words before the present one, index `place`, cost more.
+    A score is a cost times -1.
     """
+    # Words left out on the way; negative: how far the path goes back.
     ahead = np.arange(n_words)[None] - np.arange(n_words)[:, None] - 1
-    words = np.where(
+    from_words = np.where(
         ahead >= 0,
         -settings.left_out * ahead,
         -settings.again + settings.left_out * (ahead + 1) / 4,
     )
     behind = np.maximum(0, place - np.arange(n_words))
-    escape = -settings.resume - behind * settings.left_out / 4
-    return np.vstack((words, escape)).astype(np.float32)
+    from_escape = -settings.resume - behind * settings.left_out / 4
+    return np.vstack((from_words, from_escape)).astype(np.float32)

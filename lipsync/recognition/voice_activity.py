@@ -48,9 +48,10 @@ def level_db(frame: NDArray[np.float32]) -> float:
     float
         dB re full scale.
     """
+    # Least squares by projection on the basis.
     slow = _parabolas(len(frame))
-    rest = frame - slow @ (slow.T @ frame)
-    power = float(np.mean(np.square(rest, dtype=np.float64)))
+    fast = frame - slow @ (slow.T @ frame)
+    power = float(np.mean(np.square(fast, dtype=np.float64)))
     return max(_NOTHING_DB, 10.0 * math.log10(power)) if power > 0.0 else _NOTHING_DB
 
 
@@ -69,7 +70,7 @@ class VoiceActivityDetector:
     """
 
     def __init__(self) -> None:
-        # As if it had been quiet before the stream began: speech that starts at once is heard.
+        """Start after quiet: the floor is -120 dB, so that speech that starts at once is found."""
         n_steps = round(FLOOR_WINDOW_S / _FLOOR_STEP_S)
         self._step_minima_db = deque([_NOTHING_DB] * n_steps, maxlen=n_steps)
         self._n_in_step = 0
@@ -102,6 +103,7 @@ class VoiceActivityDetector:
         return self._is_open
 
     def _follow_floor(self, frame_db: float) -> None:
+        """Add a frame's level to the minimum of the present step of 100 ms."""
         if self._n_in_step == 0:
             self._step_minima_db.append(frame_db)
         else:

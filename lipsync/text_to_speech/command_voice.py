@@ -35,7 +35,7 @@ from lipsync.text_to_speech.voice_process import LONGEST_S, Request, VoiceProces
 from lipsync.textgrid import LabelError
 
 _WAV, _WORDS, _LANGUAGE = "{wav}", "{words}", "{language}"
-#: Of a sentence.
+#: Of the file of times of a sentence.
 _LARGEST_WORDS_BYTES: Final = 1 << 20
 _FULL_SCALE: Final = 32768.0
 
@@ -62,7 +62,7 @@ class CommandVoice:
         Where the command gives no phoneme times, the result has `units` in place of phonemes.
         """
         written = checked_text(text, self.longest_text)
-        _check(voice)
+        _check_voice(voice)
         answer, sound = self._process.request(
             {"text": written, "command": voice.name, "language": voice.language}
         )
@@ -94,6 +94,7 @@ def speech_of(
 
 
 def _timed_words(words: tuple[TimedUnit, ...], sample_rate_hz: int) -> SpokenText:
+    """Return words with times in s as units that start at sample numbers."""
     return SpokenText(
         "word",
         tuple(SpokenUnit(unit.label, round(unit.start_s * sample_rate_hz)) for unit in words),
@@ -101,7 +102,7 @@ def _timed_words(words: tuple[TimedUnit, ...], sample_rate_hz: int) -> SpokenTex
     )
 
 
-def _check(voice: Voice) -> None:
+def _check_voice(voice: Voice) -> None:
     """Raise SynthesisError for a voice without a usable command, or with its own rate or pitch.
 
     A language other than the default is refused unless the command has `{language}`.
@@ -132,26 +133,26 @@ def _process() -> VoiceProcess:
     )
 
 
-def _answered(request: Request) -> tuple[dict[str, object], bytes]:
+def _run_command(request: Request) -> tuple[dict[str, object], bytes]:
     """Run the command of a request; return its sample rate and words, and its int16 sound as bytes.
 
     Raises SynthesisError if the command fails or its output cannot be used.
     """
     with tempfile.TemporaryDirectory(prefix="lipservo-voice-") as folder:
         wav, words = Path(folder) / "sound.wav", Path(folder) / "words.json"
-        named = {_WAV: str(wav), _WORDS: str(words), _LANGUAGE: request["language"]}
+        values = {_WAV: str(wav), _WORDS: str(words), _LANGUAGE: request["language"]}
         arguments = shlex.split(request["command"])
-        for name, value in named.items():
-            arguments = [each.replace(name, value) for each in arguments]
-        printed = wav if _WAV not in request["command"] else Path(folder) / "printed"
-        complaints = Path(folder) / "complaints"
-        with printed.open("wb") as out, complaints.open("wb") as wrong:
+        for name, value in values.items():
+            arguments = [argument.replace(name, value) for argument in arguments]
+        printed_path = wav if _WAV not in request["command"] else Path(folder) / "printed"
+        errors_path = Path(folder) / "complaints"
+        with printed_path.open("wb") as out, errors_path.open("wb") as errors:
             try:
                 done = subprocess.run(
                     arguments,
                     input=request["text"].encode(),
                     stdout=out,
-                    stderr=wrong,
+                    stderr=errors,
                     check=False,
                 )
             except (OSError, ValueError) as error:
@@ -159,12 +160,12 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
         if done.returncode != 0:
             raise SynthesisError(
                 f"the voice's command {arguments[0]} failed with status {done.returncode}"
-                f"{_last_line(complaints)}"
+                f"{_last_line(errors_path)}"
             )
-        return _sound_of(wav, words)
+        return _read_outputs(wav, words)
 
 
-def _sound_of(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
+def _read_outputs(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
     """Return the command's sample rate and words, and its sound, mono int16, as bytes.
 
     words: the file of times, which may be missing. Raises SynthesisError if there is no sound, its
@@ -192,9 +193,10 @@ def _sound_of(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
 
 
 def _last_line(complaints: Path) -> str:
+    """Return the last line of a command's standard error, after ": "; "" if it is empty."""
     lines = complaints.read_bytes()[-2000:].decode("utf-8", "replace").strip().splitlines()
     return f": {lines[-1][:160]}" if lines else ""
 
 
 if __name__ == "__main__":
-    serve(_answered)
+    serve(_run_command)

@@ -2,8 +2,8 @@
 
 Why espeak-ng, and what its times are worth: docs/decisions/speech-out.md.
 
-The events of its phonemes are corrected by its own sound. Measured on version 1.51
-(docs/speech.md, times): most events lie at the sound to the millisecond. Two kinds do not.
+The times of its phonemes ("events") are corrected by its own sound. Measured on version 1.51
+(docs/speech.md, times): most events are right to the millisecond. Two kinds are not.
 
 - The event of a stop or an affricate lies at its burst. The closure before it, silent but where it
   is voiced, counts to the phoneme before: here the onset is moved back over it.
@@ -42,24 +42,24 @@ _VOWELS = frozenset(
     ("AA", "AE", "AH", "AO", "AW", "AY", "EH", "ER", "EY", "IH", "IY", "OW", "OY", "UH", "UW")
 )
 
-#: Below it there is no sound: espeak-ng's pauses and closures are zero to the last bit or two.
+#: Amplitudes below it are silence: espeak-ng's pauses and closures are zero to the last bit or two.
 _SILENT = 0.002
 #: A burst may begin this long before its event.
 _BURST_EARLY_S = 0.003
-#: After a pause nobody hears where a closure begins; lips close about so long before they burst.
+#: After a pause the start of a closure cannot be heard; lips close about so long before the burst.
 _CLOSURE_AFTER_PAUSE_S = 0.09
-#: In how much of the consonant before, counted from its end, a vowel's onset is looked for. At 120
-#: words a minute the onset was up to 63 ms before its event, in the last half of an M.
+#: A vowel's onset is searched in this last share of the consonant before it. At 120 words a minute
+#: the onset was up to 63 ms before its event, in the last half of an M.
 _ONSET_SHARE = 0.6
 #: The onset is not looked for this near to the beginning of the consonant, or to its burst.
 _CONSONANT_AT_LEAST_S = 0.015
 #: The two stretches whose loudness is compared, and the least rise between them that is a release.
 _COMPARED_S, _STEP_S, _LEAST_RISE_DB = 0.008, 0.001, 6.0
-#: A phoneme whose event comes with the next one's sounds within the one before: its share of it.
+#: A phoneme without duration sounds within the one before: its share of that one's time.
 _SHARE_OF_JOINED = 1 / 3
 
 
-def refined(
+def refine_times(
     phonemes: list[TimedPhones], samples: NDArray[np.float32], sample_rate_hz: int
 ) -> list[TimedPhones]:
     """Return the phonemes with espeak-ng's times corrected by the sound, in order, without gaps.
@@ -78,12 +78,13 @@ def refined(
     list[TimedPhones]
         Times in seconds.
     """
-    found = _with_joined_apart(phonemes)
-    events_s = [each.start_s for each in found]
+    timed = _give_durations(phonemes)
+    events_s = [each.start_s for each in timed]
     loud_s = np.flatnonzero(np.abs(samples) >= _SILENT) / sample_rate_hz
     edges = np.diff(samples, prepend=samples[:1])
-    for index in range(1, len(found)):
-        before, after = found[index - 1], found[index]
+    for index in range(1, len(timed)):
+        before, after = timed[index - 1], timed[index]
+        # A stop begins where the silence before its burst begins, a vowel where the sound jumps.
         if after.phones[0] in _STOPS:
             earliest_s = before.start_s
             if before.phones[-1] == SILENCE:
@@ -101,25 +102,25 @@ def refined(
         else:
             continue
         before.end_s = after.start_s = boundary_s
-    return [each for each in found if each.end_s > each.start_s]
+    return [each for each in timed if each.end_s > each.start_s]
 
 
-def _with_joined_apart(phonemes: list[TimedPhones]) -> list[TimedPhones]:
+def _give_durations(phonemes: list[TimedPhones]) -> list[TimedPhones]:
     """Return copies of phonemes; one without duration gets the last third of the one before it.
 
     Beside silence a phoneme without duration is left out.
     """
-    found: list[TimedPhones] = []
-    for each in phonemes:
-        each = replace(each)
-        if each.start_s == each.end_s:
-            if not found or SILENCE in (each.phones[0], found[-1].phones[0]):
+    with_durations: list[TimedPhones] = []
+    for phoneme in phonemes:
+        phoneme = replace(phoneme)
+        if phoneme.start_s == phoneme.end_s:
+            if not with_durations or SILENCE in (phoneme.phones[0], with_durations[-1].phones[0]):
                 continue
-            before = found[-1]
-            each.start_s -= _SHARE_OF_JOINED * (before.end_s - before.start_s)
-            before.end_s = each.start_s
-        found.append(each)
-    return found
+            before = with_durations[-1]
+            phoneme.start_s -= _SHARE_OF_JOINED * (before.end_s - before.start_s)
+            before.end_s = phoneme.start_s
+        with_durations.append(phoneme)
+    return with_durations
 
 
 def _closure_start_s(burst_s: float, loud_s: NDArray[np.float64]) -> float:
@@ -135,10 +136,11 @@ def _closure_start_s(burst_s: float, loud_s: NDArray[np.float64]) -> float:
 def _release_s(
     event_s: float, earliest_s: float, edges: NDArray[np.float32], sample_rate_hz: int
 ) -> float:
-    """Return when the sound rises most between `earliest_s` and a vowel's event at `event_s`.
+    """Return when the sound rises most between `earliest_s` and a vowel's start by espeak-ng.
 
-    `event_s` if the sound does not rise enough. edges: differences of successive samples, which
-    weigh the higher formants, let out by an open mouth, above the murmur of a closed one.
+    event_s: that start; returned if the sound does not rise enough. edges: differences of
+    successive samples, which weigh the higher formants, let out by an open mouth, above the murmur
+    of a closed one.
     """
     n_compared = round(_COMPARED_S * sample_rate_hz)
     best_s, best_rise_db = event_s, _LEAST_RISE_DB
@@ -160,9 +162,9 @@ def _level_db(values: NDArray[np.float32]) -> float:
 _RATES_WPM = range(80, 401)
 _PITCHES = range(100)
 _WORD = re.compile(r"\w+")
-#: espeak-ng says with a phoneme like "(fr)" that another language begins. No sound.
+#: How a phoneme like "(fr)" begins, by which espeak-ng marks another language. It has no sound.
 _SWITCH = "("
-#: A pause of espeak-ng's of which more than this sounds is the end of the phoneme before.
+#: A pause of which a larger share sounds belongs to the phoneme before it.
 _SOUNDING_SHARE = 0.5
 
 
@@ -193,12 +195,12 @@ class Espeak:
                 f"{written[:40]!r} has nothing that can be spoken in {voice.language!r}; write "
                 "words"
             )
-        timed = refined(phonemes, spoken.samples, spoken.sample_rate_hz)
+        timed = refine_times(phonemes, spoken.samples, spoken.sample_rate_hz)
         return SynthesizedSpeech(
             spoken.samples,
             spoken.sample_rate_hz,
             phoneme_events(timed),
-            _words(written, spoken, timed),
+            _timed_words(written, spoken, timed),
             guessed,
         )
 
@@ -224,7 +226,7 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
     A guessed phoneme is missing in the table of IPA phonemes and replaced by a similar one.
     """
     duration_s = len(spoken.samples) / spoken.sample_rate_hz
-    found = [TimedPhones((SILENCE,), 0.0, duration_s)]
+    timed = [TimedPhones((SILENCE,), 0.0, duration_s)]
     guessed: dict[str, None] = {}
     word = -1
     for mark, end in _with_ends(spoken):
@@ -234,16 +236,16 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
         phones = phones_of_ipa(mark.ipa)
         if phones.is_guess:
             guessed[mark.ipa] = None
-        # A mark of length alone, or what is called a pause but sounds, goes on with the last one.
-        if not phones.phones and (mark.ipa or _sounds(spoken.samples[mark.sample : end])):
+        # For a mark of length alone, or a pause that sounds, the last phoneme continues.
+        if not phones.phones and (mark.ipa or _is_audible(spoken.samples[mark.sample : end])):
             continue
         start_s = min(mark.sample / spoken.sample_rate_hz, duration_s)
-        last = found[-1]
+        last = timed[-1]
         if not phones.phones and last.phones == (SILENCE,):
             continue
         last.end_s = start_s
         is_pause = not phones.phones
-        found.append(
+        timed.append(
             TimedPhones(
                 (SILENCE,) if is_pause else phones.phones,
                 start_s,
@@ -251,7 +253,7 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
                 -1 if is_pause else word,
             )
         )
-    return found, tuple(guessed)
+    return timed, tuple(guessed)
 
 
 def _with_ends(spoken: Synthesis) -> list[tuple[PhonemeMark | WordMark, int]]:
@@ -272,31 +274,32 @@ def _with_ends(spoken: Synthesis) -> list[tuple[PhonemeMark | WordMark, int]]:
     return result[::-1]
 
 
-def _sounds(samples: NDArray[np.float32]) -> bool:
+def _is_audible(samples: NDArray[np.float32]) -> bool:
+    """Return whether more than half of the samples (n,) are not silent."""
     return len(samples) > 0 and float(np.mean(np.abs(samples) >= _SILENT)) > _SOUNDING_SHARE
 
 
-def _words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tuple[SpokenWord, ...]:
+def _timed_words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tuple[SpokenWord, ...]:
     """Return the words of `text` that are spoken, with start and end in seconds.
 
     timed: the phonemes, with corrected times. Words that espeak-ng counts within one written word
     (syllables, parts of a number) are joined.
     """
     marks = [mark for mark in spoken.marks if isinstance(mark, WordMark)]
-    found: list[SpokenWord] = []
-    until = 0
+    words: list[SpokenWord] = []
+    written_end = 0
     for index, (start_s, end_s) in word_times(timed).items():
         mark = marks[index]
-        if found and mark.position < until:
+        if words and mark.position < written_end:
             # Syllables of a script without spaces, and parts of a number: within the last word.
-            found[-1] = replace(found[-1], end_s=end_s)
+            words[-1] = replace(words[-1], end_s=end_s)
             continue
-        until = mark.position + mark.length
+        written_end = mark.position + mark.length
         word = text[mark.position : mark.position + mark.length].strip()
         if all(sign in string.punctuation for sign in word):
-            # espeak-ng counts "-- How" as two words, and says that it speaks the first of them.
+            # espeak-ng counts "-- How" as two words, and gives the time of "How" to the first.
             following = _WORD.search(text, max(0, mark.position))
             word = following.group() if following is not None else ""
         if word:
-            found.append(SpokenWord(word, start_s, end_s))
-    return tuple(found)
+            words.append(SpokenWord(word, start_s, end_s))
+    return tuple(words)

@@ -95,6 +95,10 @@ class EspeakLibrary:
     """The loaded library espeak-ng; one per process, to be used by one thread."""
 
     def __init__(self, library: ctypes.CDLL, data_path: str | None) -> None:
+        """Initialise the library for synthesis in memory, and list its voices.
+
+        data_path: folder of its voice data; None: the system's. Raises SynthesisError without them.
+        """
         self._library = library
         self._chunks: list[NDArray[np.int16]] = []
         self._marks: list[PhonemeMark | WordMark] = []
@@ -114,8 +118,8 @@ class EspeakLibrary:
                 "espeak-ng's voice data are not installed: `apt install espeak-ng-data`"
             )
         self._sample_rate_hz = int(rate_hz)
-        # The library keeps the pointer: the callback must live as long as it.
-        self._callback = _Callback(self._take)
+        # The library keeps the pointer only: the callback must be kept alive here.
+        self._callback = _Callback(self._store_chunk)
         library.espeak_SetSynthCallback(self._callback)
         self._voice_of = self._list_voices()
 
@@ -143,7 +147,7 @@ class EspeakLibrary:
         samples = np.concatenate([np.zeros(0, np.int16), *chunks])
         return Synthesis((samples / _FULL_SCALE).astype(np.float32), self._sample_rate_hz, marks)
 
-    def _take(self, sound: object, n: int, events: object) -> int:
+    def _store_chunk(self, sound: object, n: int, events: object) -> int:
         """Store `n` samples of sound and the marks in `events`; called back by the library."""
         if sound and n > 0:
             self._chunks.append(np.ctypeslib.as_array(sound, (n,)).copy())
@@ -159,6 +163,7 @@ class EspeakLibrary:
         return 0
 
     def _check(self, status: int) -> None:
+        """Raise SynthesisError for a status of the library other than 0."""
         if status != 0:
             raise SynthesisError(f"espeak-ng failed with status {status}; try another language")
 
@@ -180,12 +185,12 @@ def _languages(address: int) -> list[tuple[str, int]]:
 
     The smaller the priority, the better the voice speaks the language.
     """
-    found = []
+    languages = []
     while priority := ctypes.string_at(address, 1)[0]:
         tag = ctypes.string_at(address + 1)
-        found.append((tag.decode("utf-8", "replace"), priority))
+        languages.append((tag.decode("utf-8", "replace"), priority))
         address += len(tag) + 2
-    return found
+    return languages
 
 
 def load_library() -> EspeakLibrary:

@@ -54,7 +54,7 @@ class EspeakProcess:
         """
         answer, sound = self._process.request({"text": text, "voice": asdict(voice)})
         samples = np.frombuffer(sound, np.int16).astype(np.float32) / np.float32(_FULL_SCALE)
-        marks = tuple(_mark(each) for each in answer["marks"])
+        marks = tuple(_parse_mark(each) for each in answer["marks"])
         return Synthesis(samples, answer["sample_rate_hz"], marks)
 
     def close(self) -> None:
@@ -68,19 +68,19 @@ _starting: Final = threading.Lock()
 def espeak() -> EspeakProcess:
     """Return the one `EspeakProcess` of the calling process, created at the first call."""
     with _starting:
-        return _started_once()
+        return _single_process()
 
 
 @cache
-def _started_once() -> EspeakProcess:
+def _single_process() -> EspeakProcess:
     return EspeakProcess()
 
 
-def _mark(mark: Mapping[str, Any]) -> PhonemeMark | WordMark:
+def _parse_mark(mark: Mapping[str, Any]) -> PhonemeMark | WordMark:
     return PhonemeMark(**mark) if "ipa" in mark else WordMark(**mark)
 
 
-def _answered(request: Request) -> tuple[dict[str, object], bytes]:
+def _languages_or_speech(request: Request) -> tuple[dict[str, object], bytes]:
     """Return the answer to a request for the languages or for speech, and the speech's bytes.
 
     Raises SynthesisError if there is no library or it fails.
@@ -98,4 +98,4 @@ _library = cache(load_library)
 
 
 if __name__ == "__main__":
-    serve(_answered)
+    serve(_languages_or_speech)

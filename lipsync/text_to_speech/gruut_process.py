@@ -29,7 +29,7 @@ def _process() -> VoiceProcess:
     return VoiceProcess(__name__, "this text cannot be read; leave out its unusual characters")
 
 
-def _answered(request: Request) -> tuple[dict[str, object], bytes]:
+def _read_out(request: Request) -> tuple[dict[str, object], bytes]:
     """Return the spoken words of a request's text, each with its IPA phonemes, and no bytes.
 
     Runs in the child process. Raises SynthesisError for a text that gruut cannot read.
@@ -50,4 +50,4 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
 
 if __name__ == "__main__":
     os.nice(_LOWER_PRIORITY)
-    serve(_answered)
+    serve(_read_out)

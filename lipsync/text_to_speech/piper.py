@@ -74,7 +74,7 @@ class Piper:
             }
         )
         speech = speech_of(sound, answer["sample_rate_hz"], written, "")
-        letters = [SpokenUnit(each) for each in joined(answer["phonemes"])]
+        letters = [SpokenUnit(each) for each in join_ipa(answer["phonemes"])]
         units = in_inventory("phoneme", letters, IPA, speech.sample_rate_hz)
         return replace(speech, units=units) if units.units else speech
 
@@ -85,13 +85,14 @@ def _process() -> VoiceProcess:
 
 
 @lru_cache(maxsize=1)
-def _loaded(model: str) -> Any:
+def _load_model(model: str) -> Any:
+    """Return the voice of a model's file; only the last one stays in memory."""
     from piper import PiperVoice
 
     return PiperVoice.load(model)
 
 
-def _answered(request: Request) -> tuple[dict[str, object], bytes]:
+def _speak(request: Request) -> tuple[dict[str, object], bytes]:
     """Speak a request's text by its model; return rate and phonemes, and int16 sound as bytes.
 
     Raises SynthesisError if the model cannot be loaded or does not speak the request's language.
@@ -99,7 +100,7 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
     from piper import SynthesisConfig
 
     try:
-        voice = _loaded(request["model"])
+        voice = _load_model(request["model"])
     except Exception as error:  # whatever onnxruntime, onnx and the model's JSON may raise
         line = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
         raise SynthesisError(f"{request['model']} cannot be loaded by Piper: {line}") from None
@@ -113,16 +114,16 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
     return {"sample_rate_hz": voice.config.sample_rate, "phonemes": phonemes}, sound
 
 
-def joined(letters: Sequence[str]) -> list[str]:
+def join_ipa(letters: Sequence[str]) -> list[str]:
     """Return IPA letters, the two of each diphthong or affricate joined to one phoneme."""
-    found: list[str] = []
+    phonemes: list[str] = []
     for letter in letters:
-        if found and found[-1] + letter in ipa_table():
-            found[-1] += letter
+        if phonemes and phonemes[-1] + letter in ipa_table():
+            phonemes[-1] += letter
         else:
-            found.append(letter)
-    return found
+            phonemes.append(letter)
+    return phonemes
 
 
 if __name__ == "__main__":
-    serve(_answered)
+    serve(_speak)

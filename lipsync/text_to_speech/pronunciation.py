@@ -1,11 +1,11 @@
 """Pronunciations of the words of a text: dictionary first, then a model of spelling.
 
-English comes from gruut: its normaliser writes numbers, money, dates and abbreviations out in
-words, its lexicon (the CMU dictionary in IPA) has the pronunciations of 124,000, and its model
-guesses the others. Other languages, and English where gruut is not installed, come from espeak-ng,
-whose own phonemes for the text are used. Why these: docs/decisions/labels-and-text.md.
+For English gruut is used: it writes numbers, money, dates and abbreviations out in words, its
+lexicon (the CMU dictionary in IPA) has the pronunciations of 124,000 words, and its model guesses
+the others. For other languages, and for English where gruut is not installed, the phonemes of
+espeak-ng are used. Why these: docs/decisions/labels-and-text.md.
 
-Nothing here is quick: it is called where text arrives, never in a tick.
+All of it is slow: call it where text arrives, never in a tick of the live loop.
 """
 
 import re
@@ -34,14 +34,16 @@ _ARPABET_OF = {
 }  # fmt: skip
 _STRESS = str.maketrans("", "", "ˈˌ")
 
-#: What no voice reads out: emoji and other symbols, control characters, half surrogate pairs.
+#: Unicode categories that no voice reads out: emoji and other symbols, control characters, half
+#: surrogate pairs.
 _UNSPOKEN = ("So", "Sk", "Cc", "Cf", "Cs", "Cn", "Co")
 DEFAULT_LANGUAGE: Final = "en-us"
-#: As `Mr.` and `Capt.`, which gruut writes out; a word of capitals alone is spelt.
+#: A capitalised word of up to so many letters before a full stop may be an abbreviation, such as
+#: `Mr.` or `Capt.`, which gruut writes out.
 _LONGEST_ABBREVIATION: Final = 4
 _PLAIN = re.compile(r"[A-Za-z]?[a-z]*('[a-z]+)?")
 _PUNCTUATION: Final = ".,;:!?\"“”‘’'()[]…-–—"
-#: Phonemes without words are followed in pieces of so many, as long as a word has.
+#: Phonemes without words are searched for in pieces of so many, about a word's.
 _PHONES: Final = 6
 
 
@@ -61,14 +63,14 @@ def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedW
             f"a text of {len(text)} characters is too long; send it in pieces of {LONGEST_TEXT}"
         )
     written = "".join(
-        " " if unicodedata.category(each) in _UNSPOKEN and each != "\n" else each
-        for each in spoken_form(text, language)
+        " " if unicodedata.category(character) in _UNSPOKEN and character != "\n" else character
+        for character in spoken_form(text, language)
     )
     if not any(map(str.isalnum, written)):
         return ()
     if language.partition("-")[0] == "en" and find_spec("gruut") is not None:
-        return tuple(_english(written))
-    return tuple(_by_espeak(written, language))
+        return tuple(_english_words(written))
+    return tuple(_espeak_words(written, language))
 
 
 def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
@@ -103,13 +105,13 @@ def pronounced_units(
             continue
         for unit in group:
             start_s = (unit.start_sample or 0) / spoken.sample_rate_hz
-            found = pronounced(unit.label, language)
-            words += [replace(each, start_s=start_s) for each in found[:1]]
-            words += found[1:]
+            unit_words = pronounced(unit.label, language)
+            words += [replace(word, start_s=start_s) for word in unit_words[:1]]
+            words += unit_words[1:]
     return tuple(words)
 
 
-def _english(text: str) -> Iterator[PronouncedWord]:
+def _english_words(text: str) -> Iterator[PronouncedWord]:
     """Yield an English text's words from the lexicon if it has all of them, else by gruut, slowly.
 
     Raises PronunciationError for a text that gruut cannot read.
@@ -126,8 +128,8 @@ def _english(text: str) -> Iterator[PronouncedWord]:
     except SynthesisError as error:
         raise PronunciationError(str(error)) from None
     for word, ipa in words:
-        found = dict.fromkeys([*_in_lexicon(word.lower()), _phones(ipa)])
-        if known := tuple(phones for phones in found if phones):
+        candidates = dict.fromkeys([*_look_up(word.lower()), _arpabet_phones(ipa)])
+        if known := tuple(phones for phones in candidates if phones):
             yield PronouncedWord(word, known)
 
 
@@ -144,7 +146,7 @@ def _plain_words(text: str) -> list[PronouncedWord] | None:
         is_short = written[-1] == "." and len(word) <= _LONGEST_ABBREVIATION and word[:1].isupper()
         if is_short or not _PLAIN.fullmatch(word):
             return None
-        known = tuple(dict.fromkeys(phones for phones in _in_lexicon(word.lower()) if phones))
+        known = tuple(dict.fromkeys(phones for phones in _look_up(word.lower()) if phones))
         if not known:
             return None
         words.append(PronouncedWord(word, known))
@@ -159,19 +161,21 @@ def _lexicon() -> sqlite3.Connection:
     return sqlite3.connect(f"{path.as_uri()}?immutable=1", uri=True, check_same_thread=False)
 
 
-def _in_lexicon(word: str) -> list[tuple[str, ...]]:
+def _look_up(word: str) -> list[tuple[str, ...]]:
+    """Return the pronunciations of a lower-case word in the lexicon, the commonest first, or []."""
     rows = _lexicon().execute(
         "SELECT phonemes FROM word_phonemes WHERE word = ? ORDER BY pron_order", (word,)
     )
-    return [_phones(phonemes.split()) for (phonemes,) in rows]
+    return [_arpabet_phones(phonemes.split()) for (phonemes,) in rows]
 
 
-def _phones(ipa: Sequence[str]) -> tuple[str, ...]:
+def _arpabet_phones(ipa: Sequence[str]) -> tuple[str, ...]:
+    """Return gruut's IPA phonemes as ARPAbet, without stress; unknown ones are left out."""
     found = (_ARPABET_OF.get(each.translate(_STRESS)) for each in ipa)
     return tuple(phone for phone in found if phone is not None)
 
 
-def _by_espeak(text: str, language: str) -> Iterator[PronouncedWord]:
+def _espeak_words(text: str, language: str) -> Iterator[PronouncedWord]:
     """Yield a text's words with espeak-ng's phonemes. Raises PronunciationError if it fails."""
     from lipsync.text_to_speech.synthesis import SynthesisError, Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
@@ -190,6 +194,7 @@ def _by_espeak(text: str, language: str) -> Iterator[PronouncedWord]:
 
 
 def _between(events: tuple[PhonemeEvent, ...], start_s: float, end_s: float) -> Iterator[str]:
+    """Yield the phonemes, without silence, that start in [start_s, end_s)."""
     for event in events:
         if event.phoneme != SILENCE and start_s - 1e-6 <= event.start_s < end_s - 1e-6:
             yield event.phoneme
@@ -204,7 +209,7 @@ def pronounce(word: str) -> tuple[str, ...]:
     """
     if not any(letter.isalpha() for letter in word):
         raise PronunciationError(f"word {word!r} has no letters; write it out in letters")
-    phones = _phones(_ipa(word))
+    phones = _arpabet_phones(_ipa(word))
     if not phones:
         raise PronunciationError(f"word {word!r} has no pronunciation; spell it as it sounds")
     return phones

@@ -1,9 +1,9 @@
-"""What a person would say of a text as language models write it.
+"""The words that a person would read out of a text as language models write it.
 
 Markdown is read by markdown-it-py (docs/decisions/labels-and-text.md). Left out are marks,
 addresses behind links, pictures, code blocks, formulas, smileys, footnotes, stage directions in
-brackets, what is struck out, and what a model thinks; spoken are the words between SSML tags, hosts
-of bare links, and in English times, money, dates and ranges as they are read out.
+brackets, text struck out, and a model's thoughts. Kept are the words between SSML tags and the
+hosts of bare links; in English, times, money, dates and ranges are written as they are read out.
 """
 
 import html
@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from markdown_it import MarkdownIt
 
-#: Letters, spaces and plain punctuation alone are said as they stand.
+#: A text of letters, spaces and plain punctuation alone is not changed.
 _PLAIN: Final = re.compile(r"(?:[^\W\d_]|[ \n.,!?'\"\u2019]|(?<=\w)[-;:](?=[\w ]))*\Z")
-#: Not said with all that is between the tags.
+#: Tags that are left out with the text between them.
 _SILENT_TAGS: Final = "think|thinking|reasoning|scratchpad|script|style|tool_call|function_call"
 _Rule = tuple[re.Pattern[str], str | Callable[[re.Match[str]], str]]
 
@@ -28,7 +28,7 @@ def _rules(*rules: tuple[str, str | Callable[[re.Match[str]], str]]) -> tuple[_R
     return tuple((re.compile(pattern, flags), by) for pattern, by in rules)
 
 
-#: Before Markdown, which would take these apart.
+#: Applied before Markdown is parsed, which would take these apart.
 _MARKUP: Final = _rules(
     (rf"<({_SILENT_TAGS})\b[^>]*>.*?(?:</\1>|\Z)", " "),
     (r"<!--.*?(?:-->|\Z)", " "),
@@ -103,7 +103,7 @@ _MONTHS: Final = (
     *("October", "November", "December"),
 )
 _CURRENCY: Final = {"$": "dollar", "€": "euro", "£": "pound"}
-#: Symbols that voices read out; all others of their kind are pictures.
+#: Symbols that voices read out; all others in the categories below are pictures, left out.
 _READ_OUT: Final = "°"
 _PICTURES: Final = ("So", "Sk", "Cf", "Co")
 
@@ -112,40 +112,42 @@ def spoken_form(text: str, language: str = "en-us") -> str:
     """Return the words of `text` as a person would read them out; "" where no one would say any.
 
     A text of plain words and punctuation is returned as it is. A result given to the function again
-    is returned unchanged, unless it contains one of the marks above by chance.
+    is returned unchanged, unless it happens to contain marks of Markdown, SSML or the like.
     """
     if _PLAIN.match(text):
         return text
-    found = _changed(html.unescape(text), _MARKUP)
-    found = "\n\n".join(_blocks(found))
-    found = "".join(
-        " " if unicodedata.category(each) in _PICTURES and each not in _READ_OUT else each
-        for each in found
+    result = _apply_rules(html.unescape(text), _MARKUP)
+    result = "\n\n".join(_block_texts(result))
+    result = "".join(
+        " " if unicodedata.category(letter) in _PICTURES and letter not in _READ_OUT else letter
+        for letter in result
     )
-    found = _changed(found, _LINKS)
+    result = _apply_rules(result, _LINKS)
     if language.partition("-")[0] in ("en", ""):
-        found = _changed(found, _ENGLISH)
-    found = _changed(found, _LEFTOVERS).strip()
-    return found if any(map(str.isalnum, found)) else ""
+        result = _apply_rules(result, _ENGLISH)
+    result = _apply_rules(result, _LEFTOVERS).strip()
+    return result if any(map(str.isalnum, result)) else ""
 
 
-def _changed(text: str, rules: Sequence[_Rule]) -> str:
-    for pattern, by in rules:
-        text = pattern.sub(by, text)
+def _apply_rules(text: str, rules: Sequence[_Rule]) -> str:
+    """Return the text after the substitution of each rule, in order."""
+    for pattern, replacement in rules:
+        text = pattern.sub(replacement, text)
     return text
 
 
 @cache
 def _markdown() -> "MarkdownIt":
+    """Return the parser of Markdown with tables and struck out text, without HTML."""
     from markdown_it import MarkdownIt
 
-    # What stands far to the right is no code: people and models indent speech, too.
+    # Indented text is no code here: people and models indent speech, too.
     return (
         MarkdownIt("commonmark", {"html": False}).enable(["table", "strikethrough"]).disable("code")
     )
 
 
-def _blocks(text: str) -> Iterator[str]:
+def _block_texts(text: str) -> Iterator[str]:
     """Yield the words of each paragraph, heading, list item and row of a table."""
     cells: list[str] | None = None
     number = ""
@@ -158,7 +160,7 @@ def _blocks(text: str) -> Iterator[str]:
         elif token.type == "list_item_open" and len(token.info) > 2:
             number = f"{token.info}. "  # "1984. A good year." is no list
         elif token.type == "inline":
-            words = number + "".join(_inline(token.children or ()))
+            words = number + "".join(_inline_texts(token.children or ()))
             number = ""
             if cells is None:
                 yield words
@@ -166,12 +168,12 @@ def _blocks(text: str) -> Iterator[str]:
                 cells.append(words.strip())
 
 
-def _inline(tokens: Sequence[Any]) -> Iterator[str]:
+def _inline_texts(tokens: Sequence[Any]) -> Iterator[str]:
     """Yield the text of a paragraph's markdown-it tokens, without what is struck out."""
-    struck = 0
+    n_struck = 0
     for token in tokens:
-        struck += token.nesting if token.type in ("s_open", "s_close") else 0
-        if struck:
+        n_struck += token.nesting if token.type in ("s_open", "s_close") else 0
+        if n_struck:
             continue
         if token.type in ("text", "code_inline"):
             yield token.content
@@ -180,29 +182,35 @@ def _inline(tokens: Sequence[Any]) -> Iterator[str]:
 
 
 def _host(name: str) -> str:
+    """Return an internet host in words: `example.com` as `example dot com`."""
     return name.strip(".").replace(".", " dot ")
 
 
 def _date(year: str, month: str, day: str) -> str:
+    """Return an ISO date in words: 2026-01-31 as `January 31, 2026`."""
     return f"{_MONTHS[int(month) - 1]} {int(day)}, {year}"
 
 
 def _money(found: re.Match[str]) -> str:
-    """Return a matched amount with its currency in words: `$5.50` as `5 dollars 50 cents`."""
-    sign, whole, cents, part, scale = found.groups()
+    """Return a matched amount with its currency in words: `$5.50` as `5 dollars 50 cents`.
+
+    With `million` and the like, or not two decimals, it stays a number: `$1.5` as `1.5 dollars`.
+    """
+    sign, whole, cents, long_fraction, scale = found.groups()
     unit = _CURRENCY[sign]
-    number = whole.rstrip(",") + (part or "")
+    number = whole.rstrip(",") + (long_fraction or "")
     if scale:
         return f"{number}{'.' + cents if cents else ''}{scale} {unit}s"
     plural = "" if number == "1" else "s"
     comma = "," if whole.endswith(",") else ""
-    rest = f" {int(cents)} cent{'s' * (cents != '01')}" if cents and int(cents) else ""
-    return f"{number} {unit}{plural}{rest}{comma}"
+    cents_in_words = f" {int(cents)} cent{'s' * (cents != '01')}" if cents and int(cents) else ""
+    return f"{number} {unit}{plural}{cents_in_words}{comma}"
 
 
 def _clock(found: re.Match[str]) -> str:
-    hour, minute, half = found.groups()
-    after = f" {half.upper()} M" if half else ""
+    """Return a matched time of day in words: `9:05` as `9 oh 5`, `9:00` as `9 o'clock`."""
+    hour, minute, am_or_pm = found.groups()
+    suffix = f" {am_or_pm.upper()} M" if am_or_pm else ""
     if minute == "00":
-        return f"{int(hour)}" + (after or " o'clock")
-    return f"{int(hour)} {'oh ' if minute[0] == '0' else ''}{int(minute)}{after}"
+        return f"{int(hour)}" + (suffix or " o'clock")
+    return f"{int(hour)} {'oh ' if minute[0] == '0' else ''}{int(minute)}{suffix}"

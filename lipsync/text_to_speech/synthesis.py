@@ -103,7 +103,7 @@ class Synthesizer(Protocol):
 _NOT_TEXT = ("Cc", "Cs", "Cn")
 #: What ends a sentence, with the brackets and quotation marks that close after it.
 _SENTENCE_END = re.compile(r"[.!?…;:。！？।]+[\"'”’»)\]]*(?=\s)|[。！？।]|\n\s*\n")
-#: A point after such a word ends no sentence: titles, initials, U.S., z.B.
+#: A full stop after such a word ends no sentence: titles, initials, U.S., z.B.
 _ABBREVIATION = re.compile(
     r"(?:^|\s)(?:Mrs?|Ms|Dr|St|Prof|Jr|Sr|vs|(?:[A-Za-z]\.)*[A-Z]|[a-z]\.[a-zA-Z])\.$"
 )

@@ -1,8 +1,8 @@
-"""A voice in a process of its own: what crashes, hangs or grows costs one text, never the face.
+"""A voice in a child process: a crash, a hang or a memory leak costs one text, never the face.
 
-The process answers each line of JSON, a request, with a line of JSON, and bytes after it. It ends
-when its standard input does, with all that it has started, so that nothing outlives the caller,
-even one that crashed; it is killed, with all that it has started, when an answer is overdue.
+The child answers each request, a line of JSON, with a line of JSON and bytes after it. It ends,
+with all that it has started, when its standard input ends, so that nothing outlives the caller,
+even one that crashed; the caller kills it, with all that it has started, when an answer is overdue.
 """
 
 import atexit
@@ -19,7 +19,7 @@ from typing import IO, Any, Final
 
 from lipsync.text_to_speech.synthesis import SynthesisError
 
-#: The longest text, five minutes of speech, takes espeak-ng about two; later there is no answer.
+#: An answer is overdue after so long: espeak-ng takes about two seconds for five minutes of speech.
 LONGEST_S: Final = 30.0
 #: A file of sound, or what a program prints: ten minutes at 48 kHz.
 LARGEST_BYTES: Final = 64 * 2**20
@@ -53,17 +53,17 @@ class VoiceProcess:
         """
         with self._lock:
             if self._child is None or self._child.poll() is not None:
-                self._child = self._started()
-            late = threading.Timer(LONGEST_S, _kill, [self._child])
-            late.daemon = True  # the end of the face does not wait for what is not said any more
-            late.start()
+                self._child = self._start_child()
+            killer = threading.Timer(LONGEST_S, _kill, [self._child])
+            killer.daemon = True  # the face may end without waiting for it
+            killer.start()
             try:
                 answer, content = _exchange(self._child, request)
             except (OSError, ValueError):
                 self.close()
                 raise SynthesisError(self._failed) from None
             finally:
-                late.cancel()
+                killer.cancel()
         if "error" in answer:
             raise SynthesisError(str(answer["error"]))
         return answer, content
@@ -74,7 +74,7 @@ class VoiceProcess:
             _kill(self._child)
             self._child.communicate()
 
-    def _started(self) -> "subprocess.Popen[bytes]":
+    def _start_child(self) -> "subprocess.Popen[bytes]":
         """Start the child process, in a session of its own, and return it without waiting."""
         # A session of its own: Ctrl-C is for the face.
         return subprocess.Popen(
@@ -87,6 +87,7 @@ class VoiceProcess:
 
 
 def _kill(child: "subprocess.Popen[bytes]") -> None:
+    """Kill the child process and its group, which are the processes that it has started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(child.pid, signal.SIGKILL)
 
@@ -119,14 +120,15 @@ def serve(answered: Callable[[Request], tuple[dict[str, object], bytes]]) -> Non
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no answer
     requests: queue.Queue[bytes] = queue.Queue()
-    threading.Thread(target=_read, args=(sys.stdin.buffer, requests), daemon=True).start()
+    threading.Thread(target=_queue_lines, args=(sys.stdin.buffer, requests), daemon=True).start()
     while True:
-        answer, content = _answer(answered, requests.get())
+        answer, content = _answer_or_error(answered, requests.get())
         answers.write(json.dumps({**answer, "n_bytes": len(content)}).encode() + b"\n" + content)
         answers.flush()
 
 
-def _read(lines: IO[bytes], requests: "queue.Queue[bytes]") -> None:
+def _queue_lines(lines: IO[bytes], requests: "queue.Queue[bytes]") -> None:
+    """Queue all lines; at their end kill this process and, if it leads a group, the group."""
     for line in lines:
         requests.put(line)
     if os.getpgrp() == os.getpid():
@@ -134,9 +136,10 @@ def _read(lines: IO[bytes], requests: "queue.Queue[bytes]") -> None:
     os._exit(0)
 
 
-def _answer(
+def _answer_or_error(
     answered: Callable[[Request], tuple[dict[str, object], bytes]], line: bytes
 ) -> tuple[dict[str, object], bytes]:
+    """Return what `answered` returns for the request in `line`, or its SynthesisError's message."""
     try:
         return answered(json.loads(line))
     except SynthesisError as error:

@@ -71,8 +71,8 @@ class MeanFace:
 
 def load_mean_face() -> MeanFace:
     """Return the mean head of the package. Raises OSError or ValueError where it is damaged."""
-    place = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
-    with place.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+    path = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return MeanFace(
             file["vertices_mm"].astype(np.float64),
             file["triangles"].astype(np.int64),
@@ -86,14 +86,14 @@ _LIPS = (0.80, 0.50, 0.48)
 _CHEEKS = (0.93, 0.66, 0.58)
 _BROWS = (0.36, 0.26, 0.21)
 _LASHES = (0.24, 0.16, 0.13)
-#: The back of the head is a robot's: that it has no hair and no ears does not surprise then.
+#: The back of the head looks like a robot's, so that it needs no hair and no ears.
 _ROBOT = (0.55, 0.60, 0.66)
 _CHEEK_MIDDLES, _CHEEK_RADIUS_MM = (205, 425), 22.0
 _LIP_EDGE_MM, _LASH_EDGE_MM = 3.0, 1.3
 _BROW_HALF_WIDTH_MM = 3.6
-#: Nothing is painted farther from its line.
+#: Farther than this from its line no feature is painted.
 _FAR_MM = 8.0
-#: Height of two places on the seam between skin and robot, and how many rings behind the rim.
+#: The seam between skin and robot: at three heights, how many rings behind the rim it lies.
 _SEAM_MM, _SEAM_RINGS = (-115.0, -70.0, 30.0), (4.5, 1.6, 0.9)
 
 
@@ -113,67 +113,72 @@ def skin_colours(mean: MeanFace) -> Array:
     places = mean.vertices_mm
     colours = np.broadcast_to(np.array(_SKIN), places.shape)
     layers = (
-        (_cheeks(places), _CHEEKS),
-        (_lips(mean), _LIPS),
-        (0.85 * _brows(places), _BROWS),
-        (0.8 * _lashes(places), _LASHES),
-        (_robot(mean), _ROBOT),
+        (_cheek_amount(places), _CHEEKS),
+        (_lip_amount(mean), _LIPS),
+        (0.85 * _brow_amount(places), _BROWS),
+        (0.8 * _lash_amount(places), _LASHES),
+        (_robot_amount(mean), _ROBOT),
     )
     for amount, colour in layers:
         colours = (1 - amount[:, None]) * colours + amount[:, None] * np.array(colour)
     return np.asarray(colours, dtype=np.float64)
 
 
-def _cheeks(places: Array) -> Array:
-    away = [np.linalg.norm(places - places[each], axis=1) for each in _CHEEK_MIDDLES]
-    return 0.5 * np.asarray(np.exp(-((np.min(away, axis=0) / _CHEEK_RADIUS_MM) ** 2)))
+def _cheek_amount(places: Array) -> Array:
+    """Return how much each vertex is cheek (n,): 0.5 in the cheeks' middles, 0 far from them."""
+    distances = [np.linalg.norm(places - places[middle], axis=1) for middle in _CHEEK_MIDDLES]
+    return 0.5 * np.asarray(np.exp(-((np.min(distances, axis=0) / _CHEEK_RADIUS_MM) ** 2)))
 
 
-def _lips(mean: MeanFace) -> Array:
+def _lip_amount(mean: MeanFace) -> Array:
     """Return how much each vertex is lip (n,): 1 within the outer lip line, with a soft edge."""
     outline = mean.vertices_mm[list(OUTER_LIP), :2]
     closed = np.vstack([outline, outline[:1]])
-    flat = mean.vertices_mm[:, :2]
-    away, _ = cKDTree(_line(closed, 6)).query(flat, distance_upper_bound=_FAR_MM)
-    inside = _inside(flat, outline) * (mean.behind == 0.0)
-    edge = np.where(inside > 0, 1.0, -1.0) * np.minimum(away, _FAR_MM) / _LIP_EDGE_MM
+    places_xy = mean.vertices_mm[:, :2]
+    distance, _ = cKDTree(_polyline(closed, 6)).query(places_xy, distance_upper_bound=_FAR_MM)
+    is_inside = _inside_polygon(places_xy, outline) * (mean.behind == 0.0)
+    edge = np.where(is_inside > 0, 1.0, -1.0) * np.minimum(distance, _FAR_MM) / _LIP_EDGE_MM
     return np.asarray(np.clip(0.35 + edge, 0.0, 1.0), dtype=np.float64)
 
 
-def _brows(places: Array) -> Array:
+def _brow_amount(places: Array) -> Array:
     """Return how much each vertex is brow (n,): 1 along the brows' middle, with soft edges."""
     amount = np.zeros(len(places))
     for lower, upper in (RIGHT_BROW, LEFT_BROW):
-        line = _line((places[list(lower)] + places[list(upper)]) / 2, 10)
+        line = _polyline((places[list(lower)] + places[list(upper)]) / 2, 10)
         share = np.linspace(0, 1, len(line))
-        width = _BROW_HALF_WIDTH_MM * np.interp(share, (0, 0.5, 0.85, 1), (0.3, 0.9, 1.0, 0.6))
-        away, nearest = cKDTree(line).query(places, distance_upper_bound=_FAR_MM)
-        near = np.isfinite(away)
-        amount[near] = np.maximum(amount[near], 1.4 - away[near] / width[nearest[near]])
+        width_mm = _BROW_HALF_WIDTH_MM * np.interp(share, (0, 0.5, 0.85, 1), (0.3, 0.9, 1.0, 0.6))
+        distance, nearest = cKDTree(line).query(places, distance_upper_bound=_FAR_MM)
+        near = np.isfinite(distance)
+        amount[near] = np.maximum(amount[near], 1.4 - distance[near] / width_mm[nearest[near]])
     return np.clip(amount, 0.0, 1.0)
 
 
-def _lashes(places: Array) -> Array:
+def _lash_amount(places: Array) -> Array:
     """Return how much each vertex is lash (n,): 1 along the upper lids' edge, with a soft edge."""
-    lines = [_line(places[list(each[:N_UPPER_LID])], 8)[8:] for each in (RIGHT_EYE, LEFT_EYE)]
-    away, _ = cKDTree(np.vstack(lines)).query(places, distance_upper_bound=_FAR_MM)
-    return np.asarray(np.clip(1.0 - away / _LASH_EDGE_MM, 0.0, 1.0), dtype=np.float64)
+    lines = [_polyline(places[list(each[:N_UPPER_LID])], 8)[8:] for each in (RIGHT_EYE, LEFT_EYE)]
+    distance, _ = cKDTree(np.vstack(lines)).query(places, distance_upper_bound=_FAR_MM)
+    return np.asarray(np.clip(1.0 - distance / _LASH_EDGE_MM, 0.0, 1.0), dtype=np.float64)
 
 
-def _robot(mean: MeanFace) -> Array:
+def _robot_amount(mean: MeanFace) -> Array:
+    """Return how much each vertex is robot (n,): 0 before the seam, 1 behind it."""
     seam = np.interp(mean.vertices_mm[:, 1], _SEAM_MM, _SEAM_RINGS)
     return np.asarray(np.clip(0.5 + 2.5 * (mean.behind - seam), 0.0, 1.0))
 
 
-def _line(corners: Array, steps: int) -> Array:
+def _polyline(corners: Array, steps: int) -> Array:
     """Return points along the line through `corners` (n, k), `steps` from each to the next."""
-    at = np.linspace(0, len(corners) - 1, steps * (len(corners) - 1) + 1)
-    known = np.arange(len(corners))
-    return np.column_stack([np.interp(at, known, column) for column in corners.T])
+    positions = np.linspace(0, len(corners) - 1, steps * (len(corners) - 1) + 1)
+    numbers = np.arange(len(corners))
+    return np.column_stack([np.interp(positions, numbers, column) for column in corners.T])
 
 
-def _inside(points: Array, polygon: Array) -> Array:
-    """Return 1 (n,) for points (n, 2) within a polygon (m, 2), else 0: odd edges to their right."""
+def _inside_polygon(points: Array, polygon: Array) -> Array:
+    """Return 1 (n,) for points (n, 2) within a polygon (m, 2), else 0.
+
+    By the even-odd rule: from a point within, a ray along +x crosses an odd number of edges.
+    """
     start, end = polygon, np.roll(polygon, -1, axis=0)
     x, y = points[:, :1], points[:, 1:]
     spans = (start[:, 1] > y) != (end[:, 1] > y)
@@ -214,12 +219,12 @@ def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequ
     """
     if len(set(handles)) != len(handles):
         raise ValueError("the same vertex is a handle twice")
-    still = np.setdiff1d(anchors, handles)
-    held = np.concatenate([handles, still]).astype(np.int64)
-    return spread(stiffness, held, np.eye(len(held), len(handles)))
+    fixed = np.setdiff1d(anchors, handles)
+    constrained = np.concatenate([handles, fixed]).astype(np.int64)
+    return spread(stiffness, constrained, np.eye(len(constrained), len(handles)))
 
 
-def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
+def spread(stiffness: sparse.csr_array, constrained: Indices, given: Array) -> Array:
     """Return the displacements of all vertices of a shell from given ones of some vertices.
 
     The displacements have the least elastic energy; each of the k columns is independent of the
@@ -229,10 +234,10 @@ def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
     ----------
     stiffness : sparse.csr_array
         As `shell_stiffness` returns it.
-    held : Indices
-        (n_held,) vertex numbers.
+    constrained : Indices
+        (n_constrained,) numbers of the vertices whose displacements are given.
     given : Array
-        (n_held, k), displacements of these vertices.
+        (n_constrained, k), displacements of these vertices.
 
     Returns
     -------
@@ -240,13 +245,14 @@ def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
         (n_vertices, k).
     """
     n = stiffness.shape[0]
-    n_pieces, piece = connected_components(stiffness, directed=False)
-    if len(np.unique(piece[held])) < n_pieces:
+    n_pieces, piece_of = connected_components(stiffness, directed=False)
+    if len(np.unique(piece_of[constrained])) < n_pieces:
         raise ValueError("a separate piece of the surface has no handle")
-    free = np.setdiff1d(np.arange(n), held)
-    moved = np.zeros((n, given.shape[1]))
-    moved[held] = given
+    free = np.setdiff1d(np.arange(n), constrained)
+    displacements = np.zeros((n, given.shape[1]))
+    displacements[constrained] = given
     rows = stiffness[free]
+    # The energy is least where stiffness @ displacements is 0 at each free vertex.
     # Threads gain nothing on blocks as small as these, and lose on a busy machine.
     with threadpool_limits(limits=1):
         factors = splu(
@@ -255,8 +261,8 @@ def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        moved[free] = factors.solve(-(rows[:, held] @ given))
-    return moved
+        displacements[free] = factors.solve(-(rows[:, constrained] @ given))
+    return displacements
 
 
 def shell_stiffness(
@@ -264,8 +270,8 @@ def shell_stiffness(
 ) -> sparse.csr_array:
     """Return a shell's stiffness matrix, by which `spread` computes its displacements.
 
-    Q = L^T M^-1 L - k_s L, with L the Laplacian and M the vertices' areas: symmetric, positive
-    semi-definite.
+    Q = L^T M^-1 L - k_s L (Botsch and Sorkine, IEEE TVCG 14(1), 2008), with L the Laplacian and M
+    the vertices' areas: symmetric, positive semi-definite.
 
     Parameters
     ----------
@@ -307,17 +313,18 @@ def cotangent_laplacian(vertices_mm: Array, triangles: Indices) -> tuple[sparse.
     n = len(vertices_mm)
     corner = vertices_mm[triangles]
     rows, columns, values = [], [], []
-    for at, (a, b) in enumerate(((1, 2), (2, 0), (0, 1))):
-        u, v = corner[:, a] - corner[:, at], corner[:, b] - corner[:, at]
+    for opposite, (a, b) in enumerate(((1, 2), (2, 0), (0, 1))):
+        u, v = corner[:, a] - corner[:, opposite], corner[:, b] - corner[:, opposite]
         twice_area = np.linalg.norm(np.cross(u, v), axis=1)
         half_cotangent = 0.5 * (u * v).sum(axis=1) / np.maximum(twice_area, _LEAST_AREA_MM2)
         rows += [triangles[:, a], triangles[:, b]]
         columns += [triangles[:, b], triangles[:, a]]
         values += [half_cotangent, half_cotangent]
-    off = sparse.coo_array(
+    off_diagonal = sparse.coo_array(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
     ).tocsr()
-    laplacian = off - sparse.diags_array(off.sum(axis=1))
+    laplacian = off_diagonal - sparse.diags_array(off_diagonal.sum(axis=1))
+    # A triangle's area is the same from each of its corners; a third of it goes to each.
     thirds = np.repeat(twice_area / 6, 3)
     areas = np.bincount(triangles.ravel(), thirds, minlength=n).astype(np.float64)
     return sparse.csr_array(laplacian), areas
@@ -353,13 +360,13 @@ class HeadSurface:
         return boundary_loops(self.triangles)
 
     def loop_from(self, first: int, then: int) -> list[int]:
-        """Return all vertices round a hole from `first`, in the shorter direction to `then`."""
+        """Return the numbers of vertices round a hole, from `first` the shorter way to `then`."""
         (loop,) = (each for each in self.loops if first in each)
-        at = loop.index(first)
-        turned = loop[at:] + loop[:at]
-        if turned.index(then) < len(turned) / 2:
-            return turned
-        return [first, *turned[:0:-1]]
+        start = loop.index(first)
+        rotated = loop[start:] + loop[:start]
+        if rotated.index(then) < len(rotated) / 2:
+            return rotated
+        return [first, *rotated[:0:-1]]
 
 
 def head_surface(mean: MeanFace) -> HeadSurface:
@@ -372,13 +379,14 @@ def boundary_loops(triangles: Indices) -> list[list[int]]:
     start = triangles.ravel()
     end = np.roll(triangles, -1, axis=1).ravel()
     n = int(triangles.max()) + 1
-    alone = ~np.isin(start * n + end, end * n + start)
-    after = dict(zip(start[alone].tolist(), end[alone].tolist(), strict=True))
+    # Edges, as start * n + end, whose reverse belongs to no triangle.
+    is_boundary = ~np.isin(start * n + end, end * n + start)
+    next_vertex = dict(zip(start[is_boundary].tolist(), end[is_boundary].tolist(), strict=True))
     loops = []
-    while after:
-        first = next(iter(after))
+    while next_vertex:
+        first = next(iter(next_vertex))
         loop = [first]
-        while (following := after.pop(loop[-1])) != first:
+        while (following := next_vertex.pop(loop[-1])) != first:
             loop.append(following)
         loops.append(loop)
     return loops

@@ -21,7 +21,7 @@ from lipsync.twin.parts import Part
 from lipsync.twin.twin import Twin
 
 PACKED_VERSION = 1
-#: Vertices of the skin along which a simple drawing draws.
+#: Vertices of the skin along the lines of a simple drawing.
 _LINES = {
     "rim": FACE_RIM,
     "outer_lip": OUTER_LIP,
@@ -55,7 +55,7 @@ def pack(twin: Twin) -> bytes:
             }
             for eye in twin.eyes
         ],
-        "parts": [_part(part, amounts, body) for part in twin.parts],
+        "parts": [_part_entry(part, amounts, body) for part in twin.parts],
     }
     return body.behind(header)
 
@@ -70,9 +70,9 @@ def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
     header = json.loads(packed[4 : 4 + length])
     body = packed[4 + length :]
 
-    def array(at: Mapping[str, Any]) -> Array32:
-        values = np.frombuffer(body, dtype=at["type"], count=at["count"], offset=at["at"])
-        return (values.astype(np.float32) * np.float32(at.get("step", 1.0))).reshape(-1, 3)
+    def array(entry: Mapping[str, Any]) -> Array32:
+        values = np.frombuffer(body, dtype=entry["type"], count=entry["count"], offset=entry["at"])
+        return (values.astype(np.float32) * np.float32(entry.get("step", 1.0))).reshape(-1, 3)
 
     return {
         part["name"]: {
@@ -100,11 +100,11 @@ class Body:
     def add(self, values: NDArray[Any], kind: str) -> dict[str, object]:
         """Append an array as NumPy type `kind`; return its first byte, number of values, type."""
         data = np.ascontiguousarray(values, dtype=kind).tobytes()
-        place = {"at": self._length, "count": int(values.size), "type": kind}
+        entry = {"at": self._length, "count": int(values.size), "type": kind}
         padded = data + b"\0" * (-len(data) % 4)
         self.pieces.append(padded)
         self._length += len(padded)
-        return place
+        return entry
 
     def add_scaled(self, values: Array, kind: str) -> dict[str, object]:
         """Append an array as whole numbers of type `kind` times a step.
@@ -116,7 +116,7 @@ class Body:
         return {**self.add(np.rint(values / step), kind), "step": step}
 
 
-def _part(part: Part, amounts: Mapping[str, float], body: Body) -> dict[str, object]:
+def _part_entry(part: Part, amounts: Mapping[str, float], body: Body) -> dict[str, object]:
     """Return a part's entry in the header; append the part's arrays to `body`.
 
     amounts: each component's standard deviation, by name, by which its change of the normals is
@@ -134,21 +134,22 @@ def _part(part: Part, amounts: Mapping[str, float], body: Body) -> dict[str, obj
             {
                 "name": name,
                 "moves": body.add_scaled(moves, "<i2"),
-                "turns": body.add_scaled(_rotated(part, moves, amounts.get(name, 1.0)), "i1"),
+                "turns": body.add_scaled(_normal_rates(part, moves, amounts.get(name, 1.0)), "i1"),
             }
             for name, moves in part.morphs.items()
         ],
     }
 
 
-def _rotated(part: Part, moves: Array, amount: float) -> Array:
-    """Return the change of a part's normals (n, 3) per unit of a morph target `moves` (n, 3).
+def _normal_rates(part: Part, displacements: Array, amount: float) -> Array:
+    """Return the change of a part's normals (n, 3) per unit of a morph target.
 
-    It is their mean change between -`amount` and `amount` of the target.
+    displacements: the target's, (n, 3). The change is the difference between the normals at
+    `amount` and at -`amount` of the target, divided by 2 `amount`.
     """
-    there = vertex_normals(part.places_mm + amount * moves, part.triangles)
-    back = vertex_normals(part.places_mm - amount * moves, part.triangles)
-    return np.asarray((there - back) / (2 * amount), dtype=np.float64)
+    normals_plus = vertex_normals(part.places_mm + amount * displacements, part.triangles)
+    normals_minus = vertex_normals(part.places_mm - amount * displacements, part.triangles)
+    return np.asarray((normals_plus - normals_minus) / (2 * amount), dtype=np.float64)
 
 
 def vertex_normals(places: Array, triangles: Indices) -> Array:

@@ -20,7 +20,7 @@ class Part:
 
     places_mm (n, 3), triangles (n_triangles, 3), counter-clockwise seen from outside; colours
     (n, 3), 0 to 1, sRGB. morphs: displacements in mm (n, 3) of the morph targets that move the
-    part, by name. stays: True for a part that does not turn with the head.
+    part, by name. stays: whether the part keeps its place when the head turns, as the neck does.
     """
 
     name: str
@@ -46,7 +46,8 @@ class Eyeball:
 _RADIUS_MM = 16.5
 #: The lid stands so far off the eyeball.
 _CLEARANCE_MM = 0.5
-#: How far the lining of the lids reaches back, and inwards as a share.
+#: How far the lining of the lids reaches back, mm, and towards the eye's middle, as a share of the
+#: distance.
 _LINING_MM, _LINING_SHARE = 7.0, 0.10
 _LINING, _LASHES = (0.80, 0.55, 0.50), (0.22, 0.15, 0.12)
 
@@ -74,16 +75,17 @@ def eyeballs(surface: HeadSurface, irises_mm: Array) -> tuple[Eyeball, Eyeball]:
 
 
 def _eyeball(side: Literal["left", "right"], rim_mm: Array, iris_mm: float) -> Eyeball:
-    """Return an eye's eyeball, between its corners, just behind the middle third of both lids.
+    """Return an eye's eyeball: between its corners, just behind the middle third of both lids.
 
-    rim_mm: (n, 3), the lids' edge from a corner round; iris_mm: radius of the iris.
+    rim_mm: (n, 3), the edge of both lids, once round from a corner; iris_mm: radius of the iris.
     """
     corners = rim_mm[[0, len(rim_mm) // 2]]
     x = corners[:, 0].mean()
     y = (rim_mm[:, 1].max() + rim_mm[:, 1].min()) / 2
-    middle = rim_mm[np.abs(rim_mm[:, 0] - x) < np.ptp(corners[:, 0]) / 3]
-    reach = (_RADIUS_MM + _CLEARANCE_MM) ** 2 - ((middle[:, :2] - (x, y)) ** 2).sum(axis=1)
-    z = float((middle[:, 2] - np.sqrt(reach)).min())
+    third = rim_mm[np.abs(rim_mm[:, 0] - x) < np.ptp(corners[:, 0]) / 3]
+    depth_sq = (_RADIUS_MM + _CLEARANCE_MM) ** 2 - ((third[:, :2] - (x, y)) ** 2).sum(axis=1)
+    # So far back that every point of the lids is at least 0.5 mm outside the sphere.
+    z = float((third[:, 2] - np.sqrt(depth_sq)).min())
     return Eyeball(side, np.array([x, y, z]), _RADIUS_MM, iris_mm)
 
 
@@ -109,20 +111,21 @@ def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> 
     front = surface.places_mm[rim]
     inwards = (eye.centre_mm - front) * (1.0, 1.0, 0.0) * _LINING_SHARE
     back = front + inwards - (0.0, 0.0, _LINING_MM)
-    upper = np.arange(n) <= n // 2
+    is_upper = np.arange(n) <= n // 2
     colours = np.vstack(
-        [np.where(upper[:, None], _LASHES, _LINING), np.broadcast_to(_LINING, (n, 3))]
+        [np.where(is_upper[:, None], _LASHES, _LINING), np.broadcast_to(_LINING, (n, 3))]
     )
+    # Two triangles between neighbours (here, ahead) in the front row and in the back row (+ n).
     here, ahead = np.arange(n), np.roll(np.arange(n), -1)
     triangles = np.vstack(
         [np.column_stack([here, ahead, here + n]), np.column_stack([ahead, ahead + n, here + n])]
     )
-    moves = {
+    rim_morphs = {
         name: np.vstack([morph[rim], morph[rim]])
         for name, morph in morphs.items()
         if np.abs(morph[rim]).max() > 0.0
     }
-    return Part(f"lids_{eye.side}", np.vstack([front, back]), triangles, colours, moves)
+    return Part(f"lids_{eye.side}", np.vstack([front, back]), triangles, colours, rim_morphs)
 
 
 def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
@@ -143,8 +146,8 @@ def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
         (n_morphs, 3): radians about the joint (positive opens), mm forward, mm to +x.
     """
     columns = jaw_modes(chin_mm, joint_mm).transpose(1, 2, 0).reshape(-1, 3)
-    solved, *_ = np.linalg.lstsq(columns, chin_moves_mm.reshape(len(chin_moves_mm), -1).T)
-    return np.asarray(solved.T, dtype=np.float64)
+    motion, *_ = np.linalg.lstsq(columns, chin_moves_mm.reshape(len(chin_moves_mm), -1).T)
+    return np.asarray(motion.T, dtype=np.float64)
 
 
 def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
@@ -164,7 +167,7 @@ def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
     """
     from_joint = places_mm - joint_mm
     modes = np.zeros((3, *places_mm.shape))
-    # A small rotation about +x takes z into y's place: (0, -z, y); the chin goes down and back.
+    # Linear in the angle: a small rotation about +x moves (y, z) by (-z, y) for 1 rad.
     modes[0, :, 1] = -from_joint[:, 2]
     modes[0, :, 2] = from_joint[:, 1]
     modes[1, :, 2] = 1.0
@@ -172,7 +175,7 @@ def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
     return modes
 
 
-def on_jaw(places_mm: Array, joint_mm: Array, motion: Array) -> Array:
+def jaw_displacements(places_mm: Array, joint_mm: Array, motion: Array) -> Array:
     """Return the displacements of points on the jaw for given motions of the jaw.
 
     Parameters
@@ -200,9 +203,9 @@ _INSIDE_FRONT, _INSIDE_BACK = np.array([0.42, 0.15, 0.15]), np.array([0.07, 0.02
 _UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM = (8.4, 6.6, 7.6, 7.0, 6.8, 9.8), 9.5
 _LOWER_WIDTHS_MM, _LOWER_HEIGHT_MM = (5.4, 5.9, 6.8, 7.0, 7.1, 10.0), 8.5
 _THICKNESS_MM = 5.0
-#: Edges of the front teeth, and middle of the tongue, from between the lips.
-_UPPER_AT_MM, _LOWER_AT_MM = np.array([0.0, -1.6, -5.0]), np.array([0.0, -1.4, -7.4])
-_TONGUE_AT_MM = np.array([0.0, -8.5, -32.0])
+#: Edges of the front teeth, and middle of the tongue, relative to the point between the lips.
+_UPPER_EDGE_MM, _LOWER_EDGE_MM = np.array([0.0, -1.6, -5.0]), np.array([0.0, -1.4, -7.4])
+_TONGUE_MIDDLE_MM = np.array([0.0, -8.5, -32.0])
 #: The arch of the teeth is a parabola: so deep at so far from the middle.
 _ARCH_HALF_WIDTH_MM, _ARCH_DEPTH_MM = 25.0, 33.0
 #: Rows of the inside of the mouth, and its half axes at its widest.
@@ -224,7 +227,7 @@ class MouthFrame:
     joint_mm: Array
     jaw: Mapping[str, Array]
 
-    def with_jaw(self, places_mm: Array) -> dict[str, Array]:
+    def displacements_with_jaw(self, places_mm: Array) -> dict[str, Array]:
         """Return the displacements of points on the lower jaw, by morph target.
 
         Parameters
@@ -238,79 +241,85 @@ class MouthFrame:
             (n, 3) mm each.
         """
         return {
-            name: on_jaw(places_mm, self.joint_mm, motion[None])[0]
+            name: jaw_displacements(places_mm, self.joint_mm, motion[None])[0]
             for name, motion in self.jaw.items()
         }
 
 
 def mouth_parts(frame: MouthFrame) -> tuple[Part, ...]:
     """Return the upper teeth, the lower teeth with the tongue, and the inside of the mouth."""
-    upper_at = frame.middle_mm + _UPPER_AT_MM
-    lower_at = frame.middle_mm + _LOWER_AT_MM
-    upper = _dental_arch(upper_at, _UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM, 1.0)
-    lower = _dental_arch(lower_at, _LOWER_WIDTHS_MM, _LOWER_HEIGHT_MM, -1.0)
-    tongue = _ball(frame.middle_mm + _TONGUE_AT_MM, (16.0, 6.0, 23.0), _TONGUE)
-    places, triangles, colours = _joined([lower, tongue])
+    upper_edge = frame.middle_mm + _UPPER_EDGE_MM
+    lower_edge = frame.middle_mm + _LOWER_EDGE_MM
+    upper = _dental_arch(upper_edge, _UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM, 1.0)
+    lower = _dental_arch(lower_edge, _LOWER_WIDTHS_MM, _LOWER_HEIGHT_MM, -1.0)
+    tongue = _ellipsoid(frame.middle_mm + _TONGUE_MIDDLE_MM, (16.0, 6.0, 23.0), _TONGUE)
+    places, triangles, colours = _join_pieces([lower, tongue])
     return (
         Part("teeth_upper", *upper),
-        Part("teeth_lower", places, triangles, colours, frame.with_jaw(places)),
-        _inside(frame),
+        Part("teeth_lower", places, triangles, colours, frame.displacements_with_jaw(places)),
+        _mouth_inside(frame),
     )
 
 
+#: A mesh: places (n, 3) in mm, triangles (n_triangles, 3), colours (n, 3).
 Piece = tuple[Array, Indices, Array]
 
 
-def _dental_arch(at: Array, widths_mm: tuple[float, ...], height_mm: float, up: float) -> Piece:
+def _dental_arch(edge: Array, widths_mm: tuple[float, ...], height_mm: float, up: float) -> Piece:
     """Return the mesh of the teeth and gum of both sides.
 
-    at: the edge of the front teeth, in the middle. widths_mm: of the teeth of one side, from the
-    middle on. up: 1 for upper teeth, -1 for lower.
+    edge: (3,) mm, the front teeth's edge in the middle. widths_mm: of the teeth of one side,
+    from the middle on. up: 1 for upper teeth, -1 for lower.
     """
     pieces = []
-    edges = np.concatenate([[0.0], np.cumsum(widths_mm)])
+    starts_mm = np.concatenate([[0.0], np.cumsum(widths_mm)])
     for side in (-1.0, 1.0):
-        for start, width in zip(edges, widths_mm, strict=False):
-            x, z, turn = _on_arch(side * (start + width / 2))
-            shorter = 1.0 - 0.03 * start / 8.0
-            half = (width * 0.49, height_mm * shorter / 2, _THICKNESS_MM / 2)
-            tooth, triangles, colours = _ball(np.zeros(3), half, _ENAMEL, roundness=0.45)
+        for start, width in zip(starts_mm, widths_mm, strict=False):
+            x, z, turn = _arch_position(side * (start + width / 2))
+            height_share = 1.0 - 0.03 * start / 8.0
+            half_mm = (width * 0.49, height_mm * height_share / 2, _THICKNESS_MM / 2)
+            tooth, triangles, colours = _ellipsoid(np.zeros(3), half_mm, _ENAMEL, roundness=0.45)
+            # Turned about y, to stand along the arch.
             tooth = tooth @ np.array(
                 [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
             )
-            middle = at + np.array([x, up * height_mm / 2, z])
+            middle = edge + np.array([x, up * height_mm / 2, z])
             pieces.append((tooth + middle, triangles, colours))
-    pieces.append(_gum(at + np.array([0.0, up * (height_mm + 1.0), 0.0]), float(edges[-1])))
-    return _joined(pieces)
+    pieces.append(_gum(edge + np.array([0.0, up * (height_mm + 1.0), 0.0]), float(starts_mm[-1])))
+    return _join_pieces(pieces)
 
 
-def _on_arch(along_mm: float) -> tuple[float, float, float]:
+def _arch_position(along_mm: float) -> tuple[float, float, float]:
     """Return x, z (mm) and heading (rad) on the dental parabola, `along_mm` from its middle."""
     bend = _ARCH_DEPTH_MM / _ARCH_HALF_WIDTH_MM**2
+    # Arc length along half of the parabola z = -bend x^2, inverted by interpolation.
     x = np.linspace(0.0, 2 * _ARCH_HALF_WIDTH_MM, 400)
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(bend * x**2)))])
-    here = float(np.interp(abs(along_mm), arc, x)) * np.sign(along_mm)
-    return here, -bend * here**2, float(np.arctan(2 * bend * here))
+    arc_mm = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(bend * x**2)))])
+    x_there = float(np.interp(abs(along_mm), arc_mm, x)) * np.sign(along_mm)
+    return x_there, -bend * x_there**2, float(np.arctan(2 * bend * x_there))
 
 
-def _gum(at: Array, half_length_mm: float) -> Piece:
-    """Return the mesh of the gum of both sides: a round bar along the dental arch through `at`."""
+def _gum(through: Array, half_length_mm: float) -> Piece:
+    """Return the mesh of the gum of both sides: a bar along the dental arch from side to side.
+
+    through: (3,) mm, the bar's axis in the middle. half_length_mm: arc length of one side.
+    """
     stations = np.linspace(-half_length_mm, half_length_mm, 25)
-    round_it = np.linspace(0, 2 * np.pi, 10, endpoint=False)
+    angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     rows = []
-    for each in stations:
-        x, z, turn = _on_arch(float(each))
-        across = np.array([np.sin(turn), 0.0, np.cos(turn)])
+    for along_mm in stations:
+        x, z, heading = _arch_position(float(along_mm))
+        across = np.array([np.sin(heading), 0.0, np.cos(heading)])
         rows.append(
-            at + np.array([x, 0.0, z]) + 2.9 * np.outer(np.cos(round_it), across)
-            + 3.2 * np.outer(np.sin(round_it), (0.0, 1.0, 0.0))
+            through + np.array([x, 0.0, z]) + 2.9 * np.outer(np.cos(angles), across)
+            + 3.2 * np.outer(np.sin(angles), (0.0, 1.0, 0.0))
         )  # fmt: skip
     places = np.concatenate(rows)
-    triangles = _grid(len(stations), len(round_it))
+    triangles = _ring_mesh(len(stations), len(angles))
     return places, triangles, np.broadcast_to(_GUMS, places.shape)
 
 
-def _ball(
+def _ellipsoid(
     middle: Array,
     half_mm: tuple[float, float, float],
     colour: tuple[float, ...],
@@ -321,68 +330,72 @@ def _ball(
     The mesh is an ellipsoid at roundness 1, a box with round edges below.
     """
     up = np.linspace(-np.pi / 2, np.pi / 2, 9)
-    about = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    around = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 
-    def shaped(values: Array) -> Array:
+    def rounded(values: Array) -> Array:
         return np.asarray(np.sign(values) * np.abs(values) ** roundness, dtype=np.float64)
 
-    ring = shaped(np.cos(up))[:, None]
+    ring = rounded(np.cos(up))[:, None]
     unit = np.stack(
         [
-            ring * shaped(np.sin(about)),
-            np.broadcast_to(shaped(np.sin(up))[:, None], (len(up), len(about))),
-            ring * shaped(np.cos(about)),
+            ring * rounded(np.sin(around)),
+            np.broadcast_to(rounded(np.sin(up))[:, None], (len(up), len(around))),
+            ring * rounded(np.cos(around)),
         ],
         axis=-1,
     ).reshape(-1, 3)
     places = middle + unit * half_mm
-    return places, _grid(len(up), len(about)), np.broadcast_to(colour, places.shape)
+    return places, _ring_mesh(len(up), len(around)), np.broadcast_to(colour, places.shape)
 
 
-def _inside(frame: MouthFrame) -> Part:
-    """Return the inside of the mouth: from the lips' inner rim backwards, wider, to a dark end.
+def _mouth_inside(frame: MouthFrame) -> Part:
+    """Return the mesh of the inside of the mouth: rings from the lips' inner rim to a dark end.
 
-    The front moves with the lips, the lower back with the jaw, the upper back not at all.
+    Behind the lips the rings widen to an oval, and narrow to a point at the end. The front moves
+    with the lips, the lower back with the jaw, the upper back not at all.
     """
     n = len(frame.places_mm)
     lips = frame.places_mm
     angle = np.arctan2((lips[:, 1] - frame.middle_mm[1]) * 8.0, lips[:, 0] - frame.middle_mm[0])
     oval = np.column_stack([np.cos(angle) * _INSIDE_MM[0], np.sin(angle) * _INSIDE_MM[1]])
     back = np.column_stack([oval, np.full(n, -48.0)]) + frame.middle_mm
-    places, share, colours = [], [], []
+    # Ring by ring from the front (along = 0): place, share of the lips' motion, colour.
+    places, lip_shares, colours = [], [], []
     for row in range(_ROWS):
         along = row / (_ROWS - 1)
-        opened = min(1.0, along * 2.5)
-        shape = (1 - opened) * lips + opened * back
-        shape[:, 2] = (1 - along) * lips[:, 2] + along * back[:, 2]
+        widened = min(1.0, along * 2.5)
+        ring = (1 - widened) * lips + widened * back
+        ring[:, 2] = (1 - along) * lips[:, 2] + along * back[:, 2]
         narrow = 1.0 if along < 0.75 else 4.0 * (1.0 - along)
-        shape[:, :2] = frame.middle_mm[:2] + narrow * (shape[:, :2] - frame.middle_mm[:2])
-        places.append(shape)
-        share.append(np.full(n, max(0.0, 1.0 - along * 2.5)))
+        ring[:, :2] = frame.middle_mm[:2] + narrow * (ring[:, :2] - frame.middle_mm[:2])
+        places.append(ring)
+        lip_shares.append(np.full(n, max(0.0, 1.0 - along * 2.5)))
         fade = min(1.0, along * 1.6)
         colours.append(np.broadcast_to((1 - fade) * _INSIDE_FRONT + fade * _INSIDE_BACK, (n, 3)))
     all_places = np.concatenate(places)
-    of_lips = np.concatenate(share)[:, None]
+    of_lips = np.concatenate(lip_shares)[:, None]
+    # Share of the jaw's motion: 1 in the lower half of a ring, 0 in the upper.
     lower = np.clip(0.5 - 2.0 * np.sin(np.tile(angle, _ROWS)), 0.0, 1.0)[:, None]
-    jaw = frame.with_jaw(all_places)
+    jaw = frame.displacements_with_jaw(all_places)
     still = np.zeros_like(all_places)
     morphs = {
         name: of_lips * np.tile(moves, (_ROWS, 1)) + (1 - of_lips) * lower * jaw.get(name, still)
         for name, moves in frame.morphs.items()
     }
-    return Part("mouth", all_places, _grid(_ROWS, n)[:, ::-1], np.concatenate(colours), morphs)
+    return Part("mouth", all_places, _ring_mesh(_ROWS, n)[:, ::-1], np.concatenate(colours), morphs)
 
 
-def _grid(n_rows: int, n_round: int) -> Indices:
+def _ring_mesh(n_rows: int, n_round: int) -> Indices:
     """Return the triangles between `n_rows` rows of vertices, each a closed ring of `n_round`."""
-    corner = np.arange(n_rows * n_round).reshape(n_rows, n_round)
-    here, above = corner[:-1], corner[1:]
+    vertex = np.arange(n_rows * n_round).reshape(n_rows, n_round)
+    here, above = vertex[:-1], vertex[1:]
     ahead, above_ahead = np.roll(here, -1, axis=1), np.roll(above, -1, axis=1)
     bands = [np.stack([here, ahead, above], -1), np.stack([ahead, above_ahead, above], -1)]
     return np.concatenate([band.reshape(-1, 3) for band in bands])
 
 
-def _joined(pieces: list[Piece]) -> Piece:
+def _join_pieces(pieces: list[Piece]) -> Piece:
+    """Return meshes as one mesh; each one's triangles are renumbered by the vertices before it."""
     first = np.cumsum([0, *(len(places) for places, _, _ in pieces)])
     return (
         np.vstack([places for places, _, _ in pieces]),
@@ -391,7 +404,7 @@ def _joined(pieces: list[Piece]) -> Piece:
     )
 
 
-#: What the head turns about: the top of the spine.
+#: The point that the head turns about: the top of the spine.
 PIVOT_MM = (0.0, -70.0, -88.0)
 #: Height below the pivot, radius and grey; the neck is wider than deep.
 _PROFILE = (
@@ -424,8 +437,8 @@ def neck() -> Part:
         ],
         axis=-1,
     ).reshape(-1, 3) + np.array(PIVOT_MM)
-    corner = np.arange(_NECK_ROWS * _SIDES).reshape(_NECK_ROWS, _SIDES)
-    here, below = corner[:-1], corner[1:]
+    vertex = np.arange(_NECK_ROWS * _SIDES).reshape(_NECK_ROWS, _SIDES)
+    here, below = vertex[:-1], vertex[1:]
     ahead, below_ahead = np.roll(here, -1, axis=1), np.roll(below, -1, axis=1)
     bands = [np.stack([here, below, ahead], -1), np.stack([ahead, below, below_ahead], -1)]
     triangles = np.concatenate([band.reshape(-1, 3) for band in bands])

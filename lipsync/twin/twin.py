@@ -46,7 +46,7 @@ from lipsync.twin.parts import (
     neck,
 )
 
-#: How much of its way to the other the lower lid goes, and the clearance of a lid over the eyeball.
+#: Share of the way to the upper lid that the lower one goes; clearance of a lid over the eyeball.
 _LOWER_SHARE, _CLEARANCE_MM = 0.12, 0.7
 #: Skin behind this depth follows no expression.
 _TEMPLE_MM = -50.0
@@ -76,7 +76,7 @@ _SMILING_LID_MM = 0.9
 
 
 def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[str, Array]:
-    """Return the skin's displacements for 1 of lids, brow, smile and lip_tuck, by name.
+    """Return the skin's displacements at full lid_left, lid_right, brow, smile, lip_tuck, by name.
 
     lid_left_over and lid_right_over are further targets, to be applied by lid (1 - lid), where lid
     is 0 to 1: a straight path would lead a half shut lid through the eyeball.
@@ -94,23 +94,25 @@ def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[s
         (n, 3) mm each.
     """
     places = surface.places_mm
-    rims = [np.array(surface.loop_from(*each[:2])) for each in (LEFT_EYE, RIGHT_EYE)]
+    rims = [np.array(surface.loop_from(*eye_rim[:2])) for eye_rim in (LEFT_EYE, RIGHT_EYE)]
     brows = np.array([*LEFT_BROW[0], *LEFT_BROW[1], *RIGHT_BROW[0], *RIGHT_BROW[1]])
-    given = np.zeros((len(places), 4, 3))
-    for at, rim in enumerate(rims):
-        given[rim, at] = _shutting(places[rim])
-        given[rim, 3, 1] = _SMILING_LID_MM * _lower_lid(len(rim))
-    given[brows, 2, 1] = np.tile(_BROW_UP_MM, 4)
+    # Four columns of displacements (left lid, right lid, brow, smile), given at some vertices and
+    # spread over the skin between them; other marked vertices stay where they are.
+    given_mm = np.zeros((len(places), 4, 3))
+    for eye_index, rim in enumerate(rims):
+        given_mm[rim, eye_index] = _lid_shutting(places[rim])
+        given_mm[rim, 3, 1] = _SMILING_LID_MM * _lower_lid(len(rim))
+    given_mm[brows, 2, 1] = np.tile(_BROW_UP_MM, 4)
     for landmark in MARKERS_47.landmarks:
-        given[landmark, 3] = _smile_mm(landmark)
-    held = (places[:, 2] < _TEMPLE_MM) | (places[:, 1] > places[FACE_RIM[0], 1])
-    held[[*rims[0], *rims[1], *brows, *MARKERS_47.landmarks]] = True
-    at_held = given[held].reshape(held.sum(), -1)
-    moved = spread(surface.stiffness, np.flatnonzero(held), at_held)
-    lid_left, lid_right, brow, smile = moved.reshape(len(places), 4, 3).transpose(1, 0, 2)
+        given_mm[landmark, 3] = _smile_mm(landmark)
+    is_given = (places[:, 2] < _TEMPLE_MM) | (places[:, 1] > places[FACE_RIM[0], 1])
+    is_given[[*rims[0], *rims[1], *brows, *MARKERS_47.landmarks]] = True
+    given_rows = given_mm[is_given].reshape(is_given.sum(), -1)
+    spread_mm = spread(surface.stiffness, np.flatnonzero(is_given), given_rows)
+    lid_left, lid_right, brow, smile = spread_mm.reshape(len(places), 4, 3).transpose(1, 0, 2)
     morphs = {"brow": brow, "smile": smile, "lip_tuck": _lip_tuck(surface)}
     for lid, eye in ((lid_left, eyes[0]), (lid_right, eyes[1])):
-        morphs |= _over_eyeball(f"lid_{eye.side}", places, lid, eye)
+        morphs |= _outside_eyeball(f"lid_{eye.side}", places, lid, eye)
     return morphs
 
 
@@ -120,7 +122,7 @@ def _lip_tuck(surface: HeadSurface) -> Array:
     Full in the middle of the lips, nothing at their corners.
     """
     places = surface.places_mm
-    moves = np.zeros_like(places)
+    given_mm = np.zeros_like(places)
     rims = ((OUTER_LIP, _TUCKED_OUTER_MM), (INNER_LIP, _TUCKED_INNER_MM))
     for landmarks, (upper_mm, lower_mm) in rims:
         rim = places[list(landmarks)]
@@ -128,10 +130,10 @@ def _lip_tuck(surface: HeadSurface) -> Array:
         middle_mm, reach_mm = rim[[0, half], 0].mean(), np.ptp(rim[[0, half], 0]) / 2.0
         share = np.clip(1.0 - ((rim[:, 0] - middle_mm) / reach_mm) ** 2, 0.0, 1.0)[:, None]
         is_upper = (np.arange(len(landmarks)) < half)[:, None]
-        moves[list(landmarks)] = share * np.where(is_upper, upper_mm, lower_mm)
-    held = np.zeros(len(places), dtype=bool)
-    held[surface.anchors] = held[[*OUTER_LIP, *INNER_LIP, *CHIN, *_NOSTRILS]] = True
-    return spread(surface.stiffness, np.flatnonzero(held), moves[held])
+        given_mm[list(landmarks)] = share * np.where(is_upper, upper_mm, lower_mm)
+    is_given = np.zeros(len(places), dtype=bool)
+    is_given[surface.anchors] = is_given[[*OUTER_LIP, *INNER_LIP, *CHIN, *_NOSTRILS]] = True
+    return spread(surface.stiffness, np.flatnonzero(is_given), given_mm[is_given])
 
 
 def _lower_lid(n: int) -> Array:
@@ -141,6 +143,7 @@ def _lower_lid(n: int) -> Array:
 
 
 def _smile_mm(landmark: int) -> tuple[float, float, float]:
+    """Return a landmark's displacement (x, y, z) in mm in a broad smile; zeros for most."""
     for left, right in _MIRRORED.items():
         if landmark == right:
             out, up, forward = _SMILE_LEFT_MM[left]
@@ -148,37 +151,39 @@ def _smile_mm(landmark: int) -> tuple[float, float, float]:
     return _SMILE_LEFT_MM.get(landmark, _SMILE_MIDDLE_MM.get(landmark, (0.0, 0.0, 0.0)))
 
 
-def _shutting(rim_mm: Array) -> Array:
-    """Return displacements (n, 3) of the lids' edge `rim_mm` (n, 3) that shut both lids.
+def _lid_shutting(rim_mm: Array) -> Array:
+    """Return displacements (n, 3) of the lids' edge `rim_mm` (n, 3) that shut the eye.
 
-    The first half of the edge is the upper lid.
+    The first half of the edge is the upper lid; both lids go to a line near the lower one.
     """
     half = len(rim_mm) // 2
     upper, lower = rim_mm[: half + 1], np.vstack([rim_mm[half:], rim_mm[:1]])[::-1]
-    meeting = (1 - _LOWER_SHARE) * lower + _LOWER_SHARE * upper
-    moves = np.zeros_like(rim_mm)
-    moves[: half + 1] = meeting - upper
-    moves[half:] = meeting[::-1][:-1] - rim_mm[half:]
-    moves[[0, half]] = 0.0
-    return moves
+    # Both from the same corner of the eye to the other.
+    meeting_line = (1 - _LOWER_SHARE) * lower + _LOWER_SHARE * upper
+    displacements = np.zeros_like(rim_mm)
+    displacements[: half + 1] = meeting_line - upper
+    displacements[half:] = meeting_line[::-1][:-1] - rim_mm[half:]
+    displacements[[0, half]] = 0.0
+    return displacements
 
 
-def _over_eyeball(name: str, places: Array, lid: Array, eye: Eyeball) -> dict[str, Array]:
+def _outside_eyeball(name: str, places: Array, lid: Array, eye: Eyeball) -> dict[str, Array]:
     """Return a lid's targets `name` and `name`_over, which keep it outside the eyeball.
 
     lid: displacements (n, 3) of the skin `places` that shut it in a straight line. The first target
-    shuts it, the second corrects half shut lids.
+    shuts it; the second, times lid (1 - lid), corrects half shut lids.
     """
-    near = np.linalg.norm(lid, axis=1) > 0.05
+    on_lid = np.linalg.norm(lid, axis=1) > 0.05
 
-    def outside(at: Array) -> Array:
-        ray = at - eye.centre_mm
+    def pushed_out(points: Array) -> Array:
+        """Return the points, those of the lid moved from inside the eyeball to just outside it."""
+        ray = points - eye.centre_mm
         length = np.linalg.norm(ray, axis=1, keepdims=True)
-        least = np.where(near & (ray[:, 2] > 0), eye.radius_mm + _CLEARANCE_MM, 0.0)[:, None]
+        least = np.where(on_lid & (ray[:, 2] > 0), eye.radius_mm + _CLEARANCE_MM, 0.0)[:, None]
         return np.asarray(eye.centre_mm + ray * np.maximum(1.0, least / length), dtype=np.float64)
 
-    shut = outside(places + lid) - places
-    half = outside(places + 0.5 * shut) - places
+    shut = pushed_out(places + lid) - places
+    half = pushed_out(places + 0.5 * shut) - places
     return {name: shut, f"{name}_over": 4.0 * (half - 0.5 * shut)}
 
 
@@ -222,7 +227,7 @@ class SkinMorphs:
     points: tuple[int, ...]
 
 
-def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None = None) -> Twin:
+def make_twin(face: FaceModel, mean: MeanFace | None = None, mouth: Array | None = None) -> Twin:
     """Return the twin of a face model, on the shipped head or a given head. Raises TwinError.
 
     Parameters
@@ -231,9 +236,10 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None =
         The face model.
     mean : MeanFace | None
         A head; None: the shipped one.
-    own : Array | None
-        (n_components,), the model's coefficients of that head's own mouth: the head keeps its own
-        lips, and moves by a frame's difference from them. None: the model's lips are laid on it.
+    mouth : Array | None
+        (n_components,), the model's coefficients for the given head's mouth as it is: the head
+        keeps its own lips, and moves by a frame's difference from them. None: the lips of the
+        model's mean face are laid on the head.
 
     Returns
     -------
@@ -243,13 +249,13 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None =
     mean = mean or load_mean_face()
     surface = head_surface(mean)
     skin = skin_morphs(face, surface)
-    if own is not None:
-        at_zero_mm = surface.places_mm - np.tensordot(own, skin.targets_mm, 1)
+    if mouth is not None:
+        at_zero_mm = surface.places_mm - np.tensordot(mouth, skin.targets_mm, 1)
         skin = replace(skin, places_mm=at_zero_mm)
     eyes = eyeballs(surface, mean.irises_mm)
     components = tuple(f"c{k}" for k in range(face.n_components))
-    of_mouth = dict(zip(components, skin.targets_mm, strict=True))
-    morphs = of_mouth | expression_morphs(surface, eyes)
+    mouth_morphs = dict(zip(components, skin.targets_mm, strict=True))
+    morphs = mouth_morphs | expression_morphs(surface, eyes)
     lips = np.array(surface.loop_from(*INNER_LIP[:2]))
     parts = (
         Part("skin", skin.places_mm, surface.triangles, surface.colours, morphs),
@@ -259,8 +265,8 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None =
     )
     deviations = np.sqrt(np.diag(face.covariance))
     pivot_mm = np.array(PIVOT_MM)
-    in_face = mean.behind <= mean.behind[list(FACE_RIM)].max() + 0.05
-    return Twin(parts, eyes, components, face.rest, deviations, pivot_mm, in_face)
+    is_face = mean.behind <= mean.behind[list(FACE_RIM)].max() + 0.05
+    return Twin(parts, eyes, components, face.rest, deviations, pivot_mm, is_face)
 
 
 def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
@@ -278,10 +284,10 @@ def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
             "face mesh, so the twin's head cannot show them"
         )
     weights = influence(surface.stiffness, handles, surface.anchors.tolist())
-    at_mean, turned = worn_face(face, surface.places_mm[handles], points)
+    at_mean, basis = worn_face(face, surface.places_mm[handles], points)
     offsets = weights @ (at_mean - surface.places_mm[handles])
     return SkinMorphs(
-        surface.places_mm + offsets, np.stack([weights @ each for each in turned]), weights, points
+        surface.places_mm + offsets, np.stack([weights @ each for each in basis]), weights, points
     )
 
 
@@ -305,11 +311,11 @@ def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tu
     tuple[Array, Array]
         Mean (n_points, 3) mm and basis (n_components, n_points, 3).
     """
-    chosen = list(points)
-    at_rest = face.markers_mm(face.rest[None])[:, chosen]
+    numbers = list(points)
+    at_rest = face.markers_mm(face.rest[None])[:, numbers]
     scale, rotation, translation = fit_similarity(at_rest, on_head_mm)
-    at_mean = apply_similarity(face.mean_mm[None, chosen], scale, rotation, translation)[0]
-    basis = face.basis.reshape(face.n_components, -1, 3)[:, chosen]
+    at_mean = apply_similarity(face.mean_mm[None, numbers], scale, rotation, translation)[0]
+    basis = face.basis.reshape(face.n_components, -1, 3)[:, numbers]
     return at_mean, scale[0] * basis @ rotation[0].T
 
 
@@ -323,8 +329,8 @@ def _mouth_frame(
     """
     chin = list(CHIN)
     joint = places[list(JAW_JOINT)].mean(axis=0)
-    moves = np.stack([morphs[name][chin] for name in components])
-    motion = jaw_motion(places[chin], joint, moves)
+    chin_moves = np.stack([morphs[name][chin] for name in components])
+    motion = jaw_motion(places[chin], joint, chin_moves)
     return MouthFrame(
         places[lips],
         {name: morphs[name][lips] for name in (*components, "smile", "lip_tuck")},

@@ -45,8 +45,8 @@ def _anchors() -> Array:
     rows = []
     for n_places, n_each in _GRIDS:
         steps = (np.arange(n_places) + 0.5) / n_places
-        down, across = np.meshgrid(steps, steps, indexing="ij")
-        rows.append(np.repeat(np.column_stack((across.ravel(), down.ravel())), n_each, axis=0))
+        y, x = np.meshgrid(steps, steps, indexing="ij")
+        rows.append(np.repeat(np.column_stack((x.ravel(), y.ravel())), n_each, axis=0))
     return np.concatenate(rows)
 
 
@@ -70,36 +70,36 @@ def detections(regressors: Array, classificators: Array) -> tuple[Detection, ...
         Boxes and eyes in shares of the picture's side, 0 to 1; overlapping ones are blended.
     """
     scores = 1.0 / (1.0 + np.exp(-np.clip(classificators, -100.0, 100.0)))
-    likely = np.flatnonzero(scores >= _LEAST_SCORE)
-    likely = likely[np.argsort(-scores[likely], kind="stable")]
-    raw = regressors[likely].reshape(-1, 8, 2) / DETECTOR_PIXELS
-    middle, size = raw[:, 0] + _ANCHORS[likely], raw[:, 1]
-    boxes = np.concatenate((middle - size / 2, middle + size / 2), axis=1)
-    eyes = raw[:, 2:4] + _ANCHORS[likely][:, None]
-    return _blended(scores[likely], boxes, eyes)
+    candidates = np.flatnonzero(scores >= _LEAST_SCORE)
+    candidates = candidates[np.argsort(-scores[candidates], kind="stable")]
+    raw = regressors[candidates].reshape(-1, 8, 2) / DETECTOR_PIXELS
+    middles, sizes = raw[:, 0] + _ANCHORS[candidates], raw[:, 1]
+    boxes = np.concatenate((middles - sizes / 2, middles + sizes / 2), axis=1)
+    eyes = raw[:, 2:4] + _ANCHORS[candidates][:, None]
+    return _blend_overlapping(scores[candidates], boxes, eyes)
 
 
-def _blended(scores: Array, boxes: Array, eyes: Array) -> tuple[Detection, ...]:
+def _blend_overlapping(scores: Array, boxes: Array, eyes: Array) -> tuple[Detection, ...]:
     """Return detections, the surest first; overlapping boxes are averaged by their scores.
 
     scores: (n,), falling; boxes: (n, 4); eyes: (n, 2, 2).
     """
-    found = []
-    left = np.arange(len(scores))
-    while len(left):
-        same = _overlaps(boxes[left[0]], boxes[left]) > _SAME_FACE
-        same[0] = True
-        group = left[same]
+    blended = []
+    remaining = np.arange(len(scores))
+    while len(remaining):
+        is_same_face = _overlaps(boxes[remaining[0]], boxes[remaining]) > _SAME_FACE
+        is_same_face[0] = True
+        group = remaining[is_same_face]
         share = scores[group] / scores[group].sum()
-        found.append(
+        blended.append(
             Detection(
                 float(scores[group[0]]),
                 np.einsum("g,gi->i", share, boxes[group]),
                 np.einsum("g,gij->ij", share, eyes[group]),
             )
         )
-        left = left[~same]
-    return tuple(found)
+        remaining = remaining[~is_same_face]
+    return tuple(blended)
 
 
 def _overlaps(box: Array, boxes: Array) -> Array:
@@ -107,8 +107,8 @@ def _overlaps(box: Array, boxes: Array) -> Array:
     low = np.maximum(box[:2], boxes[:, :2])
     high = np.minimum(box[2:], boxes[:, 2:])
     shared = np.clip(high - low, 0.0, None).prod(axis=1)
-    both = (box[2:] - box[:2]).prod() + (boxes[:, 2:] - boxes[:, :2]).prod(axis=1) - shared
-    ratio: Array = shared / np.maximum(both, 1e-12)
+    union = (box[2:] - box[:2]).prod() + (boxes[:, 2:] - boxes[:, :2]).prod(axis=1) - shared
+    ratio: Array = shared / np.maximum(union, 1e-12)
     return ratio
 
 
@@ -201,24 +201,25 @@ def cut_out(picture: Picture, box: FaceBox, n_pixels: int) -> NDArray[np.float32
     # A pixel's colour is that of its middle: half a pixel from its corner.
     x = (box.x_px - 0.5 + cosine * steps)[None, :] - (sine * steps)[:, None]
     y = (box.y_px - 0.5 + sine * steps)[None, :] + (cosine * steps)[:, None]
-    left, to_right = _split(x, width)
-    top, to_bottom = _split(y, height)
+    # Of each output pixel: the numbers of the pixel above and left of it, and the way to the next.
+    left, x_fraction = _pixel_and_fraction(x, width)
+    top, y_fraction = _pixel_and_fraction(y, height)
     colours = picture.reshape(-1, 3)
     first = top * width + left
-    across, down = int(width > 1), width * int(height > 1)
+    right_step, down_step = int(width > 1), width * int(height > 1)
 
-    def mixed(row: NDArray[np.int32]) -> NDArray[np.float32]:
-        near = colours.take(row, axis=0).astype(np.float32)
-        near += (colours.take(row + across, axis=0) - near) * to_right
-        return near
+    def row_colours(row: NDArray[np.int32]) -> NDArray[np.float32]:
+        blended = colours.take(row, axis=0).astype(np.float32)
+        blended += (colours.take(row + right_step, axis=0) - blended) * x_fraction
+        return blended
 
-    upper = mixed(first)
-    upper += (mixed(first + down) - upper) * to_bottom
+    upper = row_colours(first)
+    upper += (row_colours(first + down_step) - upper) * y_fraction
     upper *= np.float32(1 / 255)
     return upper
 
 
-def _split(
+def _pixel_and_fraction(
     places_px: NDArray[np.floating], n_pixels: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the number of the pixel before each position, kept within `n_pixels`, and the rest.

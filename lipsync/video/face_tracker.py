@@ -64,9 +64,9 @@ class FaceTracker(Protocol):
 
 _DETECTOR, _LANDMARKS = "face_detector.tflite", "face_landmarks_detector.tflite"
 _LANDMARK_PIXELS = 256
-#: What the landmark network calls a face with less than this probability is none.
+#: Least probability of a face, by the landmark network, with which its points are used.
 _LEAST_PRESENCE = 0.5
-#: Faces looked at in one picture; two are already one too many.
+#: Faces searched in one picture.
 _MOST_FACES = 3
 #: Of each network, unpacked; they have a few.
 _MOST_BYTES = 64_000_000
@@ -79,8 +79,9 @@ class LitertTracker:
     """
 
     def __init__(self, landmarker: Path) -> None:
+        """Load both networks of the file `landmarker`. Raises as the class says."""
         check_extra("ai_edge_litert", "--landmarker")
-        networks = _networks(landmarker)
+        networks = _read_networks(landmarker)
         try:
             self._detector = _Network(networks[_DETECTOR])
             self._landmarks = _Network(networks[_LANDMARKS])
@@ -104,35 +105,37 @@ class LitertTracker:
         picture : Picture
             (height, width, 3).
         """
-        found = []
+        faces = []
         for detection, square in self._detect(picture):
-            points = self._points(picture, _box_of(detection, square))
+            points = self._points(picture, _face_box(detection, square))
             if points is not None:
-                found.append(points)
-        found.sort(key=lambda points: -float(np.ptp(points[:, 0])))
-        return tuple(found)
+                faces.append(points)
+        faces.sort(key=lambda points: -float(np.ptp(points[:, 0])))
+        return tuple(faces)
 
     def _detect(self, picture: Picture) -> list[tuple[Detection, FaceBox]]:
         """Return up to three faces, the surest first, each with the square its lengths refer to."""
         height, width = picture.shape[:2]
         square = FaceBox(width / 2, height / 2, float(max(width, height)), 0.0)
-        seen = cut_out(picture, square, DETECTOR_PIXELS) * 2 - 1
-        answers = self._detector.answers(seen)
-        regressors = next(a for a in answers if a.shape[-1] == 16)
-        scores = next(a for a in answers if a.shape[-1] == 1)
+        network_input = cut_out(picture, square, DETECTOR_PIXELS) * 2 - 1
+        outputs = self._detector.run(network_input)
+        regressors = next(output for output in outputs if output.shape[-1] == 16)
+        scores = next(output for output in outputs if output.shape[-1] == 1)
         faces = detections(regressors[0].astype(float), scores[0, :, 0].astype(float))
         return [(face, square) for face in faces[:_MOST_FACES]]
 
     def _points(self, picture: Picture, box: FaceBox) -> Array | None:
-        answers = self._landmarks.answers(cut_out(picture, box, _LANDMARK_PIXELS))
-        presence = next(a for a in answers if a.shape == (1, 1, 1, 1))
+        """Return the points (478, 3) in pixels of the face in `box`; None if none is there."""
+        outputs = self._landmarks.run(cut_out(picture, box, _LANDMARK_PIXELS))
+        presence = next(output for output in outputs if output.shape == (1, 1, 1, 1))
         if 1.0 / (1.0 + np.exp(-float(presence.item()))) < _LEAST_PRESENCE:
             return None
-        flat = next(a for a in answers if a.size == N_LANDMARKS * 3)
+        flat = next(output for output in outputs if output.size == N_LANDMARKS * 3)
         return box.to_picture(flat.reshape(N_LANDMARKS, 3).astype(float) / _LANDMARK_PIXELS)
 
 
-def _box_of(detection: Detection, square: FaceBox) -> FaceBox:
+def _face_box(detection: Detection, square: FaceBox) -> FaceBox:
+    """Return the square for the landmark network; `square`: that of the detection's lengths."""
     corners = detection.box.reshape(2, 2)
     inside = np.column_stack((np.concatenate((corners, detection.eyes)), np.zeros(4)))
     points_px = square.to_picture(inside)[:, :2]
@@ -143,6 +146,7 @@ class _Network:
     """One TensorFlow Lite network with one input."""
 
     def __init__(self, content: bytes) -> None:
+        """Load the network from the bytes of a .tflite file. Raises ValueError or RuntimeError."""
         from ai_edge_litert.interpreter import Interpreter
 
         self._interpreter: Any = Interpreter(model_content=content, num_threads=1)
@@ -150,13 +154,14 @@ class _Network:
         self._input = self._interpreter.get_input_details()[0]["index"]
         self._outputs = [each["index"] for each in self._interpreter.get_output_details()]
 
-    def answers(self, picture: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    def run(self, picture: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Return the network's outputs for a square picture (n, n, 3)."""
         self._interpreter.set_tensor(self._input, picture[None])
         self._interpreter.invoke()
         return [self._interpreter.get_tensor(output) for output in self._outputs]
 
 
-def _networks(landmarker: Path) -> dict[str, bytes]:
+def _read_networks(landmarker: Path) -> dict[str, bytes]:
     """Return the two networks in a landmarker file, by name. Raises TrackerError."""
     try:
         with zipfile.ZipFile(landmarker) as file:
@@ -181,6 +186,7 @@ class MediapipeTracker:
     """
 
     def __init__(self) -> None:
+        """Load mediapipe and its face mesh. Raises as the class says."""
         import mediapipe
 
         self._mesh: Any = mediapipe.solutions.face_mesh.FaceMesh(
@@ -202,9 +208,9 @@ class MediapipeTracker:
             (height, width, 3).
         """
         height, width = picture.shape[:2]
-        found = self._mesh.process(picture).multi_face_landmarks or ()
+        landmarks = self._mesh.process(picture).multi_face_landmarks or ()
         scale = np.array([width, height, width], dtype=np.float64)
-        faces = [np.array([[p.x, p.y, p.z] for p in face.landmark]) * scale for face in found]
+        faces = [np.array([[p.x, p.y, p.z] for p in face.landmark]) * scale for face in landmarks]
         return tuple(sorted(faces, key=lambda points: -float(np.ptp(points[:, 0]))))
 
 

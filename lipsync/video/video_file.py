@@ -19,7 +19,7 @@ from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError, check_extra
 from lipsync.video.face_detection import Picture
 
-#: What is looked for in a folder.
+#: Endings of video files in a folder.
 VIDEO_ENDINGS = (
     ".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ts", ".webm", ".wmv",
 )  # fmt: skip
@@ -44,7 +44,7 @@ class VideoSound:
 
 def video_pictures(path: Path) -> Iterator[tuple[float, Picture]]:
     """Yield every picture with its time stamp in seconds, in order. Raises VideoError."""
-    with _opened(path) as video:
+    with _open_video(path) as video:
         if not video.streams.video:
             raise VideoError(f"{path}: has no pictures; give a video")
         stream = video.streams.video[0]
@@ -73,8 +73,8 @@ def video_sound(path: Path) -> VideoSound:
 
 def video_duration_s(path: Path) -> float:
     """Return the duration in s in a video file's header, 0 if none is. Raises VideoError."""
-    with _opened(path) as video:
-        duration: float = (video.duration or 0) / _av().time_base
+    with _open_video(path) as video:
+        duration: float = (video.duration or 0) / _import_av().time_base
         return duration
 
 
@@ -85,21 +85,21 @@ def _own_sound(path: Path) -> VideoSound:
     """
     pieces: list[NDArray[np.float32]] = []
     begins_s, n_samples, rate_hz = 0.0, 0, 0
-    with _opened(path) as video:
+    with _open_video(path) as video:
         if not video.streams.audio:
             raise VideoError(f"{path}: has no sound; put {path.stem}.wav beside it, or film again")
-        resampler = _av().AudioResampler(format="fltp")
+        resampler = _import_av().AudioResampler(format="fltp")
         for frame in video.decode(video.streams.audio[0]):
             if not pieces:
                 begins_s, rate_hz = float(frame.time or 0.0), frame.sample_rate
-            n_lost = 0
+            n_missing = 0
             if frame.time is not None:
-                n_lost = round((frame.time - begins_s) * rate_hz) - n_samples
-            if n_lost > _HOLE_S * rate_hz:
-                pieces.append(np.zeros(n_lost, np.float32))
-                n_samples += n_lost
-            for plain in resampler.resample(frame):
-                pieces.append(plain.to_ndarray().mean(axis=0, dtype=np.float32))
+                n_missing = round((frame.time - begins_s) * rate_hz) - n_samples
+            if n_missing > _HOLE_S * rate_hz:
+                pieces.append(np.zeros(n_missing, np.float32))
+                n_samples += n_missing
+            for planar in resampler.resample(frame):
+                pieces.append(planar.to_ndarray().mean(axis=0, dtype=np.float32))
                 n_samples += len(pieces[-1])
     if not pieces:
         raise VideoError(f"{path}: its sound track is empty; film again")
@@ -110,6 +110,7 @@ def _own_sound(path: Path) -> VideoSound:
 
 
 def _first_picture_s(path: Path) -> float:
+    """Return the time in s of the first picture, 0 without one. Raises VideoError."""
     return next((time_s for time_s, _ in video_pictures(path)), 0.0)
 
 
@@ -125,9 +126,9 @@ def _upright(frame: Any, aspect: float) -> Picture:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_video(path: Path) -> Iterator[Any]:
     """Yield an open video; errors of FFmpeg, while opening or reading, are raised as VideoError."""
-    av = _av()
+    av = _import_av()
     try:
         with av.open(str(path)) as video:
             yield video
@@ -137,7 +138,7 @@ def _opened(path: Path) -> Iterator[Any]:
         raise VideoError(f"{path}: cannot be read as video ({error.strerror})") from error
 
 
-def _av() -> Any:
+def _import_av() -> Any:
     check_extra("av", "reading video")
     import av
 

@@ -43,9 +43,10 @@ FAST_TICK_S = 0.01
 
 
 def behind_s(duration_s, piece_s, *, jitter_s=0.0, seed=0, pauses=()):
-    """How far the newest sound is behind at each tick of 10 ms (n,).
+    """Return how many s the newest sound is behind the clock at each tick of 10 ms, (n,).
 
-    pauses: (start, length) in s, in which nothing arrives; at their end all comes at once.
+    piece_s: length of the pieces in which sound arrives, up to `jitter_s` late. pauses: (start,
+    length) in s, in which nothing arrives; at their end all comes at once.
     """
     ends_s = np.arange(1, math.ceil(duration_s / piece_s) + 1) * piece_s
     came_s = ends_s + np.random.default_rng(seed).uniform(0.0, jitter_s, len(ends_s))
@@ -59,8 +60,8 @@ def behind_s(duration_s, piece_s, *, jitter_s=0.0, seed=0, pauses=()):
     return ticks_s - n_come * piece_s
 
 
-def followed_s(behind):
-    """The lag at each tick (n,)."""
+def lags_s_of(behind):
+    """Return the lag in s that `ArrivalLag` estimates at each tick, (n,); behind: (n,) in s."""
     arrival = ArrivalLag()
     lags_s = []
     for n, each in enumerate(behind):
@@ -71,7 +72,7 @@ def followed_s(behind):
 
 @pytest.mark.parametrize(("pause_s", "late_for_s"), [(0.25, 2.0), (1.0, 3.0), (3.0, 5.0)])
 def test_a_pause_after_which_all_comes_at_once_is_forgotten_in_seconds(pause_s, late_for_s):
-    lags_s = followed_s(behind_s(20.0, 0.01, pauses=[(10.0, pause_s)]))
+    lags_s = lags_s_of(behind_s(20.0, 0.01, pauses=[(10.0, pause_s)]))
     again = round((10.0 + pause_s) / FAST_TICK_S)
 
     assert lags_s[again - 1] > 0.4 * pause_s
@@ -89,7 +90,7 @@ def test_bursts_and_pauses_neither_make_the_mouth_jump_nor_keep_it_late(
     piece_s, jitter_s, seed, pauses
 ):
     behind = behind_s(36.0, piece_s, jitter_s=jitter_s, seed=seed, pauses=pauses)
-    lags_s = followed_s(behind)
+    lags_s = lags_s_of(behind)
     changes_s = np.diff(lags_s)
 
     assert np.abs(changes_s).max() <= 0.5 * FAST_TICK_S + 1e-12
@@ -104,7 +105,7 @@ def test_bursts_and_pauses_neither_make_the_mouth_jump_nor_keep_it_late(
 @given(jitter_s=st.floats(0.0, 0.01), seed=st.integers(0, 1000))
 def test_a_card_that_delivers_large_pieces_with_jitter_does_not_shake_the_mouth(jitter_s, seed):
     """Once settled the lag falls no quicker than clocks drift."""
-    lags_s = followed_s(behind_s(40.0, 0.064, jitter_s=jitter_s, seed=seed))[500:]
+    lags_s = lags_s_of(behind_s(40.0, 0.064, jitter_s=jitter_s, seed=seed))[500:]
 
     assert np.diff(lags_s).min() >= -0.0005 * FAST_TICK_S - 1e-12
     assert np.ptp(lags_s) <= jitter_s + FAST_TICK_S

@@ -6,7 +6,7 @@ import threading
 import pytest
 from fake_sound_card import device, install_sound_card
 
-from lipsync.audio.devices import find_device, list_anew, offset_ms_of, sound_devices
+from lipsync.audio.devices import find_device, offset_ms_of, restart_portaudio, sound_devices
 from lipsync.audio.loudspeaker import LoudspeakerOutput
 from lipsync.audio.microphone import MicrophoneSource
 from lipsync.audio.source import SoundError
@@ -70,16 +70,16 @@ def test_portaudio_starts_again_only_while_no_stream_is_open(monkeypatch):
     card = install_sound_card(monkeypatch)
     with LoudspeakerOutput(clock=card.clock, is_watched=False):
         with MicrophoneSource(clock=card.clock, is_watched=False):
-            assert not list_anew()
-        assert not list_anew()
-    assert list_anew()
+            assert not restart_portaudio()
+        assert not restart_portaudio()
+    assert restart_portaudio()
     assert card.n_looks == 1
 
 
 def test_portaudio_does_not_start_again_while_another_thread_opens_a_device(monkeypatch):
     """Between the making of a stream and its start it would be ended unseen."""
     card = install_sound_card(monkeypatch)
-    other = threading.Thread(target=list_anew)
+    other = threading.Thread(target=restart_portaudio)
 
     def begin_to_list():
         other.start()

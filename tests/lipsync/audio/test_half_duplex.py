@@ -22,6 +22,7 @@ class Microphone:
         self._n_given = 0
 
     def blocks(self, until_s):
+        """Return the blocks that were captured since the last call, of constant level."""
         assert until_s == float("inf"), "a device gives what it has"
         n_ready = round(self.now_s * 100) // self._n_at_once * self._n_at_once
         first, self._n_given = self._n_given, n_ready
@@ -51,7 +52,7 @@ class Robot:
         self.heard = []
 
     def run(self, until_s):
-        """(n,): what the recogniser heard in each 10 ms since the beginning."""
+        """Run until `until_s`; return the recogniser's level in each 10 ms since the beginning."""
         while len(self.heard) < round(until_s * 100):
             now_s = (len(self.heard) + 1) / 100
             self.microphone.now_s = now_s

@@ -154,7 +154,7 @@ def test_a_device_that_is_lost_is_found_again_and_the_timeline_goes_on(monkeypat
         card.outputs[0].active = False
         card.now_s += 1.0
         card.plugged = [DEVICES[3], device(1, "USB speaker: - (hw:5,0)", n_outputs=2)]
-        speaker.watch.look()
+        speaker.watch.check()
         assert not speaker.is_lost
         assert speaker.position() == (card.now_s, 0.01)
         assert card.outputs[1].settings["device"] == 1
@@ -173,7 +173,7 @@ def test_while_it_is_lost_the_position_stays_and_nothing_waits(monkeypatch):
         card.outputs[0].active = False
         for _ in range(50):
             card.now_s += 0.1
-            speaker.watch.look()
+            speaker.watch.check()
             speaker.write(ramp(480))
         assert speaker.is_lost
         assert speaker.position() == (card.now_s, 0.01)
@@ -187,7 +187,7 @@ def test_a_device_chosen_by_number_is_found_again_by_its_name(monkeypatch):
         card.plugged = [DEVICES[3], device(1, "USB speaker: - (hw:0,0)", n_outputs=2)]
         card.outputs[0].active = False
         card.now_s += 1.0
-        speaker.watch.look()
+        speaker.watch.check()
         assert speaker.name == "USB speaker: - (hw:0,0)"
 
 
@@ -197,7 +197,7 @@ def test_a_device_that_begins_late_is_not_taken_for_lost(monkeypatch):
     with speaker_of(card) as speaker:
         play(card, 1)
         card.now_s += 1.2
-        speaker.watch.look()
+        speaker.watch.check()
         assert not speaker.is_lost
 
 

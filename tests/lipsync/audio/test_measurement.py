@@ -32,7 +32,7 @@ class Room:
         return (self.begins_s + self.n_blocks * 0.01, self.n_blocks * 0.01)
 
     def blocks(self, _until_s):
-        """What was captured until 20 ms ago, handed over four times a second."""
+        """Return the blocks captured until 20 ms ago; some only every quarter of a second."""
         if self.now_s < self.begins_s + self.n_blocks * 0.01 + 0.27:
             return []
         samples, left_s = self.speaker.played()

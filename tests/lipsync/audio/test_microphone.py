@@ -154,11 +154,11 @@ def test_a_device_that_is_lost_is_silent_until_it_is_found_again(install):
         assert len(microphone.blocks(math.inf)) == 1
         card.inputs[0].active = False
         card.now_s += 0.25
-        microphone.watch.look()
+        microphone.watch.check()
         away = microphone.blocks(math.inf)
         card.plugged = [device(0, "array", n_inputs=4), device(1, "USB mic: - (hw:7,0)", 1)]
         card.now_s += 0.75
-        microphone.watch.look()
+        microphone.watch.check()
         assert not microphone.is_lost
         card.now_s += 0.5
         slow = microphone.blocks(math.inf)
@@ -183,7 +183,7 @@ def test_a_lost_device_is_tried_again_at_most_once_a_second(install):
         card.inputs[0].active = False
         for _ in range(100):
             card.now_s += 0.1
-            microphone.watch.look()
+            microphone.watch.check()
         assert microphone.is_lost
         assert 9 <= card.n_looks <= 10
         assert len(microphone.blocks(math.inf)) == pytest.approx(1000, abs=1)
@@ -195,10 +195,10 @@ def test_a_device_that_stops_calling_is_lost_although_it_says_that_it_is_active(
         for _ in range(400):
             card.now_s += 0.01
             card.inputs[0].deliver(np.full(160, 0.1))
-            microphone.watch.look()
+            microphone.watch.check()
         assert not microphone.is_lost
         card.now_s += 0.6
-        microphone.watch.look()
+        microphone.watch.check()
         assert microphone.n_losses == 1
         assert card.inputs[0].is_closed
         assert len(card.inputs) == 2
@@ -215,7 +215,7 @@ def test_what_the_resampler_held_is_heard_before_the_silence(install):
         card.plugged = []
         card.inputs[0].active = False
         card.now_s += 0.2
-        microphone.watch.look()
+        microphone.watch.check()
         samples = np.concatenate((first, heard(microphone.blocks(math.inf))))
 
     assert len(first) < 16_000

@@ -88,9 +88,9 @@ def sink():
 
 @pytest.fixture(scope="module")
 def recording(sink, tmp_path_factory):
-    """Noise played, and what was recorded meanwhile; again where the computer was too busy for it.
+    """Play noise; return it at 16 kHz, and the arrays recorded meanwhile, by name.
 
-    The devices say so themselves.
+    Up to three times, as long as the devices count underruns or lost blocks (a busy computer).
     """
     folder = tmp_path_factory.mktemp("sound")
     rng = np.random.default_rng(3)

@@ -299,7 +299,7 @@ class Device(Recorder):
         return self.position_s
 
     def play_until(self, position_s: float) -> None:
-        """What lies before `position_s` of all that was written has left it."""
+        """Move the written samples before `position_s` to `heard`."""
         n_heard = sum(map(len, self.heard))
         everything = np.concatenate([*self.written, np.zeros(0, np.float32)])
         n_new = round(position_s * self.rate_hz) - n_heard

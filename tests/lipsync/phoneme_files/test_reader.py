@@ -47,7 +47,7 @@ def phonemes_in(content, name):
 
 
 def read(content):
-    """(phoneme, start and end in ms) of what a file holds."""
+    """Return (phoneme, start in ms, end in ms) of each phoneme in a file's content."""
     if not isinstance(content, str):
         content = json.dumps(content)
     return [
@@ -247,6 +247,7 @@ DOCUMENTS = st.one_of(
 
 
 def check_read_or_refused(content):
+    """Check that a file is refused in one line, or gives phonemes from 0 s on without gaps."""
     try:
         events = phonemes_in(content, "file")
     except UserError as error:

@@ -22,8 +22,11 @@ N_FACES, CROWDED_S = 10, 30.0
 COMES_BACK_S = 120.0
 
 
-def level(folder):
-    """How many recognisers better than the one in use a face has; None: it does not answer."""
+def fallback_level(folder):
+    """Return how many better recognisers than the one in use a face has; None: it does not answer.
+
+    folder: that of the face's session, in which its socket lies.
+    """
     for path in (folder / "session").glob("**/*.sock"):
         try:
             return int(ask(path, "status")["fallback_level"])
@@ -54,7 +57,7 @@ def test_after_ten_faces_on_few_cores_those_that_go_on_have_the_network_again():
         until_s = time.monotonic() + CROWDED_S
         while time.monotonic() < until_s:
             wait_until(time.monotonic() + 1.0, faces[0][1], never)
-            losers |= {n for n, face in enumerate(faces) if level(face[0])}
+            losers |= {n for n, face in enumerate(faces) if fallback_level(face[0])}
         # Those that lost it go on, as many as there are cores.
         faces = sorted(faces, key=lambda face: faces.index(face) not in losers)
         n_kept = min(N_FACES, os.cpu_count() or 1)
@@ -65,6 +68,6 @@ def test_after_ten_faces_on_few_cores_those_that_go_on_have_the_network_again():
         give_up_s, away = time.monotonic() + COMES_BACK_S, faces[:n_kept]
         while away and time.monotonic() < give_up_s:
             time.sleep(0.1)
-            away = [face for face in away if level(face[0]) != 0]
+            away = [face for face in away if fallback_level(face[0]) != 0]
 
     assert away == []

@@ -95,17 +95,20 @@ def test_a_quick_head_tells_a_closure_before_it_is_settled():
     assert PHONEMES[provisional[-1]] == "M"
 
 
-def hearing(share_of_speech, n_frames, before=40):
-    """Two heads that are sure of silence for a while, and then hear AA by a share."""
-    said = [{"SIL": 1.0}] * before
-    said += [{"AA": share_of_speech, "SIL": 1.0 - share_of_speech}] * n_frames
-    said += [{"SIL": 1.0}] * 30
-    one = posteriors(*said)
-    frames = np.repeat(one, 2, axis=1)
-    # The quick head speaks of a frame after 2, the late one after 7.
+def silence_then_speech(share_of_speech, n_frames, before=40):
+    """Return posteriors of two heads: silence, `n_frames` of AA at a probability, silence.
+
+    share_of_speech: that probability; the rest is silence's. before: frames of silence at first.
+    """
+    truth = [{"SIL": 1.0}] * before
+    truth += [{"AA": share_of_speech, "SIL": 1.0 - share_of_speech}] * n_frames
+    truth += [{"SIL": 1.0}] * 30
+    one_head = posteriors(*truth)
+    frames = np.repeat(one_head, 2, axis=1)
+    # The quick head scores a frame 2 frames later, the late one 7.
     for head, delay in enumerate((2, 7)):
-        frames[delay:, head] = one[:-delay, 0]
-        frames[:delay, head] = one[0, 0]
+        frames[delay:, head] = one_head[:-delay, 0]
+        frames[:delay, head] = one_head[0, 0]
     return frames
 
 
@@ -115,21 +118,21 @@ def frames_of_speech(frames, settings_=SMOOTH):
 
 
 def test_after_a_pause_a_sure_voice_is_settled_at_its_onset():
-    assert frames_of_speech(hearing(0.999, 30))[0] == 40
+    assert frames_of_speech(silence_then_speech(0.999, 30))[0] == 40
 
 
 def test_after_a_pause_a_blip_of_50_ms_wakes_nobody():
-    assert frames_of_speech(hearing(0.999, 5)) == []
+    assert frames_of_speech(silence_then_speech(0.999, 5)) == []
     asleep_never = replace(DecoderSettings(), waking_penalty=0.0, waking_frames=1)
-    assert len(frames_of_speech(hearing(0.999, 5), asleep_never)) == 5
+    assert len(frames_of_speech(silence_then_speech(0.999, 5), asleep_never)) == 5
 
 
 def test_what_is_hardly_likelier_than_silence_has_to_last():
     """ln(.8 / .2) is 1.4 a frame: eight for switching and waking take six frames."""
-    frames = frames_of_speech(hearing(0.8, 30))
+    frames = frames_of_speech(silence_then_speech(0.8, 30))
     assert 40 <= frames[0] <= 46
-    assert frames_of_speech(hearing(0.8, 5)) == []
-    assert frames_of_speech(hearing(0.6, 12)) == []
+    assert frames_of_speech(silence_then_speech(0.8, 5)) == []
+    assert frames_of_speech(silence_then_speech(0.6, 12)) == []
 
 
 def test_within_speech_a_pause_of_a_stop_costs_nothing():

@@ -42,6 +42,7 @@ def clip():
 
 
 def listen(recognizer, samples, start_s=0.0):
+    """Feed samples in blocks of 10 ms from `start_s` on; return the timeline of all updates."""
     timeline = PhonemeTimeline(horizon_s=math.inf)
     for first in range(0, len(samples), 160):
         block = AudioBlock(samples[first : first + 160], start_s + first / RATE_HZ)

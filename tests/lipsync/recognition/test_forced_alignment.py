@@ -107,6 +107,7 @@ def test_text_without_words_and_sound_without_speech_are_refused(clip):
 
 
 def small_corpus(folder, clip):
+    """Write and return a transcribed corpus of three utterances; the second one is cut off."""
     (folder / "audio").mkdir(parents=True)
     soundfile.write(folder / "audio" / "7-1-0000.flac", clip, 16_000)
     soundfile.write(folder / "audio" / "7-1-0001.flac", clip[:1_600] + 1e-3, 16_000)

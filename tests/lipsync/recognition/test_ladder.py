@@ -273,6 +273,10 @@ def test_at_a_change_the_mouth_moves_no_faster_than_in_speech(clip, weights):
     model = load_trained_model()
 
     def widest_step_mm(slower):
+        """Return the lips' widest step in 10 ms, the widest at a change of level, and n of changes.
+
+        slower: (from_s, to_s, factor) of the computer.
+        """
         synthesizer = LiveSynthesizer(model, model.expectation)
         computer = Computer(slower=slower)
         face = Face(computer, clip, weights)

@@ -35,6 +35,7 @@ def blocks_of(samples, n_block, start_s=0.0, rate_hz=RATE_HZ):
 
 
 def listen(recognizer, blocks):
+    """Feed all blocks; return the timeline of all updates, and the updates."""
     timeline, updates = PhonemeTimeline(horizon_s=math.inf), []
     for block in blocks:
         recognizer.feed(block)

@@ -19,15 +19,19 @@ def noise_of(speeds_deg_s, rng):
     return (np.log(power) + 0.5 * rng.standard_normal(N_BANDS)).astype(np.float32)
 
 
-def listen(own, rng, n_frames, *, louder=0.0, learns=True):
-    """Servos that start and stop; the share of the moving frames that they explain."""
+def run_servos(own, rng, n_frames, *, louder=0.0, learns=True):
+    """Feed frames of servos that start and stop; return the share taken as the servos' noise.
+
+    The first quarter of the frames is not counted. louder: added to the frames, natural log of
+    power. learns: whether the noise is learned from each frame.
+    """
     explained = []
     for n in range(n_frames):
         time_s = 0.01 * n
         speeds = 150.0 * np.abs(np.sin(0.05 * n + np.arange(N_SERVOS))) ** 2
         own.note_speeds(time_s, speeds)
         frame = noise_of(speeds, rng) + np.float32(louder)
-        explained.append(own.explains(frame, time_s, is_awake=False))
+        explained.append(own.is_own_noise(frame, time_s, is_awake=False))
         if learns:
             own.learn(0)
     return np.mean(explained[n_frames // 4 :])
@@ -36,20 +40,20 @@ def listen(own, rng, n_frames, *, louder=0.0, learns=True):
 @pytest.fixture
 def taught():
     own = OwnNoise(20)
-    listen(own, np.random.default_rng(0), 1_500)
+    run_servos(own, np.random.default_rng(0), 1_500)
     return own
 
 
 def test_what_was_learned_explains_the_servos_and_no_voice(taught):
     rng = np.random.default_rng(1)
     taught.begin()
-    assert listen(taught, rng, 400, learns=False) > 0.95
+    assert run_servos(taught, rng, 400, learns=False) > 0.95
     taught.begin()
-    assert listen(taught, rng, 400, louder=np.log(10.0), learns=False) == 0.0
+    assert run_servos(taught, rng, 400, louder=np.log(10.0), learns=False) == 0.0
 
 
 def test_before_anything_was_learned_nothing_is_explained():
-    assert listen(OwnNoise(20), np.random.default_rng(0), 200, learns=False) == 0.0
+    assert run_servos(OwnNoise(20), np.random.default_rng(0), 200, learns=False) == 0.0
 
 
 def test_while_somebody_speaks_it_takes_half_a_second(taught):
@@ -60,7 +64,7 @@ def test_while_somebody_speaks_it_takes_half_a_second(taught):
     for n in range(90):
         taught.note_speeds(0.01 * n, np.full(N_SERVOS, 100.0))
         frame = noise_of(np.full(N_SERVOS, 100.0), rng)
-        found.append(taught.explains(frame, 0.01 * n, is_awake=True))
+        found.append(taught.is_own_noise(frame, 0.01 * n, is_awake=True))
     assert not any(found[:49])
     assert all(found[75:])
 
@@ -74,13 +78,13 @@ def test_servos_of_which_nothing_is_known_explain_nothing(taught, told_s, speeds
     taught.begin()
     if told_s is not None:
         taught.note_speeds(told_s, speeds)
-    assert not taught.explains(np.full(N_BANDS, -12.0, np.float32), 0.0, is_awake=False)
+    assert not taught.is_own_noise(np.full(N_BANDS, -12.0, np.float32), 0.0, is_awake=False)
 
 
 def test_another_number_of_servos_is_another_robot(taught):
     taught.note_speeds(0.0, np.full(5, 100.0))
     frame = noise_of(np.full(N_SERVOS, 100.0), np.random.default_rng(3))
-    assert not taught.explains(frame, 0.0, is_awake=False)
+    assert not taught.is_own_noise(frame, 0.0, is_awake=False)
 
 
 @settings(max_examples=60, deadline=None)
@@ -97,5 +101,5 @@ def test_whatever_is_told_it_stays_a_number(speeds, level, gap):
         for n in range(30):
             own.note_speeds(0.01 * n, np.array(speeds))
             frame = np.full(N_BANDS, level, np.float32)
-            assert own.explains(frame, 0.01 * n, is_awake=n % 2 == 0) in (True, False)
+            assert own.is_own_noise(frame, 0.01 * n, is_awake=n % 2 == 0) in (True, False)
             own.learn(gap)

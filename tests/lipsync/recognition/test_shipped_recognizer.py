@@ -55,6 +55,7 @@ def clip_phones():
 
 
 def listen(recognizer, samples):
+    """Feed samples in blocks of 10 ms; return the timeline of all updates."""
     timeline = PhonemeTimeline(horizon_s=math.inf)
     for first in range(0, len(samples), 160):
         block = AudioBlock(samples[first : first + 160].astype(np.float32), first / RATE_HZ)

@@ -53,16 +53,16 @@ def sound(tmp_path_factory):
     return path
 
 
-def heard(sound, recognizer, tick_s, n_ticks):
-    """What is told at every tick."""
+def steps_of_ticks(sound, recognizer, tick_s, n_ticks):
+    """Return the start times of the blocks fed at each tick, and the updates after them."""
     stream = RecognizerStream(recognizer)
-    told = []
+    steps = []
     with SilenceAfter(FileSource(sound)) as source:
         ahead = SoundAhead(source, recognizer)
         for n in range(n_ticks):
             step = stream.feed(ahead.blocks(n * tick_s))
-            told.append(([b.start_s for b in step.blocks], step.updates))
-    return told
+            steps.append(([b.start_s for b in step.blocks], step.updates))
+    return steps
 
 
 @pytest.mark.parametrize("rate_hz", [30, 50, 100])
@@ -73,8 +73,8 @@ def test_every_tick_learns_the_same_whether_sound_is_prepared_or_not(sound, rate
     plain = BlockByBlock(NetworkRecognizer(WEIGHTS))
     assert not isinstance(plain, PreparingRecognizer)
 
-    told = heard(sound, prepared, 1 / rate_hz, n_ticks)
-    assert told == heard(sound, plain, 1 / rate_hz, n_ticks)
+    told = steps_of_ticks(sound, prepared, 1 / rate_hz, n_ticks)
+    assert told == steps_of_ticks(sound, plain, 1 / rate_hz, n_ticks)
     assert sum(len(blocks) for blocks, _ in told) > 350
     assert len({e.phoneme for _, updates in told for u in updates for e in u.events}) > 5
 
@@ -84,7 +84,7 @@ def test_a_recogniser_whose_time_is_judged_is_shown_nothing_ahead(sound):
     live = FallbackRecognizer([level], 0.095, timer_s=lambda: 0.0)
     replayed = FallbackRecognizer([level], 0.095)
     assert (live.ahead_s, replayed.ahead_s > 0.1) == (0.0, True)
-    assert heard(sound, live, 0.01, 50) == heard(sound, replayed, 0.01, 50)
+    assert steps_of_ticks(sound, live, 0.01, 50) == steps_of_ticks(sound, replayed, 0.01, 50)
 
 
 def test_a_fault_while_sound_is_prepared_falls_back_and_loses_no_block(sound):
@@ -101,7 +101,7 @@ def test_a_fault_while_sound_is_prepared_falls_back_and_loses_no_block(sound):
         ],
         0.095,
     )
-    told = heard(sound, recognizer, 0.01, 360)
+    told = steps_of_ticks(sound, recognizer, 0.01, 360)
     starts_s = [start_s for blocks, _ in told for start_s in blocks]
     assert recognizer.level == "energy"
     assert recognizer.reasons == ("network: FloatingPointError: a fault",)

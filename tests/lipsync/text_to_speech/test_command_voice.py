@@ -13,7 +13,7 @@ import soundfile
 
 from lipsync.text_to_speech import command_voice, voice_process
 from lipsync.text_to_speech.command_voice import CommandVoice
-from lipsync.text_to_speech.piper import Piper, joined
+from lipsync.text_to_speech.piper import Piper, join_ipa
 from lipsync.text_to_speech.synthesis import SynthesisError, UnspeakableTextError, Voice
 
 PATIENCE_S = 30.0
@@ -205,7 +205,7 @@ def state_of(pid):
 def test_letters_of_piper_are_phonemes_as_far_as_they_belong_together():
     letters = ["b", "ˈ", "e", "ɪ", "t", " ", "ʃ", "t", "ʃ"]
 
-    assert joined(letters) == ["b", "ˈ", "eɪ", "t", " ", "ʃ", "tʃ"]
+    assert join_ipa(letters) == ["b", "ˈ", "eɪ", "t", " ", "ʃ", "tʃ"]
 
 
 def test_piper_tells_its_phonemes_to_be_followed_in_its_sound():

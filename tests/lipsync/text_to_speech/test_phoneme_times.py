@@ -33,23 +33,23 @@ STOP_LETTERS = (*"ptkbd", "\N{LATIN SMALL LETTER SCRIPT G}")
 
 
 def speak(espeak, text):
-    """What is said, and where espeak-ng itself says that each stop begins, in seconds.
+    """Return the speech of a text, and the times in s of espeak-ng's own marks of stops in it.
 
-    Of one call: espeak-ng does not say a text twice to the sample.
+    Both are from one call: espeak-ng's sound is not the same to the sample the next time.
     """
-    process, kept = espeak_process(), []
+    process, syntheses = espeak_process(), []
     synthesize = process.synthesize
 
-    def keep(*arguments):
-        kept.append(synthesize(*arguments))
-        return kept[-1]
+    def synthesize_and_keep(*arguments):
+        syntheses.append(synthesize(*arguments))
+        return syntheses[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(process, "synthesize", keep)
+        patch.setattr(process, "synthesize", synthesize_and_keep)
         spoken = espeak.speak(text)
     return spoken, [
         mark.sample / spoken.sample_rate_hz
-        for mark in kept[0].marks
+        for mark in syntheses[0].marks
         if isinstance(mark, PhonemeMark) and mark.ipa.startswith(STOP_LETTERS)
     ]
 
@@ -115,9 +115,9 @@ def test_the_lips_have_time_to_close(espeak, text, n):
 
 
 def murmur_ends_s(spoken):
-    """(told, heard) end of each M before a vowel.
+    """Yield the end of each M before a vowel in s: (by its event, by the sound).
 
-    Heard: where the sound above 1 kHz comes half way, in dB, from that of the M to the vowel's.
+    By the sound: where the level above 1 kHz, in dB, is half way from that of the M to the vowel's.
     """
     rate_hz = spoken.sample_rate_hz
     high = sosfiltfilt(butter(4, 1000, "hp", fs=rate_hz, output="sos"), spoken.samples)

@@ -7,7 +7,10 @@ SIDE = 41
 
 
 def grid(width=1.0, curved=(0.0, 0.0)):
-    """A square of (SIDE x SIDE) vertices, its diagonals alternating so that it has no direction."""
+    """Return vertices (n, 3) and triangles of a square mesh of SIDE x SIDE vertices.
+
+    curved: by how much z falls with x^2 and y^2. Diagonals alternate, so no direction is preferred.
+    """
     line = np.linspace(-width, width, SIDE)
     x, y = (each.ravel() for each in np.meshgrid(line, line))
     corner = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
@@ -25,24 +28,25 @@ def grid(width=1.0, curved=(0.0, 0.0)):
 
 @pytest.fixture(scope="module")
 def head():
-    """Half an ellipsoid with a slit for a mouth: the same left and right of x = 0.
+    """Return half an ellipsoid with a slit for a mouth, symmetric about x = 0.
 
-    Vertices, triangles, mirror image of each vertex, handles round the mouth, anchors at the rim.
+    Vertices, triangles, number of each vertex's mirror image, handles round the mouth, anchors at
+    the rim.
     """
     vertices, triangles = grid(70.0, curved=(0.006, 0.004))
-    at = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    number = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
     row, slit = SIDE // 3, range(SIDE // 2 - 7, SIDE // 2 + 8)
     lower = np.arange(len(slit)) + len(vertices)
-    vertices = np.vstack([vertices, vertices[at[row, slit]]])
-    below = vertices[triangles].mean(axis=1)[:, 1] < vertices[at[row, 0], 1]
-    inner = dict(zip(at[row, slit][1:-1].tolist(), lower[1:-1].tolist(), strict=True))
+    vertices = np.vstack([vertices, vertices[number[row, slit]]])
+    below = vertices[triangles].mean(axis=1)[:, 1] < vertices[number[row, 0], 1]
+    inner = dict(zip(number[row, slit][1:-1].tolist(), lower[1:-1].tolist(), strict=True))
     triangles[below] = [[inner.get(v, v) for v in t] for t in triangles[below].tolist()]
-    used, triangles = np.unique(triangles, return_inverse=True)
+    used_numbers, triangles = np.unique(triangles, return_inverse=True)
     triangles = triangles.reshape(-1, 3)
-    vertices = vertices[used]
+    vertices = vertices[used_numbers]
     mirrored = vertices * (-1.0, 1.0, 1.0)
     # Both lips lie on one another: above stays above.
-    first_lower = int((used < SIDE * SIDE).sum())
+    first_lower = int((used_numbers < SIDE * SIDE).sum())
     mirror = np.array(
         [
             candidates[-1] if i >= first_lower else candidates[0]
@@ -50,9 +54,9 @@ def head():
             for candidates in [np.flatnonzero(np.linalg.norm(vertices - place, axis=1) < 1e-9)]
         ]
     )
-    upper_lip = at[row, [slit[3], slit[7], slit[11]]]
+    upper_lip = number[row, [slit[3], slit[7], slit[11]]]
     lower_lip = first_lower + np.array([2, 6, 10])
-    chin, cheeks = at[row - 6, [16, 20, 24]], at[row + 5, [10, 30]]
+    chin, cheeks = number[row - 6, [16, 20, 24]], number[row + 5, [10, 30]]
     handles = np.concatenate([upper_lip, lower_lip, chin, cheeks])
     anchors = np.flatnonzero(np.abs(vertices[:, :2]).max(axis=1) > 62.0)
     return vertices, triangles, mirror, handles, anchors

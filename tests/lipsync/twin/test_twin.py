@@ -11,7 +11,7 @@ from lipsync.face.model import load_face
 from lipsync.markers import INNER_LIP, MARKERS_47, OUTER_LIP, PointLayout
 from lipsync.twin.head_surface import LEFT_BROW, LEFT_EYE, RIGHT_EYE, head_surface, load_mean_face
 from lipsync.twin.packed import pack, unpack, vertex_normals
-from lipsync.twin.parts import jaw_modes, jaw_motion, on_jaw
+from lipsync.twin.parts import jaw_displacements, jaw_modes, jaw_motion
 from lipsync.twin.twin import TwinError, make_twin, skin_morphs
 
 FACE = load_face()
@@ -107,7 +107,7 @@ def test_a_jaw_that_moves_is_found_again(motion, seed):
     chin_mm, joint_mm = random.normal(0.0, 30.0, (5, 3)), np.array([0.0, 40.0, -80.0])
     wanted = np.array([motion])
 
-    found = jaw_motion(chin_mm, joint_mm, on_jaw(chin_mm, joint_mm, wanted))
+    found = jaw_motion(chin_mm, joint_mm, jaw_displacements(chin_mm, joint_mm, wanted))
 
     np.testing.assert_allclose(found, wanted, atol=1e-9)
 

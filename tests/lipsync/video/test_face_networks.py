@@ -50,7 +50,7 @@ def test_a_box_stands_upright_on_the_eyes():
 
 
 def answers(*faces):
-    """What the network would say: (anchor, log odds, x, y, size in pixels) each."""
+    """Return the detector's outputs for faces: (anchor, log odds, x, y, size in pixels) each."""
     regressors, scores = np.zeros((896, 16)), np.full(896, -20.0)
     for anchor, odds, x, y, size in faces:
         regressors[anchor, :4] = x, y, size, size
@@ -103,7 +103,10 @@ def test_a_mediapipe_without_the_old_face_mesh_is_named_with_what_to_install(tmp
 
 
 def trackers():
-    """Both, where they can be had: the file of networks is nobody's to copy into a repository."""
+    """Return parameters for both trackers; one that is not installed is skipped.
+
+    The file of networks may not be copied into this repository: LIPSERVO_LANDMARKER names it.
+    """
     landmarker = os.environ.get("LIPSERVO_LANDMARKER")
     return [
         pytest.param(

@@ -14,7 +14,10 @@ _PAUSE_S = 0.5
 
 
 def write_long(path, n_times, hidden_s):
-    """The sentence over and over with pauses between; no face from hidden_s[0] to hidden_s[1]."""
+    """Write a video of a sentence `n_times` with pauses between, without a face in `hidden_s`.
+
+    hidden_s: (from, to) in s. Returns what `write_video` returns.
+    """
     pause = np.zeros(round(_PAUSE_S * 16_000), np.float32)
     samples = np.tile(np.concatenate((speech(), pause)), n_times)
     gaps = np.tile(np.concatenate((gaps_mm(), np.zeros(round(_PAUSE_S * 100)))), n_times)
