@@ -1,6 +1,6 @@
 """Conversion of IPA phonemes of any language to phones of the inventory, by their lip shapes.
 
-The table with its reasons is ipa.yaml beside this file; docs/speech.md shows it.
+The table with its reasons is ipa.yaml beside this file.
 """
 
 import unicodedata
