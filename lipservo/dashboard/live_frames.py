@@ -18,24 +18,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from lipservo.runtime.status.live_board import EXPRESSION_NAMES, BoardLayout, LiveBoard, Record
 
-#: A side that has written nothing for so long is gone: a page, which looks 30 times a second, says
-#: so within a second.
+#: The face's servo or speech side counts as gone after writing nothing for so long: a page, which
+#: gets 30 snapshots a second, shows that within a second.
 GONE_S: Final = 0.8
 #: Peaks of sound that a moment holds: 10 ms each, so that 30 moments a second leave none out.
 MOST_PEAKS: Final = 8
 
-#: Of a face that was never seen.
+#: The layout before any face was read.
 NO_LAYOUT: Final = BoardLayout("", "", (), (), (), 0, 0.0)
 VERSION: Final = 1
 RATE_HZ: Final = 30
 TORQUE_ON, SERVOS_GONE, SPEECH_GONE, CUT_OFF, SPEAKING = 1, 2, 4, 8, 16
 UNKNOWN: Final = 255
 ABSENT: Final = -32768
-_HEAD: Final = struct.Struct("<IfBBBb")
-_MOST: Final = 32767
-#: Hundredths of a degree, or ten-thousandths of what goes from 0 to 1.
+_FRAME_HEAD: Final = struct.Struct("<IfBBBb")
+_MOST_INT16: Final = 32767
+#: Units per degree for angles of the expression; per 1 for the others, which go from 0 to 1.
 _SCALES: Final = np.array([100.0 if n.endswith("_deg") else 1e4 for n in EXPRESSION_NAMES])
-#: What stands where in an array.
+#: Fields of a snapshot in `/api/state`, in the order of its array.
 FIELDS = (
     "number", "time_ms", "state", "phoneme", "flags", "arousal_percent", "goals_tenths_deg",
     "encoders_tenths_deg", "expression",
@@ -61,18 +61,22 @@ class Moment:
 
 @dataclass(slots=True)
 class _Side:
-    """The newest record of one writer of the board. seen_s: monotonic time of its arrival."""
+    """The newest record of one writer of the board, the servo side or the speech side.
+
+    number: of the record, counted by the board. seen_s: monotonic time of its arrival.
+    """
 
     number: int = 0
     record: Record | None = None
     seen_s: float = float("-inf")
 
-    def take(self, found: list[tuple[int, Record]], now_s: float) -> None:
-        if not found:
+    def update(self, records: list[tuple[int, Record]], now_s: float) -> None:
+        """Store the newest of `records`, (number, record) oldest first; for none keep the last."""
+        if not records:
             return
-        # What lay there before the first look may be old.
-        seen_s = now_s if self.number else min(now_s, float(found[-1][1]["time_s"]))
-        (self.number, self.record), self.seen_s = found[-1], seen_s
+        # A record found at the first look may be old: it counts from when it was written.
+        seen_s = now_s if self.number else min(now_s, float(records[-1][1]["time_s"]))
+        (self.number, self.record), self.seen_s = records[-1], seen_s
 
     def is_gone(self, now_s: float) -> bool:
         return now_s - self.seen_s > GONE_S
@@ -91,14 +95,15 @@ class BoardReader:
         """Return a snapshot: the newest records, and the peaks of sound since the last call.
 
         number: of the snapshot. since_start_s: since the dashboard started. now_s: monotonic; the
-        servos' or the speech's records count as gone if none came in the last GONE_S.
+        servo or the speech side counts as gone if it wrote no record in the last GONE_S.
         """
         speech = self._board.speech_since(self._speech.number)
+        # At the first call the board's older records have no place in this snapshot.
         peaks = b""
         if self._speech.number:
             peaks = b"".join(each["peaks"][: each["n_peaks"]].tobytes() for _, each in speech)
-        self._servos.take(self._board.servos_since(self._servos.number), now_s)
-        self._speech.take(speech, now_s)
+        self._servos.update(self._board.servos_since(self._servos.number), now_s)
+        self._speech.update(speech, now_s)
         return Moment(
             number,
             since_start_s,
@@ -227,12 +232,12 @@ def expression_of(moment: Moment) -> NDArray[np.int16]:
 
 
 def encode(moment: Moment, layout: BoardLayout) -> bytes:
-    """Return a snapshot as one frame of `/api/twin`, in bytes."""
+    """Return a snapshot as one frame of `/api/twin`, in the bytes of the module's docstring."""
     if moment.speech is None:
         coefficients = np.zeros(layout.n_components, "<f4")
     else:
         coefficients = moment.speech["coefficients"]
-    head = _HEAD.pack(
+    head = _FRAME_HEAD.pack(
         moment.number & 0xFFFFFFFF,
         moment.time_s,
         state_of(moment, layout),
@@ -285,8 +290,8 @@ def whole_numbers(values: ArrayLike, scale: float | NDArray[np.float64]) -> NDAr
         (n,); NaN becomes `ABSENT`.
     """
     scaled = np.rint(np.asarray(values, np.float64) * scale)
-    held = np.clip(np.nan_to_num(scaled, nan=ABSENT), ABSENT + 1, _MOST)
-    return np.where(np.isnan(scaled), ABSENT, held).astype("<i2")
+    clipped = np.clip(np.nan_to_num(scaled, nan=ABSENT), ABSENT + 1, _MOST_INT16)
+    return np.where(np.isnan(scaled), ABSENT, clipped).astype("<i2")
 
 
 def state_hello(layout: BoardLayout) -> str:
@@ -328,12 +333,12 @@ def state_message(moment: Moment, layout: BoardLayout) -> str:
         None if phoneme == UNKNOWN else phoneme,
         flags_of(moment),
         round(100 * arousal_of(moment)),
-        _known(goals_of(moment, layout, 10.0).tolist()),
-        _known(encoders_of(moment, layout, 10.0).tolist()),
+        _with_none(goals_of(moment, layout, 10.0).tolist()),
+        _with_none(encoders_of(moment, layout, 10.0).tolist()),
         expression,
     ]
     return json.dumps(values, separators=(",", ":"))
 
 
-def _known(values: list[int]) -> list[int | None]:
+def _with_none(values: list[int]) -> list[int | None]:
     return [None if value == ABSENT else value for value in values]
