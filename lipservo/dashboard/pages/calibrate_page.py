@@ -134,7 +134,7 @@ def _shape_bars_html(values: JsonObject) -> str:
 def _shape_bar_html(phonemes: tuple[str, ...], values: JsonObject) -> str:
     """Return HTML of a bar for one viseme class: the share of its shapes within the robot's reach.
 
-    Behind it are the mean distance to the shapes wanted, in mm, and trims. values: the calibration.
+    Behind it are the rms distance to the shapes wanted, in mm, and trims. values: the calibration.
     """
     coverage = values["coverage"].get(phonemes[0])
     trims = values["trim"].get(phonemes[0], {})
