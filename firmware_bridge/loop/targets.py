@@ -40,8 +40,8 @@ class TargetChannel(Protocol):
 #: Longest step beyond the newest target along its slope. At the mouth's usual 5 Hz and below it is
 #: a quarter of a cycle: the slope still tells the direction, later it does not.
 MAX_EXTRAPOLATION_S = 0.050
-#: Two targets closer than this say the same moment twice: a tenth of the 100 Hz spacing that the
-#: speech side publishes at. It also keeps the slope from being a quotient of two rounding errors.
+#: Targets closer in time than this are for the same moment, and the later one published counts: a
+#: tenth of the 100 Hz spacing of speech. So a slope is never a quotient of two rounding errors.
 SAME_MOMENT_S = 0.001
 
 
@@ -98,7 +98,9 @@ class TargetTrack:
                 self.n_rejected += 1
                 continue
             times_s = self._times_s
-            if not times_s or times_s[-1] < time_s - SAME_MOMENT_S:  # nearly always so
+            # A target later than all before is appended, nearly always; else it replaces those from
+            # its time on, which belong to a plan that speech has revised.
+            if not times_s or times_s[-1] < time_s - SAME_MOMENT_S:
                 times_s.append(time_s)
                 self._positions_deg.append(positions_deg)
             else:
@@ -250,9 +252,9 @@ class FollowedTargets:
         self.was_spoken_to = False
 
     def take(self, time_s: float) -> bool:
-        """Read the channel; return whether there is a fresh target for `time_s`, for `follow`.
+        """Read the channel; return whether there is a fresh target for monotonic `time_s`.
 
-        `follow` makes it the held one.
+        It is stored, interpolated; `follow` makes it the pose that the face holds.
         """
         self._track.push(self._channel.drain())
         target_deg, age_s = self._track.at(time_s)
@@ -273,7 +275,7 @@ class FollowedTargets:
         return max(0.0, time_s - self._heard_s)
 
     def wanted(self, silence_s: float, level: StaleLevel) -> Array:
-        """Return the held targets; after a silence they shrink towards neutral.
+        """Return the targets followed last; after a silence they shrink towards neutral.
 
         Parameters
         ----------
