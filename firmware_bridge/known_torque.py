@@ -26,9 +26,9 @@ class Torque(IntEnum):
 
 
 _OFF, _ON, _UNKNOWN = (int(each) for each in Torque)
-#: As JSON says it: None where it is unknown.
+#: The JSON value of each number of `Torque`: None where it is unknown.
 AS_JSON: Final = (False, True, None)
-#: Of a servo that has been silent for so long nobody knows whether it has restarted.
+#: The torque of a servo that has been silent for so long is unknown: it may have restarted.
 SILENT_S: Final = 0.5
 
 
