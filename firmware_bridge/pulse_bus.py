@@ -194,7 +194,7 @@ class PulseBus:
         self._kept = kept or KeptPulses(None)
         self._low_us, self._high_us = scale.min_us, scale.max_us
         self._slow_us_s = np.minimum(CATCH_UP_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
-        # (n,) each. Held: started by `enable_torque`; its turn, perhaps still to come, is at `_on_s`.
+        # (n,) each. Held: started by `enable_torque`; its turn, perhaps yet to come, is at `_on_s`.
         # Slow: held, and has not caught up with its goal.
         self._held = np.zeros(n, dtype=np.bool_)
         self._pulsed = np.zeros(n, dtype=np.bool_)  # by the last write that was accepted
