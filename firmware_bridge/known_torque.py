@@ -139,7 +139,7 @@ def unknown_when_lost(bus: type[_Bus]) -> type[_Bus]:
 
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a bus's method, changed: a PortError makes all torque unknown before it goes on."""
+    """Return a bus's method, changed: where it raises PortError, all torque is unknown then."""
 
     @wraps(method)
     def guarded(bus: _KnowsTorque, *args: Any) -> Any:

@@ -228,6 +228,9 @@ class PulseBus:
     def write_positions(self, positions_deg: Array) -> None:
         """Set every servo's goal, and send pulses to the servos that have been started.
 
+        A goal beyond a servo's pulses is skipped: it keeps the goal before, and its error is
+        `GOAL_OUT_OF_RANGE`.
+
         Parameters
         ----------
         positions_deg : Array
@@ -425,6 +428,7 @@ class PulseBus:
         self._goal_us = np.where(known, self._last_us, self._goal_us)
 
     def __enter__(self) -> Self:
+        """Read the pulses that earlier processes sent last, and open the controller."""
         kept = self._kept.read()
         for index, channel in enumerate(self._channels):
             self._last_us[index] = kept.get(channel, np.nan)

@@ -492,6 +492,7 @@ class SeveralBuses:
         return self
 
     def __exit__(self, *exc: object) -> None:
+        """Have every bus switch torque off and close its port; wait for that, 2 s at most."""
         threads, self._threads = self._threads.values(), {}
         for each in threads:
             each.leave()

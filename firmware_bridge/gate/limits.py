@@ -53,6 +53,7 @@ class AccelerationLimit:
     """
 
     def __init__(self, max_acceleration_deg_s2: Array, max_speed_deg_s: Array) -> None:
+        """Set the limits, (n_joints,) each; infinite acceleration: the joint is not limited."""
         self._limited = np.isfinite(max_acceleration_deg_s2)
         self._any = bool(self._limited.any())
         self._acceleration = np.where(self._limited, max_acceleration_deg_s2, 1e12)
@@ -242,6 +243,10 @@ class Limiter:
     def __init__(
         self, joints: Sequence[Joint], period_s: float, prevent: Sequence[PreventRule] = ()
     ) -> None:
+        """Take limits from `joints`; `start_from` sets positions. prevent: rules between joints.
+
+        Raises ValueError for a rule that lacks a joint's factor or forbids neutral.
+        """
         n_joints = len(joints)
         self._min_deg = np.array([joint.min_deg for joint in joints])
         self._max_deg = np.array([joint.max_deg for joint in joints])

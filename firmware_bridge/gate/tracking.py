@@ -76,6 +76,7 @@ class TrackingMonitor:
     """
 
     def __init__(self, joints: Sequence[Joint], rule: TrackingRule) -> None:
+        """Begin without errors. rule: how far a servo may be from its goal, and for how long."""
         self._rule = rule
         self._allowed_deg = np.array([rule.allowed_deg(joint) for joint in joints])
         self._within_s: Array = np.full(len(joints), math.inf)
@@ -163,6 +164,7 @@ class _Travel:
     """
 
     def __init__(self, n: int) -> None:
+        # Rows of two: goals, encoders. Arrays are made once and changed in place.
         self.travelled_deg = np.zeros((2, n))
         self.still = np.zeros(n, dtype=np.bool_)
         self._goal_deg, self._made_deg = self.travelled_deg

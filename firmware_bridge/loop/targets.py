@@ -135,6 +135,7 @@ class TargetTrack:
             return self._on_line(n_due - 1, time_s), age_s
         if n_due == 1:
             return self._positions_deg[0], age_s
+        # Beyond the newest target: on the line through the last two, for 50 ms at most.
         return self._on_line(n_due - 2, time_s - max(0.0, age_s - MAX_EXTRAPOLATION_S)), age_s
 
     def _on_line(self, left: int, time_s: float) -> Array:
@@ -168,6 +169,7 @@ class SocketTargetChannel:
     """One end of a `channel_pair` as `TargetChannel`: publish at one end, drain at the other."""
 
     def __init__(self, end: socket.socket) -> None:
+        """Use `end`, one of the sockets of `channel_pair`, without blocking."""
         self._end = end
         self._end.setblocking(False)
         self._ready = select.poll()
@@ -223,6 +225,7 @@ class FollowedTargets:
     """
 
     def __init__(self, channel: TargetChannel, n_joints: int, stale: StaleRule) -> None:
+        """Read targets of `n_joints` joints from `channel`; `stale`: when they are too old."""
         self._channel = channel
         self._stale = stale
         self._track = TargetTrack(n_joints)

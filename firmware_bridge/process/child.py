@@ -216,6 +216,7 @@ class RestartedChild:
     """A `Child` and when its owner's loop must kill or restart it; times are monotonic seconds."""
 
     def __init__(self, child: Child) -> None:
+        """Take over `child`, which is not started yet and may be started at once."""
         self.child = child
         self.due_s = 0.0  # when it may start again
         self.is_killed = False

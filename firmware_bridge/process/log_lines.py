@@ -216,6 +216,7 @@ class LogWriter(logging.Handler):
         *,
         as_json: bool = False,
     ) -> None:
+        """Prepare to write; parameters as of the class."""
         super().__init__()
         self._about = {"face": face or None, "side": side or None}
         self._start = start

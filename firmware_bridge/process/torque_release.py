@@ -110,6 +110,7 @@ class TorqueRelease:
         self._n_rounds += 1
 
     def _ask(self, port: PortRelease, address: int) -> None:
+        """Poll one servo, and store whether it confirmed torque off. Raises PortError."""
         why = port.ask(address)
         if why:
             self.unconfirmed[address] = why

@@ -145,6 +145,7 @@ def dashboard_child(
 
 
 def _end_process(process: "subprocess.Popen[bytes]") -> None:
+    """Send a process SIGTERM, and SIGKILL if it still runs after 2 s; wait for its end."""
     process.terminate()
     try:
         process.wait(_END_S)

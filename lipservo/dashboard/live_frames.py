@@ -188,7 +188,7 @@ def goals_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.in
         (n_servos,), in 1/scale degrees; `ABSENT` before the first record.
     """
     record = moment.servos
-    return whole_numbers(nothing(layout) if record is None else record["goal_deg"], scale)
+    return whole_numbers(unknown_angles(layout) if record is None else record["goal_deg"], scale)
 
 
 def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
@@ -209,7 +209,7 @@ def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np
         (n_servos,), in 1/scale degrees; `ABSENT` while they are not read.
     """
     record = None if moment.servos_gone else moment.servos
-    return whole_numbers(nothing(layout) if record is None else record["encoder_deg"], scale)
+    return whole_numbers(unknown_angles(layout) if record is None else record["encoder_deg"], scale)
 
 
 def expression_of(moment: Moment) -> NDArray[np.int16]:
@@ -258,7 +258,7 @@ def encode(moment: Moment, layout: BoardLayout) -> bytes:
     )
 
 
-def nothing(layout: BoardLayout) -> NDArray[np.float32]:
+def unknown_angles(layout: BoardLayout) -> NDArray[np.float32]:
     """Return NaN, an unknown angle, for every servo.
 
     Parameters

@@ -226,6 +226,10 @@ class _UnfinishedFile:
     """An upload that is not whole yet, under a temporary name in its folder. Used in threads."""
 
     def __init__(self, place: Path, *, replace: bool) -> None:
+        """Create an empty temporary file beside `place`, the path of the finished file.
+
+        Raises FaceError `exists` if there is such a file, unless `replace`; OSError.
+        """
         if place.exists() and not replace:
             raise FaceError("exists", f"{shown(place.name)} already exists")
         _remove_leftovers(place.parent)

@@ -108,7 +108,10 @@ class FirstHour:
     def state(self) -> JsonObject:
         """Return everything that the page draws, as JSON values.
 
-        A step in which servos wait for a person ends 15 s after the last call.
+        works: the step that runs; drives: whether it has a control socket; moved: ids of servos
+        that were nudged; ends: limits set by hand; keeps: whether captured poses await a fit;
+        graded: of a calibration; robot_min: minutes by step. A step in which servos hold for a
+        person ends 15 s after the last call.
         """
         self._page_seen_s = time.monotonic()
         with self._lock:
@@ -386,6 +389,7 @@ class FirstHour:
         return next((path for path in paths if read_socket_name(path)), None)
 
     def _face_values(self, settings: FaceSettings) -> JsonObject:
+        """Return name, servos and calibration of the face's YAML, as JSON values for the page."""
         return {
             "name": settings.name,
             "servos": {name: _servo_values(each) for name, each in settings.servos.items()},
@@ -531,7 +535,10 @@ def _servo_values(servo: ServoSettings) -> JsonObject:
 
 
 def _step_values(step: StepProcess) -> JsonObject:
-    """Return the present state of a step of the setup, as JSON values for the page."""
+    """Return the present state of a step of the setup, as JSON values for the page.
+
+    seconds: how long it took, or has run; notes: its messages; events: the newest of each kind.
+    """
     return {
         "name": step.step,
         "runs": step.runs,

@@ -213,6 +213,7 @@ class StepProcess:
                 self._store_note(line)
 
     def _store_note(self, line: bytes) -> None:
+        """Store a line of output as a note, and, if it begins with `lipservo: `, as a complaint."""
         text = line.decode("utf-8", "replace").strip()[:_LONGEST_NOTE]
         if text:
             # A line of an error message follows those before; any other line begins a new message.

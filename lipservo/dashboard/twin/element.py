@@ -32,6 +32,7 @@ class PackedHead:
         return self._result.result()
 
     def _make(self, make: Callable[[], bytes]) -> None:
+        """Call `make`; store its bytes, compressed, and their ETag, or its error, for `get`."""
         try:
             packed = make()
             tag = f'"{hashlib.sha256(packed).hexdigest()[:16]}"'

@@ -160,7 +160,10 @@ class RequestLimit:
         self._n_of_peer: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request to the application within, or answer 503."""
+        """Pass a request to the application within; answer 503 where too many are open already.
+
+        Too many are 256, or half as many of one peer (an IP address).
+        """
         peer = (scope.get("client") or ("",))[0]
         if 2 * self._n_of_peer[peer] >= self._most or self._n_of_peer.total() >= self._most:
             busy, status = {"error": "too many requests at a time"}, HTTPStatus.SERVICE_UNAVAILABLE

@@ -114,6 +114,7 @@ class StopRoute:
 
         A stop from this computer needs no token, unless it also ends the face's process.
         """
+        # `stop` is the request's body, or why it is refused.
         try:
             stop = refusal(request, policy, is_stop=True) or await _read_body(receive)
             if isinstance(stop, StopBody) and stop.end:  # it ends the process: needs the token
