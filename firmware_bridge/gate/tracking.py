@@ -185,7 +185,7 @@ class _Travel:
         """Update `travelled_deg` and `still` from one tick.
 
         goals_deg, places_deg: (n_servos,), goals and positions. seen_s: the tick's monotonic time,
-        less all that ticks took beyond .05 s each. heard: (n_servos,), True for servos that
+        less all that ticks lasted beyond .05 s each. heard: (n_servos,), True for servos that
         answered; None: all did. Arrays are changed in place, and only every 50 ms or so, to save
         time in every tick.
         """

@@ -371,7 +371,7 @@ class LifeCycle:
         """Carry out a person's stop: tell the supervisor process of it, then stop the servos.
 
         The supervisor keeps the stop if this process dies. A freeze of a face that is limp, or on
-        its way to limp, changes nothing and is not told.
+        its way to limp, changes nothing and is not reported.
         """
         level, before = request.level, self._request
         _LOG.info("stop requested: %s, by %s", level.value, request.requested_by)
@@ -453,8 +453,8 @@ class LifeCycle:
     def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
         """Carry out the orders to servos and face that clients sent, and log each.
 
-        Servos switched off or on are told to the supervisor, for a restarted bridge. time_s: the
-        tick's. is_stopped_now: whether a stop came in this tick; then starts are refused.
+        Servos switched off or on are reported to the supervisor, for a restarted bridge. time_s:
+        the tick's. is_stopped_now: whether a stop came in this tick; then starts are refused.
         """
         control, lifeline = self._links.control, self._links.lifeline
         for order in () if control is None else control.take_orders():

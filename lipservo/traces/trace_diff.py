@@ -28,7 +28,7 @@ _STILL_MM = 0.05
 #: Closures of two traces are the same one if their beginnings differ by this at most.
 _SAME_CLOSURE_S = 0.25
 #: The worst moments in a `Difference` are at least so far apart.
-_MOMENTS_APART_S = 0.3
+_WORST_APART_S = 0.3
 #: Servos in the picture, those that differ most, one panel each.
 _N_SERVOS_DRAWN = 3
 _SUFFIXES = (".png", ".svg")
@@ -170,7 +170,7 @@ def compare(a: Trace, b: Trace, both: Overlay, *, margin_mm: float, n_worst: int
         lost_closures_s=lost_s,
         new_closures_s=new_s,
         ends_apart_s=_ends_apart_s(a, b),
-        worst=_worst_moments(a, both, apart_deg, n_worst),
+        worst=_worst_ticks(a, both, apart_deg, n_worst),
     )
 
 
@@ -321,7 +321,7 @@ def _gap_curve(trace: Trace, model: FaceModel) -> tuple[Array, Array]:
     return trace.sound_s, model.lip_gaps_mm(model.markers_mm(trace.coefficients))
 
 
-def _worst_moments(a: Trace, both: Overlay, apart_deg: Array, n_worst: int) -> tuple[Moment, ...]:
+def _worst_ticks(a: Trace, both: Overlay, apart_deg: Array, n_worst: int) -> tuple[Moment, ...]:
     """Return the ticks at which two traces differ most, worst first, at least 0.3 s apart.
 
     At most `n_worst`, none without a difference. The lip distance in `both` decides; where it is
@@ -343,7 +343,7 @@ def _worst_moments(a: Trace, both: Overlay, apart_deg: Array, n_worst: int) -> t
                 off_deg=float(both.sent_deg[1][tick, servo] - both.sent_deg[0][tick, servo]),
             )
         )
-        remaining[np.abs(both.sound_s - both.sound_s[tick]) < _MOMENTS_APART_S] = 0.0
+        remaining[np.abs(both.sound_s - both.sound_s[tick]) < _WORST_APART_S] = 0.0
     return tuple(found)
 
 

@@ -537,7 +537,7 @@ def _servo_values(servo: ServoSettings) -> JsonObject:
 def _step_values(step: StepProcess) -> JsonObject:
     """Return the present state of a step of the setup, as JSON values for the page.
 
-    seconds: how long it took, or has run; notes: its messages; events: the newest of each kind.
+    seconds: its duration, or how long it has run; notes: its messages; events: the newest of each kind.
     """
     return {
         "name": step.step,
