@@ -537,7 +537,8 @@ def _servo_values(servo: ServoSettings) -> JsonObject:
 def _step_values(step: StepProcess) -> JsonObject:
     """Return the present state of a step of the setup, as JSON values for the page.
 
-    seconds: its duration, or how long it has run; notes: its messages; events: the newest of each kind.
+    seconds: its duration, or how long it has run; notes: its messages; events: the newest of each
+    kind.
     """
     return {
         "name": step.step,
