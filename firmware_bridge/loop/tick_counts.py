@@ -48,6 +48,7 @@ class TickCounts:
             self.late_share = 1.0 - (1.0 - self.late_share) * kept**late
         self.late_share *= kept
         self.stale_share = kept * self.stale_share + weight * is_stale
+        # Hysteresis: False from a share of 20 % on, until both are below 5 %.
         worst = max(self.late_share, self.stale_share)
         self.keeps_up = worst < (_REPORTED_SHARE if self.keeps_up else _OVER_SHARE)
 
