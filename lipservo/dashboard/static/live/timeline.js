@@ -51,6 +51,7 @@ class FaceTimeline extends HTMLElement {
   }
 }
 
+/** Draw a vertical line at each whole second before `nowS`. */
 function drawSeconds(context, nowS, pxPerS, width, height) {
   context.strokeStyle = colour(context.canvas, "line");
   context.lineWidth = 1;

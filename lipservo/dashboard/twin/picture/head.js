@@ -142,6 +142,7 @@ function turn(object, { pitch, yaw, roll }) {
   object.rotation.set(...angles, "YXZ");
 }
 
+/** The mesh of a part of the asset; its `userData.move(targets)` applies the morph targets. */
 function meshOf(part, inSoftware) {
   const colours = linear(part.colours);
   const { mesh, move } = inSoftware
@@ -194,6 +195,7 @@ function linear(bytes) {
   return found;
 }
 
+/** Add the sky's light and three lamps to a scene; plain_mesh.js computes the same. */
 function light(scene) {
   scene.add(new THREE.HemisphereLight(0xffffff, 0xb59a8c, 1.5));
   const from = (x, y, z, strength, colour) => {
