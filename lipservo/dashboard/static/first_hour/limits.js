@@ -87,7 +87,7 @@ export class Limits {
     if (deg !== null) this.ranges[name] = [Math.min(extremesDeg[0], deg), Math.max(extremesDeg[1], deg)];
     // The track shows anglesDeg angles so far, and AROUND_DEG beyond them to either side.
     const anglesDeg = [...this.ranges[name], ...Object.values(ends)];
-    const [low, high] = [Math.min(...all) - AROUND_DEG, Math.max(...all) + AROUND_DEG];
+    const [low, high] = [Math.min(...anglesDeg) - AROUND_DEG, Math.max(...anglesDeg) + AROUND_DEG];
     const positionOf = (each) => `${((100 * (each - low)) / (high - low)).toFixed(2)}%`;
     write(line.querySelector("output"), deg === null ? "–" : `${shown(deg, 1)}°`);
     const mark = line.querySelector(".here");
