@@ -1,6 +1,6 @@
 """The difference in motion between two traces: degrees of servos, mm of lips, ms; and a picture.
 
-Traces are both by sound time, so that two runs which differ in delay alone are equal. The
+Traces are aligned by sound time, so that two runs which differ in delay alone are equal. The
 picture needs matplotlib, the extra `plots`.
 """
 

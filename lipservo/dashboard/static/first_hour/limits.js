@@ -85,7 +85,7 @@ export class Limits {
     const ends = state.ends[name] ?? {};
     const extremesDeg = (this.ranges[name] ??= [0, 0]);
     if (deg !== null) this.ranges[name] = [Math.min(extremesDeg[0], deg), Math.max(extremesDeg[1], deg)];
-    // The track shows anglesDeg angles so far, and AROUND_DEG beyond them to either side.
+    // The track shows all angles so far, and AROUND_DEG beyond them to either side.
     const anglesDeg = [...this.ranges[name], ...Object.values(ends)];
     const [low, high] = [Math.min(...anglesDeg) - AROUND_DEG, Math.max(...anglesDeg) + AROUND_DEG];
     const positionOf = (each) => `${((100 * (each - low)) / (high - low)).toFixed(2)}%`;
