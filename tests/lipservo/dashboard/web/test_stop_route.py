@@ -22,6 +22,7 @@ from lipservo.dashboard.web.stop_route import StopRoute
 
 
 def scope(**more):
+    """Return the ASGI scope of a stop from this computer; `more` replaces fields."""
     return {
         "type": "http",
         "method": "POST",
