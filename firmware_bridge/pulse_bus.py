@@ -143,6 +143,7 @@ class KeptPulses:
         known = {str(key): round(value, 2) for key, value in pulses_us.items() if value > 0.0}
         if self._path is None or known in ({}, self._written):
             return
+        # Written beside the file, then moved over it, so that the file is whole at any time.
         coming = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -442,7 +443,7 @@ class PulseBus:
             if self._has_sent and self.torque.any_on is not False:
                 self.disable_all()
         except PortError:
-            pass  # whoever waits for the port tells of it
+            pass  # the process that waits for the port reports it
         finally:
             self._is_open = False
             self._controller.close()

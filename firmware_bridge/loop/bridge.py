@@ -487,6 +487,7 @@ class Bridge:
         limiter = self._servos.limiter
         if self._easing is None:
             self._easing = EaseToNeutral(self._joints, limiter.sent_deg, time_s)
+        # The range of a joint that was jogged beyond its limits shrinks as the joint comes back.
         if self._servos.is_wide:
             self._servos.widen(*self._jog.reached(limiter.sent_deg))
         wanted_deg = self._easing.at(time_s)

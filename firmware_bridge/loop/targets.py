@@ -194,7 +194,7 @@ class SocketTargetChannel:
         """
         records: list[ServoTargets] = []
         for _ in range(_MOST_AT_ONCE):
-            if not self._ready.poll(0):  # half as dear as an error that says there is nothing
+            if not self._ready.poll(0):  # costs half as much as an exception for an empty socket
                 break
             try:
                 raw = self._end.recv(_LONGEST_RECORD)
@@ -206,6 +206,7 @@ class SocketTargetChannel:
             if len(raw) < _HEAD.size or (len(raw) - _HEAD.size) % 8:
                 self.n_dropped += 1
                 continue
+            # A record: its number, its time, and an angle for each servo.
             sequence, time_s = _HEAD.unpack_from(raw)
             if sequence > self._sequence + 1:
                 self.n_dropped += sequence - self._sequence - 1
