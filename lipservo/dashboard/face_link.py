@@ -35,7 +35,7 @@ from firmware_bridge.process.control_client import (
 )
 from firmware_bridge.process.runtime_folder import ControlError
 from firmware_bridge.stopping import ServoSwitch, StopLevel
-from lipservo.dashboard.live_frames import NO_LAYOUT, RATE_HZ, BoardReader, Moment, encode
+from lipservo.dashboard.live_frames import NO_LAYOUT, RATE_HZ, BoardReader, Snapshot, encode
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.speech.passing_wish import with_expiry
 from lipservo.runtime.status.live_board import BoardLayout, LiveBoard
@@ -72,9 +72,9 @@ class FaceLink:
     """A connection to one face. Its tasks run within `async with link.running()`.
 
     control_path: the face's present or last control socket: a stop is sent there without a search.
-    layout: names of servos, states, phonemes, of the last face read. moment: the newest snapshot.
+    layout: names of servos, states, phonemes, of the last face read. snapshot: the newest.
     status: the face's newest status, None before the first. trouble: why no status comes now; None:
-    it comes. history: encoded frames of the last 30 s. on_moment: functions called after each new
+    it comes. history: encoded frames of the last 30 s. on_snapshot: functions called after each new
     snapshot, 30 times a second. origins: web origins that the face's YAML allows.
     """
 
@@ -111,14 +111,14 @@ class FaceLink:
         self._board_tried_at_s = float("-inf")
         self._reader: BoardReader | None = None
         self.layout: BoardLayout = NO_LAYOUT
-        self.moment = Moment(0, 0.0)
-        self.frame = encode(self.moment, self.layout)
+        self.snapshot = Snapshot(0, 0.0)
+        self.frame = encode(self.snapshot, self.layout)
         self.history: deque[bytes] = deque(maxlen=HISTORY_S * RATE_HZ)
         self.trouble: str | None = "no face has answered yet"
         self.origins: tuple[str, ...] = ()
         self._origins_config: str | None = None
         self._must_find = control_path is None
-        self.on_moment: list[Callable[[], None]] = []
+        self.on_snapshot: list[Callable[[], None]] = []
 
     @property
     def status_age_s(self) -> float:
@@ -138,10 +138,10 @@ class FaceLink:
         """
         has_answered = self.status_age_s < float("inf")
         return {
-            "up": self.answers and not self.moment.servos_gone,
+            "up": self.answers and not self.snapshot.servos_gone,
             "face_answers": self.answers,
-            "servos_gone": self.moment.servos_gone,
-            "speech_gone": self.moment.speech_gone,
+            "servos_gone": self.snapshot.servos_gone,
+            "speech_gone": self.snapshot.speech_gone,
             "age_s": round(self.status_age_s, 3) if has_answered else None,
             "trouble": self.trouble,
         }
@@ -149,7 +149,7 @@ class FaceLink:
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Read the face's state and poll its status until the block ends; then close the link."""
-        tasks = [asyncio.create_task(each) for each in (self._run_looks(), self._poll_status())]
+        tasks = [asyncio.create_task(each) for each in (self._run_snapshots(), self._poll_status())]
         try:
             yield
         finally:
@@ -159,20 +159,20 @@ class FaceLink:
             self.close()
             self._close_board()
 
-    def look(self) -> None:
-        """Take a new snapshot of the face, add its frame to the history, call all `on_moment`."""
+    def take_snapshot(self) -> None:
+        """Take a new snapshot of the face, add its frame to the history, call all `on_snapshot`."""
         now_s = self._clock()
-        number, time_s = self.moment.number + 1, now_s - self._started_s
+        number, time_s = self.snapshot.number + 1, now_s - self._started_s
         if self._reader is None:
-            self.moment = Moment(number, time_s)
+            self.snapshot = Snapshot(number, time_s)
         else:
-            self.moment = self._reader.read(number, time_s, now_s)
-        self.frame = encode(self.moment, self.layout)
+            self.snapshot = self._reader.read(number, time_s, now_s)
+        self.frame = encode(self.snapshot, self.layout)
         self.history.append(self.frame)
-        for on_moment in self.on_moment:
-            on_moment()
+        for on_snapshot in self.on_snapshot:
+            on_snapshot()
 
-    async def located(self) -> Path:
+    async def find_control_path(self) -> Path:
         """Find the face's control socket anew, store its path as `control_path`, and return it.
 
         Calls at the same time share one search. Raises FaceError if none is found, or
@@ -182,7 +182,7 @@ class FaceLink:
             self._locating = asyncio.create_task(self._find_socket())
         return await asyncio.shield(self._locating)
 
-    async def without_answer(self, error: Exception, level: StopLevel) -> NothingDrivenError:
+    async def release_unreached(self, error: Exception, level: StopLevel) -> NothingDrivenError:
         """Switch off the servos of a face that a stop did not reach; return what they confirmed.
 
         error: why the stop failed. A NothingDrivenError is returned as it is if the servos are limp
@@ -367,11 +367,11 @@ class FaceLink:
         except (OSError, UserError, ControlError) as error:
             raise not_answering(error) from error
 
-    async def _run_looks(self) -> None:
-        """Call `look` 30 times a second; what a busy event loop missed is not made up for."""
+    async def _run_snapshots(self) -> None:
+        """Call `take_snapshot` 30 times a second; those that a busy loop missed are left out."""
         due_s = self._clock()
         while True:
-            self.look()
+            self.take_snapshot()
             due_s = max(due_s + 1.0 / RATE_HZ, self._clock())
             await asyncio.sleep(due_s - self._clock())
 
@@ -425,7 +425,7 @@ class FaceLink:
 
     def _needs_board(self) -> bool:
         """Return whether there is no live board, or none that is still written."""
-        return self._reader is None or (self.moment.servos_gone and self.moment.speech_gone)
+        return self._reader is None or (self.snapshot.servos_gone and self.snapshot.speech_gone)
 
     def _store_status(self, answer: dict[str, Any] | str, board: LiveBoard | None) -> None:
         """Store the newest status and a newly opened live board.

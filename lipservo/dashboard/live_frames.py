@@ -21,7 +21,7 @@ from lipservo.runtime.status.live_board import EXPRESSION_NAMES, BoardLayout, Li
 #: The face's servo or speech side counts as gone after writing nothing for so long: a page, which
 #: gets 30 snapshots a second, shows that within a second.
 GONE_S: Final = 0.8
-#: Peaks of sound that a moment holds: 10 ms each, so that 30 moments a second leave none out.
+#: Peaks of sound in a snapshot: 10 ms each, so that 30 snapshots a second leave none out.
 MOST_PEAKS: Final = 8
 
 #: The layout before any face was read.
@@ -43,7 +43,7 @@ FIELDS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Snapshot:
     """A snapshot of a face. number: of the dashboard's tick; time_s: since the dashboard started.
 
     servos, speech: the newest record of each side, None before its first. peaks: of the blocks of
@@ -91,7 +91,7 @@ class BoardReader:
         self._servos, self._speech = _Side(), _Side()
         self.layout = board.layout
 
-    def read(self, number: int, since_start_s: float, now_s: float) -> Moment:
+    def read(self, number: int, since_start_s: float, now_s: float) -> Snapshot:
         """Return a snapshot: the newest records, and the peaks of sound since the last call.
 
         number: of the snapshot. since_start_s: since the dashboard started. now_s: monotonic; the
@@ -104,7 +104,7 @@ class BoardReader:
             peaks = b"".join(each["peaks"][: each["n_peaks"]].tobytes() for _, each in speech)
         self._servos.update(self._board.servos_since(self._servos.number), now_s)
         self._speech.update(speech, now_s)
-        return Moment(
+        return Snapshot(
             number,
             since_start_s,
             self._servos.record,
@@ -135,47 +135,47 @@ def hello(layout: BoardLayout) -> str:
     )
 
 
-def flags_of(moment: Moment) -> int:
+def flags_of(snapshot: Snapshot) -> int:
     """Return a frame's flag bits: torque on, servos gone, speech gone, sound cut off, speaking."""
-    servos, speech = moment.servos, moment.speech
-    flags = SERVOS_GONE if moment.servos_gone else 0
-    flags |= SPEECH_GONE if moment.speech_gone else 0
-    if servos is not None and not moment.servos_gone and servos["torque_on"]:
+    servos, speech = snapshot.servos, snapshot.speech
+    flags = SERVOS_GONE if snapshot.servos_gone else 0
+    flags |= SPEECH_GONE if snapshot.speech_gone else 0
+    if servos is not None and not snapshot.servos_gone and servos["torque_on"]:
         flags |= TORQUE_ON
-    if speech is not None and not moment.speech_gone:
+    if speech is not None and not snapshot.speech_gone:
         flags |= (CUT_OFF if speech["is_cut_off"] else 0) | (SPEAKING if speech["is_speech"] else 0)
     return flags
 
 
-def state_of(moment: Moment, layout: BoardLayout) -> int:
+def state_of(snapshot: Snapshot, layout: BoardLayout) -> int:
     """Return the index in `layout.states` of the servo side's state; 255 where it is unknown."""
-    if moment.servos is None or moment.servos_gone:
+    if snapshot.servos is None or snapshot.servos_gone:
         return UNKNOWN
-    state = int(moment.servos["state"])
+    state = int(snapshot.servos["state"])
     return state if state < len(layout.states) else UNKNOWN
 
 
-def phoneme_of(moment: Moment, layout: BoardLayout) -> int:
+def phoneme_of(snapshot: Snapshot, layout: BoardLayout) -> int:
     """Return the index in `layout.phonemes` of the phoneme shown; 255 for none."""
-    if moment.speech is None or moment.speech_gone:
+    if snapshot.speech is None or snapshot.speech_gone:
         return UNKNOWN
-    phoneme = int(moment.speech["phoneme"])
+    phoneme = int(snapshot.speech["phoneme"])
     return phoneme if 0 <= phoneme < len(layout.phonemes) else UNKNOWN
 
 
-def arousal_of(moment: Moment) -> float:
+def arousal_of(snapshot: Snapshot) -> float:
     """Return the arousal of the voice, -1 to 1; 0 where it is unknown."""
-    if moment.speech is None or moment.speech_gone:
+    if snapshot.speech is None or snapshot.speech_gone:
         return 0.0
-    return float(np.nan_to_num(np.clip(moment.speech["arousal"], -1.0, 1.0)))
+    return float(np.nan_to_num(np.clip(snapshot.speech["arousal"], -1.0, 1.0)))
 
 
-def goals_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
+def goals_of(snapshot: Snapshot, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
     """Return the servos' goal positions as whole numbers.
 
     Parameters
     ----------
-    moment : Moment
+    snapshot : Snapshot
         The newest records.
     layout : BoardLayout
         Names of the servos.
@@ -187,16 +187,16 @@ def goals_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.in
     NDArray[np.int16]
         (n_servos,), in 1/scale degrees; `ABSENT` before the first record.
     """
-    record = moment.servos
+    record = snapshot.servos
     return whole_numbers(unknown_angles(layout) if record is None else record["goal_deg"], scale)
 
 
-def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
+def encoders_of(snapshot: Snapshot, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
     """Return the servos' measured positions as whole numbers.
 
     Parameters
     ----------
-    moment : Moment
+    snapshot : Snapshot
         The newest records.
     layout : BoardLayout
         Names of the servos.
@@ -208,16 +208,16 @@ def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np
     NDArray[np.int16]
         (n_servos,), in 1/scale degrees; `ABSENT` while they are not read.
     """
-    record = None if moment.servos_gone else moment.servos
+    record = None if snapshot.servos_gone else snapshot.servos
     return whole_numbers(unknown_angles(layout) if record is None else record["encoder_deg"], scale)
 
 
-def expression_of(moment: Moment) -> NDArray[np.int16]:
+def expression_of(snapshot: Snapshot) -> NDArray[np.int16]:
     """Return the expression's channels in the order of `EXPRESSION_NAMES`, as whole numbers.
 
     Parameters
     ----------
-    moment : Moment
+    snapshot : Snapshot
         The newest records.
 
     Returns
@@ -225,35 +225,35 @@ def expression_of(moment: Moment) -> NDArray[np.int16]:
     NDArray[np.int16]
         (n_channels,), angles in 0.01 degrees, others in 0.0001; `ABSENT` where one is not set.
     """
-    record = None if moment.speech_gone else moment.speech
+    record = None if snapshot.speech_gone else snapshot.speech
     return whole_numbers(
         [np.nan] * len(_SCALES) if record is None else record["expression"], _SCALES
     )
 
 
-def encode(moment: Moment, layout: BoardLayout) -> bytes:
+def encode(snapshot: Snapshot, layout: BoardLayout) -> bytes:
     """Return a snapshot as one frame of `/api/twin`, in the bytes of the module's docstring."""
-    if moment.speech is None:
+    if snapshot.speech is None:
         coefficients = np.zeros(layout.n_components, "<f4")
     else:
-        coefficients = moment.speech["coefficients"]
+        coefficients = snapshot.speech["coefficients"]
     head = _FRAME_HEAD.pack(
-        moment.number & 0xFFFFFFFF,
-        moment.time_s,
-        state_of(moment, layout),
-        phoneme_of(moment, layout),
-        flags_of(moment),
-        round(127 * arousal_of(moment)),
+        snapshot.number & 0xFFFFFFFF,
+        snapshot.time_s,
+        state_of(snapshot, layout),
+        phoneme_of(snapshot, layout),
+        flags_of(snapshot),
+        round(127 * arousal_of(snapshot)),
     )
     return b"".join(
         (
             head,
             coefficients.astype("<f4").tobytes(),
-            expression_of(moment).tobytes(),
-            goals_of(moment, layout, 100.0).tobytes(),
-            encoders_of(moment, layout, 100.0).tobytes(),
-            bytes([len(moment.peaks)]),
-            moment.peaks,
+            expression_of(snapshot).tobytes(),
+            goals_of(snapshot, layout, 100.0).tobytes(),
+            encoders_of(snapshot, layout, 100.0).tobytes(),
+            bytes([len(snapshot.peaks)]),
+            snapshot.peaks,
         )
     )
 
@@ -314,7 +314,7 @@ def state_hello(layout: BoardLayout) -> str:
     )  # fmt: skip
 
 
-def state_message(moment: Moment, layout: BoardLayout) -> str:
+def state_message(snapshot: Snapshot, layout: BoardLayout) -> str:
     """Return a snapshot as a JSON array in the order of `FIELDS` (names); null: not known.
 
     The field `expression` is itself an array, in the order of `EXPRESSION_NAMES`: those that end
@@ -323,18 +323,18 @@ def state_message(moment: Moment, layout: BoardLayout) -> str:
     """
     expression = [
         None if value == ABSENT else round(value / (10 if name.endswith("_deg") else 100))
-        for name, value in zip(EXPRESSION_NAMES, expression_of(moment).tolist(), strict=True)
+        for name, value in zip(EXPRESSION_NAMES, expression_of(snapshot).tolist(), strict=True)
     ]
-    state, phoneme = state_of(moment, layout), phoneme_of(moment, layout)
+    state, phoneme = state_of(snapshot, layout), phoneme_of(snapshot, layout)
     values = [
-        moment.number,
-        round(1e3 * moment.time_s),
+        snapshot.number,
+        round(1e3 * snapshot.time_s),
         None if state == UNKNOWN else state,
         None if phoneme == UNKNOWN else phoneme,
-        flags_of(moment),
-        round(100 * arousal_of(moment)),
-        _with_none(goals_of(moment, layout, 10.0).tolist()),
-        _with_none(encoders_of(moment, layout, 10.0).tolist()),
+        flags_of(snapshot),
+        round(100 * arousal_of(snapshot)),
+        _with_none(goals_of(snapshot, layout, 10.0).tolist()),
+        _with_none(encoders_of(snapshot, layout, 10.0).tolist()),
         expression,
     ]
     return json.dumps(values, separators=(",", ":"))

@@ -87,9 +87,9 @@ class SoundLines:
                         )
         return sorted(lines, key=_line_name)[:_MOST_LISTED]
 
-    def path_of(self, name: str) -> Path:
+    def existing_path(self, name: str) -> Path:
         """Return the path of the line of that name. Raises FaceError if there is none."""
-        path = self.place_of(name)
+        path = self.target_path(name)
         try:
             is_file = stat.S_ISREG(path.lstat().st_mode)
         except OSError:
@@ -101,11 +101,11 @@ class SoundLines:
     def remove(self, name: str) -> None:
         """Delete the line of that name. Raises FaceError where that fails."""
         try:
-            self.path_of(name).unlink()
+            self.existing_path(name).unlink()
         except OSError as error:
             raise FaceError("refused", f"{shown(name)}: {error.strerror}") from error
 
-    def place_of(self, name: str) -> Path:
+    def target_path(self, name: str) -> Path:
         """Return the path for a line of that name, existing or not.
 
         Raises FaceError for a name that no line may have.
@@ -151,7 +151,7 @@ class Uploads:
 
         Parameters
         ----------
-        place : the path of the finished file, from `SoundLines.place_of`.
+        place : the path of the finished file, from `SoundLines.target_path`.
         chunks : its bytes; what iterating raises is raised, and nothing is left behind.
         replace : whether an existing file may be replaced.
 

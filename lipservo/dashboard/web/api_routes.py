@@ -98,7 +98,7 @@ def face_routes(link: FaceLink) -> APIRouter:
     async def servos() -> JsonObject:
         """How each servo is, what ails it in plain words, and what to do."""
         # No servo side runs while the face is stopped: its status is all that is known then.
-        is_current = not link.moment.servos_gone or is_stopped(link.status)
+        is_current = not link.snapshot.servos_gone or is_stopped(link.status)
         listed = listed_servos(link.status, is_fresh=link.answers and is_current)
         return {"servos": listed, **link.certainty()}
 
@@ -225,7 +225,7 @@ def file_routes(link: FaceLink) -> APIRouter:
         declared = request.headers.get("content-length", "")
         if declared.isdigit() and int(declared) > MOST_BYTES:
             raise HTTPException(413, f"the file has over {MOST_BYTES // 10**6} MB")
-        place = lines().place_of(name)
+        place = lines().target_path(name)
         try:
             return await uploads.store(place, request.stream(), replace=replace)
         except ClientDisconnect:
@@ -242,7 +242,7 @@ def file_routes(link: FaceLink) -> APIRouter:
         """Play a line. Answered when it begins."""
         checked_name(body.file)
         if status_text("sounds") is not None:
-            await asyncio.to_thread(lines().path_of, body.file)
+            await asyncio.to_thread(lines().existing_path, body.file)
         return dict(await link.play(body.file))
 
     return routes

@@ -79,7 +79,7 @@ class FaceCollector(Collector):
             yield _gauge(
                 "lipservo_recognizer_fallback_level", description, status["fallback_level"]
             )
-        yield from self._servo_metrics(is_fresh and not link.moment.servos_gone)
+        yield from self._servo_metrics(is_fresh and not link.snapshot.servos_gone)
 
     def _servo_metrics(self, is_fresh: bool) -> Iterable[Metric]:
         """Yield the metrics of all servos; figures that are not known are left out.

@@ -154,12 +154,12 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
         path = None  # no face listens there now: it is searched for
     try:
         if path is None:
-            path = await link.located()
+            path = await link.find_control_path()
         with link.waiting_for_end(stop.wait_s) as wait_s:
             send_again = partial(send_stop, path, level, end=stop.end)
             answer, report = await stop_answer(connection, send_again, wait_s)
     except (OSError, FaceError, NothingDrivenError) as error:
-        outcome = await link.without_answer(error, level)
+        outcome = await link.release_unreached(error, level)
         return {"accepted": None, "nothing_driven": str(outcome), "is_limp": outcome.is_limp}
     if "error" in answer:
         raise FaceError("refused", str(answer["error"]))

@@ -113,9 +113,9 @@ def add_streams(app: FastAPI, link: FaceLink) -> dict[str, FrameHub]:
     """Add the WebSockets of both streams to an application; return their hubs by name."""
     twin = FrameHub(lambda: link.layout, hello, lambda: link.frame)
     state = FrameHub(
-        lambda: link.layout, state_hello, lambda: state_message(link.moment, link.layout)
+        lambda: link.layout, state_hello, lambda: state_message(link.snapshot, link.layout)
     )
-    link.on_moment.extend((twin.tick, state.tick))
+    link.on_snapshot.extend((twin.tick, state.tick))
 
     @app.websocket("/api/twin")
     async def serve_twin(socket: WebSocket) -> None:

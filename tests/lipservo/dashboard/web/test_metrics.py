@@ -6,7 +6,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.live_frames import Moment
+from lipservo.dashboard.live_frames import Snapshot
 from lipservo.dashboard.web.metrics import FaceCollector, metrics_text
 
 STATUS = {
@@ -30,7 +30,7 @@ class Known(FaceLink):
     def __init__(self, status, *, answers=True, servos_gone=False):
         super().__init__(lambda: None)
         self.status = status
-        self.moment = Moment(1, 0.0, servos_gone=servos_gone)
+        self.snapshot = Snapshot(1, 0.0, servos_gone=servos_gone)
         self._is_answering = answers
 
     @property
