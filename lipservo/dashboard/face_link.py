@@ -198,7 +198,10 @@ class FaceLink:
 
     @contextlib.contextmanager
     def waiting_for_end(self, wait_s: float) -> Iterator[float]:
-        """Yield the seconds that a stop may wait for its report: `wait_s`, 0 if 8 others wait."""
+        """Yield the seconds that a stop may wait for its stop report: `wait_s`, 0 if 8 others wait.
+
+        Inside the block the stop counts as one that waits.
+        """
         if not wait_s or self._n_waiting >= _MOST_WAITING:
             yield 0.0
             return

@@ -88,7 +88,10 @@ class SoundLines:
         return sorted(lines, key=_line_name)[:_MOST_LISTED]
 
     def existing_path(self, name: str) -> Path:
-        """Return the path of the line of that name. Raises FaceError if there is none."""
+        """Return the path of the sound file or performance `name`.
+
+        Raises FaceError `not_found` if there is no such regular file, links not followed.
+        """
         path = self.target_path(name)
         try:
             is_file = stat.S_ISREG(path.lstat().st_mode)
@@ -99,16 +102,16 @@ class SoundLines:
         return path
 
     def remove(self, name: str) -> None:
-        """Delete the line of that name. Raises FaceError where that fails."""
+        """Delete the sound file or performance `name`. Raises FaceError where that fails."""
         try:
             self.existing_path(name).unlink()
         except OSError as error:
             raise FaceError("refused", f"{shown(name)}: {error.strerror}") from error
 
     def target_path(self, name: str) -> Path:
-        """Return the path for a line of that name, existing or not.
+        """Return the path that a sound file or performance `name` has, existing or not.
 
-        Raises FaceError for a name that no line may have.
+        Raises FaceError for a name that none may have.
         """
         return self._checked_folder() / checked_name(name)
 

@@ -185,6 +185,7 @@ class StepProcess:
             )
         if status in (0, ExitStatus.STOPPED_EARLY) or (signalled and not self._complaint):
             return None  # a person's stop is no error; the page shows beside STOP what it did
+        # Of the program's error message the first two lines, the cause, and the last, the advice.
         if self._complaint:
             cause, rest = self._complaint[:_MOST_SHOWN], self._complaint[_MOST_SHOWN:]
             return "; ".join([*cause, *(["..."] if len(rest) > 1 else []), *rest[-1:]])
