@@ -59,9 +59,10 @@ def all_set(flags: NDArray[np.bool_]) -> bool:
     return 0 not in flags.tobytes()
 
 
-#: A servo of which nobody knows where it stands is no faster until it has caught up with its goal.
+#: A servo of unknown position moves no faster than this until it has caught up with its goal.
 CATCH_UP_DEG_S: Final = 60.0
-#: In `errors` of a servo that was given a goal outside its range; of Dynamixel's, and for all.
+#: The number in `errors` of a servo that was given a goal outside its range: Dynamixel's, used for
+#: servos of every kind.
 GOAL_OUT_OF_RANGE: Final = 6
 
 

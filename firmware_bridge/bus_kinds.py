@@ -34,9 +34,9 @@ _BUILT_IN: Final = {
     "pca9685": "firmware_bridge.pca9685.kind:PCA9685",
     "feetech": "firmware_bridge.feetech.kind:FEETECH",
 }
-#: Of a servo that was told to let go.
+#: Why a servo that was sent torque off is not known to be limp.
 NOT_SEEN: Final = "did not answer"
-#: What is at a port of which nothing else is known.
+#: The kind of bus assumed at a port of which nothing else is known.
 AT_A_PORT: Final = "dynamixel"
 
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Final
 
-#: What a servo is called that has reported that its torque is off.
+#: The word for a servo that has reported that its torque is off.
 LIMP: Final = "limp"
-#: A servo whose torque has just come on stays slow so long, and a hobby servo has caught up.
+#: A servo stays slow for so long after its torque came on; a hobby servo has caught up by then.
 SOFT_START_S: Final = 1.0
 
 
@@ -95,7 +95,7 @@ class BusCapabilities:
         }
 
 
-#: Of serial servos of every make.
+#: The capabilities of serial servos of every make.
 SERIAL_SERVOS: Final = BusCapabilities(
     place=True,
     load=True,
@@ -108,7 +108,7 @@ SERIAL_SERVOS: Final = BusCapabilities(
     memory=True,
     set_up=True,
 )
-#: What becomes of a face with several buses when one of them is lost; said when it starts.
+#: What happens to a face with several buses when one of them is lost; printed at its start.
 ONE_LOST: Final = (
     "the port of one bus is lost: the servos of all others are let go at once; the face comes back "
     "when every port is back; frozen servos go on holding"
@@ -154,6 +154,7 @@ def mixed_capabilities(
 
     buses: the capabilities of each bus, by its name. bus_of: the name of each servo's bus.
     """
+    # The face has a capability that every bus has, the longest of times, and the lowest of rates.
     cans = list(buses.values())
     common = {
         each.name: all(getattr(can, each.name) for can in cans)

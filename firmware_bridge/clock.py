@@ -70,9 +70,8 @@ def ticks(clock: Clock, rate_hz: float) -> Iterator[tuple[float, int]]:
 def _newest_due(now_s: float, start_s: float, rate_hz: float) -> int:
     """Return the number of the last tick at or before `now_s` on the grid from `start_s`.
 
-    The grid has `rate_hz` ticks a second. Compared with the very times that `ticks` yields: the
-    quotient alone rounds to the wrong side of a grid point once the clock shows days, and one tick
-    would be yielded twice.
+    The grid has `rate_hz` ticks a second. The guess is compared with the times that `ticks` yields:
+    once the clock shows days it may be one off by rounding, and a tick would be yielded twice.
     """
     guess = math.floor((now_s - start_s) * rate_hz) + 1
     while start_s + guess / rate_hz > now_s:

@@ -26,9 +26,9 @@ class Torque(IntEnum):
 
 
 _OFF, _ON, _UNKNOWN = (int(each) for each in Torque)
-#: As JSON says it: None where it is unknown.
+#: The JSON value of each number of `Torque`: None where it is unknown.
 AS_JSON: Final = (False, True, None)
-#: Of a servo that has been silent for so long nobody knows whether it has restarted.
+#: The torque of a servo that has been silent for so long is unknown: it may have restarted.
 SILENT_S: Final = 0.5
 
 
@@ -139,7 +139,7 @@ def unknown_when_lost(bus: type[_Bus]) -> type[_Bus]:
 
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a bus's method, changed: a PortError makes all torque unknown before it goes on."""
+    """Return a bus's method, changed: where it raises PortError, all torque is unknown then."""
 
     @wraps(method)
     def guarded(bus: _KnowsTorque, *args: Any) -> Any:

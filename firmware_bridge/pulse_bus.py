@@ -34,21 +34,21 @@ from firmware_bridge.errors import PortError
 from firmware_bridge.known_torque import SILENT_S, KnownTorque, Torque, unknown_when_lost
 from firmware_bridge.pulse_servos import PulseScale, PulseServo
 
-#: What no hobby servo can say.
+#: The state of a hobby servo without pulses, in words: it cannot report more.
 PULSES_OFF: Final = "pulses off; a digital servo may hold"
-#: One servo at a time: so long a servo pulls at its hardest to where its first pulse sends it.
+#: Servos start so long after one another: a servo pulls at its hardest to its first pulse.
 STAGGER_S: Final = 0.25
-#: The controller is asked so often what it sends, one channel at a time.
+#: The controller is queried so often for the pulse that it sends, one channel at a time.
 _LOOK_EVERY_S: Final = 0.2
-#: A shorter silence is none: it is only asked now and then.
+#: A shorter silence of the controller is none: it is queried only now and then.
 _SILENT_S: Final = 0.45
-#: What it sends is what it was told, or so near: it may be on its way.
+#: The pulse that a controller sends may differ so much from its goal: it may be on its way there.
 _NEAR_US: Final = 100.0
-#: A Maestro's channel that is an input tells its voltage as less; such a pulse moves no servo.
+#: A smaller "pulse" is none: a Maestro reports the voltage of a channel that is an input that way.
 _NO_PULSE_US: Final = 256.0
-#: One pulse may be lost on the way; a channel that is wrong stays so.
+#: Wrong first pulses after which a channel counts as wrong; a single one may be a lost packet.
 _FAILURES: Final = 2
-#: Pulses are written to the file no more often.
+#: The pulses sent last are written to their file so often.
 _KEEP_EVERY_S: Final = 1.0
 
 
@@ -143,6 +143,7 @@ class KeptPulses:
         known = {str(key): round(value, 2) for key, value in pulses_us.items() if value > 0.0}
         if self._path is None or known in ({}, self._written):
             return
+        # Written beside the file, then moved over it, so that the file is whole at any time.
         coming = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -194,12 +195,14 @@ class PulseBus:
         self._kept = kept or KeptPulses(None)
         self._low_us, self._high_us = scale.min_us, scale.max_us
         self._slow_us_s = np.minimum(CATCH_UP_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
+        # (n,) each. Held: started by `enable_torque`; its turn, perhaps yet to come, is at `_on_s`.
+        # Slow: held, and has not caught up with its goal.
         self._held = np.zeros(n, dtype=np.bool_)
         self._pulsed = np.zeros(n, dtype=np.bool_)  # by the last write that was accepted
         self._slow = np.zeros(n, dtype=np.bool_)
         self._on_s = np.full(n, np.inf)
         self._left_on = np.zeros(n, dtype=np.bool_)  # not started by us, and gets pulses
-        # Sent last, by anybody; the file and what is told of pulses follow it in place.
+        # The pulses sent last, by any process; file and status read this array, changed in place.
         self._last_us = np.full(n, np.nan)
         self.torque = KnownTorque(n, self._last_us)
         self._start_us = scale.neutral_us.copy()  # of those that come on: their first pulse
@@ -225,6 +228,9 @@ class PulseBus:
 
     def write_positions(self, positions_deg: Array) -> None:
         """Set every servo's goal, and send pulses to the servos that have been started.
+
+        A goal beyond a servo's pulses is skipped: it keeps the goal before, and its error is
+        `GOAL_OUT_OF_RANGE`.
 
         Parameters
         ----------
@@ -275,7 +281,10 @@ class PulseBus:
         )
 
     def feedback(self) -> Feedback:
-        """Return unknown positions, and which servos have started, with the goals sent to them."""
+        """Return unknown positions; while servos start or catch up, also `ready` and `sent_deg`.
+
+        ready: servos whose turn to start has come. sent_deg: the joint angle of each one's pulse.
+        """
         self._check_open()
         now_s = self._clock.now()
         ready = sent_deg = None
@@ -291,9 +300,10 @@ class PulseBus:
         return self._controller.remarks()
 
     def look_after(self) -> Health:
-        """Query the controller for a channel's pulse, every .2 s, in case its state was lost.
+        """Query the controller for one servo's pulse, every .2 s, in case its state was lost.
 
-        Return the health, in which only torque and the controller's silence are known.
+        Return the servos' health, of which only torque and the controller's silence are known. All
+        torque is unknown after .5 s of silence.
         """
         self._check_open()
         now_s = self._clock.now()
@@ -325,9 +335,10 @@ class PulseBus:
         return self._wrong[index]
 
     def enable_torque(self, index: int) -> str:
-        """Start a servo's pulses with its last one, .25 s or more after the servo before it.
+        """Start a servo's pulses, with the last pulse it had, .25 s or more after the servo before.
 
-        Return "" if it is started, else why it may not start.
+        Return "" if its start is accepted, which may lie ahead, else why it may not start. A servo
+        without a known last pulse starts at neutral. Then it moves slowly until it has caught up.
         """
         if why := self.obstacle(index):
             return why
@@ -339,6 +350,7 @@ class PulseBus:
         self._start_us[index] = np.clip(last_us, scale.min_us[index], scale.max_us[index])
         self._goal_us = self._goal_us.copy()
         self._goal_us[index] = self._start_us[index]
+        # A servo that has pulses already need not wait for its turn.
         if self._left_on[index]:
             self._on_s[index] = now_s
             self._left_on[index] = False
@@ -417,6 +429,7 @@ class PulseBus:
         self._goal_us = np.where(known, self._last_us, self._goal_us)
 
     def __enter__(self) -> Self:
+        """Read the pulses that earlier processes sent last, and open the controller."""
         kept = self._kept.read()
         for index, channel in enumerate(self._channels):
             self._last_us[index] = kept.get(channel, np.nan)
@@ -430,14 +443,18 @@ class PulseBus:
             if self._has_sent and self.torque.any_on is not False:
                 self.disable_all()
         except PortError:
-            pass  # whoever waits for the port tells of it
+            pass  # the process that waits for the port reports it
         finally:
             self._is_open = False
             self._controller.close()
             self._kept.close()
 
     def _release(self, which: NDArray[np.bool_]) -> None:
-        """End the pulses of some servos. which: (n_servos,), True for these."""
+        """End the pulses of some servos. which: (n_servos,), True for these.
+
+        Their goals become their last pulses, from which they start again; torque is unknown until
+        the controller is queried.
+        """
         self._goal_us = np.where(which & self._pulsed, self._last_us, self._goal_us)
         self._is_steady = False
         self._held &= ~which
@@ -448,9 +465,11 @@ class PulseBus:
         self._send()
 
     def _send(self) -> None:
-        """Send started servos their pulses, slowly until they have caught up, and the others 0.
+        """Send pulses to servos whose turn to start has come, and 0 (no pulse) to all others.
 
-        Those that were found with pulses keep theirs.
+        Started servos move slowly until they have caught up with their goals. Servos that had
+        pulses when the port was opened, and were not started since, go on getting the same. If the
+        controller has lost its state, all are marked off.
         """
         now_s = self._clock.now()
         if self._is_steady:
@@ -462,7 +481,7 @@ class PulseBus:
             return
         on = self._held & (self._on_s <= now_s)
         if any_set(self._slow):
-            # The first pulse is the last one of before.
+            # From its last pulse, at first that of its start, each moves by what it may since then.
             from_us = self._from_us
             seconds = np.where(self._on_s <= self._sent_s, now_s - self._sent_s, 0.0)
             reach_us = self._slow_us_s * seconds
@@ -487,7 +506,10 @@ class PulseBus:
                 self._check_first(index)
 
     def _lose_all(self) -> None:
-        """Mark all servos off: the controller lost its state. Goals are the last pulses again."""
+        """Mark all servos as not started, since the controller lost its state and sends no pulses.
+
+        Goals become the pulses sent last, from which servos start again.
+        """
         self._held[:] = self._slow[:] = self._is_steady = False
         self._on_s[:] = np.inf
         self._pulsed = np.zeros_like(self._held)
@@ -498,19 +520,26 @@ class PulseBus:
         self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
-        """Query the pulse of the next servo; mark it off if it has none and should have."""
+        """Query the pulse of the next servo in turn; act where it is not as it should be.
+
+        A servo that should have a pulse and has none is marked as not started; one that should have
+        none is sent 0 again. now_s: monotonic.
+        """
         on = self._held & (self._on_s <= now_s)
         self._next = index = (self._next + 1) % len(on)
         sending_us = self._ask(index)
         if not on[index]:
             if sending_us > 0.0 and not self._held[index] and self._has_sent:
-                self._send()  # it was told to stop, and did not hear
+                self._send()  # the packet that ended its pulses was lost
                 self._ask(index)
         elif sending_us == 0.0:
             self._held[index] = self._is_steady = False
 
     def _check_first(self, index: int) -> None:
-        """Query the pulse of a servo just started; one that gets another is not driven."""
+        """Query the pulse of a servo just started; if it is not the one sent, stop the servo.
+
+        After two wrong pulses `obstacle` returns the reason, so that it is not started again.
+        """
         sending_us = self._ask(index)
         if np.isnan(sending_us):
             return

@@ -23,21 +23,21 @@ from firmware_bridge.clock import Clock
 from firmware_bridge.errors import BusError, PortError, PortGone
 from firmware_bridge.known_torque import SILENT_S, KnownTorque, Torque
 
-#: Of a tick, that it may wait for a bus; a few milliseconds where ticks are short.
+#: Share of a tick that the loop may wait for buses, and the least wait where ticks are short.
 _SHARE: Final = 0.5
 _LEAST_WAIT_S: Final = 0.005
-#: So long is waited between ticks: for torque off everywhere, for places, for a port to open, for
-#: the end. What takes longer goes on, and is taken up when it is asked for again.
+#: Longest waits outside of ticks: for torque off on all buses, for positions, for a port to open,
+#: for the end. A job that takes longer goes on in its thread; the next call takes its result.
 _OFF_S: Final = 0.1
 _READ_S: Final = 0.5
 _OPEN_S: Final = 0.1
 _END_S: Final = 2.0
 #: A bus that stands still for so long counts as lost; its thread may hang in the kernel.
 _HUNG_S: Final = 5.0
-#: Of a program that runs nobody looks later than that.
+#: A loop that runs checks its buses more often than that; a longer pause is the program's own.
 _PAUSE_S: Final = 0.5
 _BUSY: Final = "has not confirmed yet: its bus is busy"
-#: What a job is: its name, and which servo of the bus it is about.
+#: The key of a job: its name, and the index on the bus of the servo that it concerns, -1: all.
 _Key = tuple[str, int]
 _ALL: Final = -1
 _WRITE: Final = ("write", _ALL)
@@ -116,6 +116,7 @@ class BusThread:
             if key not in self._answers and key != self._running and key not in self._jobs:
                 for other in [each for each in self._answers if each[1] == key[1]]:
                     del self._answers[other]
+                # A servo that may hold from now on is no longer known to be off.
                 if holds and _OFF in self._answers:
                     self._answers[_OFF][key[1]] = False
                 self._put(key, job)
@@ -228,7 +229,7 @@ class BusThread:
                 answer = job()
             except PortError as gone:
                 lost = gone
-            except Exception as other:  # for whoever asked
+            except Exception as other:  # raised by the next `wait`
                 error = other
             with self._changed:
                 self._running = None
@@ -339,11 +340,15 @@ class SeveralBuses:
         return found
 
     def feedback(self) -> Feedback:
-        """Return every servo's feedback; of a bus that is behind, its last one with its age."""
+        """Return every servo's feedback; of a bus that is behind, its last one with its age.
+
+        Servos of a bus that has not reported yet have NaN and infinite age. Raises PortGone.
+        """
         n = self._n_servos
         self._ask_all(_FEEDBACK, BusThread.hear)
         now_s = self._clock.now()
         newest = [each.feedback[0] for each in self._threads.values() if each.feedback is not None]
+        # Only buses whose servos start in turn (hobby servos) report `ready` and `sent_deg`.
         has_stopping_order = any(each.ready is not None for each in newest)
         found = Feedback(
             time_s=now_s,
@@ -390,7 +395,7 @@ class SeveralBuses:
                     found.silent_s[each.at] += now_s - taken_s
                 if all_set(found.silent_s[each.at] >= SILENT_S):
                     self._remark(f"bus {each.name}: no servo answers; the other buses go on")
-        found.torque[:] = self.torque.states  # of a bus that is mute its last reading says too much
+        found.torque[:] = self.torque.states  # unknown for a mute bus, unlike its last report
         return found
 
     def remarks(self) -> Sequence[str]:
@@ -487,6 +492,7 @@ class SeveralBuses:
         return self
 
     def __exit__(self, *exc: object) -> None:
+        """Have every bus switch torque off and close its port; wait for that, 2 s at most."""
         threads, self._threads = self._threads.values(), {}
         for each in threads:
             each.leave()

@@ -33,7 +33,7 @@ Model = TypeVar("Model")
 
 @dataclass(frozen=True, slots=True)
 class SimulationRequest:
-    """Which simulated servos a person wants at a port of their own.
+    """A request for simulated servos at a port of their own.
 
     n_servos, first_id: how many, and the first one's id, where they belong to no face. model: None:
     the usual one. baud_rate: None: that of the face, or the factory's. faults: the YAML text of a

@@ -10,7 +10,7 @@ from firmware_bridge.capabilities import BusCapabilities
 
 #: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
 PORT_WAIT_S: Final = 30.0
-#: Why a start is refused for the moment between the last servo's word and the supervisor's.
+#: Why a start is refused until the supervisor has reported the end of the stop.
 START_WHILE_STOPPING: Final = "the face is stopping: start it once its servos are confirmed limp"
 
 
@@ -99,7 +99,10 @@ class StopReport:
         return "\n".join(lines)
 
     def line(self) -> str:
-        """Return one line for a log on which servos confirmed torque off; the face need not end."""
+        """Return one line for a log: which servos confirmed torque off, and which did not, and why.
+
+        Unlike `text` it does not say that the face has stopped.
+        """
         n = len(self.confirmed)
         if self.released and self.complete:
             n_released = len(self.released)

@@ -40,14 +40,18 @@ class SimulatedFace:
     """
 
     def __init__(self, process: "subprocess.Popen[str]", folder: Path) -> None:
+        """Wait until the face in `process` drives its servos; it is killed after 120 s.
+
+        folder: of its files `token` and `trace.jsonl`. Raises RuntimeError if the process ends.
+        """
         assert process.stderr is not None
         self._process = process
         self._messages = process.stderr
         self._lines: list[str] = []
         self._trace = folder / "trace.jsonl"
-        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader = threading.Thread(target=self._read_messages, daemon=True)
         self.url = ""
-        self._is_over = threading.Event()
+        self._has_ended = threading.Event()
         giving_up = threading.Timer(_PATIENCE_S, process.kill)
         giving_up.start()
         self._reader.start()
@@ -91,22 +95,25 @@ class SimulatedFace:
             speech.wait()
 
     def encoders_deg(self) -> dict[str, float]:
-        """Return each servo's position by its encoder, in degrees of its joint, by name.
+        """Return each servo's measured position by its name, in degrees of its joint.
 
         NaN where a servo has not answered or cannot report its position.
         """
         from firmware_bridge.process.control_client import running_faces, watch
         from lipservo.runtime.status.live_board import LiveBoard
 
+        # One face: the fixture's LIPSERVO_RUNTIME hides those that run outside the test.
         (face,) = running_faces()
         with LiveBoard.watch(watch(face.path)) as board:
             _, newest = board.servos_since(0)[-1]
             return dict(zip(board.layout.servos, newest["encoder_deg"].tolist(), strict=True))
 
     def stop(self) -> dict[str, Any]:
-        """Switch torque off, as a limp stop does, and return the stop report: `confirmed` servos.
+        """Switch all torque off at once (a limp stop), and return the stop report.
 
-        The daemon then waits for a start. Raises RuntimeError where no report comes.
+        `confirmed` has the names of the servos that confirmed torque off, `unconfirmed` a reason
+        for each other one. Blocks until the report; RuntimeError after 120 s. The daemon goes on
+        and waits for a start.
         """
         give_up_s = time.monotonic() + _PATIENCE_S
         with self.connect() as face:
@@ -119,13 +126,13 @@ class SimulatedFace:
         raise RuntimeError("the simulated face did not report its stop")
 
     def end(self) -> list[dict[str, Any]]:
-        """End the daemon and return the trace of its run.
+        """End the daemon, wait for its end, and return the trace of its run.
 
         Returns
         -------
         list of dict
-            One a tick, as `--trace` writes them: `sound_s`, `phoneme`, `coefficients`, `sent_deg`
-            (one a servo) and more; docs/traces.md.
+            One for each tick of the motion loop, as `--trace` writes them: `sound_s`, `phoneme`,
+            `coefficients`, `sent_deg` (one a servo) and more; docs/traces.md.
 
         Raises
         ------
@@ -146,27 +153,30 @@ class SimulatedFace:
         return [row for row in rows if "tick" in row]
 
     def _wait_until_driven(self, token: Path) -> None:
-        """Wait until the face drives its servos, and read its token from the file `token`.
+        """Wait until the face drives its servos; set `token` from the file at path `token`.
 
         Raises RuntimeError if the process ends before it listens for voice agents.
         """
         while not self.url:
-            if self._is_over.wait(_POLL_S):
+            if self._has_ended.wait(_POLL_S):
                 raise RuntimeError(f"the simulated face did not start: {self.messages.strip()}")
         self.token = token.read_text().strip()
         with self.connect() as face:
             while face.status()["state"] != "driven":
                 time.sleep(_POLL_S)
 
-    def _read(self) -> None:
-        """Store the lines and the URL that the face prints, so that no full pipe blocks it."""
+    def _read_messages(self) -> None:
+        """Store the lines that the face prints on stderr, and the URL announced in one of them.
+
+        Runs in a thread until the face ends: a full pipe would block the face.
+        """
         for line in self._messages:
             self._lines.append(line)
             del self._lines[:-1000]
             _, announced, url = line.partition("voice agents: ")
             if announced:
                 self.url = url.strip()
-        self._is_over.set()
+        self._has_ended.set()
 
 
 @pytest.fixture(scope="session")
@@ -181,24 +191,25 @@ def simulated_face(simulated_face_config: str) -> Iterator[SimulatedFace]:
 
     Servos that its YAML has at a port are simulated behind pseudo-terminals: none moves.
     """
-    with _started(simulated_face_config) as face:
+    with _running_face(simulated_face_config) as face:
         yield face
 
 
 @pytest.fixture(scope="session")
 def shared_simulated_face(simulated_face_config: str) -> Iterator[SimulatedFace]:
     """Yield one running face for all tests of a session, which connect to it and never end it."""
-    with _started(simulated_face_config) as face:
+    with _running_face(simulated_face_config) as face:
         yield face
 
 
 @contextmanager
-def _started(config: str) -> Iterator[SimulatedFace]:
+def _running_face(config: str) -> Iterator[SimulatedFace]:
     """Yield a running simulated face, with files in a temporary folder; end the face afterwards."""
-    # Here, since pytest loads this module for every test of every project.
+    # Imported here, since pytest loads this module for every test of every project.
     from lipservo.runtime.servos.assembly import load_settings
     from lipservo.runtime.servos.sim_process import servo_port
 
+    # Servos that the YAML has in memory need no port; others are simulated at a pseudo-terminal.
     in_memory = load_settings(config)[0].capabilities.in_memory
     folder = Path(tempfile.mkdtemp(prefix="lipservo-"))  # short: a socket's address has 107 bytes
     try:
@@ -210,7 +221,7 @@ def _started(config: str) -> Iterator[SimulatedFace]:
             environment.setenv("LIPSERVO_STATE", str(folder / "state"))
             arguments = ["--config", config, "--listen", "127.0.0.1:0", "--play", "silent"]
             arguments += [] if port is None else ["--port", port]
-            with _daemon([*arguments, "--trace", str(folder / "trace.jsonl")]) as process:
+            with _daemon_process([*arguments, "--trace", str(folder / "trace.jsonl")]) as process:
                 face = SimulatedFace(process, folder)
                 yield face
                 if process.poll() is None:
@@ -220,7 +231,7 @@ def _started(config: str) -> Iterator[SimulatedFace]:
 
 
 @contextmanager
-def _daemon(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
+def _daemon_process(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
     """Yield the process `lipservo daemon` with these arguments; kill it when the block ends."""
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "lipservo", "daemon", *arguments],

@@ -22,9 +22,9 @@ _SHARE_OF_LIMITS = 0.99
 #: Nineteen of twenty P B M last so long or longer, so lips that are so late still touch within it.
 #: Measured: docs/decisions/closures.md.
 _NOTICE_S = 0.04
-#: More sweeps come nearer to the least squares, and cost 30 us each where a window is too fast.
+#: Sweeps of the least-squares approximation in a window that is too fast; each costs 30 us.
 _SWEEPS: Final = 3
-#: A joint that is this far from what was wanted shows it: it moves a lip by some tenths of a mm.
+#: A joint that is so far from its target counts as held back: a lip is off by some tenths of a mm.
 _NOTED_DEG = 2.0
 
 
@@ -68,12 +68,12 @@ class JointPlan:
         self._n_steps = 0
         self._n_held_back = np.zeros(len(max_speed_deg_s), dtype=np.int64)
         self._is_held_back = self._n_held_back > 0
-        # From rest to full speed; an acceleration without limit needs no time.
+        # Seconds from rest to full speed: v / a, 0 without a limit of acceleration.
         self._rising_s = self._speed_deg_s / self._acceleration_deg_s2
         self._rises = bool(self._rising_s.any())
         bounded = np.isfinite(max_acceleration_deg_s2)
         self._gentle_deg_s2 = np.where(bounded, self._acceleration_deg_s2, 0.0) / 4.0
-        # Ranges are kept by whoever wants a pose, and by the last gate.
+        # The range of the joints is kept by the poses of a window, and by the limiter at the bus.
         anywhere_deg = np.full(len(max_speed_deg_s), 1e6)
         self._anywhere_deg = -anywhere_deg, anywhere_deg
 
@@ -96,6 +96,7 @@ class JointPlan:
             before_deg = goal_deg
             self._smooth.rest_at(goal_deg)
         if len(poses_deg) > 1:
+            # Later mandatory poses are kept within reach, the nearest last, since it counts most.
             goal_deg = self._feasible(window.times_s, poses_deg)
             for later in np.flatnonzero(window.must_meet)[::-1].tolist():
                 later_deg, reach_deg = poses_deg[later], self._reach(window.times_s[later])
@@ -128,7 +129,8 @@ class JointPlan:
     def _closable(self, window: TargetWindow) -> Array:
         """Return the window's poses, (k, n_joints) degrees, kept near enough to the urgent pose.
 
-        From each the urgent pose can be reached in time; mandatory poses stay as they are.
+        From each pose the urgent one can be reached within the window and the notice that closures
+        need, .04 s; mandatory poses stay as they are. Without an urgent pose nothing is limited.
         """
         poses_deg, urgent_deg = window.positions_deg, window.urgent_deg
         if urgent_deg is None:
@@ -151,6 +153,8 @@ class JointPlan:
         found_deg, given_deg = poses_deg.copy(), np.zeros_like(reach_deg)
         for _ in range(_SWEEPS):
             for n in range(len(reach_deg) - 1, -1, -1):
+                # What a pair is too far apart, after its former correction is undone, is shared by
+                # both poses.
                 apart_deg = found_deg[n + 1] - found_deg[n] + given_deg[n]
                 excess_deg = apart_deg - clip(apart_deg, -reach_deg[n], reach_deg[n])
                 change_deg = 0.5 * (excess_deg - given_deg[n])
@@ -160,7 +164,11 @@ class JointPlan:
         return np.asarray(found_deg[0])
 
     def _reach(self, time_s: float) -> Array:
-        """Return how far joints move from rest to rest in `time_s`, (n_joints,) degrees."""
+        """Return how far joints move from rest to rest in `time_s`, (n_joints,) degrees.
+
+        With speed v, acceleration a, and v / a s to reach v: a t^2 / 4 if t < 2 v / a, else
+        v (t - v / a).
+        """
         if not self._rises:
             return self._speed_deg_s * time_s
         gentle_deg = self._gentle_deg_s2 * time_s * time_s

@@ -22,8 +22,9 @@ def clip(values: Array, low: Array, high: Array) -> Array:
 def braking_speed(distance_deg: Array, deceleration_deg_s2: Array, step_s: float) -> Array:
     """Return the highest speed of the next step from which a joint stops within a distance.
 
-    Steps u, u - a, u - 2a, ... (in units of a x step^2) down to rest: with u = m + f, 0 <= f < 1,
-    they add up to (m + 1)(m / 2 + f). Solved for u, so the stop is exact on the grid.
+    Braking takes steps of u, u - 1, u - 2, ... down to rest, in units of deceleration x step_s^2.
+    With u = m + f, m whole and 0 <= f < 1, they add up to the distance d = (m + 1)(m / 2 + f). This
+    is solved for u, so that the stop is exact on the grid of steps.
 
     Parameters
     ----------
@@ -52,6 +53,7 @@ class AccelerationLimit:
     """
 
     def __init__(self, max_acceleration_deg_s2: Array, max_speed_deg_s: Array) -> None:
+        """Set the limits, (n_joints,) each; infinite acceleration: the joint is not limited."""
         self._limited = np.isfinite(max_acceleration_deg_s2)
         self._any = bool(self._limited.any())
         self._acceleration = np.where(self._limited, max_acceleration_deg_s2, 1e12)
@@ -94,6 +96,8 @@ class AccelerationLimit:
         """
         if not self._any or step_s <= 0.0:
             return wanted
+        # All speeds in degrees / s. The joint follows a moving target at the target's own speed,
+        # plus that from which it can still stop at the target.
         a, change = self._acceleration, self._acceleration * step_s
         left = wanted - sent
         moving = clip((wanted - self._wanted) / step_s, -self._top, self._top)
@@ -104,6 +108,7 @@ class AccelerationLimit:
         )
         velocity = clip(np.sign(left) * speed, self._velocity - change, self._velocity + change)
         velocity = clip(velocity, -self._top, self._top)
+        # Within the range the joint must be able to stop at its ends.
         inside = (low <= sent) & (sent <= high)
         up, down = (braking_speed(room, a, step_s) for room in (high - sent, sent - low))
         velocity = np.where(inside, clip(velocity, -down, up), velocity)
@@ -159,11 +164,11 @@ class Prevention:
         self._above = [rule.above for rule in rules]
 
     def cut(self, from_deg: Array, to_deg: Array) -> Array:
-        """Return the goals in place of `to_deg` that keep the rules between joints.
+        """Return goals in place of `to_deg` that keep the rules between joints.
 
-        All joints of a rule stop at the same share of their step. Cutting for one rule may break
-        another, so it is repeated; when that does not help, the step is not made and `from_deg` is
-        returned.
+        All joints of a broken rule make the same share of their step from `from_deg`. That may
+        break another rule, so it is repeated; if a rule is still broken then, `from_deg` is
+        returned. `to_deg` itself is returned where nothing was cut.
 
         Parameters
         ----------
@@ -195,8 +200,8 @@ class Prevention:
 
 #: Rounding of float64 arithmetic is no violation; a servo's own step is 0.088 deg.
 _SAME_DEG = 1e-6
-#: Missed ticks are not made up for: the servos stood still at the last goal meanwhile, and a step
-#: of two periods would be run through at twice the speed that a person was promised.
+#: The longest step, in periods. Missed ticks are not made up for: the servos stood still at the
+#: last goal meanwhile, and would go through a step of two periods at twice the allowed speed.
 _LONGEST_STEP_PERIODS = 1.0
 #: After so long without a goal the servos stand: an acceleration-limited motion starts from rest.
 _STALL_PERIODS = 2.0 + 1e-6
@@ -238,6 +243,10 @@ class Limiter:
     def __init__(
         self, joints: Sequence[Joint], period_s: float, prevent: Sequence[PreventRule] = ()
     ) -> None:
+        """Take limits from `joints`; `start_from` sets positions. prevent: rules between joints.
+
+        Raises ValueError for a rule that lacks a joint's factor or forbids neutral.
+        """
         n_joints = len(joints)
         self._min_deg = np.array([joint.min_deg for joint in joints])
         self._max_deg = np.array([joint.max_deg for joint in joints])
@@ -252,7 +261,7 @@ class Limiter:
         self._totals = np.zeros((4, n_joints), dtype=np.int64)
         self._range_hits, self._rate_hits, self._rejected, self._prevented = self._totals
         self._no_joint = np.zeros(n_joints, dtype=np.bool_)
-        self._no_joint.flags.writeable = False  # handed out again and again
+        self._no_joint.flags.writeable = False  # returned again and again, without a copy
         accelerations = np.array([joint.max_acceleration_deg_s2 for joint in joints])
         self._acceleration = AccelerationLimit(accelerations, self._max_speed_deg_s)
         self._prevention = Prevention(prevent, n_joints)
@@ -350,7 +359,8 @@ class Limiter:
     def hold_back(self, ready: NDArray[np.bool_] | None) -> None:
         """Keep joints that are not ready at their last goal; once ready, each catches up slowly.
 
-        So the rules between joints count with the position to which each is sent, not its target.
+        Not ready are hobby servos that wait for their turn to start. So the rules between joints
+        use the position that each was really sent to, not its target.
 
         Parameters
         ----------
@@ -392,11 +402,13 @@ class Limiter:
             wanted_deg, rejected = before_deg, ~no_joint
         elif not all_set(finite := np.isfinite(positions_deg)):
             wanted_deg, rejected = np.where(finite, positions_deg, before_deg), ~finite
+        # Range. After a pause the joints stand, so that acceleration counts from rest.
         in_range_deg = clip(wanted_deg, self._low_deg, self._high_deg)
         since_s = max(0.0, time_s - self._sent_at_s)
         if since_s > _STALL_PERIODS * self._longest_step_s:
             self._acceleration.rest_at(before_deg)
         elapsed_s = min(since_s, self._longest_step_s)
+        # Speed: none for joints that wait for their start, little while they catch up.
         top_deg_s = self._max_speed_deg_s
         if self._any_late:
             top_deg_s = np.where(self._catches_up, self._slow_deg_s, top_deg_s)
@@ -405,6 +417,7 @@ class Limiter:
         reached_deg = self._acceleration.step(
             before_deg, in_range_deg, self._low_deg, self._high_deg, elapsed_s
         )
+        # A joint beyond its range may stay where it is, and goes no farther out.
         least_deg = np.minimum(self._low_deg, before_deg)
         most_deg = np.maximum(self._high_deg, before_deg)
         low_deg = np.maximum(least_deg, before_deg - step_deg)
@@ -440,9 +453,10 @@ class Limiter:
     def _hits(
         self, limited_deg: Array, wanted_deg: Array, total: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
-        """Return where limits changed `wanted_deg`, (n_joints,), and count it in `total`.
+        """Return where limits changed `wanted_deg`, (n_joints,); add 1 there to `total`.
 
-        Nearly always none did.
+        limited_deg, wanted_deg: (n_joints,) degrees after and before a limit. Nearly always they
+        are equal, so that is tested first, by bytes, which is quick.
         """
         if limited_deg is wanted_deg or limited_deg.tobytes() == wanted_deg.tobytes():
             return self._no_joint

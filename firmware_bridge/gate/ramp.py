@@ -88,9 +88,9 @@ class Ramp:
 
 #: Time to neutral when the joints can make it: a person waits for it.
 _EASE_S: Final = 0.5
-#: The joints go limp after this long wherever they are: whoever pressed Ctrl-C is waiting.
+#: The joints go limp after this long wherever they are, since a person waits for the stop.
 _LONGEST_S: Final = 2.0
-#: What the limits of the gate may leave of the way by rounding; no servo resolves it.
+#: Rounding in the limiter may leave a joint so far from neutral; no servo resolves it.
 _SAME_DEG: Final = 1e-6
 
 
@@ -98,11 +98,15 @@ class EaseToNeutral:
     """A move from the joints' positions, (n_joints,) degrees, to neutral; at rest at both ends."""
 
     def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
+        """Begin at `start_deg`, (n_joints,) degrees, at monotonic `start_s`.
+
+        It takes .5 s, or as long as the slowest joint needs at its top speed.
+        """
         speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
         needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
         neutral_deg = np.zeros_like(start_deg)
         self._ramp = Ramp(start_deg, neutral_deg, start_s, max(_EASE_S, needed_s), eased=True)
-        #: Whether every joint was told to be at neutral, which is where it goes limp.
+        #: Whether every joint had been sent to neutral when the move was over.
         self.arrived = False
 
     def at(self, time_s: float) -> Array:

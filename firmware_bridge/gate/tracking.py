@@ -26,16 +26,16 @@ _MEMORY_S: Final = 1.5
 #: of it. Driven well it makes .68 and more of it, jammed .06 and less (bundled clip, simulator).
 _ENOUGH_TRAVEL_DEG: Final = 6.0
 _TRAVEL_SHARE: Final = 0.25
-#: Motion to and fro within twice this is not travel: of goals, what friction may swallow; of
-#: encoders, their flicker (a step is 0.088 degrees).
+#: Motion to and fro within twice this does not count as travel: of goals, since friction may
+#: swallow it; of encoders, since they flicker (a step is 0.088 degrees).
 _GOAL_SLACK_DEG: Final = 1.0
 _ENCODER_SLACK_DEG: Final = 0.2
 #: Places are compared so far apart at least, to save CPU: every second tick at 30 Hz, every fifth
 #: at 100. A mouth goes to and fro five times a second at most. A little less than the 50 ms meant,
 #: so that rounding makes no sixth tick of the fifth.
 _SAMPLE_S: Final = 0.049
-#: A tick counts for so long at most. What a busy computer stole between two of them is no time in
-#: which a servo was seen to fail, so that half a second of doubt is ten ticks at least.
+#: The time from one tick to the next counts for so long at most. A busy computer may take longer,
+#: but saw no servo fail meanwhile; so half a second of not following is ten ticks at least.
 _TICK_S: Final = 0.05
 
 
@@ -76,6 +76,7 @@ class TrackingMonitor:
     """
 
     def __init__(self, joints: Sequence[Joint], rule: TrackingRule) -> None:
+        """Begin without errors. rule: how far a servo may be from its goal, and for how long."""
         self._rule = rule
         self._allowed_deg = np.array([rule.allowed_deg(joint) for joint in joints])
         self._within_s: Array = np.full(len(joints), math.inf)
@@ -123,12 +124,15 @@ class TrackingMonitor:
         NDArray[np.bool_]
             (n_servos,): True for those that have not followed.
         """
+        # Time that ticks took beyond .05 s each is left out of `seen_s`.
         self._stolen_s += max(0.0, feedback.time_s - self._ticked_s - _TICK_S)
         self._ticked_s = feedback.time_s
         seen_s = feedback.time_s - self._stolen_s
         suspended = None
         if feedback.time_s < self._all_count_s:
             suspended = feedback.time_s < self._suspended_until_s
+        # Positions read now are compared with the goals of the tick before; a servo that did not
+        # answer just now keeps its last error.
         goals_deg = sent_deg if self._goals_deg is None else self._goals_deg
         self._goals_deg = sent_deg
         error_deg = np.abs(goals_deg - feedback.positions_deg)
@@ -138,16 +142,17 @@ class TrackingMonitor:
             error_deg = np.where(heard, error_deg, self.error_deg)
         self.error_deg = error_deg
         self._travel.observe(goals_deg, feedback.positions_deg, seen_s, heard)
+        # A servo has not followed once it has been too far off, or still, for `after_s` on end.
         doubtful = self.error_deg > self._allowed_deg
         doubtful |= self._travel.still
         if suspended is not None:
             doubtful &= ~suspended
             self._travel.travelled_deg[:, suspended] = 0.0
-        if not any_set(doubtful):  # nearly always so
+        if not any_set(doubtful):  # nearly always
             self._within_s.fill(seen_s)
             return doubtful
         self._within_s[~doubtful] = seen_s
-        np.minimum(self._within_s, seen_s, out=self._within_s)  # a doubt that begins now
+        np.minimum(self._within_s, seen_s, out=self._within_s)  # infinite: counted from now on
         return seen_s - self._within_s > self._rule.after_s
 
 
@@ -159,6 +164,7 @@ class _Travel:
     """
 
     def __init__(self, n: int) -> None:
+        # Rows of two: goals, encoders. Arrays are made once and changed in place.
         self.travelled_deg = np.zeros((2, n))
         self.still = np.zeros(n, dtype=np.bool_)
         self._goal_deg, self._made_deg = self.travelled_deg
@@ -179,7 +185,7 @@ class _Travel:
         """Update `travelled_deg` and `still` from one tick.
 
         goals_deg, places_deg: (n_servos,), goals and positions. seen_s: the tick's monotonic time,
-        less all that ticks took beyond .05 s each. heard: (n_servos,), True for servos that
+        less all that ticks lasted beyond .05 s each. heard: (n_servos,), True for servos that
         answered; None: all did. Arrays are changed in place, and only every 50 ms or so, to save
         time in every tick.
         """
@@ -196,7 +202,8 @@ class _Travel:
         moved_deg -= self._places_deg
         if heard is not None:
             moved_deg[:, ~heard] = 0.0
-        # A place is dragged along behind by its slack, as by a loose coupling.
+        # Each stored place follows as if pulled by a loose coupling: the slack of a motion does not
+        # move it; the rest does, and is travel.
         np.minimum(moved_deg, self._slack_deg, out=dragged_deg)
         np.maximum(dragged_deg, self._less_slack_deg, out=dragged_deg)
         moved_deg -= dragged_deg

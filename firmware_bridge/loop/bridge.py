@@ -290,7 +290,7 @@ class Bridge:
 
         The report has the goals wanted and sent, the age of the targets, whether torque is on, and
         which limits changed a goal. time_s: the tick's planned time, monotonic. late: how many
-        ticks were missed before it.
+        ticks were missed before it. Trouble of port or servos is handled here, not raised.
         """
         self._tick_s = time_s
         port, targets, servos = self._port, self._targets, self._servos
@@ -303,6 +303,7 @@ class Bridge:
                 targets.follow()
         silence_s = targets.silence_s(time_s)
         level = self._settings.stale.level(silence_s)
+        # Only a face that has had a first target since its start can miss one.
         waits = port.is_open and self._state in (_DRIVEN, _SILENT) and targets.was_spoken_to
         self.counts.add(late, is_stale=waits and level is not _FRESH)
         acted = None
@@ -314,6 +315,7 @@ class Bridge:
                     acted = self._act(time_s)
             except PortError:
                 self._unplug(time_s)
+        # Without an open port nothing was sent: the report repeats the last goals.
         wanted_deg, limited = acted or (targets.held_deg, servos.limiter.unchanged())
         return TickReport(
             time_s=time_s,
@@ -395,7 +397,10 @@ class Bridge:
                 return self._port.is_open and self._servos.supervision.any_driven
 
     def _do(self, action: FaceAction) -> None:
-        """Carry out one action of `FACE_TABLE`. BEGIN raises PortError; others note a lost port."""
+        """Carry out one action of `FACE_TABLE`.
+
+        BEGIN raises PortError. In all other actions a port that fails is marked as lost.
+        """
         servos = self._servos
         match action:
             case FaceAction.ALLOW_TORQUE:
@@ -421,7 +426,7 @@ class Bridge:
                 self.counts.n_armed += 1
 
     def _begin(self) -> None:
-        """Let targets and goals begin where the servos stand. Raises PortError."""
+        """Read the servos' positions; set them as last goals and as targets. Raises PortError."""
         readings = self._servos.read()
         present_deg, self._tick_s = readings.start_deg(self.capabilities), readings.time_s
         self._servos.limiter.start_from(present_deg, self._tick_s)
@@ -429,9 +434,10 @@ class Bridge:
         self._easing = None
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:
-        """Run the tick of a face that is not driven; return the goals (wanted, sent after limits).
+        """Run the tick of a face that does not follow targets; return goals (wanted, after limits).
 
-        Eases it, holds it frozen, or switches torque off until all servos have confirmed.
+        By its state: ease it to neutral, hold it frozen, or switch torque off until all servos have
+        confirmed. Goals are (n_joints,) degrees. Raises PortError.
         """
         if self._state is FaceState.EASING:
             return self._ease(time_s)
@@ -446,15 +452,18 @@ class Bridge:
         return self._targets.held_deg, self._servos.limiter.unchanged()
 
     def _drive(self, time_s: float, wanted_deg: Array, level: StaleLevel) -> tuple[Array, Limited]:
-        """Run the tick of a driven face; return the goals (wanted, sent after limits).
+        """Run the tick of a driven face; return the goals (wanted, after limits), (n_joints,) deg.
 
-        level: what the age of the targets requires; LIMP switches all torque off.
+        wanted_deg: the targets. level: what the age of the targets requires; LIMP switches all
+        torque off. The face is stopped if a critical servo has failed. Raises PortError.
         """
         limiter, scale = self._servos.limiter, self._servos.scale
         if level is StaleLevel.LIMP:
             self._fire(FaceEvent.STALE)
             return wanted_deg, limiter.unchanged()
-        scaled_deg = wanted_deg * scale
+        scaled_deg = wanted_deg * scale  # smaller motion spares hot servos
+        # A person who jogs a joint may lead it beyond its limits: the range of the limiter follows,
+        # and shrinks again as the joint comes back.
         if self._jog.is_active:
             wanted_deg = scaled_deg = self._jog.guide(scaled_deg, limiter.sent_deg, scale, time_s)
             self._servos.widen(*self._jog.reached(limiter.sent_deg))
@@ -471,13 +480,14 @@ class Bridge:
         return wanted_deg, limited
 
     def _ease(self, time_s: float) -> tuple[Array, Limited]:
-        """Send goals towards neutral; torque off there, or after 2 s.
+        """Run a tick of a soft stop: send goals towards neutral; torque off there, or after 2 s.
 
-        Return the goals (wanted, sent after limits).
+        Return the goals (wanted, after limits), (n_joints,) degrees. Raises PortError.
         """
         limiter = self._servos.limiter
         if self._easing is None:
             self._easing = EaseToNeutral(self._joints, limiter.sent_deg, time_s)
+        # The range of a joint that was jogged beyond its limits shrinks as the joint comes back.
         if self._servos.is_wide:
             self._servos.widen(*self._jog.reached(limiter.sent_deg))
         wanted_deg = self._easing.at(time_s)

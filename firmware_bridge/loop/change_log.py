@@ -10,8 +10,8 @@ from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.process.lifeline import Failed
 
 _LOG: Final = logging.getLogger(__name__)
-#: Troubles are logged so long after the first of them: less than a servo rests before it is tried
-#: again, so that its first fault is named; a servo that missed one answer is well again by then.
+#: Troubles are logged so long after the first change: less than a servo rests before it is tried
+#: again, so that its first fault is named, and long enough for a single lost answer to be over.
 _TROUBLE_LASTS_S: Final = 0.5
 _HEALTH_EVERY_S: Final = 10.0
 _REMARKS_EVERY_S: Final = 1.0
@@ -53,9 +53,10 @@ class ChangeLog:
         self._n_remarks = 0
 
     def look(self, time_s: float) -> None:
-        """Log changes of port, state, troubles and remarks, and report servos that were given up.
+        """Log what has changed since the last call: port, state, lateness, troubles, remarks.
 
-        To be called in every tick, at its monotonic time `time_s`.
+        Servos newly given up are reported to the supervisor. Every 10 s all servos' health is
+        passed on. To be called in every tick, at its monotonic time `time_s`.
         """
         bridge = self._bridge
         if bridge.plugged is not self._plugged:
@@ -103,7 +104,7 @@ class ChangeLog:
         self._state = state
 
     def _log_troubles(self) -> None:
-        """Log the troubles that last, or that all servos hold again where they are known to."""
+        """Log the present troubles; or that there are none any more, if all torque is known on."""
         self._trouble_since_s = float("inf")
         had, self._troubles = self._troubles, self._bridge.troubles
         if self._troubles:

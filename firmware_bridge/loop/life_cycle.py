@@ -100,10 +100,11 @@ class LifeCycleLinks:
 
 
 _LOG: Final = logging.getLogger(__name__)
-#: The end after a second signal or an error: whoever has not confirmed by then is reported.
+#: So long torque off is repeated after a second signal or an error; servos that have not confirmed
+#: by then are reported.
 _LAST_TRIES_S: Final = 0.5
 _OVER: Final = "the program is over: the next stop ends it"
-#: What a supervisor must know of, as the next bridge has to.
+#: Orders to servos that the supervisor is told, since a restarted bridge must keep to them.
 _KEPT: Final = (ServoSwitch.OFF, ServoSwitch.ON)
 
 
@@ -245,10 +246,11 @@ class LifeCycle:
         return kind is ImmediateStop
 
     def _end(self, kind: type[BaseException] | None) -> None:
-        """Run ticks until the face is limp, eased to neutral; hold a frozen face until a stop.
+        """Stop the face and run ticks until it is limp; a frozen face is held until a next stop.
 
-        Does nothing for a face that never started, after `ImmediateStop`, or an error of servos or
-        port. kind: the type of the exception that ends the block; None: there is none.
+        A driven face is eased to neutral first. Does nothing for a face that never started, after
+        `ImmediateStop`, or after an error of servos or port. kind: the type of the exception that
+        ends the `with` block; None: there is none.
         """
         if kind is not None and issubclass(kind, (ImmediateStop, BusError)):
             return
@@ -261,7 +263,10 @@ class LifeCycle:
             self._bridge.tick(time_s, late)
 
     def _disable_all(self) -> None:
-        """Switch torque off now, with ticks for half a second for servos that do not confirm."""
+        """Switch torque off now; run ticks for up to half a second until all servos confirm.
+
+        After a second signal a lost port is waited for 30 s more, or until one more signal.
+        """
         self._fire(LifeEvent.DISABLE)
         self._bridge.stop(StopLevel.LIMP)
         until_s, n_signals = self._clock.now() + _LAST_TRIES_S, self._n_signals
@@ -363,15 +368,16 @@ class LifeCycle:
         return request is not None
 
     def _obey_stop(self, request: StopRequest) -> None:
-        """Carry out a stop: report it to the supervisor process, which keeps it; then stop servos.
+        """Carry out a person's stop: tell the supervisor process of it, then stop the servos.
 
-        The report lets the stop outlive this process. A freeze of a face that is limp, or being let
-        go, changes nothing.
+        The supervisor keeps the stop if this process dies. A freeze of a face that is limp, or on
+        its way to limp, changes nothing and is not reported.
         """
         level, before = request.level, self._request
         _LOG.info("stop requested: %s, by %s", level.value, request.requested_by)
         event = LifeEvent.STOP_AND_END if request.ends else LifeEvent.STOP
         event = LifeEvent.FREEZE if level is StopLevel.FREEZE else event
+        # A row of the table means that the event changes something in the present state.
         is_meant = LIFE_TABLE.find(self._state, event, self._holds) is not None
         if self._links.lifeline is not None and (is_meant or level is not StopLevel.FREEZE):
             self._links.lifeline.tell(Stopped(level, request.ends, request.requested_by))
@@ -399,7 +405,7 @@ class LifeCycle:
         self._bridge.await_start()
 
     def _described(self) -> dict[str, object]:
-        """Return the face's status for clients, with the last stop and the report of its end."""
+        """Return the face's status for clients, as JSON: with the last stop and its stop report."""
         stopped, report = self._request, self._stop_report
         return {
             **self._links.status(),
@@ -445,10 +451,10 @@ class LifeCycle:
         return ""
 
     def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
-        """Carry out a person's orders, and log each.
+        """Carry out the orders to servos and face that clients sent, and log each.
 
-        time_s: the tick's. is_stopped_now: whether a stop came in this tick; then starts are
-        refused.
+        Servos switched off or on are reported to the supervisor, for a restarted bridge. time_s:
+        the tick's. is_stopped_now: whether a stop came in this tick; then starts are refused.
         """
         control, lifeline = self._links.control, self._links.lifeline
         for order in () if control is None else control.take_orders():
@@ -465,9 +471,10 @@ class LifeCycle:
                     lifeline.tell(Switched(index, on=order.switch is ServoSwitch.ON))
 
     def _port_due_s(self, time_s: float) -> float:
-        """Return the monotonic time at which a stop gives up a lost port; infinity: never.
+        """Return the monotonic time at which a stop gives up waiting for a lost port.
 
-        A stop that a person requested through the control socket waits without limit.
+        30 s after the loss was noticed, for a stop by a signal or the program's end; infinity for a
+        stop through the control socket, which waits without limit, and while no port is lost.
         """
         is_lost = not self._bridge.plugged and self._bridge.state is FaceState.LETTING_GO
         if not is_lost or self._state is not LifeState.LEAVING:

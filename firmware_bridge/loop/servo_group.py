@@ -29,13 +29,13 @@ from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.servo_supervision import ServoSupervision
 from firmware_bridge.loop.torque_gate import LET_GO_WITH_IT, PORT_GONE, TorqueGate, TorqueOff
 
-#: Amplitude shrinks over the last degrees below the servo's limit, and with the load's square,
-#: which is what heats a winding: full up to half the stall torque (root mean square).
+#: Amplitude shrinks over the last degrees below the servo's temperature limit, and with the mean
+#: square of the load, which is what heats a winding: full up to half the stall torque (rms).
 _DERATE_FROM_DEGC: Final = 10.0
 _DUTY_S: Final = 60.0
 _DUTY_FULL: Final = 0.25
 _LEAST_SCALE: Final = 0.3
-#: Heat is looked at so often: a winding knows nothing faster, and every tick would pay for it. A
+#: Heat is computed so often, to save time in the ticks between: a winding warms far more slowly. A
 #: little less than the 50 ms meant, so that rounding makes no sixth tick of the fifth.
 _HEAT_EVERY_S: Final = 0.049
 
@@ -52,12 +52,14 @@ class HeatDerating:
         self._scale = np.ones(n_servos)
 
     def scale(self, feedback: Feedback, health: Health) -> Array:
-        """Return the share of its motion that each servo's heat and load allow, new every 50 ms.
+        """Return the share of its amplitude that each servo's temperature and load allow.
+
+        Computed anew every 50 ms; between, the last result is returned.
 
         Parameters
         ----------
         feedback : Feedback
-            Its time, seconds, and effort, (n_servos,) shares of the stall torque.
+            Its time, seconds, and effort, (n_servos,) shares of the stall torque, are used.
         health : Health
             `room_degc`, (n_servos,) degC below each servo's limit.
 
@@ -69,12 +71,15 @@ class HeatDerating:
         if self._duty_at_s is not None:
             if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
                 return self._scale
+            # The effort's mean square: a first-order low-pass with a time constant of 60 s.
             share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
             effort = feedback.effort
             if self._has_load is not None:
                 effort = np.where(self._has_load, effort, 0.0)
             self._duty += share * (effort * effort - self._duty)
         self._duty_at_s = feedback.time_s
+        # Both fall from 1 to 0: with temperature over the last 10 degrees below the limit, with the
+        # mean square from _DUTY_FULL to twice that; the smaller counts.
         warm = health.room_degc / _DERATE_FROM_DEGC
         worked = 2.0 - self._duty / _DUTY_FULL
         scale = np.minimum(warm, worked)
@@ -83,14 +88,16 @@ class HeatDerating:
         return self._scale
 
 
-#: So often everybody is asked where they stand before a start; a lost answer is no reason to fail.
+#: So often positions are read before a start until every servo has answered: one lost packet is no
+#: reason to fail.
 _READS = 5
-#: So often a servo may refuse to hold before a start fails. Arming takes some ten exchanges, and at
-#: a fifth of all packets lost in either direction one attempt in seven gets through them all.
+#: So often switching a servo's torque on is tried before a start fails. It takes some ten exchanges
+#: of packets; with a fifth of all packets lost in either direction one attempt in seven succeeds.
 _REQUESTED = 60
-#: A shaft at top speed is so far behind its goal, in time, and stops there without turning back.
+#: A shaft at top speed that is to stop gets a goal so far ahead of it, in time: it stops there
+#: without turning back.
 _BRAKES_S = 0.02
-#: Of a servo that is to be driven, and is not known to have torque yet.
+#: The state of a servo that is to be driven, and is not known to have torque yet.
 STARTING_WORD: Final = "starting"
 _DRIVEN: Final = int(ServoState.DRIVEN)
 _ON: Final = int(Torque.ON)
@@ -121,13 +128,14 @@ class ServoGroup:
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         #: By how much each joint's amplitude shrinks to spare its servo, (n_joints,).
         self.scale = np.ones(len(self._joints))
-        #: Whether a person has led a joint beyond its limits, to find them.
+        #: Whether a joint's range is wider than its limits now, as a person searches them.
         self.is_wide = False
         self._wide = np.zeros(len(self._joints), dtype=np.bool_)
-        self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)  # frozen, not heard since
-        self._to_keep: deque[int] = deque(maxlen=len(self._joints))  # frozen, may hold or not
+        # Of a frozen face: servos that have not answered since, and those that may hold or not.
+        self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)
+        self._to_keep: deque[int] = deque(maxlen=len(self._joints))
         self._health: Health | None = None
-        #: What the last question of a tick was answered; None before the first.
+        #: The positions, loads and errors read in the last tick; None before the first.
         self.feedback: Feedback | None = None
 
     @property
@@ -174,12 +182,16 @@ class ServoGroup:
             return
         with contextlib.suppress(PortError):
             self.torque_off.begin()
+            # Servos on the other buses that are known to be off have another reason to wait.
             for index in np.flatnonzero(self.torque_off.off).tolist():
                 if self.supervision.states[index] == ServoState.WAITING:
                     self.supervision.note_attempt(index, LET_GO_WITH_IT, time_s)
 
     def read(self) -> Readings:
-        """Read and return all servos' positions; up to four times more while one is missing."""
+        """Read and return all servos' positions; up to five times, until every servo answers.
+
+        Servos that cannot report a position are not waited for. Raises PortError.
+        """
         readings = self._bus.read()
         for _ in range(_READS - 1):
             if np.isfinite(readings.positions_deg[self._has_place]).all():
@@ -216,10 +228,11 @@ class ServoGroup:
         self._refuse(found)
 
     def keep_holding(self, time_s: float) -> None:
-        """Hold the servos of a frozen face that still have torque at their positions.
+        """Hold the servos of a frozen face that still have torque at their present positions.
 
-        A servo that does not confirm is ordered again by `stay_on`: just after a replug answers are
-        lost, and its watchdog, which tripped meanwhile, protects nothing until it was set again.
+        Torque that is off is not switched on. Servos that do not confirm are noted in `_to_keep`,
+        and `stay_on` tries them again: just after a port is plugged in answers are lost, and a
+        watchdog that tripped protects nothing until it is set again.
         """
         self._to_keep.clear()
         here_deg = self._bus.read().start_deg(self._bus.capabilities)
@@ -231,11 +244,11 @@ class ServoGroup:
                 self._to_keep.append(index)
 
     def hold_position(self, time_s: float) -> None:
-        """Set the goals to the servos' present positions, or as near as they can stop.
+        """Set the goals sent last, for a freeze, to where each servo can stop.
 
-        A moving shaft is behind its goal: it may go on to the goal, but no farther than it moves
-        while it brakes. A servo that did not answer just now keeps its goal until it answers
-        (`stay_on`), since its position is unknown.
+        That is its last goal, but no farther from its position than it moves in braking. A servo
+        that did not answer just now keeps its last goal until it answers (`stay_on`), since its
+        position is unknown; one that never reports a position keeps the angle sent last.
         """
         heard, near_deg = self._stopping_places()
         here_deg = np.where(heard, near_deg, self.limiter.sent_deg)
@@ -246,11 +259,12 @@ class ServoGroup:
         self._to_stay = ~heard & self._has_place
 
     def stay_on(self, time_s: float) -> Limited:
-        """Send a frozen face's goals again; stop servos that were silent once they answer.
+        """Run a tick of a frozen face: send its goals again; return them.
 
-        A servo that just came back is slow, and may be far from its goal. Return the goals sent.
+        A servo that was silent at the freeze is stopped where it is once it answers. One servo of
+        `_to_keep`, whose torque was not confirmed, is tried again; if limp, it stays limp.
         """
-        if self._to_keep:  # one a tick; one that is limp stays so, and what ails it is still told
+        if self._to_keep:
             index = self._to_keep.popleft()
             if self.gate.keep(index):
                 self.supervision.note_attempt(index, "", time_s)
@@ -267,9 +281,9 @@ class ServoGroup:
         return limited
 
     def drop_waiting(self, time_s: float) -> None:
-        """Switch off servos whose bus has not yet started them, since a person stopped the face.
+        """Switch off servos that wait for their turn to start, since a person stopped the face.
 
-        Only a bus that knows no positions starts its servos one after another, after torque on.
+        Only on a bus without positions (hobby servos) do servos start in turn after torque on.
         """
         ready = self._bus.feedback().ready if self._any_blind else None
         if ready is not None:
@@ -278,10 +292,10 @@ class ServoGroup:
                 self.supervision.note_attempt(index, "was stopped before its turn", time_s)
 
     def _start_here(self, index: int) -> None:
-        """Set the limiter's last goal of servo `index`, which holds, to its position.
+        """Set the limiter's last goal of servo `index`, just switched on, to its position.
 
-        Where that is unknown, to the goal the bus sent last; if the bus reports neither, the
-        limiter's last goal is kept.
+        For a servo that reports no position, to the angle that the bus sent last; if the bus does
+        not report that either, the limiter's last goal stays.
         """
         feedback = self._bus.feedback()
         has_place = self._has_place[index]
@@ -292,14 +306,17 @@ class ServoGroup:
         self._note_ready()
 
     def _note_ready(self) -> None:
-        """Hold back the goals of servos without known position that the bus has not started."""
+        """Have the limiter hold back the goals of servos that wait for their turn to start.
+
+        These are hobby servos, which start one after another at unknown positions.
+        """
         if self._any_blind:
             self.limiter.hold_back(self._bus.feedback().ready)
 
     def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
-        """Return which servos answered just now, and where each can stop, degrees; (n_servos,).
+        """Return (servos that answered just now, where each can stop in degrees), (n_servos,) each.
 
-        That is the last goal, but no farther from the position than the servo moves in braking.
+        A servo stops at its last goal, but no farther from its position than it moves in braking.
         """
         feedback = self._bus.feedback()
         sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
@@ -322,7 +339,8 @@ class ServoGroup:
     def send(self, limited: Limited, time_s: float) -> None:
         """Run a tick of a face with torque: send goals, read all, supervise the next servo in turn.
 
-        limited: the goals that passed the limiter; servos that are not driven get none.
+        limited: the goals that passed the limiter; servos that are not driven get none (NaN).
+        Stores `feedback` and the new `scale`. Raises PortError.
         """
         goals_deg = limited.positions_deg
         limp = None if self.supervision.all_driven else ~self.supervision.driven
@@ -340,6 +358,7 @@ class ServoGroup:
             self.limiter.hold_back(feedback.ready)
         if limp is not None:
             self.limiter.follow(limp, feedback.positions_deg)
+        # One servo a tick may be switched on, off or restarted; switched on, it starts where it is.
         enabled = self.supervision.act(health, time_s, self.gate)
         if enabled is not None:
             self._start_here(enabled)
@@ -380,7 +399,7 @@ class ServoGroup:
         records = [dict(zip(_HEALTH, row)) for row in zip(*self._health_columns())]  # noqa: B905 - strict costs as much again
         for record in records:
             for name in ("temperature_degc", "load", "voltage_v"):
-                if record[name] != record[name]:
+                if record[name] != record[name]:  # NaN
                     record[name] = None
         return records
 
@@ -419,7 +438,7 @@ class ServoGroup:
 def _stop_is_repeated(ask: Callable[[int], str], index: int) -> str:
     """Call `ask(index)` up to 60 times until it returns ""; return "", or its last refusal.
 
-    Repeated since lost packets are no reason to fail.
+    Repeated, since a lost packet is no reason for a start to fail.
     """
     refusal = ""
     for _ in range(_REQUESTED):

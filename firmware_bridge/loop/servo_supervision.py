@@ -217,15 +217,18 @@ class ServoSupervision:
         self._behind = self._tracking.behind(sent_deg, feedback)
 
     def act(self, health: Health, time_s: float, port: TorquePort) -> int | None:
-        """Enable, disable, restart or give up the next servo in turn that needs it.
+        """Enable, disable, restart or give up the next servo in turn that needs it, once a tick.
 
-        Return its index if it was enabled just now; None: no servo was enabled.
+        health: the last readings of all servos. port: switches their torque. Return the index of a
+        servo that was enabled just now; None: no servo was.
         """
         if self._all_normal(health):
             return None
-        # Silence counts ticks, too: after a late one a single lost answer would be half a second.
+        # Silent is who has not answered for half a second and in three ticks: after a late tick a
+        # single lost answer lasts half a second.
         self._n_silent = np.where(health.silent_s >= SILENT_S, self._n_silent + 1, 0)
         n = len(self.states)
+        # Begin with the servo after the one that packets were sent to last.
         for k in range(n):
             index = (self._next + k) % n
             event, why = self._seen(index, health, time_s, port)
@@ -258,9 +261,10 @@ class ServoSupervision:
     def _seen(
         self, i: int, health: Health, time_s: float, port: TorquePort
     ) -> tuple[ServoEvent | None, str]:
-        """Return the event that servo `i`'s readings cause in its state, and the reason to show.
+        """Return (event, reason): the event of `SERVO_TABLE` that servo `i`'s readings cause.
 
-        The event is None where the state does not change; a reason may be shown nevertheless.
+        reason: why the servo is not driven, in words to show; "": the reason shown stays. The event
+        is None where nothing is to be done now.
         """
         state, torque = self.states[i], health.torque[i]
         is_silent, errors = self._n_silent[i] >= _SILENT_TICKS, int(health.hardware_errors[i])
@@ -274,7 +278,7 @@ class ServoSupervision:
             return ServoEvent.STILL_ON, self.reasons[i]
         if state in (ServoState.OFF, ServoState.FAILED):
             return None, ""
-        if port.refusal(i):  # an error is told although nothing is done about it now
+        if port.refusal(i):  # no torque is allowed: only show an error
             return None, describe_errors(errors) if errors else ""
         if state == ServoState.COOLING:
             if health.room_degc[i] < _ROOM_TO_WORK_DEGC:
@@ -291,9 +295,9 @@ class ServoSupervision:
         return ServoEvent.READY, self.reasons[i]
 
     def _seen_driven(self, i: int, health: Health) -> tuple[ServoEvent | None, str]:
-        """Return the event that a driven servo's readings cause, and the reason to show.
+        """Return (event, reason) that readings of driven servo `i` cause; (None, ""): it is well.
 
-        (None, ""): servo `i` is well.
+        The worst comes first: of several faults one is returned.
         """
         errors = int(health.hardware_errors[i])
         if self._n_silent[i] >= _SILENT_TICKS:
@@ -320,11 +324,13 @@ class ServoSupervision:
     ) -> bool:
         """Set the state of servo `i` by its row of `SERVO_TABLE`, and carry out the row's actions.
 
-        Return False, having done nothing, if the table has no row for state and event. why: the
-        reason in words why the servo is not driven. port: required where an action sends packets.
+        Return False, having done nothing, if the table has no row for state and event. time_s: now.
+        why: the reason in words why the servo is not driven. port: required where an action sends
+        packets.
         """
 
         def holds(_guard: ServoGuard) -> bool:
+            """Return whether the servo has failed three times within the last ten minutes."""
             past = self._failures[i]
             return len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S
 

@@ -23,9 +23,9 @@ from firmware_bridge.stopping import (
 
 #: The fastest that a jogged joint goes, there and back. Ours: a hand can be taken away in time.
 JOG_DEG_S: Final = 30.0
-#: So long after the last word of whoever jogs, everything goes back: nobody may be there any more.
+#: So long after the last jog command all joints go back: the person may have gone.
 JOG_LASTS_S: Final = 3.0
-#: Beyond its limits, where a servo may meet a stop: so far at a time, and so fast.
+#: Beyond a joint's limits, where it may meet a mechanical stop: longest step, and speed.
 BEYOND_STEP_US: Final = 10.0
 _BEYOND_DEG_S: Final = 5.0
 
@@ -49,7 +49,7 @@ class Jog:
         self._small_step_deg = np.minimum(speeds_deg_s, _BEYOND_DEG_S) * period_s
         self._min_deg = np.array([joint.min_deg for joint in joints])
         self._max_deg = np.array([joint.max_deg for joint in joints])
-        # Of a hobby servo its pulses say it: limits in degrees are rounded inwards.
+        # A hobby servo's ends are those of its pulses: its limits in degrees are rounded inwards.
         ends = [
             sorted((pulse.deg(pulse.min_us), pulse.deg(pulse.max_us)))
             if (pulse := joint.pulse)
@@ -125,23 +125,26 @@ class Jog:
         """
         if self.is_armed and time_s >= self._until_s:
             self.end()
+        # Jogged joints, and those on their way back, move by a small step; others follow targets.
         is_jogged = np.isfinite(self._goals_deg)
         aim_deg = np.where(is_jogged, self._goals_deg * scale, wanted_deg)
         way_deg = aim_deg - sent_deg
+        # Goals of joints that are not jogged are NaN, which compares as not beyond the limits.
         beyond_deg = np.fmax(self._least_deg - self._goals_deg, self._goals_deg - self._most_deg)
         goes_beyond = beyond_deg > _SAME_DEG
         step_deg = np.where(goes_beyond, self._small_step_deg, self._step_deg)
         near_deg = sent_deg + np.clip(way_deg, -step_deg, step_deg)
         guided_deg = np.where(is_jogged | self._returns, near_deg, wanted_deg)
+        # A return is over once what is left is less than a step.
         self._returns &= np.abs(way_deg) > self._step_deg
         self.is_active = self.is_armed or bool(self._returns.any())
         return guided_deg
 
     def reached(self, sent_deg: Array) -> tuple[Array, Array]:
-        """Return the range of each joint, widened to where a person jogs it.
+        """Return the range of each joint for this tick, widened to where a person jogs it.
 
-        The range of a joint that is beyond its limits and is not jogged shrinks, so that it comes
-        back whatever its target.
+        A joint that is beyond its limits and no longer jogged gets a range that ends one step
+        nearer to them, so that it comes back whatever its target.
 
         Parameters
         ----------

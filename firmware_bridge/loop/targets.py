@@ -40,8 +40,8 @@ class TargetChannel(Protocol):
 #: Longest step beyond the newest target along its slope. At the mouth's usual 5 Hz and below it is
 #: a quarter of a cycle: the slope still tells the direction, later it does not.
 MAX_EXTRAPOLATION_S = 0.050
-#: Two targets closer than this say the same moment twice: a tenth of the 100 Hz spacing that the
-#: speech side publishes at. It also keeps the slope from being a quotient of two rounding errors.
+#: Targets closer in time than this are for the same moment, and the later one published counts: a
+#: tenth of the 100 Hz spacing of speech. So a slope is never a quotient of two rounding errors.
 SAME_MOMENT_S = 0.001
 
 
@@ -98,7 +98,9 @@ class TargetTrack:
                 self.n_rejected += 1
                 continue
             times_s = self._times_s
-            if not times_s or times_s[-1] < time_s - SAME_MOMENT_S:  # nearly always so
+            # A target later than all before is appended, nearly always; else it replaces those from
+            # its time on, which belong to a plan that speech has revised.
+            if not times_s or times_s[-1] < time_s - SAME_MOMENT_S:
                 times_s.append(time_s)
                 self._positions_deg.append(positions_deg)
             else:
@@ -133,6 +135,7 @@ class TargetTrack:
             return self._on_line(n_due - 1, time_s), age_s
         if n_due == 1:
             return self._positions_deg[0], age_s
+        # Beyond the newest target: on the line through the last two, for 50 ms at most.
         return self._on_line(n_due - 2, time_s - max(0.0, age_s - MAX_EXTRAPOLATION_S)), age_s
 
     def _on_line(self, left: int, time_s: float) -> Array:
@@ -166,6 +169,7 @@ class SocketTargetChannel:
     """One end of a `channel_pair` as `TargetChannel`: publish at one end, drain at the other."""
 
     def __init__(self, end: socket.socket) -> None:
+        """Use `end`, one of the sockets of `channel_pair`, without blocking."""
         self._end = end
         self._end.setblocking(False)
         self._ready = select.poll()
@@ -190,7 +194,7 @@ class SocketTargetChannel:
         """
         records: list[ServoTargets] = []
         for _ in range(_MOST_AT_ONCE):
-            if not self._ready.poll(0):  # half as dear as an error that says there is nothing
+            if not self._ready.poll(0):  # costs half as much as an exception for an empty socket
                 break
             try:
                 raw = self._end.recv(_LONGEST_RECORD)
@@ -202,6 +206,7 @@ class SocketTargetChannel:
             if len(raw) < _HEAD.size or (len(raw) - _HEAD.size) % 8:
                 self.n_dropped += 1
                 continue
+            # A record: its number, its time, and an angle for each servo.
             sequence, time_s = _HEAD.unpack_from(raw)
             if sequence > self._sequence + 1:
                 self.n_dropped += sequence - self._sequence - 1
@@ -221,6 +226,7 @@ class FollowedTargets:
     """
 
     def __init__(self, channel: TargetChannel, n_joints: int, stale: StaleRule) -> None:
+        """Read targets of `n_joints` joints from `channel`; `stale`: when they are too old."""
         self._channel = channel
         self._stale = stale
         self._track = TargetTrack(n_joints)
@@ -250,9 +256,9 @@ class FollowedTargets:
         self.was_spoken_to = False
 
     def take(self, time_s: float) -> bool:
-        """Read the channel; return whether there is a fresh target for `time_s`, for `follow`.
+        """Read the channel; return whether there is a fresh target for monotonic `time_s`.
 
-        `follow` makes it the held one.
+        It is stored, interpolated; `follow` makes it the pose that the face holds.
         """
         self._track.push(self._channel.drain())
         target_deg, age_s = self._track.at(time_s)
@@ -273,7 +279,7 @@ class FollowedTargets:
         return max(0.0, time_s - self._heard_s)
 
     def wanted(self, silence_s: float, level: StaleLevel) -> Array:
-        """Return the held targets; after a silence they shrink towards neutral.
+        """Return the targets followed last; after a silence they shrink towards neutral.
 
         Parameters
         ----------

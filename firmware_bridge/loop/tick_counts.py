@@ -34,16 +34,21 @@ class TickCounts:
     keeps_up: bool = True
 
     def add(self, late: int, *, is_stale: bool) -> None:
-        """Count one tick. late: how many ticks were missed before it."""
+        """Count one tick. late: how many ticks were missed before it. is_stale: as for `n_stale`.
+
+        The shares are exponential averages over ticks, with a time constant of 8 s.
+        """
         self.n_ticks += 1
         self.n_late += late
         self.n_stale += is_stale
         weight = 1.0 / (_MEMORY_S * self.rate_hz)
         kept = 1.0 - weight
+        # Every missed tick counts as a late one, then this tick as one in time.
         if late:
             self.late_share = 1.0 - (1.0 - self.late_share) * kept**late
         self.late_share *= kept
         self.stale_share = kept * self.stale_share + weight * is_stale
+        # Hysteresis: False from a share of 20 % on, until both are below 5 %.
         worst = max(self.late_share, self.stale_share)
         self.keeps_up = worst < (_REPORTED_SHARE if self.keeps_up else _OVER_SHARE)
 

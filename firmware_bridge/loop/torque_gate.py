@@ -178,7 +178,10 @@ class TorqueOff:
         self._gate.disable_all()
 
     def go_on(self, time_s: float) -> None:
-        """Send torque off to one servo that is not known to be off; call it in every tick."""
+        """Send torque off to the next servo that is not known to be off; call it in every tick.
+
+        time_s: monotonic; the time allowed for all servos counts from the first call after `begin`.
+        """
         if self._since_s is None:
             self._since_s = time_s
         missing = np.flatnonzero(~self.off)
@@ -187,7 +190,7 @@ class TorqueOff:
             self._gate.disable(int(missing[self._next % len(missing)]))
 
     def over(self, time_s: float) -> bool:
-        """Return whether all servos are known to be off, or two seconds of trying are over."""
+        """Return whether all servos are known to be off, or 2 s of trying are over at `time_s`."""
         if self._gate.dry_run or all_set(self.off):
             return True
         return self._since_s is not None and time_s - self._since_s > _LONGEST_S

@@ -14,10 +14,10 @@ from firmware_bridge.process.lifeline import LifelineWatch, Message, lifeline_pa
 from firmware_bridge.process.processor_wait import CountThreads, ProcessorWait, thread_counts
 
 _LOG: Final = logging.getLogger(__name__)
-#: A watcher that did not look for so long was stopped itself: nobody counts as hung.
+#: A supervisor that did not look for so long was stopped itself: no process counts as hung then.
 _BLIND_S: Final = 0.5
-#: The kernel is not asked before a process has been silent for this share of its time, which
-#: happens to few; the share counts however it was spent.
+#: Waits for a processor are read from the kernel only after a process has been silent for this
+#: share of the time allowed, which is rare; waits before that count as silence.
 _UNREAD_SHARE: Final = 0.1
 
 
@@ -49,10 +49,10 @@ class HeartbeatMonitor:
     def look(self, now_s: float, beat_s: float | None, counts: CountThreads = dict) -> float:
         """Return the time at which the process counts as hung if no further heartbeat comes.
 
-        If that is at or before `now_s`, the process hangs. beat_s: time of the newest heartbeat;
-        None: none yet. counts: returns the `ThreadCounts` of the process; called once the process
-        has been silent for a tenth of the time allowed. Call `look` often: if the caller itself
-        paused for more than .5 s, the silence is counted anew.
+        At or before `now_s`: the process hangs now. beat_s: time of the newest heartbeat; None:
+        none yet. counts: returns how long the process's threads have waited for a processor, which
+        prolongs the time; called once a tenth of the time allowed has passed in silence. Call
+        `look` often: if the caller itself paused for more than .5 s, silence is counted anew.
         """
         if now_s - self._looked_s > _BLIND_S:
             self._since_s = now_s
@@ -183,11 +183,11 @@ class Child:
 
 
 _RESTART_S: Final = 0.2
-#: A process that ran for so long had started well: the next failure is a new one. And the longest
-#: wait.
+#: Seconds: a process that ran for so long had started well, so that its failure is a first one; and
+#: the longest wait.
 _AFTER_CRASH_S: Final = 10.0, 5.0
-#: The same for one that hung: on a busy computer a start alone takes long, and each takes the
-#: others' time. The fifth hang within ten minutes waits as long as the fifth crash.
+#: The same for a process that hung: on a busy computer a start alone takes long, and slows other
+#: processes. The fifth hang within ten minutes waits as long as the fifth crash.
 _AFTER_HANG_S: Final = 600.0, 60.0
 
 
@@ -201,7 +201,11 @@ class RestartDelay:
         self._wait_s = _RESTART_S
 
     def after(self, ran_s: float, *, hung: bool = False) -> float:
-        """Return the seconds to wait before restarting a process that ended after `ran_s`."""
+        """Return the seconds to wait before restarting a process that ended after `ran_s`.
+
+        hung: whether it was killed for hanging. The wait doubles with each failure; .2 s after a
+        process that ran long enough.
+        """
         well_s, longest_s = _AFTER_HANG_S if hung else _AFTER_CRASH_S
         wait_s = _RESTART_S if ran_s > well_s else min(self._wait_s, longest_s)
         self._wait_s = 2.0 * wait_s
@@ -212,6 +216,7 @@ class RestartedChild:
     """A `Child` and when its owner's loop must kill or restart it; times are monotonic seconds."""
 
     def __init__(self, child: Child) -> None:
+        """Take over `child`, which is not started yet and may be started at once."""
         self.child = child
         self.due_s = 0.0  # when it may start again
         self.is_killed = False

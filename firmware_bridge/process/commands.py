@@ -111,7 +111,7 @@ class CommandQueue:
         self._orders.append(order)
 
     def take_stop(self) -> StopRequest | None:
-        """Return and forget the furthest stop requested since the last call; None: no request.
+        """Return the furthest stop requested since the last call, and remove all; None: no stop.
 
         Limp goes further than soft, soft further than freeze. `ends` is True if any request has it.
         """
@@ -160,7 +160,7 @@ JOG_WORD: Final = "jog"
 ARM_WORD: Final = "arm"
 END_WORD: Final = "end"
 START_WORD: Final = "start"
-#: Behind a number that is no angle.
+#: Follows a number that is a pulse, not an angle.
 PULSE_UNIT: Final = "us"
 
 _SAY_SET: Final = "say: set NAME VALUE [NAME VALUE ...]"

@@ -28,7 +28,7 @@ from firmware_bridge.stopping import START_WHILE_STOPPING, ServoSwitch, StopLeve
 _LONGEST_ANSWER: Final = 1 << 18
 #: A supervisor notices a hung bridge within a second and answers in its place.
 PATIENCE_S: Final = 2.0
-#: A face whose process was replaced in between is spoken to again after this.
+#: A request is repeated after this, if the face's process was replaced before it answered.
 _RETRY_S: Final = 0.05
 #: No setting and no servo is called by a longer one, in characters.
 _LONGEST_NAME: Final = 40
@@ -80,14 +80,15 @@ def face_at(path: Path) -> RunningFace:
 
 
 def ask(path: Path, word: str, patience_s: float = PATIENCE_S) -> Answer:
-    """Send the command `word` to the face at `path`; return its answer.
+    """Send the command `word` to the face at `path`; return its answer, a JSON object.
 
+    The command is sent again while a process of the face closes the connection without an answer.
     Raises OSError when no answer comes within `patience_s`.
     """
     give_up_s = time.monotonic() + patience_s
     while True:
         with _connected(path, give_up_s) as client:
-            with contextlib.suppress(ConnectionError):  # then the answer is the end of it
+            with contextlib.suppress(ConnectionError):  # `_receive` finds it closed
                 client.send(word.encode())
             answer = _receive(client, give_up_s)
         if answer is not None:
@@ -232,7 +233,7 @@ def watch(path: Path, patience_s: float = PATIENCE_S) -> int:
     give_up_s = time.monotonic() + patience_s
     raw = b""
     handed: list[int] = []
-    while not raw:  # a face whose process is replaced hangs up
+    while not raw:  # a face whose process is being replaced closes the connection
         with _connected(path, give_up_s) as client, contextlib.suppress(ConnectionError):
             client.send(WATCH_WORD.encode())
             raw, handed, _, _ = socket.recv_fds(client, _LONGEST_ANSWER, 1)
@@ -279,7 +280,7 @@ def stop_and_wait(
             if first is not None and report is not None:
                 return first, report
             _wait_to_retry(give_up_s)
-        except BlockingIOError:  # too many wait there, as before a process that hangs
+        except BlockingIOError:  # too many clients wait there, as when the process hangs
             _wait_to_retry(answer_by_s)
         except OSError:
             if first is None:
@@ -349,14 +350,15 @@ def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
 
 
 def _listens(path: Path) -> bool:
-    """Return whether a face listens at `path`.
+    """Return whether a process listens at the socket `path`.
 
-    Our own socket there is removed if no process listens, unless another process locks its folder.
+    If none does, the socket file is removed, provided that it belongs to this user and that no
+    other process locks its folder.
     """
     if knock(path) == 0:
         return True
     if is_dead_socket(path):
-        # Left where it is when somebody makes a socket there just now.
+        # Not removed while another process makes a socket there.
         with contextlib.suppress(ControlError, OSError), held_folder(path.parent, patience_s=0.0):
             if is_dead_socket(path):
                 path.unlink(missing_ok=True)

@@ -25,12 +25,12 @@ from firmware_bridge.stopping import Order, StopLevel, StopRequest
 
 Describe = Callable[[Mapping[str, object]], Mapping[str, object]]
 
-#: `status`, `watch`, a level of stop, or a command; bytes. Fifty settings can be set at once.
+#: Bytes of a request: `status`, `watch`, a level of stop, or a command with up to fifty settings.
 LONGEST_WORD: Final = 2048
-#: Requests the descriptor of the memory in which the face tells what it does at this moment.
+#: Requests the descriptor of the shared memory in which the face writes what it does now.
 WATCH_WORD: Final = "watch"
 STATUS_WORD: Final = "status"
-#: Clients that wait for the end of a stop, and some others; the oldest of these makes room.
+#: Clients connected at a time; a further one takes the place of the oldest that waits for no stop.
 _MOST_CLIENTS: Final = 16
 _ACCEPTED_AT_ONCE: Final = 4
 #: Clients that connect while no process serves wait here.
@@ -210,7 +210,10 @@ class ControlSocket:
             self._receive(client)  # most have sent their word with the connection
 
     def _receive(self, client: _Client) -> None:
-        """Read one word of a client; queue a stop at once, and keep any word for `answer`."""
+        """Read one request (word) of a client; queue a stop at once, and store it for `answer`.
+
+        A client that has closed its connection, or sends nothing but spaces, is dropped.
+        """
         try:
             raw = client.end.recv(LONGEST_WORD + 1)
         except BlockingIOError:
@@ -224,7 +227,7 @@ class ControlSocket:
             self._commands.stop(level, _peer_words(client.end), ends=ends)
         if not word:
             self._drop(client)
-        else:  # one that is too long was cut off, so that its last number may be another
+        else:  # a word that was too long is cut off, perhaps within a number: it is refused
             too_long = len(raw) > LONGEST_WORD
             self._unanswered.append((client, "" if too_long else word))
 

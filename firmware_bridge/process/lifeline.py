@@ -135,7 +135,7 @@ class Lifeline:
         except BlockingIOError:
             return False
         except OSError:
-            self.closed = True  # nobody is there any more who could be told
+            self.closed = True  # the supervisor is gone: there is nobody to send to
         return True
 
 

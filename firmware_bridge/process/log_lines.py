@@ -20,16 +20,16 @@ from typing import Final, Self
 _MOST_WAITING: Final = 1_000
 #: A line that comes again within so long is counted; the count is written afterwards.
 _SAME_S: Final = 10.0
-#: Lines without room are counted for so long.
+#: Lines that are dropped are counted for so long, then their count is written.
 _LOST_S: Final = 1.0
 #: So many different lines are remembered for that.
 _MOST_SAME: Final = 64
 #: Lines that may come at once, and a second in the long run.
 _MOST_AT_ONCE: Final = 200.0
 _MOST_PER_S: Final = 10.0
-#: The end of a process waits so long for a terminal that stands still.
+#: The end of a process waits so long for a terminal that takes no output.
 _LAST_WRITES_S: Final = 0.5
-#: Of one line; a name and a reason for every servo of a long chain.
+#: Characters of one line: room for a name and a reason for every servo of a long chain.
 _LONGEST: Final = 4_000
 #: What moves a terminal's cursor, changes its colours or turns the writing round.
 _CONTROLS: Final = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
@@ -88,15 +88,20 @@ class LogLines(logging.Handler):
         return True
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue a record's text, formatted now: objects in its arguments may change afterwards."""
+        """Queue a record's text as one line, formatted now: its arguments may change afterwards.
+
+        A line written within the last 10 s is only counted; one that comes too fast, or finds the
+        queue full, is dropped and counted. Both counts are written later. Never waits or raises.
+        """
         try:
             text = record.getMessage()
-        except Exception:  # a mistake in a message must not reach who stops a face
+        except Exception:  # a wrong format must not break a caller that is stopping a face
             text = str(record.msg)
         line = one_line(text)
         with self._is_new:
             now_s = self._clock()
             self._queue_counts(now_s)
+            # `_same` has, for each recent line: until when it is counted, its count, its record.
             if line in self._same:
                 until_s, n, first = self._same[line]
                 self._same[line] = until_s, n + 1, first
@@ -211,6 +216,7 @@ class LogWriter(logging.Handler):
         *,
         as_json: bool = False,
     ) -> None:
+        """Prepare to write; parameters as of the class."""
         super().__init__()
         self._about = {"face": face or None, "side": side or None}
         self._start = start
@@ -255,6 +261,7 @@ def _sent_to_journal(fields: Mapping[str, object]) -> bool:
         return False
     level = str(fields["level"]).upper()
     own = {"PRIORITY": _PRIORITY.get(level, 5), "SYSLOG_IDENTIFIER": "lipservo"}
+    # Each field: name, line end, the value's length as a 64-bit number, value, line end.
     entry = b""
     for name, value in {**fields, **own}.items():
         data = str(value or "").encode("utf-8", "replace")

@@ -54,6 +54,7 @@ def _show(level: int) -> None:
 
 
 def _writer(face: str, side: str) -> LogWriter:
+    """Return the handler that writes records of a face's process `side` as the environment says."""
     start = f"{side}: " if side in _NAMED_SIDES else ""
     start += "%(levelname)s %(name)s: " if os.environ.get(VERBOSE) else ""
     # A live view takes what is written to sys.stderr, and draws itself below. Of several processes

@@ -29,13 +29,14 @@ if TYPE_CHECKING:
     from firmware_bridge.bus_settings import BusSettings
 
 _LOG: Final = logging.getLogger(__name__)
-#: A shell has begun long before, and ignores what a terminal or systemd sends to all processes.
+#: The guard's shell, started with the face: it ignores the signals that a terminal or systemd sends
+#: to all processes, waits for a line or the pipe's end, and in the latter case runs the guard.
 _WAIT: Final = 'trap "" HUP INT QUIT TERM; read -r _ || exec "$@"'
 #: Silent servos are asked again for so long.
 _SILENT_S: Final = 1.0
-#: A tty's, and a URL's.
+#: Errors of a port that another program has: of a tty, and of a URL.
 _TAKEN: Final = (errno.EAGAIN, errno.EBUSY, errno.EADDRINUSE)
-#: A port is free so long after its holder has died; later it is another's.
+#: A dead holder's port may stay taken for so long; after that it is another program that has it.
 _DYING_S: Final = 2.0
 _END_S: Final = 1.0
 
@@ -64,6 +65,7 @@ def port_guard(face: str, settings: "BusSettings", servos: Mapping[int, str]) ->
     try:
         yield alive
     finally:
+        # The line tells the guard that the face ends in order: it ends without doing anything.
         with contextlib.suppress(BrokenPipeError):
             os.write(alive, b"\n")
         os.close(alive)
@@ -73,10 +75,11 @@ def port_guard(face: str, settings: "BusSettings", servos: Mapping[int, str]) ->
 
 
 def let_go(face: str, settings: "BusSettings", servos: Mapping[int, str]) -> None:
-    """Switch torque off at the port of a dead face, and log what its servos confirm.
+    """Switch torque off at the port of a dead face, and log what its servos confirm; blocks.
 
-    A port that is gone is waited for up to 30 s; to a port that another program has taken nothing
-    is sent. Arguments as of `port_guard`.
+    A port that is gone is waited for up to 30 s. If another program still has the port 2 s after
+    the face died, nothing is sent. face: its name. settings: of the bus, with its port. servos: the
+    servos' names, by address.
     """
     kind = bus_kind(settings.kind)
     opener = kind.port_release(str(settings.port), Wiring(settings, (), (), 1.0))

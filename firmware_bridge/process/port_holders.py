@@ -92,7 +92,7 @@ def end_hung(pids: list[int]) -> list[int]:
         for pid in pids:
             with contextlib.suppress(OSError):
                 os.kill(pid, number)
-                os.kill(pid, signal.SIGCONT)  # what is stopped dies when it goes on
+                os.kill(pid, signal.SIGCONT)  # a suspended process acts on it when it continues
         give_up_s = time.monotonic() + _DEATH_S
         while pids and time.monotonic() < give_up_s:
             pids = [pid for pid in pids if _is_running(pid)]

@@ -49,8 +49,9 @@ def note_port(settings: BusSettings) -> None:
 def buses_at(port: str) -> list[tuple[BusKind, BusSettings | None]]:
     """Return the buses driven at a port since it was plugged in, as (kind, settings).
 
-    Several where boards share the port, all of the kind that was driven last. Without a record: the
-    kind that the plugged-in device itself reports, else that of `AT_A_PORT`; its settings are None.
+    Several if boards share the port: the newest record of each board, all of the kind that was
+    driven last. Without a record: the kind that the plugged-in device itself reports, else that of
+    `AT_A_PORT`, with settings None.
     """
     found = sorted(_noted(port), key=lambda each: each[0], reverse=True)
     of_kind = {bus.board: bus for _, bus in reversed(found) if bus.kind == found[0][1].kind}

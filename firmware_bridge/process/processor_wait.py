@@ -11,7 +11,10 @@ CountThreads = Callable[[], ThreadCounts]
 
 
 def thread_counts(pid: int) -> ThreadCounts:
-    """Return the counts of all threads of a process; {} where the kernel does not tell."""
+    """Return (is runnable, ns run, ns waited for a processor) of a process's threads, by thread id.
+
+    {} where the kernel does not count that, or the process has ended.
+    """
     counts = {}
     with contextlib.suppress(OSError):
         for thread in Path(f"/proc/{pid}/task").iterdir():

@@ -107,10 +107,10 @@ class StopRecord:
     def _left_by(
         self, before: dict[str, Any], drives_after_power_cut: bool
     ) -> tuple[StopRequest | None, str]:
-        """Return the stop that record `before` leaves in force, and why; (None, ""): there is none.
+        """Return (stop, why) that an earlier process's record leaves in force; (None, ""): no stop.
 
-        It is limp, whatever its level was: after a person's stop, an unreadable record, or a power
-        cut, unless drives_after_power_cut.
+        before: the record's content. A face starts limp, whatever the level of the stop was, after
+        a person's stop, an unreadable record, or a power cut unless `drives_after_power_cut`.
         """
         if before.get("error"):
             return StopRequest(StopLevel.LIMP, "a record that cannot be read"), before["error"]
@@ -185,7 +185,11 @@ def _not_kept(path: Path | None, why: object) -> str:
 
 
 def _problem_of_writing(path: Path, record: bytes) -> str:
-    """Write `record` to the file `path`: in place, or else to a new file; return why it failed."""
+    """Write `record` to the file `path`; return why that failed, in one line, "" if it did not.
+
+    In place if possible, which needs no room on the disk; else to a new file that replaces it.
+    Blocks until the disk has it.
+    """
     try:
         with contextlib.suppress(OSError):
             _write(path, record, os.O_WRONLY)

@@ -57,14 +57,15 @@ _LOG: Final = logging.getLogger(__name__)
 _END_S: Final = 5.0
 #: How long any end waits for servos that are silent.
 _SERVO_TIMEOUT_S: Final = 3.0
-#: The same for a face that had not come to life: it armed nobody.
+#: The same for a face that was never driven: it has switched no torque on.
 _START_TIMEOUT_S: Final = 2.0
-#: Longer than any recovery takes that gets on: then systemd may try.
+#: Longer than any recovery that succeeds takes; after that systemd may restart the service.
 _RECOVERY_S: Final = 60.0
 _LONGEST_WAIT_S: Final = 0.25
 _REQUESTS_AT_ONCE: Final = 16
 _CHILD_END_S: Final = 2.0
-#: The answer to a stop, which has acted, waits so long for the disk: it says whether it is kept.
+#: The answer to a stop, sent after the stop has acted, waits so long for the disk, since it says
+#: whether the stop is kept for a restart.
 _RECORD_S: Final = 0.1
 #: A stopped face with servos that have not confirmed is let go again this often.
 _RELEASE_AGAIN_S: Final = 5.0
@@ -72,7 +73,7 @@ _RELEASE_AGAIN_S: Final = 5.0
 
 #: A bridge that ends with one of these is not started again.
 _HOPELESS: Final = (ExitStatus.CRITICAL_SERVO_FAILED, ExitStatus.UNCONFIRMED)
-#: One of these was asked for: all servos are to be limp.
+#: Levels of a stop after which all servos are to be limp.
 _LIMP_LEVELS: Final = (StopLevel.SOFT, StopLevel.LIMP)
 
 
@@ -210,7 +211,10 @@ class Supervisor:
         }
 
     def _of_stop(self) -> dict[str, object]:
-        """Return what the answer to a stop says: which servos are limp, and whether it is kept."""
+        """Return the part of the answer to a stop that says which servos are limp, for JSON.
+
+        `not_kept`: why the stop is not kept for a restart; missing: it is.
+        """
         limp = [] if self._stop_report is None else list(self._stop_report.confirmed)
         unknown = [name for name in self._servo_names if name not in limp]
         return {"holds": [], "limp": limp, "unknown": unknown, **self._kept()}
@@ -309,7 +313,11 @@ class Supervisor:
                 self._zero_s = message.zero_s
 
     def _hold_stop(self, request: StopRequest) -> None:
-        """Keep a stop whatever process dies: soft replaces freeze, and limp replaces any stop."""
+        """Store a person's stop, so that it outlives every process of the face.
+
+        Soft replaces a freeze, limp any stop; a lesser stop changes nothing but whether the process
+        ends. If it is to end, speech is ended now.
+        """
         ends = request.ends or self._holds(Requested.END)
         if not self._holds(Requested.STOP) or request.level is StopLevel.LIMP:
             self._request = replace(request, ends=ends)
@@ -351,7 +359,7 @@ class Supervisor:
     def _serve_control(self) -> None:
         """Answer clients, and carry out their stops and orders, while no bridge does so."""
         if self._bridge.serves:
-            self._control.send_away()  # a client let in here would wait for ever for an answer
+            self._control.send_away()  # a client connected here would never get an answer
             return
         for _ in range(_REQUESTS_AT_ONCE):
             request = self._control.poll()
@@ -425,9 +433,10 @@ class Supervisor:
             speech.start(zero, now_s)
 
     def _watch_bridge(self, ended: int | None, now_s: float) -> None:
-        """Take the next step with the bridge: its end, start or kill, or torque off by force.
+        """Do what is due about the bridge: note its end, start or kill it, or switch torque off.
 
-        ended: its exit status if it has just ended; None otherwise.
+        Torque is switched off from here, at the ports, only while no bridge runs. ended: the exit
+        status of a bridge that has just ended; None otherwise. now_s: monotonic.
         """
         if ended is not None:
             self._bridge_ended(ended, now_s)
@@ -456,7 +465,10 @@ class Supervisor:
         self._bridge.start(arguments, self._now_s)
 
     def _bridge_ended(self, status: int, now_s: float) -> None:
-        """Note the bridge's exit status (negative: killed by that signal), and fire its event."""
+        """Store the exit status of a bridge that has ended, and fire the event that it means.
+
+        status: negative if a signal killed it.
+        """
         self._bridge_status = status
         if status == ExitStatus.ENDED_WELL:
             self._conclude(let_go_report(self._servos.can, {}), status)
@@ -474,12 +486,17 @@ class Supervisor:
             self._release = None
 
     def _release_on(self, release: FaceRelease, now_s: float) -> None:
-        """Run a step of switching torque off by force; fire the event of its end."""
+        """Run a step of switching torque off at the ports, and fire an event when that is over.
+
+        RELEASED: every servo confirmed or was polled for long enough. PORT_STUCK: a lost port did
+        not come back in time. The report and the exit status for either are stored first.
+        """
         if now_s >= release.next_s and release.step():
             self._port_error = ""
             report = self._report_of(release)
             _LOG.log(report.log_level, "%s", report.line())
             unconfirmed = ExitStatus.UNCONFIRMED if report.unconfirmed else ExitStatus.ENDED_WELL
+            # The exit status says what servos confirmed, unless the bridge failed otherwise.
             is_own = self._holds(Requested.STOP) or self._bridge_status == ExitStatus.UNCONFIRMED
             self._conclude(report, unconfirmed if is_own else self._bridge_status)
             self._fire(SupervisorEvent.RELEASED)
@@ -494,13 +511,18 @@ class Supervisor:
                 self._fire(SupervisorEvent.PORT_STUCK)
 
     def _give_up_s(self) -> float:
-        """Return the monotonic time until which a lost port is waited for; infinity: for ever."""
+        """Return the monotonic time until which a lost port is waited for; infinity: for ever.
+
+        2 s for a face that was never driven; 30 s after a signal (none after the third), or for a
+        bridge that gave up; no limit for a face that recovers or was stopped by its control socket.
+        """
         if self._n_ready == 0:
             return self._release_s + _START_TIMEOUT_S
         if not self._holds(Requested.STOP):
             is_over = self._phase is Phase.GIVING_UP
             return self._release_s + PORT_WAIT_S if is_over else float("inf")
-        # Who stopped it by the socket can ask how it is, and signal.
+        # Without a signal `_signal_s` is infinite: whoever stopped the face through its socket can
+        # query it there, and signal.
         return self._signal_s + (PORT_WAIT_S if self._n_signals <= 2 else 0.0)
 
     def _report_of(self, release: FaceRelease) -> StopReport:
@@ -523,7 +545,7 @@ class Supervisor:
         self._control.report_end({"waits": True, **report.as_dict(), **self._kept()})
         waits = "the face waits: `lipservo start` starts it again"
         _LOG.log(report.log_level, "%s; %s", report.text(), waits)
-        self._notice.ready()  # a service that came up stopped is up
+        self._notice.ready()  # to systemd a face that starts stopped is up, too
 
     def _tell_service(self, now_s: float) -> None:
         """Tell systemd that the face is looked after: it is driven, stopped, or recovering.

@@ -8,7 +8,7 @@ from typing import Final
 from firmware_bridge.bus_kinds import NOT_SEEN, PortRelease
 from firmware_bridge.errors import BusError, PortError
 
-#: Each servo is asked this often at least.
+#: Each servo that has not confirmed is polled this often at least.
 _REPEATS: Final = 3
 _RETRY_S: Final = 0.05
 
@@ -94,7 +94,10 @@ class TorqueRelease:
             self.released, self.unconfirmed = list(addresses), {}
 
     def _next_round(self, port: PortRelease) -> None:
-        """Send torque off again and begin to poll all unconfirmed servos; or end the release."""
+        """Send torque off again and begin to poll all unconfirmed servos; or end the release.
+
+        It ends when all have confirmed, or after three rounds and `timeout_s`. Raises BusError.
+        """
         if self._n_rounds:
             port.tell_all(list(self.unconfirmed))
         waited_s = self._now_s() - self._opened_s
@@ -107,6 +110,7 @@ class TorqueRelease:
         self._n_rounds += 1
 
     def _ask(self, port: PortRelease, address: int) -> None:
+        """Poll one servo, and store whether it confirmed torque off. Raises PortError."""
         why = port.ask(address)
         if why:
             self.unconfirmed[address] = why

@@ -23,11 +23,11 @@ from lipsync.errors import UserError
 _LOG: Final = logging.getLogger(__name__)
 HOST: Final = "127.0.0.1"
 FIRST_PORT: Final = 8080
-_TRIES: Final = 20
-#: Between two looks whether the face listens, or the dashboard lives.
-_LOOK_S: Final = 0.2
-#: A dashboard that has died is started again after this, and after twice as long each time, unless
-#: it had served for a while.
+_N_PORTS_TRIED: Final = 20
+#: Between two checks whether the face's control socket exists, or the dashboard still runs.
+_POLL_S: Final = 0.2
+#: A dashboard that has died is started again after 5 s, then after twice as long each time, 60 s at
+#: most; after 5 s again if it had run for `_WELL_S`.
 _RESTART_S: Final = 5.0
 _LONGEST_RESTART_S: Final = 60.0
 _WELL_S: Final = 60.0
@@ -41,7 +41,7 @@ def bound_dashboard(listen: str | None, token: str | None) -> socket.socket:
     """
     if listen is not None:
         return bind_listener(listen, token)
-    for port in range(FIRST_PORT, FIRST_PORT + _TRIES):
+    for port in range(FIRST_PORT, FIRST_PORT + _N_PORTS_TRIED):
         try:
             return bind_listener(f"{HOST}:{port}", token)
         except UserError:
@@ -60,9 +60,9 @@ def address_of(listener: socket.socket, token: str | None = None, page: str = ""
 
 
 def address_line(listener: socket.socket, token: str | None, page: str = "") -> str:
-    """Return the line that tells where the dashboard is: with the token only in a terminal.
+    """Return the line to print with the dashboard's URL, with its token only in a terminal.
 
-    Elsewhere it is a log, which others may read.
+    Where stderr is a log, which others may read, the line has no token.
     """
     if token is None or (sys.stderr.isatty() and not os.environ.get(LOG_JSON)):
         return f"dashboard: {address_of(listener, token, page)}"
@@ -81,9 +81,9 @@ def dashboard_child(
 ) -> Iterator[None]:
     """Serve the dashboard of the face at `control_path`, by a child process, until the block ends.
 
-    listener: from `bound_dashboard`; stays the caller's and must outlive the block. model: the file
-    of the face's model. token_file: the token that browsers must send; None: any local user may use
-    the dashboard. open_page: open a browser.
+    listener: from `bound_dashboard`; must stay open until the block has ended. model: the file of
+    the face's model; None: the shipped one. token_file: the file with the token that browsers must
+    send; None: any local user may use the dashboard. open_page: open a browser, once.
     """
     arguments = ["--control", str(control_path), "--listener", str(listener.fileno()), "--quiet"]
     arguments += ["--parent", str(os.getpid())]
@@ -94,57 +94,58 @@ def dashboard_child(
     if model is not None:
         arguments += ["--model", str(model)]
     command = [sys.executable, "-P", "-m", "lipservo", "dashboard", *arguments]
-    over = threading.Event()
+    must_end = threading.Event()
 
-    def look_after() -> None:
+    def keep_running() -> None:
         """Start the dashboard's process, and again whenever it ends. Runs in thread `dashboard`.
 
         A start waits for the face's control socket. Pauses between starts grow from 5 s to 60 s,
         and are 5 s again after a process that ran for a minute.
         """
-        opens = ["--open"] if open_page else []
+        open_option = ["--open"] if open_page else []
         wait_s = _RESTART_S
-        while not over.wait(_LOOK_S):
+        while not must_end.wait(_POLL_S):
             if not control_path.exists():
                 continue
             try:
                 # The thread lives as long as the process it starts: the kernel ends a child when
                 # the thread that started it ends.
                 process = subprocess.Popen(
-                    [*command, *opens],
+                    [*command, *open_option],
                     pass_fds=[listener.fileno()],
                     stdin=subprocess.DEVNULL,
                     process_group=0,
                 )
             except OSError as error:
                 _LOG.warning("dashboard: cannot be started: %s", error.strerror)
-                over.wait(wait_s)
+                must_end.wait(wait_s)
                 wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
                 continue
             began_s = time.monotonic()
-            while process.poll() is None and not over.wait(_LOOK_S):
+            while process.poll() is None and not must_end.wait(_POLL_S):
                 pass
-            if over.is_set():
-                _end(process)
+            if must_end.is_set():
+                _end_process(process)
                 return
-            opens = []
+            open_option = []
             if time.monotonic() - began_s > _WELL_S:
                 wait_s = _RESTART_S
             status = process.returncode
             _LOG.warning("dashboard: ended (%s); it is started again in %g s", status, wait_s)
-            over.wait(wait_s)
+            must_end.wait(wait_s)
             wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
 
-    thread = threading.Thread(target=look_after, name="dashboard", daemon=True)
+    thread = threading.Thread(target=keep_running, name="dashboard", daemon=True)
     thread.start()
     try:
         yield
     finally:
-        over.set()
+        must_end.set()
         thread.join(2.0 * _END_S)
 
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
+def _end_process(process: "subprocess.Popen[bytes]") -> None:
+    """Send a process SIGTERM, and SIGKILL if it still runs after 2 s; wait for its end."""
     process.terminate()
     try:
         process.wait(_END_S)

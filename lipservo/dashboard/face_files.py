@@ -44,10 +44,10 @@ def set_pulse_limit(
     with face_errors():
         edit = found_limits.with_pulse_limit(path, servo, limit, pulse_us)
         edit.write()
-        after = parse_face(edit.text, path.name).servos[servo]
-    degrees = {"min_deg": after.min_deg, "max_deg": after.max_deg}
-    assert after.pulse is not None  # checked by `with_pulse_limit`
-    pulse = asdict(after.pulse)
+        new_servo = parse_face(edit.text, path.name).servos[servo]
+    degrees = {"min_deg": new_servo.min_deg, "max_deg": new_servo.max_deg}
+    assert new_servo.pulse is not None  # checked by `with_pulse_limit`
+    pulse = asdict(new_servo.pulse)
     return {"servo": servo, "set": {**pulse, **degrees}, "note": found_limits.what_next(edit)}
 
 
@@ -59,14 +59,18 @@ def saved_settings(config: str | None) -> dict[str, Any]:
     """
     path = own_yaml(config)
     with face_errors():
-        face = parse_face(_text(path), path.name)
+        face = parse_face(_read_text(path), path.name)
     return {**face.motion.model_dump(exclude_none=True), "expression": face.expression.amount}
 
 
 def with_settings(path: Path, values: Mapping[str, float]) -> EditedYaml:
-    """Return an unwritten edit of the YAML at `path` with settings `values`. Raises FaceError."""
-    places = {_place(name): value for name, value in values.items()}
-    _text(path)
+    """Return an unwritten edit of the YAML at `path` with settings `values`. Raises FaceError.
+
+    `refused`: a setting that is never saved, or a value out of range; `not_saved`: a file that
+    cannot be read.
+    """
+    places = {_yaml_place(name): value for name, value in values.items()}
+    _read_text(path)  # raises not_saved where the YAML cannot be read
     with face_errors():
         return edited(path, places)
 
@@ -92,8 +96,8 @@ def sound_choices(config: str | None) -> dict[str, Any]:
         found["inputs"] = [each.lasting_name for each in sound_devices("input")]
         found["outputs"] = [each.lasting_name for each in sound_devices("output")]
     with suppress(PluginError, SynthesisError, UserError):
-        speaker = synthesizer_for(chosen.synthesizer)
-        found["languages"], found["voices"] = list(speaker.languages()), list(speaker.voices())
+        engine = synthesizer_for(chosen.synthesizer)
+        found["languages"], found["voices"] = list(engine.languages()), list(engine.voices())
     found["synthesizers"] = SYNTHESIZERS.names()
     chosen_now = chosen.model_dump(exclude={"output_offset_ms"})
     return {**found, "chosen": chosen_now, "is_shipped": not config.endswith((".yaml", ".yml"))}
@@ -137,14 +141,14 @@ def face_errors() -> Iterator[None]:
         raise FaceError("not_saved", str(error)) from error
 
 
-def _place(name: str) -> Place:
+def _yaml_place(name: str) -> Place:
     """Return the YAML section and key of setting `name`. Raises FaceError if it is never saved."""
     if name in ExpressionRequests.PASSING:
         raise FaceError("refused", f"{name} lasts only while the face runs and is never saved")
     return ("expression", "amount") if name == "expression" else ("motion", name)
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return read_face_text(path)
     except SettingsError as error:
@@ -166,9 +170,9 @@ def calibration_values(config: str | None) -> dict[str, Any]:
     try:
         settings, folder = load_settings(config)
         file = calibration_file(settings, folder)
-        found = parse_calibration(file.read_text(encoding="utf-8"), file.name)
+        calibration = parse_calibration(file.read_text(encoding="utf-8"), file.name)
     except (UserError, OSError, UnicodeDecodeError) as error:
         raise FaceError("not_available", " ".join(str(error).split())) from error
-    values = shown_values(found, settings.prevent)
-    is_current = found.face_checksum == settings.checksum
+    values = shown_values(calibration, settings.prevent)
+    is_current = calibration.face_checksum == settings.checksum
     return {"file": file.name, "fits_the_face": is_current, **values}

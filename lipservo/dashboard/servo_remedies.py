@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from firmware_bridge.bus import HardwareError
 
-#: Each bit: what it is, and what to do.
+#: Of each hardware error: its meaning, and what to do.
 _OF_ERROR: Final = {
     HardwareError.INPUT_VOLTAGE: (
         "its supply is outside what it may have",
@@ -43,16 +43,16 @@ _OF_STATE: Final = {
 
 def error_words(bits: int | None) -> list[dict[str, str]]:
     """Return {error, meaning, remedy} of each hardware error bit that is set; [] for None."""
-    known = [
-        {"error": _named(error), "meaning": meaning, "remedy": remedy}
+    found = [
+        {"error": _error_name(error), "meaning": meaning, "remedy": remedy}
         for error, (meaning, remedy) in _OF_ERROR.items()
         if (bits or 0) & error
     ]
-    rest = (bits or 0) & ~sum(int(each) for each in _OF_ERROR)
-    if rest:
+    unknown_bits = (bits or 0) & ~sum(int(each) for each in _OF_ERROR)
+    if unknown_bits:
         hint = "look it up in the e-manual of this model, then reboot it"
-        known.append({"error": f"{rest:#04x}", "meaning": "not known here", "remedy": hint})
-    return known
+        found.append({"error": f"{unknown_bits:#04x}", "meaning": "not known here", "remedy": hint})
+    return found
 
 
 def state_words(state: str) -> dict[str, str] | None:
@@ -61,7 +61,7 @@ def state_words(state: str) -> dict[str, str] | None:
     return None if words is None else {"meaning": words[0], "remedy": words[1]}
 
 
-#: Of servos of a face that a person stopped, by what they confirmed; why: the reason that is known.
+#: Meaning and remedy for a servo that did not confirm a person's stop; why: as far as is known.
 _UNCONFIRMED: Final = (
     "has not confirmed that it is limp: {why}",
     "keep your hands away; look at its plug, cable and power",
@@ -69,11 +69,11 @@ _UNCONFIRMED: Final = (
 
 
 def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
-    """Return every servo of a status with its faults and remedies. is_fresh: the status is current.
+    """Return every servo of a face's status with its readings, faults and remedies, for JSON.
 
-    Nothing is reported better than it is: what was never received is None, and of a face that does
-    not answer only its servos' names and ids are known. While a person has stopped the face, a
-    servo is `limp` or `unconfirmed`, as it answered the stop, or `released` where it cannot answer.
+    is_fresh: the status is current; if not, only names and ids of servos are known. What was never
+    received is None. While a person has stopped the face, the state of a servo is `limp` or
+    `unconfirmed`, as it answered the stop, or `released` where it cannot answer.
     """
     status = status or {}
     report = (status.get("stop_report") or {}) if is_fresh and is_stopped(status) else {}
@@ -81,27 +81,30 @@ def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[d
     at_stop = dict.fromkeys(report.get("confirmed") or (), "limp")
     at_stop |= dict.fromkeys(unconfirmed, "unconfirmed")
     at_stop |= dict.fromkeys(report.get("released") or (), "released")
-    words = str(report.get("released_words"))
-    has_heat = _with_heat(status)
+    release_words = str(report.get("released_words"))
+    has_heat = _heat_test(status)
     health = {str(each["name"]): each for each in status.get("health") or ()}
     states: Mapping[str, str] = status.get("servos") or {}
     return [
-        _status_line(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
-        | _heard(
+        _servo_values(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
+        | _answer_values(
             health.get(name, {}), states.get(name, ""), is_fresh=is_fresh, has_heat=has_heat(name)
         )
-        | _doubt(unconfirmed.get(name))
-        | (_released(words) if at_stop.get(name) == "released" else {})
+        | _unconfirmed_trouble(unconfirmed.get(name))
+        | (_released_trouble(release_words) if at_stop.get(name) == "released" else {})
         for name in dict.fromkeys([*states, *health, *at_stop])
     ]
 
 
-def _with_heat(status: Mapping[str, Any]) -> Callable[[str], bool]:
-    """Return a function from a servo's name to whether that servo reports its temperature."""
-    can: Mapping[str, Any] = status.get("capabilities") or {}
-    bus_of = dict(zip(status.get("servos") or (), can.get("bus_of") or (), strict=False))
+def _heat_test(status: Mapping[str, Any]) -> Callable[[str], bool]:
+    """Return a function from a servo's name to whether that servo reports its temperature.
+
+    True where the status does not say. For a face with several buses that of the servo's bus.
+    """
+    capabilities: Mapping[str, Any] = status.get("capabilities") or {}
+    bus_of = dict(zip(status.get("servos") or (), capabilities.get("bus_of") or (), strict=False))
     return lambda name: bool(
-        (can["buses"][bus_of[name]] if name in bus_of else can).get("heat", True)
+        (capabilities["buses"][bus_of[name]] if name in bus_of else capabilities).get("heat", True)
     )
 
 
@@ -111,29 +114,29 @@ def is_stopped(status: Mapping[str, Any] | None) -> bool:
     return status.get("state") == "stopped" and bool(status.get("stopped"))
 
 
-def _doubt(why: str | None) -> dict[str, Any]:
+def _unconfirmed_trouble(why: str | None) -> dict[str, Any]:
     if why is None:
         return {}
     meaning, remedy = _UNCONFIRMED
     return {"trouble": {"meaning": meaning.format(why=why), "remedy": remedy}}
 
 
-def _released(words: str) -> dict[str, Any]:
+def _released_trouble(words: str) -> dict[str, Any]:
     remedy = "no more is known: switch the servos' power off before you touch them"
     return {"trouble": {"meaning": words, "remedy": remedy}}
 
 
-def _heard(
+def _answer_values(
     health: Mapping[str, Any], state: str, *, is_fresh: bool, has_heat: bool
 ) -> dict[str, Any]:
-    """Return {heard, answers}: whether values came from the servo, and whether it answers now.
+    """Return {heard, answers}: whether the servo's readings are known, and it answers now.
 
-    health: the servo's readings; state: its state; is_fresh: both are current. Where the bus can
-    read temperatures, only values with a temperature count.
+    health: the readings, empty before the first; state: its state; is_fresh: both are current.
+    has_heat: the servo reports its temperature; its readings then count only with a temperature.
     """
-    heard = is_fresh and bool(health)
-    heard = heard and (health.get("temperature_degc") is not None or not has_heat)
-    return {"heard": heard, "answers": heard and str(health.get("state") or state) != "waiting"}
+    known = is_fresh and bool(health)
+    known = known and (health.get("temperature_degc") is not None or not has_heat)
+    return {"heard": known, "answers": known and str(health.get("state") or state) != "waiting"}
 
 
 _FIGURES: Final = (
@@ -141,28 +144,28 @@ _FIGURES: Final = (
 )  # fmt: skip
 
 
-def _status_line(
+def _servo_values(
     name: str, at_stop: str | None, state: str, health: Mapping[str, Any], is_fresh: bool
 ) -> dict[str, Any]:
     """Return a servo's state, readings, hardware errors and remedy, as JSON values.
 
-    at_stop: the servo's state by its answer to a person's stop; None: no such stop. state: in the
-    face's status, replaced by that in `health`, the servo's readings. is_fresh: these are current;
-    if not, state and readings are unknown.
+    at_stop: its state by its answer to a person's stop; None: no such stop. state: its state in the
+    face's status, used if `health`, its readings, has none. is_fresh: status and readings are
+    current; if not, the state is `unknown` and readings are None.
     """
     state = at_stop or str(health.get("state") or state) if is_fresh else "unknown"
-    heard = health if is_fresh else {}
-    bits = heard.get("hardware_errors")
+    readings = health if is_fresh else {}
+    bits = readings.get("hardware_errors")
     return {
         "name": name,
         "servo_id": health.get("servo_id"),
         "state": state,
-        **{figure: heard.get(figure) for figure in _FIGURES},
+        **{figure: readings.get(figure) for figure in _FIGURES},
         "hardware_errors": bits,
         "errors": error_words(bits),
         "trouble": state_words(state),
     }
 
 
-def _named(error: HardwareError) -> str:
+def _error_name(error: HardwareError) -> str:
     return str(error.name).lower().replace("_", " ")

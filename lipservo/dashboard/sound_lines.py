@@ -32,27 +32,30 @@ MOST_BYTES: Final = 50_000_000
 SUFFIXES: Final = (".wav", ".flac", ".ogg", ".opus", ".mp3", ".aif", ".aiff", PERFORMANCE_SUFFIX)
 _LONGEST_NAME_BYTES: Final = 200
 _MOST_LISTED: Final = 1000
-#: An upload that is not whole: begins with a dot, so that it is no line and cannot be played.
+#: Prefix of the name of an upload that is not whole: no line's name may begin with a dot.
 COMING: Final = ".coming-"
 MOST_AT_ONCE: Final = 4
-#: A client that sends nothing for so long, or is not done by then, is given up: 50 MB are done at
-#: 0.17 MB/s.
+#: An upload is given up when its client sends nothing for 10 s, or needs more than 5 minutes: 50 MB
+#: take as long at 0.17 MB/s.
 _STALLED_S: Final = 10.0
 _LONGEST_S: Final = 300.0
-#: What a dashboard that was killed has left behind is removed at the next upload after that.
+#: Unfinished files older than this, of a dashboard that was killed, are removed at an upload.
 _LEFT_S: Final = 3600.0
 
 
 def checked_name(name: str) -> str:
-    """Return `name` if it is a plain file name with a known ending, else raise FaceError."""
+    """Return `name` if it may be a line's: a plain file name, 200 bytes at most, known ending.
+
+    Otherwise raise FaceError `refused`.
+    """
     try:
         n_bytes = len(name.encode())
     except UnicodeEncodeError:
         raise FaceError("refused", f"{shown(name)} cannot be a file name") from None
     if not name or n_bytes > _LONGEST_NAME_BYTES:
         raise FaceError("refused", f"a file name must have 1 to {_LONGEST_NAME_BYTES} bytes")
-    is_plain = name.isprintable() and not set(name) & set('/\\:*?"<>|')
-    if not is_plain or name.startswith((".", " ", "-")) or name.endswith((".", " ")):
+    is_allowed = name.isprintable() and not set(name) & set('/\\:*?"<>|')
+    if not is_allowed or name.startswith((".", " ", "-")) or name.endswith((".", " ")):
         raise FaceError("refused", f"{shown(name)}: use letters, digits, spaces and dashes")
     if Path(name).suffix.lower() not in SUFFIXES:
         raise FaceError("refused", f"{shown(name)}: must end in {' or '.join(SUFFIXES)}")
@@ -67,22 +70,29 @@ class SoundLines:
         self._folder = folder
 
     def listed(self) -> list[dict[str, Any]]:
-        """Return {name, n_bytes, changed_s (since 1970)} of each file, by name; 1000 at most."""
-        found = []
-        with contextlib.suppress(OSError), os.scandir(self._place()) as entries:
-            for entry in entries:
-                with contextlib.suppress(OSError, FaceError):
-                    about = entry.stat(follow_symlinks=False)
-                    if stat.S_ISREG(about.st_mode):
-                        name = checked_name(entry.name)
-                        found.append(
-                            {"name": name, "n_bytes": about.st_size, "changed_s": about.st_mtime}
-                        )
-        return sorted(found, key=_name)[:_MOST_LISTED]
+        """Return {name, n_bytes, changed_s (since 1970)} of each line, by name; 1000 at most.
 
-    def path_of(self, name: str) -> Path:
-        """Return the path of the line of that name. Raises FaceError if there is none."""
-        path = self.place_of(name)
+        Empty where the folder cannot be read.
+        """
+        lines = []
+        with contextlib.suppress(OSError), os.scandir(self._checked_folder()) as entries:
+            for entry in entries:
+                # A file whose name no line may have is left out.
+                with contextlib.suppress(OSError, FaceError):
+                    info = entry.stat(follow_symlinks=False)
+                    if stat.S_ISREG(info.st_mode):
+                        name = checked_name(entry.name)
+                        lines.append(
+                            {"name": name, "n_bytes": info.st_size, "changed_s": info.st_mtime}
+                        )
+        return sorted(lines, key=_line_name)[:_MOST_LISTED]
+
+    def existing_path(self, name: str) -> Path:
+        """Return the path of the sound file or performance `name`.
+
+        Raises FaceError `not_found` if there is no such regular file, links not followed.
+        """
+        path = self.target_path(name)
         try:
             is_file = stat.S_ISREG(path.lstat().st_mode)
         except OSError:
@@ -92,20 +102,20 @@ class SoundLines:
         return path
 
     def remove(self, name: str) -> None:
-        """Delete the line of that name. Raises FaceError where that fails."""
+        """Delete the sound file or performance `name`. Raises FaceError where that fails."""
         try:
-            self.path_of(name).unlink()
+            self.existing_path(name).unlink()
         except OSError as error:
             raise FaceError("refused", f"{shown(name)}: {error.strerror}") from error
 
-    def place_of(self, name: str) -> Path:
-        """Return the path for a line of that name, existing or not.
+    def target_path(self, name: str) -> Path:
+        """Return the path that a sound file or performance `name` has, existing or not.
 
-        Raises FaceError for a name that no line may have.
+        Raises FaceError for a name that none may have.
         """
-        return self._place() / checked_name(name)
+        return self._checked_folder() / checked_name(name)
 
-    def _place(self) -> Path:
+    def _checked_folder(self) -> Path:
         if self._folder is None:
             hint = "start it with `--sounds FOLDER`"
             raise FaceError("not_available", f"this face plays no files: {hint}")
@@ -126,7 +136,7 @@ def check_sound(path: Path, name: str) -> None:
         raise FaceError("not_sound", " ".join(why.split())) from error
 
 
-def _name(line: dict[str, Any]) -> str:
+def _line_name(line: dict[str, Any]) -> str:
     return str(line["name"])
 
 
@@ -134,8 +144,8 @@ class Uploads:
     """The uploads of one dashboard, 4 at most at a time, in one event loop."""
 
     def __init__(self) -> None:
-        self._writing = ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="dashboard upload")
-        self._n_coming = 0
+        self._threads = ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="dashboard upload")
+        self._n_uploads = 0
 
     async def store(
         self, place: Path, chunks: AsyncIterator[bytes], *, replace: bool = False
@@ -144,7 +154,7 @@ class Uploads:
 
         Parameters
         ----------
-        place : the path of the finished file, from `SoundLines.place_of`.
+        place : the path of the finished file, from `SoundLines.target_path`.
         chunks : its bytes; what iterating raises is raised, and nothing is left behind.
         replace : whether an existing file may be replaced.
 
@@ -157,9 +167,9 @@ class Uploads:
         FaceError
             busy, exists, too_large, not_sound, stalled, not_available.
         """
-        if self._n_coming >= MOST_AT_ONCE:
+        if self._n_uploads >= MOST_AT_ONCE:
             raise FaceError("busy", f"{MOST_AT_ONCE} files are being uploaded; try again later")
-        self._n_coming += 1
+        self._n_uploads += 1
         try:
             return await self._store(place, chunks, replace=replace)
         except TimeoutError:
@@ -168,63 +178,70 @@ class Uploads:
         except OSError as error:
             raise FaceError("not_available", f"file not written: {error.strerror}") from error
         finally:
-            self._n_coming -= 1
+            self._n_uploads -= 1
 
     async def _store(
-        self, place: Path, chunks: AsyncIterator[bytes], *, replace: bool
+        self, target: Path, chunks: AsyncIterator[bytes], *, replace: bool
     ) -> dict[str, Any]:
-        """Write an upload to a temporary file, and give it its name `place` once whole and checked.
+        """Write an upload to a temporary file, moved to `target` once it is whole and checked.
 
-        The disk is used in threads. The temporary file is always removed. Raises FaceError,
-        OSError, and TimeoutError for a client that stalls for 10 s or needs more than 5 minutes.
+        The disk is used in threads. The temporary file is removed in every case. Returns {"name",
+        "n_bytes"}. Raises FaceError, OSError, and TimeoutError for a client that stalls for 10 s or
+        needs more than 5 minutes.
         """
-        in_thread = partial(asyncio.get_running_loop().run_in_executor, self._writing)
-        coming = await in_thread(partial(_ComingFile, place, replace=replace))
+        run_in_thread = partial(asyncio.get_running_loop().run_in_executor, self._threads)
+        upload = await run_in_thread(partial(_UnfinishedFile, target, replace=replace))
         n_bytes = 0
         try:
             async with asyncio.timeout(_LONGEST_S):
-                while (chunk := await _next_of(chunks)) is not None:
+                while (chunk := await _next_chunk(chunks)) is not None:
                     n_bytes += len(chunk)
                     if n_bytes > MOST_BYTES:
                         raise FaceError("too_large", f"over {MOST_BYTES // 10**6} MB")
-                    await in_thread(coming.write, chunk)
-            await in_thread(coming.finish)
+                    await run_in_thread(upload.write, chunk)
+            await run_in_thread(upload.finish)
         except asyncio.CancelledError:
-            # The server ends, and waits for no disk.
-            in_thread(coming.close)
+            # The server ends: the file is removed in a thread, for which nothing waits.
+            run_in_thread(upload.close)
             raise FaceError("busy", "the dashboard is ending; upload the file again") from None
         except BaseException:
-            await in_thread(coming.close)
+            await run_in_thread(upload.close)
             raise
-        await in_thread(coming.close)
-        return {"name": place.name, "n_bytes": n_bytes}
+        await run_in_thread(upload.close)
+        return {"name": target.name, "n_bytes": n_bytes}
 
 
-async def _next_of(chunks: AsyncIterator[bytes]) -> bytes | None:
+async def _next_chunk(chunks: AsyncIterator[bytes]) -> bytes | None:
+    """Return the next bytes of an upload; None at its end. Raises TimeoutError after 10 s."""
     async with asyncio.timeout(_STALLED_S):
         return await anext(chunks, None)
 
 
-def _sweep(folder: Path) -> None:
+def _remove_leftovers(folder: Path) -> None:
+    """Delete unfinished uploads in `folder` that are older than an hour."""
     for path in folder.glob(f"{COMING}*"):
         with contextlib.suppress(OSError):
             if time.time() - path.lstat().st_mtime > _LEFT_S:
                 path.unlink()
 
 
-class _ComingFile:
+class _UnfinishedFile:
     """An upload that is not whole yet, under a temporary name in its folder. Used in threads."""
 
     def __init__(self, place: Path, *, replace: bool) -> None:
+        """Create an empty temporary file beside `place`, the path of the finished file.
+
+        Raises FaceError `exists` if there is such a file, unless `replace`; OSError.
+        """
         if place.exists() and not replace:
             raise FaceError("exists", f"{shown(place.name)} already exists")
-        _sweep(place.parent)
-        self._place = place
+        _remove_leftovers(place.parent)
+        self._target = place
         self._replace = replace
-        # A write goes on in its thread when its client is given up.
+        # `close` may be called while a write of an upload that was given up still runs.
         self._lock = threading.Lock()
-        fd, coming = tempfile.mkstemp(place.suffix, COMING, place.parent)
-        self._path = Path(coming)
+        fd, partial_path = tempfile.mkstemp(place.suffix, COMING, place.parent)
+        self._path = Path(partial_path)
         self._file = os.fdopen(fd, "wb")
 
     def write(self, chunk: bytes) -> None:
@@ -232,20 +249,23 @@ class _ComingFile:
             self._file.write(chunk)
 
     def finish(self) -> None:
-        """Flush the file to disk, check that it is sound, and give it its final name."""
+        """Flush the file to disk, check that it can be played, and give it its final name.
+
+        Raises FaceError `not_sound`, or `exists` if another file has that name by now.
+        """
         with self._lock:
             self._file.flush()
             os.fsync(self._file.fileno())
-            check_sound(self._path, self._place.name)
+            check_sound(self._path, self._target.name)
             self._path.chmod(0o644)
             if self._replace:
-                self._path.replace(self._place)
+                self._path.replace(self._target)
                 return
             try:
                 # Unlike a rename, this never takes another file's place.
-                os.link(self._path, self._place)
+                os.link(self._path, self._target)
             except FileExistsError as error:
-                raise FaceError("exists", f"{shown(self._place.name)} already exists") from error
+                raise FaceError("exists", f"{shown(self._target.name)} already exists") from error
 
     def close(self) -> None:
         """Close and delete the temporary file."""

@@ -21,7 +21,7 @@ _CTRL_D = "\x04"
 _CTRL_D_TYPED_AHEAD = "\x00"
 #: The rest of an arrow comes at once; a person who presses Escape alone sends no more.
 _ARROW_S = 0.05
-_ENDS = ("", "\x04")
+_INPUT_ENDS = ("", "\x04")
 #: The rest of an arrow or a function key comes at once; a lone Escape has none.
 _ESCAPE, _ESCAPE_S, _LONGEST_ESCAPE = "\x1b", 0.05, 8
 
@@ -31,9 +31,12 @@ class NoAnswerError(UserError):
 
 
 def read_key() -> str:
-    """Wait for a key and return it; arrows up, down, right, left as w, s, d, a; at the end q."""
+    """Wait for a key and return it; arrows up, down, right, left as w, s, d, a.
+
+    Ctrl-D and the input's end are returned as q.
+    """
     if sys.stdin.isatty():
-        key = _terminal_key(sys.stdin.fileno())
+        key = _read_terminal_key(sys.stdin.fileno())
     else:
         key = sys.stdin.read(1)
         if key == "\x1b":
@@ -55,21 +58,21 @@ def read_line(question: str) -> str:
     return line.strip()
 
 
-def _terminal_key(terminal: int) -> str:
-    """Read a key, without Enter or echo, from a file descriptor; "" if the terminal is gone.
+def _read_terminal_key(terminal_fd: int) -> str:
+    """Wait for a key from a terminal, without Enter or echo; an arrow is three characters.
 
-    Ctrl-C stays a signal.
+    Return "" if the terminal is gone. Ctrl-C stays a signal.
     """
-    before = termios.tcgetattr(terminal)
+    previous_mode = termios.tcgetattr(terminal_fd)
     try:
-        tty.setcbreak(terminal, termios.TCSANOW)  # the default forgets keys typed ahead
-        key = os.read(terminal, 1)
-        if key == b"\x1b" and select.select([terminal], [], [], _ARROW_S)[0]:
-            key += os.read(terminal, 2)
+        tty.setcbreak(terminal_fd, termios.TCSANOW)  # the default forgets keys typed ahead
+        key = os.read(terminal_fd, 1)
+        if key == b"\x1b" and select.select([terminal_fd], [], [], _ARROW_S)[0]:
+            key += os.read(terminal_fd, 2)
     except OSError:  # EIO: hung up
         return ""
     finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+        termios.tcsetattr(terminal_fd, termios.TCSADRAIN, previous_mode)
     return key.decode(errors="replace")
 
 
@@ -82,35 +85,35 @@ class PressedKeys:
 
     def __init__(self, end: str = "q") -> None:
         self._end = end
-        self._input = sys.stdin.fileno()
-        self._before: list[Any] | None = None
+        self._input_fd = sys.stdin.fileno()
+        self._previous_mode: list[Any] | None = None
 
     def next_key(self, timeout_s: float, wake: Any = None) -> str | None:
-        """Return the next key in lower case.
+        """Return the next key in lower case; the constructor's `end` at Ctrl-D or the input's end.
 
-        None: none came in `timeout_s`, the file `wake` is readable, or the key is ignored.
+        None: no key came in `timeout_s`, the key is ignored, or the file `wake` became readable.
         """
-        sources = [self._input] if wake is None else [self._input, wake]
-        if self._input not in select.select(sources, [], [], timeout_s)[0]:
+        sources = [self._input_fd] if wake is None else [self._input_fd, wake]
+        if self._input_fd not in select.select(sources, [], [], timeout_s)[0]:
             return None
         try:
-            key = os.read(self._input, 1).decode(errors="replace")
+            key = os.read(self._input_fd, 1).decode(errors="replace")
         except OSError:  # EIO: hung up
             key = ""
-        if key in _ENDS:
+        if key in _INPUT_ENDS:
             return self._end
         if key == _ESCAPE:
-            if select.select([self._input], [], [], _ESCAPE_S)[0]:
-                os.read(self._input, _LONGEST_ESCAPE)
+            if select.select([self._input_fd], [], [], _ESCAPE_S)[0]:
+                os.read(self._input_fd, _LONGEST_ESCAPE)
             return None
-        if key == "\n" and self._before is None:
+        if key == "\n" and self._previous_mode is None:  # no terminal: the line end of a script
             return None
         return key.lower()
 
     def __enter__(self) -> Self:
-        if os.isatty(self._input):
-            self._before = termios.tcgetattr(self._input)
-            tty.setcbreak(self._input, termios.TCSANOW)  # the default forgets keys typed ahead
+        if os.isatty(self._input_fd):
+            self._previous_mode = termios.tcgetattr(self._input_fd)
+            tty.setcbreak(self._input_fd, termios.TCSANOW)  # the default forgets keys typed ahead
         return self
 
     def __exit__(
@@ -120,5 +123,5 @@ class PressedKeys:
         where: TracebackType | None,
     ) -> None:
         """Restore the terminal's mode; stdin that is no terminal needs nothing."""
-        if self._before is not None:
-            termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)
+        if self._previous_mode is not None:
+            termios.tcsetattr(self._input_fd, termios.TCSADRAIN, self._previous_mode)

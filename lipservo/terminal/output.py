@@ -15,9 +15,9 @@ from firmware_bridge.process.logs import LOG_JSON
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: What is done, how many, of how many.
+#: Reports progress: (what is done, how many are done, of how many).
 Advance = Callable[[str, int, int], None]
-#: With `--log-json` what is said on stderr are log lines, too.
+#: With `--log-json` messages for stderr become log lines of this logger.
 _LOG: Final = logging.getLogger("lipservo.messages")
 _LOG.setLevel(logging.INFO)
 #: What rich leaves out of a text.
@@ -29,19 +29,20 @@ class _LazyConsole:
 
     def __init__(self, *, stderr: bool) -> None:
         self._stderr = stderr
-        self._made: Console | None = None
+        self._rich: Console | None = None
 
     def print(self, *objects: object, **options: Any) -> None:
         """Print as `rich.console.Console.print`; the terminal breaks lines that are too long.
 
         With `--log-json` a line for stderr becomes a log line.
         """
+        # Plain text without options needs no rich, which takes long to import.
         is_line = len(objects) == 1 and type(objects[0]) is str
         options = {"soft_wrap": is_line, **options}
         is_plain = not any(value for name, value in options.items() if name != "soft_wrap")
         if self._stderr and is_line and os.environ.get(LOG_JSON):
             _LOG.info("%s", objects[0])
-        elif self._made is None and is_line and is_plain:
+        elif self._rich is None and is_line and is_plain:
             stream = sys.stderr if self._stderr else sys.stdout
             stream.write(f"{objects[0]}\n".translate(_CONTROLS))
             stream.flush()
@@ -49,11 +50,11 @@ class _LazyConsole:
             self._console().print(*objects, **options)
 
     def _console(self) -> "Console":
-        if self._made is None:
+        if self._rich is None:
             from rich.console import Console
 
-            self._made = Console(stderr=self._stderr, markup=False, emoji=False, highlight=False)
-        return self._made
+            self._rich = Console(stderr=self._stderr, markup=False, emoji=False, highlight=False)
+        return self._rich
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._console(), name)
@@ -111,9 +112,9 @@ def progress_bar(*, quiet: bool) -> Iterator[Advance]:
     with Progress(*columns, console=MESSAGES, transient=True, disable=quiet) as progress:
         tasks = {}
 
-        def advance(what: str, n_done: int, n_all: int) -> None:
-            if what not in tasks:
-                tasks[what] = progress.add_task(what, total=n_all)
-            progress.update(tasks[what], completed=n_done, total=n_all)
+        def advance(label: str, n_done: int, n_all: int) -> None:
+            if label not in tasks:
+                tasks[label] = progress.add_task(label, total=n_all)
+            progress.update(tasks[label], completed=n_done, total=n_all)
 
         yield advance

@@ -20,7 +20,7 @@ Order = Mapping[str, Any]
 END: Final[Order] = {"key": "q"}
 _MOST_WAITING: Final = 64
 _LONGEST_ORDER: Final = 4096
-#: What was told is waited for so long at the end.
+#: So long `finish` waits for events that are not yet written.
 _PATIENCE_S: Final = 1.0
 
 
@@ -30,7 +30,7 @@ class PageLine:
     def __init__(self) -> None:
         self._pending_lines: queue.Queue[str] = queue.Queue(_MOST_WAITING)
         self._orders: queue.Queue[Order] = queue.Queue(_MOST_WAITING)
-        for work in (self._write, self._read):
+        for work in (self._write_events, self._read_orders):
             threading.Thread(target=work, name="page", daemon=True).start()
 
     def tell(self, event: str, **content: Any) -> None:
@@ -55,14 +55,14 @@ class PageLine:
             return self._orders.get(timeout=timeout_s)
         return None
 
-    def _write(self) -> None:
+    def _write_events(self) -> None:
         while True:
             line = self._pending_lines.get()
             with contextlib.suppress(OSError):  # nobody reads: the servos' end is told otherwise
                 os.write(sys.stdout.fileno(), f"{line}\n".encode())
             self._pending_lines.task_done()
 
-    def _read(self) -> None:
+    def _read_orders(self) -> None:
         while line := sys.stdin.readline(_LONGEST_ORDER):
             with contextlib.suppress(ValueError, queue.Full):
                 self._orders.put_nowait(dict(json.loads(line)))

@@ -40,8 +40,9 @@ def check_folder(folder: Path, names: Iterable[str]) -> None:
     elif folder.exists():
         raise PictureError(f"{folder}: is a file; give a folder for the pictures")
     else:
-        missing = next(each for each in (folder, *folder.parents) if each.parent.exists())
-        check_output(missing)
+        # The uppermost folder that has to be made: its parent must allow that.
+        to_create = next(path for path in (folder, *folder.parents) if path.parent.exists())
+        check_output(to_create)
 
 
 def without_screen() -> None:

@@ -35,9 +35,9 @@ _DOT_BITS = np.array([[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]])
 _UPPER_BITS = 0x01 | 0x02 | 0x08 | 0x10
 _MM_PER_DOT = 1.1
 MOUTH_COLUMNS, MOUTH_ROWS = 34, 12
-#: Dots are this much closer together than one apart, so that lines have no holes.
+#: Points along a line for each dot of its length, so that it has no holes.
 _STEPS_PER_DOT = 2
-#: The mouth opens downwards: the closed one is drawn so far above the middle.
+#: The mouth opens downwards: the closed mouth is drawn so far above the canvas's middle.
 _ABOVE_MIDDLE_MM = 8.0
 _REFRESH_HZ = 10
 _STATUS_EVERY_S = 1.0
@@ -51,7 +51,7 @@ _LABEL_COLUMNS, _GAP_COLUMNS = 10, 11
 #: A widely opened mouth; 99 % of the frames of grid_s1 stay below.
 _WIDEST_GAP_MM = 18.0
 _PHONEMES_SHOWN = 12
-#: A terminal that stands still is waited for so long: whoever stopped the face waits for its end.
+#: So long the last picture may take: a terminal that takes no output must not delay the end.
 _LAST_PICTURE_S = 0.5
 
 
@@ -77,9 +77,10 @@ def draw_mouth(
         Lines of `MOUTH_COLUMNS` characters.
     """
     canvas = np.zeros((MOUTH_ROWS, MOUTH_COLUMNS), dtype=np.int64)
+    # Outer and inner lips, each a closed polygon; an open mouth reaches down from the middle.
     for loop_mm in lip_loops_mm(markers_mm, rest_mm, layout):
-        places_mm = loop_mm + np.array([0.0, _ABOVE_MIDDLE_MM])
-        for start, end in pairwise([*places_mm, places_mm[0]]):
+        points_mm = loop_mm + np.array([0.0, _ABOVE_MIDDLE_MM])
+        for start, end in pairwise([*points_mm, points_mm[0]]):
             _draw_line(canvas, start, end)
     character = _ascii if ascii_only else _braille
     return ["".join(character(int(cell)) for cell in row) for row in canvas]
@@ -107,36 +108,38 @@ def lip_loops_mm(markers_mm: Array, rest_mm: Array, layout: PointLayout) -> list
 
 
 def _neutral_lips(rest_mm: Array, layout: PointLayout) -> list[tuple[list[int], Array]]:
-    """Return the markers of each loop of the lips, and their drawn positions at rest, (n, 2) mm.
+    """Return (marker indices, drawn positions at rest (n, 2) mm) of each loop: outer, inner lips.
 
-    Positions are the mean of `rest_mm` and its mirror image, from the mouth's middle, with the
-    inner lips in one straight line.
+    A loop that the layout lacks is left out. Positions are the mean of `rest_mm` and its mirror
+    image, from the mouth's middle, with the inner lips in one straight line.
     """
-    around = [list(layout.group(name)) for name in (OUTER_LIP_GROUP, INNER_LIP_GROUP)]
-    loops = [(points, _symmetric(rest_mm[points, :2])) for points in around if points]
+    groups = [list(layout.group(name)) for name in (OUTER_LIP_GROUP, INNER_LIP_GROUP)]
+    loops = [(points, _symmetrized(rest_mm[points, :2])) for points in groups if points]
     if not loops:
         return []
     # The innermost loop is the line where the lips meet.
     middle_mm = loops[-1][1][:, 1].mean()
-    for _, places_mm in loops:
-        places_mm[:, 1] -= middle_mm
-        places_mm[[0, len(places_mm) // 2], 1] = 0.0
-    if around[1]:
+    for _, points_mm in loops:
+        # Both corners of the mouth, markers 0 and n / 2 of a loop, lie on the line, too.
+        points_mm[:, 1] -= middle_mm
+        points_mm[[0, len(points_mm) // 2], 1] = 0.0
+    if groups[1]:
         loops[-1][1][:, 1] = 0.0
     return loops
 
 
-def _symmetric(places_mm: Array) -> Array:
-    """Return the mean of a lip and its mirror image, (n, 2).
+def _symmetrized(points_mm: Array) -> Array:
+    """Return the mean of a loop of the lips, (n, 2) mm, and its mirror image, (n, 2) mm, centred.
 
-    Marker k from one corner, round the lip, mirrors marker k from the other corner.
+    Marker 0 is one corner of the mouth and n / 2 the other; marker k from the one, along the loop,
+    mirrors marker k from the other, counted the other way round.
     """
-    n = len(places_mm)
-    mirrored = places_mm[(n // 2 - np.arange(n)) % n]
+    n = len(points_mm)
+    mirrored = points_mm[(n // 2 - np.arange(n)) % n]
     return np.stack(
         [
-            (places_mm[:, 0] - mirrored[:, 0]) / 2.0,
-            (places_mm[:, 1] + mirrored[:, 1]) / 2.0,
+            (points_mm[:, 0] - mirrored[:, 0]) / 2.0,
+            (points_mm[:, 1] + mirrored[:, 1]) / 2.0,
         ],
         axis=1,
     )
@@ -153,6 +156,7 @@ def _ascii(cell: int) -> str:
 
 def _draw_line(canvas: Canvas, start: Array, end: Array) -> None:
     """Draw a line into the canvas, clipped; start, end: (2,) mm from the middle, y up."""
+    # A character has 2 x 4 dots; the canvas's middle, in dots, is (MOUTH_COLUMNS, 2 * MOUTH_ROWS).
     dots = np.stack([start, end]) * [1.0, -1.0] / _MM_PER_DOT + [MOUTH_COLUMNS, 2 * MOUTH_ROWS]
     n_steps = int(np.abs(dots[1] - dots[0]).max() * _STEPS_PER_DOT) + 2
     for x, y in np.floor(np.linspace(dots[0], dots[1], n_steps)).astype(int):
@@ -191,7 +195,7 @@ class TerminalView:
 
         joints: those of all servos, in order.
         """
-        self._ask_status = status
+        self._get_status = status
         self._status = status()
         self._status_at_s = 0.0
         self._joints = joints
@@ -203,14 +207,14 @@ class TerminalView:
         self._tick: StreetTick | None = None
         self._phonemes: deque[str] = deque(maxlen=_PHONEMES_SHOWN)
         self._live = Live(
-            console=console, refresh_per_second=_REFRESH_HZ, get_renderable=self._draw
+            console=console, refresh_per_second=_REFRESH_HZ, get_renderable=self._render
         )
 
     def observe(self, tick: StreetTick) -> None:
         """Store the newest tick, a step of the motion loop, for the next refresh to show."""
         if abs(tick.sound_s - self._status_at_s) >= _STATUS_EVERY_S:
             self._status_at_s = tick.sound_s
-            self._status = self._ask_status()
+            self._status = self._get_status()
         if not self._phonemes or self._phonemes[-1] != tick.phoneme:
             self._phonemes.append(tick.phoneme)
         self._tick = tick
@@ -230,12 +234,12 @@ class TerminalView:
             rest = Frame(tick.sound_s, self._model.rest)
             self.observe(replace(tick, phoneme=SILENCE, frame=rest, report=report))
         # In a thread, for rich's lock may be held by a picture that the terminal does not take.
-        last = threading.Thread(target=self._live.stop, name="last picture", daemon=True)
-        last.start()
-        last.join(_LAST_PICTURE_S)
+        drawing = threading.Thread(target=self._live.stop, name="last picture", daemon=True)
+        drawing.start()
+        drawing.join(_LAST_PICTURE_S)
 
-    def _draw(self) -> RenderableType:
-        """Return the picture of the newest tick; before the first, the title.
+    def _render(self) -> RenderableType:
+        """Return the picture of the newest tick for rich to print; before the first, the title.
 
         Called by rich's thread, ten times a second.
         """
@@ -252,55 +256,55 @@ class TerminalView:
         title = Text(self._title + torque, style="bold")
         speech = self._status.speech
         fallback = f", fallback {speech.fallback_level}" if speech.fallback_level else ""
-        opens = ", does not close" if speech.mouth_closes is False else ""
-        motion = Text(f"{speech.strategy}, {speech.recognizer}{fallback}{opens}", style="dim")
-        return Group(title, motion, self._head(tick), self._face(tick))
+        stays_open = ", does not close" if speech.mouth_closes is False else ""
+        motion = Text(f"{speech.strategy}, {speech.recognizer}{fallback}{stays_open}", style="dim")
+        return Group(title, motion, self._status_rows(tick), self._mouth_and_servos(tick))
 
     @property
     def _title(self) -> str:
         return f"{self._status.speech.sound} -> {self._status.bridge.name}"
 
-    def _head(self, tick: StreetTick) -> Table:
-        """Return the rows above the servos: sound time, latest phonemes and lip gap of a tick."""
+    def _status_rows(self, tick: StreetTick) -> Table:
+        """Return three rows for a tick: sound time, the latest phonemes, lip gap."""
         gap_mm = self._model.lip_gap_mm(tick.coefficients)
         spoken = Text(" ".join(list(self._phonemes)[:-1]) + " ", style="dim")
         spoken.append(tick.phoneme, style="bold cyan")
-        room = self._console.width - _LABEL_COLUMNS
-        spoken = spoken[-room:] if len(spoken) > room else spoken
-        width = min(_WIDEST_BAR, room - _GAP_COLUMNS)
+        columns = self._console.width - _LABEL_COLUMNS
+        spoken = spoken[-columns:] if len(spoken) > columns else spoken
+        width = min(_WIDEST_BAR, columns - _GAP_COLUMNS)
         openness = self._bar(gap_mm / _WIDEST_GAP_MM, width).append(f"  {gap_mm:5.1f} mm")
         head = Table.grid(padding=(0, 2))
-        heard = "" if tick.hearing is None else f"   {tick.hearing}"
-        head.add_row("sound", f"{max(0.0, tick.sound_s):6.2f} s{heard}")
+        hearing = "" if tick.hearing is None else f"   {tick.hearing}"
+        head.add_row("sound", f"{max(0.0, tick.sound_s):6.2f} s{hearing}")
         head.add_row("phonemes", spoken)
         head.add_row("lip gap", openness)
         return head
 
-    def _face(self, tick: StreetTick) -> RenderableType:
-        """Return the drawn mouth and the table of servos side by side, for a tick's motion.
+    def _mouth_and_servos(self, tick: StreetTick) -> RenderableType:
+        """Return the drawn mouth and the table of servos, side by side, for one tick.
 
-        If the terminal is too narrow for both, the table alone.
+        The table alone if the terminal is too narrow for both.
         """
         name_width = max(len(joint.name) for joint in self._joints)
-        room = self._console.width - name_width - _ANGLE_COLUMNS
-        with_mouth = room - MOUTH_COLUMNS - 2
-        if with_mouth < _SHORTEST_BAR:
-            return self._servos(tick, room)
+        columns = self._console.width - name_width - _ANGLE_COLUMNS
+        beside_mouth = columns - MOUTH_COLUMNS - 2
+        if beside_mouth < _SHORTEST_BAR:
+            return self._servo_table(tick, columns)
         markers_mm = self._model.markers_mm(tick.coefficients[None])[0]
         lines = draw_mouth(
             markers_mm, self._rest_mm, self._model.layout, ascii_only=self._signs is _ASCII
         )
         face = Table.grid(padding=(0, 1))
-        face.add_row(Text("\n".join(lines), style="red"), self._servos(tick, with_mouth))
+        face.add_row(Text("\n".join(lines), style="red"), self._servo_table(tick, beside_mouth))
         return face
 
-    def _servos(self, tick: StreetTick, room: int) -> Table:
-        """Return a table with a line for each servo.
+    def _servo_table(self, tick: StreetTick, columns: int) -> Table:
+        """Return a table with a line for each servo: name, scale of its range, goal in degrees.
 
-        room: columns for a space and a scale; with too few of them the scale is left out and names
+        columns: characters for a space and the scale; if too few, the scale is left out, and names
         may be cut.
         """
-        width = min(room - 1, _WIDEST_BAR)
+        width = min(columns - 1, _WIDEST_BAR)
         n_letters = max(self._console.width - _ANGLE_COLUMNS, _FEWEST_LETTERS)
         servos = Table.grid(padding=(0, 1))
         for joint, sent_deg in zip(self._joints, tick.report.sent_deg, strict=True):
@@ -314,12 +318,12 @@ class TerminalView:
 
     def _bar(self, share: float, width: int) -> Text:
         """Return a bar of `width` characters, filled from the left by `share`, 0..1."""
-        n = round(min(max(share, 0.0), 1.0) * max(width, 0))
-        return Text(self._signs.full * n + self._signs.empty * (width - n), style="red")
+        n_full = round(min(max(share, 0.0), 1.0) * max(width, 0))
+        return Text(self._signs.full * n_full + self._signs.empty * (width - n_full), style="red")
 
     def _scale(self, share: float, width: int) -> Text:
         """Return a scale of `width` characters with a mark at `share`, 0..1."""
-        n = round(min(max(share, 0.0), 1.0) * (width - 1))
-        text = Text(self._signs.line * n, style="dim")
+        n_before = round(min(max(share, 0.0), 1.0) * (width - 1))
+        text = Text(self._signs.line * n_before, style="dim")
         text.append(self._signs.mark, style="green")
-        return text.append(self._signs.line * (width - 1 - n), style="dim")
+        return text.append(self._signs.line * (width - 1 - n_before), style="dim")

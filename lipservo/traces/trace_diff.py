@@ -21,16 +21,16 @@ from lipsync.output_file import check_output, written_whole
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: The lag is looked for within this, in steps of a millisecond.
+#: A lag is looked for from minus to plus this, in steps of a millisecond.
 _MOST_LAG_S, _LAG_STEP_S = 0.25, 0.001
-#: Motion less than this has no timing to speak of, mm rms of the lip gap around its mean.
+#: Below this standard deviation of the lip gap a trace is still: no lag can be found, mm.
 _STILL_MM = 0.05
-#: The beginning of a closure in one trace and in the other are the same one within this.
+#: Closures of two traces are the same one if their beginnings differ by this at most.
 _SAME_CLOSURE_S = 0.25
-#: Worst moments that are told are so far apart.
-_APART_S = 0.3
-#: The servos that differ most, one panel each.
-_SERVOS = 3
+#: The worst moments in a `Difference` are at least so far apart.
+_WORST_APART_S = 0.3
+#: Servos in the picture, those that differ most, one panel each.
+_N_SERVOS_DRAWN = 3
 _SUFFIXES = (".png", ".svg")
 
 
@@ -106,14 +106,16 @@ class Overlay:
 
 
 def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
-    """Return traces `a` and `b` aligned by sound time; `models`: the face model of each.
+    """Return traces `a` and `b` at the ticks of `a` that lie in the sound time of both.
 
-    Raises IncomparableError with one line.
+    b's frames and goals are interpolated linearly. models: the face model of each. Raises
+    IncomparableError, one line, if servos, face or number of lip points differ, or if fewer than
+    two ticks of `a` lie in both.
     """
     if a.servos != b.servos:
-        only = sorted(set(a.servos) ^ set(b.servos))
-        what = f"only one of them has {only[0]}" if only else "in another order"
-        raise IncomparableError(f"{a.name} and {b.name} have different servos: {what}")
+        unshared = sorted(set(a.servos) ^ set(b.servos))
+        difference = f"only one of them has {unshared[0]}" if unshared else "in another order"
+        raise IncomparableError(f"{a.name} and {b.name} have different servos: {difference}")
     if a.face != b.face:
         raise IncomparableError(f"{a.name} is of face {a.face!r}, but {b.name} of {b.face!r}")
     lips = [list(model.layout.lips) for model in models]
@@ -123,86 +125,91 @@ def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
             "which cannot be compared"
         )
     start_s, end_s = max(a.sound_s[0], b.sound_s[0]), min(a.sound_s[-1], b.sound_s[-1])
-    within = (a.sound_s >= start_s - 1e-9) & (a.sound_s <= end_s + 1e-9)
-    if within.sum() < 2:
+    in_both = (a.sound_s >= start_s - 1e-9) & (a.sound_s <= end_s + 1e-9)
+    if in_both.sum() < 2:
         raise IncomparableError(f"{a.name} and {b.name} have no sound time in common")
-    times_s = a.sound_s[within]
-    faces = [
-        model.markers_mm(_at(trace.sound_s, trace.coefficients, times_s))
+    times_s = a.sound_s[in_both]
+    markers_mm = [
+        model.markers_mm(_interpolated(trace.sound_s, trace.coefficients, times_s))
         for trace, model in zip((a, b), models, strict=True)
     ]
-    apart_mm = np.linalg.norm(faces[1][:, lips[1]] - faces[0][:, lips[0]], axis=2)
-    nearest = np.clip(np.searchsorted(b.sound_s, times_s - 1e-9), 0, len(b.sound_s) - 1)
-    phoneme_of_tick = np.array(a.phonemes)[within]
+    distances_mm = np.linalg.norm(markers_mm[1][:, lips[1]] - markers_mm[0][:, lips[0]], axis=2)
+    # A phoneme cannot be interpolated: b's is that of its first tick at or after a's.
+    next_tick = np.clip(np.searchsorted(b.sound_s, times_s - 1e-9), 0, len(b.sound_s) - 1)
+    phoneme_of_tick = np.array(a.phonemes)[in_both]
     return Overlay(
         sound_s=times_s,
         phonemes=tuple(
-            zip(phoneme_of_tick.tolist(), np.array(b.phonemes)[nearest].tolist(), strict=True)
+            zip(phoneme_of_tick.tolist(), np.array(b.phonemes)[next_tick].tolist(), strict=True)
         ),
-        gaps_mm=(models[0].lip_gaps_mm(faces[0]), models[1].lip_gaps_mm(faces[1])),
-        lips_mm=np.sqrt((apart_mm**2).mean(axis=1)),
-        sent_deg=(a.sent_deg[within], _at(b.sound_s, b.sent_deg, times_s)),
-        own=(_own_gaps(a, models[0]), _own_gaps(b, models[1])),
+        gaps_mm=(models[0].lip_gaps_mm(markers_mm[0]), models[1].lip_gaps_mm(markers_mm[1])),
+        lips_mm=np.sqrt((distances_mm**2).mean(axis=1)),
+        sent_deg=(a.sent_deg[in_both], _interpolated(b.sound_s, b.sent_deg, times_s)),
+        own=(_gap_curve(a, models[0]), _gap_curve(b, models[1])),
     )
 
 
-def compare(a: Trace, b: Trace, laid: Overlay, *, margin_mm: float, n_worst: int = 5) -> Difference:
+def compare(a: Trace, b: Trace, both: Overlay, *, margin_mm: float, n_worst: int = 5) -> Difference:
     """Return all figures of the difference between two traces, recorded runs of one face.
 
-    laid: their overlay. margin_mm: a closure (lips that touch) does not count as lost if lips are
+    both: their overlay. margin_mm: a closure (lips that touch) does not count as lost if lips are
     open by less in the other trace. n_worst: number of times of large difference to list.
     """
-    apart_deg = np.abs(laid.sent_deg[1] - laid.sent_deg[0])
-    gap_a, gap_b = laid.gaps_mm
-    shifts_s, lost_s, new_s = _match_closures(laid, margin_mm)
+    apart_deg = np.abs(both.sent_deg[1] - both.sent_deg[0])
+    gap_a, gap_b = both.gaps_mm
+    shifts_s, lost_s, new_s = _match_closures(both, margin_mm)
     return Difference(
-        overlap_s=(float(laid.sound_s[0]), float(laid.sound_s[-1])),
-        lips_mm=float(laid.lips_mm.max()),
-        lips_rms_mm=float(np.sqrt((laid.lips_mm**2).mean())),
+        overlap_s=(float(both.sound_s[0]), float(both.sound_s[-1])),
+        lips_mm=float(both.lips_mm.max()),
+        lips_rms_mm=float(np.sqrt((both.lips_mm**2).mean())),
         gap_mm=float(np.abs(gap_b - gap_a).max()),
         servo_most_deg=tuple(apart_deg.max(axis=0).tolist()),
         servo_rms_deg=tuple(np.sqrt((apart_deg**2).mean(axis=0)).tolist()),
-        lag_s=motion_lag_s(*laid.own[0], *laid.own[1]),
+        lag_s=motion_lag_s(*both.own[0], *both.own[1]),
         closure_shifts_s=shifts_s,
         lost_closures_s=lost_s,
         new_closures_s=new_s,
         ends_apart_s=_ends_apart_s(a, b),
-        worst=_worst(a, laid, apart_deg, n_worst),
+        worst=_worst_ticks(a, both, apart_deg, n_worst),
     )
 
 
-def excesses(servos: tuple[str, ...], found: Difference, tolerance: Tolerance) -> list[str]:
-    """Return a line for each figure of `found` that exceeds the tolerance; empty if none does."""
+def excesses(servos: tuple[str, ...], diff: Difference, tolerance: Tolerance) -> list[str]:
+    """Return a line for each figure that exceeds the tolerance; empty if none does.
+
+    servos: names of the servos, in the order of the figures in `diff`.
+    """
     lines = []
-    if found.lips_mm > tolerance.mm:
-        lines.append(f"lips are up to {found.lips_mm:.2f} mm apart, {tolerance.mm:g} allowed")
-    if found.gap_mm > tolerance.mm:
-        lines.append(f"the lip gap is up to {found.gap_mm:.2f} mm off, {tolerance.mm:g} allowed")
-    most_deg, servo = max(zip(found.servo_most_deg, servos, strict=True))
+    if diff.lips_mm > tolerance.mm:
+        lines.append(f"lips are up to {diff.lips_mm:.2f} mm apart, {tolerance.mm:g} allowed")
+    if diff.gap_mm > tolerance.mm:
+        lines.append(f"the lip gap is up to {diff.gap_mm:.2f} mm off, {tolerance.mm:g} allowed")
+    most_deg, servo = max(zip(diff.servo_most_deg, servos, strict=True))
     if most_deg > tolerance.deg:
         lines.append(f"{servo} is up to {most_deg:.2f} deg off, {tolerance.deg:g} allowed")
-    if found.lag_s is not None and abs(found.lag_s) > tolerance.s:
+    if diff.lag_s is not None and abs(diff.lag_s) > tolerance.s:
         lines.append(
-            f"the motion is {1e3 * found.lag_s:+.1f} ms late, {1e3 * tolerance.s:g} allowed"
+            f"the motion is {1e3 * diff.lag_s:+.1f} ms late, {1e3 * tolerance.s:g} allowed"
         )
-    shift_s = max(map(abs, found.closure_shifts_s), default=0.0)
+    shift_s = max(map(abs, diff.closure_shifts_s), default=0.0)
     if shift_s > tolerance.s:
         lines.append(
             f"a closure is shifted by {1e3 * shift_s:.1f} ms, {1e3 * tolerance.s:g} allowed"
         )
-    if found.lost_closures_s or found.new_closures_s:
+    if diff.lost_closures_s or diff.new_closures_s:
         lines.append(
-            f"{len(found.lost_closures_s)} closures are lost, {len(found.new_closures_s)} are new"
+            f"{len(diff.lost_closures_s)} closures are lost, {len(diff.new_closures_s)} are new"
         )
-    if found.ends_apart_s > tolerance.s + 1e-6:
-        lines.append(f"one shows {found.ends_apart_s:.3f} s that the other does not")
+    if diff.ends_apart_s > tolerance.s + 1e-6:
+        lines.append(f"one shows {diff.ends_apart_s:.3f} s that the other does not")
     return lines
 
 
 def motion_lag_s(times_s: Array, first: Array, second_s: Array, second: Array) -> float | None:
-    """Return how much later the second curve moves: the maximum of their cross-correlation.
+    """Return how much later the second curve moves: the lag of the greatest correlation.
 
-    The lag is a quarter of a second at most, refined by a parabola.
+    Lags up to 0.25 s, or a quarter of the overlap if that is less, are tried in steps of 1 ms; a
+    parabola through the best three refines the result.
 
     Parameters
     ----------
@@ -214,136 +221,148 @@ def motion_lag_s(times_s: Array, first: Array, second_s: Array, second: Array) -
     Returns
     -------
     float | None
-        Seconds; None if either hardly moves or they hardly overlap.
+        Seconds, positive where the second is later; None if either hardly moves (standard
+        deviation below 0.05) or they hardly overlap.
     """
     if min(first.std(), second.std()) < _STILL_MM:
         return None
     start_s, end_s = max(times_s[0], second_s[0]), min(times_s[-1], second_s[-1])
-    most_s = min(_MOST_LAG_S, (end_s - start_s) / 4.0)
-    lags_s = np.arange(-most_s, most_s + _LAG_STEP_S / 2.0, _LAG_STEP_S)
-    inner = (times_s >= start_s + most_s) & (times_s <= end_s - most_s)
-    if inner.sum() < 3:
+    max_lag_s = min(_MOST_LAG_S, (end_s - start_s) / 4.0)
+    lags_s = np.arange(-max_lag_s, max_lag_s + _LAG_STEP_S / 2.0, _LAG_STEP_S)
+    # Samples of the first curve that stay within the second at every lag.
+    is_compared = (times_s >= start_s + max_lag_s) & (times_s <= end_s - max_lag_s)
+    if is_compared.sum() < 3:
         return None
-    still = first[inner] - first[inner].mean()
+    reference = first[is_compared] - first[is_compared].mean()
     scores = []
     for lag_s in lags_s:
-        moved = np.interp(times_s[inner] + lag_s, second_s, second)
-        moved = moved - moved.mean()
-        scale = float(np.linalg.norm(still) * np.linalg.norm(moved))
-        scores.append(float(still @ moved) / scale if scale > 0.0 else -1.0)
+        shifted = np.interp(times_s[is_compared] + lag_s, second_s, second)
+        shifted = shifted - shifted.mean()
+        scale = float(np.linalg.norm(reference) * np.linalg.norm(shifted))
+        scores.append(float(reference @ shifted) / scale if scale > 0.0 else -1.0)
     best = int(np.argmax(scores))
     if not 0 < best < len(scores) - 1:
         return float(lags_s[best])
     left, top, right = scores[best - 1 : best + 2]
-    bend = left - 2.0 * top + right
-    offset = 0.5 * (left - right) / bend if bend else 0.0
-    return round(float(lags_s[best] + offset * _LAG_STEP_S), 6) + 0.0
+    # https://ccrma.stanford.edu/~jos/sasp/Quadratic_Interpolation_Spectral_Peaks.html
+    curvature = left - 2.0 * top + right
+    offset = 0.5 * (left - right) / curvature if curvature else 0.0
+    return round(float(lags_s[best] + offset * _LAG_STEP_S), 6) + 0.0  # never -0.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Closure:
-    """A closure (lips that touch), which begins at `start_s`. times_s: sound times of its ticks."""
+    """A closure, an interval in which lips touch. All times are sound times.
+
+    start_s: its beginning, interpolated between ticks; times_s: (n,), of its ticks.
+    """
 
     start_s: float
     times_s: Array
 
 
-def _closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
-    """Return each closure of the lips, an interval in which their gap is below 1 mm.
+def _find_closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
+    """Return each closure of the lips in a curve, an interval in which their gap is below 1 mm.
 
-    A closure has its start, interpolated between ticks, and the times of its ticks. A closure at
-    the first tick is left out. times_s: (n_ticks,) sound times; gaps_mm: (n_ticks,) lip gaps.
+    A closure that holds at the first tick is left out: its beginning is not known. times_s:
+    (n_ticks,) sound times; gaps_mm: (n_ticks,) lip gaps.
     """
     closed = gaps_mm < CLOSED_GAP_MM
     found = []
     for start in (np.flatnonzero(closed[1:] & ~closed[:-1]) + 1).tolist():
         opens = np.flatnonzero(~closed[start:])
         end = start + int(opens[0]) if len(opens) else len(closed)
-        before, after = gaps_mm[start - 1], gaps_mm[start]
-        share = (before - CLOSED_GAP_MM) / (before - after)
-        moment_s = times_s[start - 1] + share * (times_s[start] - times_s[start - 1])
-        found.append(_Closure(float(moment_s), times_s[start:end]))
+        before_mm, after_mm = gaps_mm[start - 1], gaps_mm[start]
+        share = (before_mm - CLOSED_GAP_MM) / (before_mm - after_mm)
+        start_s = times_s[start - 1] + share * (times_s[start] - times_s[start - 1])
+        found.append(_Closure(float(start_s), times_s[start:end]))
     return found
 
 
 def _match_closures(
-    laid: Overlay, margin_mm: float
+    both: Overlay, margin_mm: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Return shifts of the closures in both traces, and starts of those in one alone, all in s.
+    """Return (shifts of closures in both traces, starts of lost ones, starts of new ones), in s.
 
-    The starts are of closures in only the first trace, and in only the second. margin_mm: a closure
-    is missing in a trace whose lips stay open by more than that beyond a closure's limit.
+    A shift is positive where the second trace closes later. A closure of one trace alone is lost
+    (only the first has it) or new only if the lips of the other trace stay open by more than
+    `margin_mm` beyond a closure's limit, 1 mm.
     """
-    span_s = laid.sound_s[0], laid.sound_s[-1]
-    ours, theirs = (
-        [each for each in _closures(*own) if span_s[0] <= each.start_s <= span_s[1]]
-        for own in laid.own
+    span_s = both.sound_s[0], both.sound_s[-1]
+    of_first, of_second = (
+        [each for each in _find_closures(*curve) if span_s[0] <= each.start_s <= span_s[1]]
+        for curve in both.own
     )
     shifts, lost = [], []
-    for closure in ours:
-        near = min(theirs, key=lambda each: abs(each.start_s - closure.start_s), default=None)
-        if near is None or abs(near.start_s - closure.start_s) > _SAME_CLOSURE_S:
+    for closure in of_first:
+        nearest = min(of_second, key=lambda each: abs(each.start_s - closure.start_s), default=None)
+        if nearest is None or abs(nearest.start_s - closure.start_s) > _SAME_CLOSURE_S:
             lost.append(closure)
             continue
-        theirs.remove(near)
-        shifts.append(near.start_s - closure.start_s)
+        of_second.remove(nearest)
+        shifts.append(nearest.start_s - closure.start_s)
     return (
         tuple(shifts),
-        tuple(each.start_s for each in lost if _open(laid.own[1], each, margin_mm)),
-        tuple(each.start_s for each in theirs if _open(laid.own[0], each, margin_mm)),
+        tuple(each.start_s for each in lost if _stays_open(both.own[1], each, margin_mm)),
+        tuple(each.start_s for each in of_second if _stays_open(both.own[0], each, margin_mm)),
     )
 
 
-def _open(own: tuple[Array, Array], closure: _Closure, margin_mm: float) -> bool:
-    """Return whether lips stay open by over `margin_mm` during a closure of the other trace.
+def _stays_open(curve: tuple[Array, Array], closure: _Closure, margin_mm: float) -> bool:
+    """Return whether a trace's lips stay open during a closure of the other trace.
 
-    own: sound times and lip gaps of the trace that is examined.
+    curve: (sound times, lip gaps in mm) of the trace that is examined; open: at every tick of
+    `closure` its gap exceeds a closure's limit by more than `margin_mm`.
     """
-    return bool(np.interp(closure.times_s, *own).min() > CLOSED_GAP_MM + margin_mm)
+    return bool(np.interp(closure.times_s, *curve).min() > CLOSED_GAP_MM + margin_mm)
 
 
-def _own_gaps(trace: Trace, model: FaceModel) -> tuple[Array, Array]:
+def _gap_curve(trace: Trace, model: FaceModel) -> tuple[Array, Array]:
     return trace.sound_s, model.lip_gaps_mm(model.markers_mm(trace.coefficients))
 
 
-def _worst(a: Trace, laid: Overlay, apart_deg: Array, n_worst: int) -> tuple[Moment, ...]:
-    """Return the `n_worst` ticks at which two traces differ most, 0.3 s apart or more.
+def _worst_ticks(a: Trace, both: Overlay, apart_deg: Array, n_worst: int) -> tuple[Moment, ...]:
+    """Return the ticks at which two traces differ most, worst first, at least 0.3 s apart.
 
-    The lip distance in `laid` decides, then the servos' difference, `apart_deg` (n, n_servos).
+    At most `n_worst`, none without a difference. The lip distance in `both` decides; where it is
+    equal, the servos' absolute difference, `apart_deg` (n, n_servos).
     """
-    badness = laid.lips_mm + 1e-3 * apart_deg.max(axis=1)
-    left = badness.copy()
+    badness = both.lips_mm + 1e-3 * apart_deg.max(axis=1)
+    remaining = badness.copy()
     found: list[Moment] = []
-    while len(found) < n_worst and left.max() > 0.0:
-        at = int(np.argmax(left))
-        servo = int(np.argmax(apart_deg[at]))
+    while len(found) < n_worst and remaining.max() > 0.0:
+        tick = int(np.argmax(remaining))
+        servo = int(np.argmax(apart_deg[tick]))
         found.append(
             Moment(
-                sound_s=float(laid.sound_s[at]),
-                phonemes=laid.phonemes[at],
-                lips_mm=float(laid.lips_mm[at]),
-                gaps_mm=(float(laid.gaps_mm[0][at]), float(laid.gaps_mm[1][at])),
+                sound_s=float(both.sound_s[tick]),
+                phonemes=both.phonemes[tick],
+                lips_mm=float(both.lips_mm[tick]),
+                gaps_mm=(float(both.gaps_mm[0][tick]), float(both.gaps_mm[1][tick])),
                 servo=a.servos[servo],
-                off_deg=float(laid.sent_deg[1][at, servo] - laid.sent_deg[0][at, servo]),
+                off_deg=float(both.sent_deg[1][tick, servo] - both.sent_deg[0][tick, servo]),
             )
         )
-        left[np.abs(laid.sound_s - laid.sound_s[at]) < _APART_S] = 0.0
+        remaining[np.abs(both.sound_s - both.sound_s[tick]) < _WORST_APART_S] = 0.0
     return tuple(found)
 
 
 def _ends_apart_s(a: Trace, b: Trace) -> float:
-    """Return by how many s starts or ends of traces differ, less a tick; before 0 s is ignored."""
+    """Return by how many s the starts or the ends of traces differ, whichever is more, less a tick.
+
+    A start before sound time 0 counts as 0.
+    """
     tick_s = max(float(np.diff(trace.sound_s).min()) for trace in (a, b))
     starts_s, ends_s = (
-        [max(0.0, float(trace.sound_s[end])) for trace in (a, b)] for end in (0, -1)
+        [max(0.0, float(trace.sound_s[tick])) for trace in (a, b)] for tick in (0, -1)
     )
     apart_s = max(abs(starts_s[0] - starts_s[1]), abs(ends_s[0] - ends_s[1]))
     return max(0.0, apart_s - tick_s)
 
 
-def _at(from_s: Array, values: Array, times_s: Array) -> Array:
-    """Return values (n, k), known at times `from_s`, interpolated at `times_s` (m,) as (m, k)."""
-    return np.stack([np.interp(times_s, from_s, column) for column in values.T], axis=1)
+def _interpolated(known_s: Array, values: Array, times_s: Array) -> Array:
+    """Return values (n, k), known at times `known_s`, interpolated at `times_s` (m,) as (m, k)."""
+    return np.stack([np.interp(times_s, known_s, column) for column in values.T], axis=1)
 
 
 def check_plot(path: Path) -> None:
@@ -360,33 +379,33 @@ def _is_drawing(head: bytes) -> bool:
     return is_picture(head) or (head.startswith(b"<?xml") and b"svg" in head)
 
 
-def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> None:
-    """Write a picture of two traces: lip gaps, lip distance, the three most different servos.
+def draw_difference(path: Path, first: Trace, second: Trace, both: Overlay) -> None:
+    """Write a PNG or SVG picture of two traces: lip gaps, lip distance, most different servos.
 
-    laid: their overlay.
+    path: ends in .png or .svg. both: the overlay of the traces; three servos are drawn at most.
     """
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    apart_deg = np.abs(laid.sent_deg[1] - laid.sent_deg[0]).max(axis=0)
-    servos = np.argsort(apart_deg)[::-1][:_SERVOS].tolist()
+    apart_deg = np.abs(both.sent_deg[1] - both.sent_deg[0]).max(axis=0)
+    servos = np.argsort(apart_deg)[::-1][:_N_SERVOS_DRAWN].tolist()
     figure, axes = plt.subplots(
         2 + len(servos), 1, sharex=True, figsize=(11, 4 + 1.8 * len(servos)), layout="constrained"
     )
-    gap, apart = axes[0], axes[1]
-    for trace, curve, style in zip((first, second), laid.gaps_mm, ("-", "--"), strict=True):
-        gap.plot(laid.sound_s, curve, style, label=trace.name, linewidth=1.2)
-    gap.axhline(CLOSED_GAP_MM, color="0.5", linewidth=0.6, linestyle=":")
-    gap.set_ylabel("lip gap, mm")
-    gap.legend(fontsize=8)
-    _name_phonemes(gap, laid)
-    apart.fill_between(laid.sound_s, laid.lips_mm, color="tab:red", linewidth=0.0)
-    apart.set_ylabel("lips apart,\nmm rms")
+    gap_axis, distance_axis = axes[0], axes[1]
+    for trace, curve, style in zip((first, second), both.gaps_mm, ("-", "--"), strict=True):
+        gap_axis.plot(both.sound_s, curve, style, label=trace.name, linewidth=1.2)
+    gap_axis.axhline(CLOSED_GAP_MM, color="0.5", linewidth=0.6, linestyle=":")
+    gap_axis.set_ylabel("lip gap, mm")
+    gap_axis.legend(fontsize=8)
+    _label_phonemes(gap_axis, both)
+    distance_axis.fill_between(both.sound_s, both.lips_mm, color="tab:red", linewidth=0.0)
+    distance_axis.set_ylabel("lips apart,\nmm rms")
     for axis, servo in zip(axes[2:], servos, strict=True):
-        for curve, style in zip(laid.sent_deg, ("-", "--"), strict=True):
-            axis.plot(laid.sound_s, curve[:, servo], style, linewidth=1.0)
+        for curve, style in zip(both.sent_deg, ("-", "--"), strict=True):
+            axis.plot(both.sound_s, curve[:, servo], style, linewidth=1.0)
         axis.set_ylabel(f"{first.servos[servo]},\ndeg", fontsize=8)
     axes[-1].set_xlabel("sound time, s")
     with written_whole(path) as file:
@@ -394,12 +413,15 @@ def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> N
     plt.close(figure)
 
 
-def _name_phonemes(axis: "Axes", laid: Overlay) -> None:
-    """Write the first trace's phonemes above the axis, alternating between two lines."""
-    place = axis.get_xaxis_transform()
-    before, n = "", 0
-    for time_s, (phoneme, _) in zip(laid.sound_s.tolist(), laid.phonemes, strict=True):
-        if phoneme != before:
-            axis.text(time_s, 1.02 + 0.08 * (n % 2), phoneme, fontsize=6, transform=place)
+def _label_phonemes(axis: "Axes", both: Overlay) -> None:
+    """Write the first trace's phonemes above the axis, each at its beginning, on two lines in turn.
+
+    Two lines, so that short phonemes do not overlap.
+    """
+    above_axis = axis.get_xaxis_transform()
+    previous, n = "", 0
+    for time_s, (phoneme, _) in zip(both.sound_s.tolist(), both.phonemes, strict=True):
+        if phoneme != previous:
+            axis.text(time_s, 1.02 + 0.08 * (n % 2), phoneme, fontsize=6, transform=above_axis)
             n += 1
-        before = phoneme
+        previous = phoneme

@@ -29,7 +29,7 @@ from lipsync.output_file import OutputError, check_output, written_whole
 _LOG: Final = logging.getLogger(__name__)
 TRACE_VERSION = 1
 #: The first key of every trace.
-_MARK = "lipservo_trace"
+_VERSION_KEY = "lipservo_trace"
 #: Ticks that may wait for the disk: a minute at 200 Hz.
 _QUEUE_LENGTH = 12_000
 #: More than a day at 200 Hz, unpacked; a small file may unpack to any size.
@@ -42,13 +42,14 @@ class TraceError(UserError):
 
 def is_trace(head: bytes) -> bool:
     """Return whether a file with these first bytes is a trace."""
-    return head.startswith(f'{{"{_MARK}":'.encode())
+    return head.startswith(f'{{"{_VERSION_KEY}":'.encode())
 
 
 class TraceFile:
     """A trace file, record of a run, to which each tick (step of the motion loop) is written.
 
-    It is written at once, so `replay` uses it; the live loop needs `BackgroundTrace`.
+    `observe` may block on the disk, which a replay may wait for; the live loop uses
+    `BackgroundTrace`.
     """
 
     def __init__(self, path: Path, header: Mapping[str, object]) -> None:
@@ -58,18 +59,18 @@ class TraceFile:
         """
         check_output(path, replaces=is_trace, kind="trace")
         self._path = path
-        self._whole = ExitStack()
-        partial = self._whole.enter_context(written_whole(path))
-        self._file = self._whole.enter_context(partial.open("w", encoding="utf-8"))
+        self._open_files = ExitStack()
+        partial = self._open_files.enter_context(written_whole(path))
+        self._file = self._open_files.enter_context(partial.open("w", encoding="utf-8"))
         self._n_ticks = 0
-        self._write({_MARK: TRACE_VERSION, **header})
+        self._write({_VERSION_KEY: TRACE_VERSION, **header})
 
     def observe(self, tick: StreetTick) -> None:
         """Write the record of one tick, a step of the motion loop.
 
         Raises TraceError if the disk is full, and then leaves no file.
         """
-        self._write(_record_of(self._n_ticks, tick))
+        self._write(_tick_record(self._n_ticks, tick))
         self._n_ticks += 1
 
     def close(self, dropped: int = 0) -> None:
@@ -79,12 +80,13 @@ class TraceFile:
         """
         if self._file.closed:
             return
-        with self._whole:
+        with self._open_files:
             self._write({"ticks": self._n_ticks, "dropped": dropped})
 
     def abandon(self) -> None:
         """Remove the unfinished file; for one that cannot be completed."""
-        with suppress(OutputError), self._whole:
+        # An exception in its block makes `written_whole` delete the unfinished file.
+        with suppress(OutputError), self._open_files:
             raise OutputError("the trace was abandoned")
 
     def __enter__(self) -> "TraceFile":
@@ -118,7 +120,7 @@ class BackgroundTrace:
         self._queue: queue.Queue[StreetTick | None] = queue.Queue(_QUEUE_LENGTH)
         self._error: TraceError | None = None
         self._dropped = 0
-        self._thread = threading.Thread(target=self._run, name="trace", daemon=True)
+        self._thread = threading.Thread(target=self._write_queued, name="trace", daemon=True)
         self._thread.start()
 
     def observe(self, tick: StreetTick) -> None:
@@ -141,10 +143,10 @@ class BackgroundTrace:
             raise self._error
         self._file.close(self._dropped)
 
-    def _run(self) -> None:
+    def _write_queued(self) -> None:
         """Write queued ticks until the block ends. Runs in thread `trace`.
 
-        After an error of the disk the ticks are dropped; the face goes on.
+        After a write fails all further ticks are dropped; the face goes on.
         """
         while (tick := self._queue.get()) is not None:
             try:
@@ -155,10 +157,11 @@ class BackgroundTrace:
                 _LOG.error("%s; the face goes on", error)
 
 
-def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
+def _tick_record(number: int, tick: StreetTick) -> dict[str, object]:
     """Return a tick's record in a trace, for JSON. number: of the tick, from 0.
 
-    `range_hits` and `rate_hits` are indices of servos that the gate clamped or slowed.
+    `range_hits` and `rate_hits` are the indices of servos whose goal was clamped to its range, or
+    slowed to its speed and acceleration.
     """
     report = tick.report
     return {
@@ -209,30 +212,31 @@ class Trace:
 
 def read_trace(path: Path) -> Trace:
     """Read a trace file. Raises TraceError with one line if it is no trace or is damaged."""
-    lines = _lines(path)
-    head = _parsed(lines[0]) if lines else None
-    if head is None or head.get("lipservo_trace") != TRACE_VERSION:
+    lines = _read_lines(path)
+    header = _parse_record(lines[0]) if lines else None
+    if header is None or header.get("lipservo_trace") != TRACE_VERSION:
         raise TraceError(f"{path}: not a lipservo trace of version {TRACE_VERSION}")
     ticks: list[Mapping[str, Any]] = []
     end: Mapping[str, Any] | None = None
-    torn = False
+    is_torn = False
     for number, line in enumerate(lines[1:], start=2):
-        record = _parsed(line)
+        record = _parse_record(line)
+        # Only the last line may be cut off or unreadable: the run ended while it was written.
         if record is None or end is not None:
             if number < len(lines):
                 raise TraceError(f"{path}: damaged in line {number}")
-            torn = True
+            is_torn = True
         elif "ticks" in record:
             end = record
         else:
             ticks.append(record)
     try:
-        return _trace(path, head, ticks, end, torn=torn)
+        return _make_trace(path, header, ticks, end, torn=is_torn)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise TraceError(f"{path}: damaged: {error or 'no ticks'}") from error
 
 
-def _trace(
+def _make_trace(
     path: Path,
     head: Mapping[str, Any],
     ticks: list[Mapping[str, Any]],
@@ -278,8 +282,11 @@ def _trace(
     return trace
 
 
-def _lines(path: Path) -> list[bytes]:
-    """Return the file's non-empty lines, unpacked; of a `.gz` file cut short, those that remain."""
+def _read_lines(path: Path) -> list[bytes]:
+    """Return the file's non-empty lines, unpacked; of a `.gz` file cut short, those that remain.
+
+    At most 8 GB of a `.gz` file are unpacked. Raises TraceError.
+    """
     try:
         if path.suffix != ".gz":
             return [line for line in path.read_bytes().split(b"\n") if line]
@@ -297,7 +304,7 @@ def _lines(path: Path) -> list[bytes]:
     return [line for line in bytes(unpacked).split(b"\n") if line]
 
 
-def _parsed(line: bytes) -> Mapping[str, Any] | None:
+def _parse_record(line: bytes) -> Mapping[str, Any] | None:
     try:
         record = json.loads(line)
     except (ValueError, RecursionError):

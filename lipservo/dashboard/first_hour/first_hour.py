@@ -1,9 +1,9 @@
 """The first hour of a face: its setup, from unnamed servos to its first words.
 
 All that the page shows and does is here, so that a page that is reloaded, or opened twice, shows
-the present state. Results are in files; what was typed and not yet written is here alone. Servos
-belong to the step that runs (`StepProcess`), never to this process. Methods are called by threads
-of the server, one at a time, and raise FaceError.
+the present state. Results are in files; only what was typed and not yet written is lost with this
+process. Only the running step's process (`StepProcess`) drives servos, never this one. Methods are
+called by threads of the server and raise FaceError.
 """
 
 import threading
@@ -43,13 +43,13 @@ from lipservo.settings.settings import FaceSettings, ServoSettings, parse_face
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole
 
-#: Servos are held for a person only while a page looks so often.
+#: Steps in which servos hold for a person end if no page asked for the state for so long.
 PRESENCE_S: Final = 15.0
-#: A step that has not taken a stop gets so long to end by itself.
-_POLITE_S: Final = 3.0
-_FOR_A_PERSON: Final = frozenset({"limits", "jog", "by_eye"})
-#: Of a rehearsal: a jaw, both corners and a pout are a mouth.
-_SIMULATED: Final = ("--servos", "4", "--first-id", "11", "--baud-rate", "1000000")
+#: A step that a stop did not reach gets so long for a soft end before it is killed.
+_SOFT_END_S: Final = 3.0
+_NEEDS_A_PERSON: Final = frozenset({"limits", "jog", "by_eye"})
+#: Options of the simulated servos of a rehearsal: a jaw, both corners and a pout are a mouth.
+_SIMULATED_SERVOS: Final = ("--servos", "4", "--first-id", "11", "--baud-rate", "1000000")
 _S_A_MINUTE: Final = 60.0
 JsonObject = dict[str, Any]
 #: When a file was written last, and how long it is; None: it is not there.
@@ -87,54 +87,58 @@ class FirstHour:
         self._found: JsonObject | None = None
         self._named: dict[int, FoundJoint] = {}
         self._wired: list[WiredJoint] = []
-        self._moved: set[int] = set()
+        self._nudged: set[int] = set()
+        #: Angles set by hand, in degrees: by joint, then min, neutral or max.
         self._ends: dict[str, dict[str, float]] = {}
         self._step: StepProcess | None = None
-        self._seen_s = time.monotonic()
-        self._robot_s: dict[str, float] = {}
+        self._page_seen_s = time.monotonic()
+        self._step_times_s: dict[str, float] = {}
         self._note: str | None = None
-        self._graded: Mapping[str, Any] | None = None
-        #: What stands in both files, and which state of the file that was.
-        self._read: tuple[Stamp, tuple[FaceSettings | None, str | None]] = None, (None, None)
-        self._calibration: tuple[Stamp, str] = None, ""
+        self._calibration_report: Mapping[str, Any] | None = None
+        #: What was read last of the face's YAML and of its calibration, with the file's stamp.
+        self._face_read: tuple[Stamp, tuple[FaceSettings | None, str | None]] = None, (None, None)
+        self._calibration_read: tuple[Stamp, str] = None, ""
         if simulated:
-            self._port = self._simulate()
+            self._port = self._start_simulation()
         if self._port is not None and not path.exists():
             self.choose_port(self._port, "dynamixel" if simulated else None, simulated=False)
 
     # ---- what is so ----
 
     def state(self) -> JsonObject:
-        """Return everything that the page draws.
+        """Return everything that the page draws, as JSON values.
 
-        A step in which servos wait for a person ends 15 s after the last call.
+        works: the step that runs; drives: whether it has a control socket; moved: ids of servos
+        that were nudged; ends: limits set by hand; keeps: whether captured poses await a fit;
+        graded: of a calibration; robot_min: minutes by step. A step in which servos hold for a
+        person ends 15 s after the last call.
         """
-        self._seen_s = time.monotonic()
+        self._page_seen_s = time.monotonic()
         with self._lock:
-            settings, trouble = self._settings()
+            settings, trouble = self._read_settings()
             step = self._step
-            runs = step is not None and step.runs
+            is_running = step is not None and step.runs
             return {
                 "file": str(self.path),
                 "trouble": trouble,
                 "port": self._port,
                 "kind": self._kind,
-                "kinds": {name: self._wiring_of(name) for name in bus_names()},
+                "kinds": {name: self._board_key(name) for name in bus_names()},
                 "ports": [] if settings else known_ports(),
                 "simulated": self._simulated is not None,
                 "found": self._found,
                 "named": {str(each): _joint_values(joint) for each, joint in self._named.items()},
                 "wired": [_wired_values(each) for each in self._wired],
-                "moved": sorted(self._moved),
+                "moved": sorted(self._nudged),
                 "face": None if settings is None else self._face_values(settings),
                 "ends": self._ends,
-                "keeps": self._keep_file().exists(),
+                "keeps": self._pose_file().exists(),
                 "step": None if step is None else _step_values(step),
-                "drives": self._socket() is not None,
-                "works": step.step if step is not None and runs else None,
+                "drives": self._find_socket() is not None,
+                "works": step.step if step is not None and is_running else None,
                 "note": self._note,
-                "graded": self._graded,
-                "robot_min": {k: round(s / _S_A_MINUTE, 2) for k, s in self._robot_s.items()},
+                "graded": self._calibration_report,
+                "robot_min": {k: round(s / _S_A_MINUTE, 2) for k, s in self._step_times_s.items()},
             }
 
     def control_path(self) -> Path:
@@ -143,7 +147,7 @@ class FirstHour:
         Raises NothingDrivenError where no step runs: no servo is driven then, but only servos that
         confirmed it are limp.
         """
-        path, step = self._socket(), self._step
+        path, step = self._find_socket(), self._step
         if path is not None:
             return path
         if step is not None and step.runs:
@@ -151,31 +155,33 @@ class FirstHour:
         raise self._nothing_driven()
 
     def let_go(self) -> NothingDrivenError:
-        """Let go of the servos of a step that is dead, or hangs; return what they have confirmed.
+        """Switch off the servos of a step that a stop did not reach; return what they confirmed.
 
-        A step that runs is ended, softly where it answers. Blocks for some seconds.
+        A step that still runs is ended, softly if it answers within 3 s. Torque is then switched
+        off from here if the step did not report it. Blocks for some seconds.
         """
         step = self._step
         if step is not None and step.runs:
-            step.end(within_s=_POLITE_S)
+            step.end(within_s=_SOFT_END_S)
             step.wait()
         with self._lock:
-            if step is not None and step is self._step and not (step.runs or step.let_go):
-                self._release(step)
+            if step is not None and step is self._step and not (step.runs or step.is_limp):
+                self._release_servos(step)
             return self._nothing_driven()
 
     # ---- what a person does ----
 
     def choose_port(self, port: str | None, kind: str | None, *, simulated: bool) -> None:
-        """Set the servos' port and kind of bus, and start finding servos that can be found.
+        """Set the servos' port and kind of bus; forget those found, named or wired before.
 
-        port None: the bus kind needs none. kind None: as the port reveals. simulated: at the port
-        of simulated servos, which are started now. Raises FaceError.
+        Starts the step `find` unless the servos are hobby servos, which cannot be found. port None:
+        the bus kind needs none. kind None: by the device at the port. simulated: start simulated
+        servos and use their port. Raises FaceError.
         """
         with self._lock:
             self._check_idle()
             if simulated:
-                port, kind = self._simulate(), "dynamixel"
+                port, kind = self._start_simulation(), "dynamixel"
             try:
                 chosen = bus_kind(kind) if kind else kind_at(port or "")
             except BusError as error:
@@ -199,100 +205,102 @@ class FirstHour:
                 self._check_port()
                 if step == "nudge":
                     servo_id = options["id"]
-                    request |= {"rate": self._known()["rate"], "model": self._model_of(servo_id)}
+                    request |= {"rate": self._bus()["rate"], "model": self._model_of(servo_id)}
             else:
-                settings, trouble = self._settings()
+                settings, trouble = self._read_settings()
                 if settings is None:
                     raise FaceError("not_available", trouble or "no face yet; name its servos")
                 request |= {
                     "config": str(self.path),
                     "port": self._port or settings.servo_port,
                     "output": str(self.path.with_suffix(".calibration.yaml")),
-                    "keep": str(self._keep_file(step)),
+                    "keep": str(self._pose_file(step)),
                     "simulated": self._simulated is not None,
                     "token_file": None if self._token_file is None else str(self._token_file),
                 }
             self._note = None
-            self._seen_s = time.monotonic()
-            self._step = StepProcess(step, request, is_wanted=self._wanted(step), ended=self._over)
+            self._page_seen_s = time.monotonic()
+            self._step = StepProcess(step, request, may_run=self._may_run(step), on_end=self._store)
 
-    def order(self, order: Mapping[str, Any]) -> None:
+    def send_order(self, order: Mapping[str, Any]) -> None:
         """Send an order, the fields of an `OrderBody`, to the step that runs. Raises FaceError."""
         step = self._step
         if step is None or not step.runs:
             raise FaceError("not_available", "no set-up step is running to do this; start it first")
         step.order(order)
 
-    def end(self) -> None:
+    def end_step(self) -> None:
         """End the step that runs softly: the face goes to rest, then torque goes off."""
         if self._step is not None:
             self._step.end()
 
-    def name(self, servo_id: int, name: str, positive: str, part: str, *, same: bool) -> None:
+    def name_servo(self, servo_id: int, name: str, positive: str, part: str, *, same: bool) -> None:
         """Store the name, positive direction and part of a found servo. Raises FaceError.
 
-        same: its first move went in the direction of the word `positive`.
+        positive: what a positive angle does, such as `opens`. same: whether the servo's first
+        movement, a positive one, did that; otherwise its sign is reversed.
         """
-        with self._lock, _refusals():
+        with self._lock, _refused_errors():
             model = self._model_of(servo_id)
             taken = [each.name for key, each in self._named.items() if key != servo_id]
             if not positive.strip():
                 raise UserError("no direction given; say what a positive angle does, such as opens")
             checked, sign = check_joint_name(name, taken), 1 if same else -1
             joint = FoundJoint(checked, servo_id, model, positive.strip(), sign, part=part)
-            parse_face(self._yaml([joint]), self.path.name)
+            parse_face(self._found_face_yaml([joint]), self.path.name)
             self._named[servo_id] = joint
 
-    def wire(self, channel: str) -> None:
+    def change_wiring(self, channel: str) -> None:
         """Add a hobby servo by its wiring, `jaw=0:opens`; remove one by its name alone, `jaw`."""
-        with self._lock, _refusals():
-            left = [each for each in self._wired if each.name != channel]
-            if len(left) == len(self._wired):
-                left.append(parse_channel(channel, self._wired))
-            self._wired = left
+        with self._lock, _refused_errors():
+            wired = [each for each in self._wired if each.name != channel]
+            if len(wired) == len(self._wired):
+                wired.append(parse_channel(channel, self._wired))
+            self._wired = wired
 
     def write_face(self, board: str | None = None) -> None:
         """Write the face's YAML from the stored servos, over no existing file.
 
         board: of hobby servos; None: the usual one of their kind of bus. Raises FaceError.
         """
-        with self._lock, _refusals():
+        with self._lock, _refused_errors():
             check_face_file(self.path)
             kind = bus_kind(self._kind or "")
             if kind.board_key:
                 if not self._wired:
                     raise UserError("no servos given; say which joint is on which channel")
-                which = board or kind.usual_board
-                text = pulse_face_yaml(self.path.stem, kind, self._port, which, self._wired)
+                board_name = board or kind.usual_board
+                text = pulse_face_yaml(self.path.stem, kind, self._port, board_name, self._wired)
                 check_wiring(text, self.path.name)
             else:
-                missing = [each for each in self._known()["servos"] if int(each) not in self._named]
+                missing = [each for each in self._bus()["servos"] if int(each) not in self._named]
                 if missing:
                     raise UserError(f"servo id {missing[0]} has no name; give it one")
-                text = self._yaml([self._named[key] for key in sorted(self._named)])
+                text = self._found_face_yaml([self._named[key] for key in sorted(self._named)])
                 parse_face(text, self.path.name)
             write_whole(self.path, text)
 
-    def set_end(self, servo: str, end: str) -> None:
-        """Store the present angle of joint `servo` as its limit `end`: min, neutral or max.
+    def store_limit(self, servo: str, limit: str) -> None:
+        """Store the present angle of joint `servo` as its min, neutral or max, as `limit` says.
 
         Raises FaceError if its angle is not known now, or if its servo holds torque, moves or does
         not answer.
         """
         with self._lock:
             step = self._step
-            turned = {} if step is None or step.step != "limits" else step.events.get("turned", {})
-            deg = turned.get("deg", {}).get(servo)
+            pose = {} if step is None or step.step != "limits" else step.events.get("turned", {})
+            deg = pose.get("deg", {}).get(servo)
             if step is None or not step.runs or deg is None:
                 raise FaceError("not_available", f"servo {servo} has not told its angle; try again")
-            if (why := turned["obstacles"].get(servo)) is not None:
-                raise FaceError("not_available", f"{servo} {why}")
-            self._ends.setdefault(servo, {})[end] = deg
+            if (obstacle := pose["obstacles"].get(servo)) is not None:
+                raise FaceError("not_available", f"{servo} {obstacle}")
+            self._ends.setdefault(servo, {})[limit] = deg
 
     def write_limits(self) -> None:
-        """Write the stored ends of joints into the YAML, all or none, then into the servos.
+        """Write the limits of joints with min and max into the YAML, all or none, then into servos.
 
-        The step `limits` is ended before. Raises FaceError while another step runs.
+        The step `limits` is ended first; captured poses, made with other limits, are deleted. The
+        step `set_up` writes into the servos. Raises FaceError while another step runs.
         """
         step = self._step
         if step is not None and step.step == "limits" and step.runs:
@@ -300,24 +308,27 @@ class FirstHour:
             step.wait()
         with self._lock:
             self._check_idle()
-            settings, trouble = self._settings()
+            settings, trouble = self._read_settings()
             if settings is None:
                 raise FaceError("not_available", trouble or "no face yet; name its servos")
-            whole = {name: each for name, each in self._ends.items() if {"min", "max"} <= set(each)}
-            if not whole:
+            ready = {name: each for name, each in self._ends.items() if {"min", "max"} <= set(each)}
+            if not ready:
                 raise FaceError("refused", "no joint has both ends; set min and max of one first")
-            with _refusals():
-                found = {name: _limits_of(name, ends, settings) for name, ends in whole.items()}
-                with_ranges(self.path, found).write()
-            for made in ("by_eye", "measure"):  # poses of other limits, and of another neutral
-                self._keep_file(made).unlink(missing_ok=True)
+            with _refused_errors():
+                values = {name: _limit_values(name, ends, settings) for name, ends in ready.items()}
+                with_ranges(self.path, values).write()
+            for step_name in ("by_eye", "measure"):  # poses with the former limits and neutral
+                self._pose_file(step_name).unlink(missing_ok=True)
             self._ends = {}
             if settings.capabilities.set_up:
                 self.start("set_up")
 
-    def turn(self, servo: str, by_deg: float) -> None:
-        """Rotate a simulated limp servo, as a hand would, by degrees of its joint."""
-        settings, _ = self._settings()
+    def turn_simulated(self, servo: str, by_deg: float) -> None:
+        """Rotate a simulated limp servo, as a hand would, by degrees of its joint.
+
+        Raises FaceError for real servos and unknown names.
+        """
+        settings, _ = self._read_settings()
         if self._simulated is None or settings is None or servo not in settings.servos:
             raise FaceError("refused", "only simulated servos can be turned here")
         sign = settings.servos[servo].sign
@@ -333,36 +344,43 @@ class FirstHour:
     # ---- parts ----
 
     def _nothing_driven(self) -> NothingDrivenError:
-        words, step = "No step runs: no servo is driven now.", self._step
-        if step is not None and step.released:
-            words += f" {step.released}."
-        if not (is_limp := step is None or step.let_go):
-            words += " The last step ended without a word of its servos: switch their supply off."
-        return NothingDrivenError(words, is_limp=is_limp)
+        """Return the error for a stop while no step runs: what the last step's servos confirmed."""
+        text, step = "No step runs: no servo is driven now.", self._step
+        if step is not None and step.release_words:
+            text += f" {step.release_words}."
+        if not (is_limp := step is None or step.is_limp):
+            text += " The last step ended without a word of its servos: switch their supply off."
+        return NothingDrivenError(text, is_limp=is_limp)
 
-    def _release(self, step: StepProcess) -> None:
-        """Switch torque off at the port of a step that has ended without a word of its servos."""
-        settings, _ = self._settings()
+    def _release_servos(self, step: StepProcess) -> None:
+        """Switch torque off at the port of a step that ended without reporting it.
+
+        Stores in `step` what the servos confirmed. Blocks for some seconds.
+        """
+        settings, _ = self._read_settings()
         port = self._port or (None if settings is None else settings.servo_port)
         if port is None:
-            return  # in memory: nothing holds
+            return  # servos in memory ended with the step's process
         outcome = release(port, None if settings is None else settings.at_port(port))
         is_confirmed = outcome.is_confirmed and not outcome.released
-        step.take_release(outcome.text(), is_confirmed=is_confirmed)
+        step.store_release(outcome.text(), is_confirmed=is_confirmed)
 
-    def _settings(self) -> tuple[FaceSettings | None, str | None]:
-        """Return (settings, None), (None, None) without a YAML, or (None, why it is unreadable)."""
-        stamp = _stamp(self.path)
-        if self._read[0] != stamp:
-            self._read = stamp, (None, None)
+    def _read_settings(self) -> tuple[FaceSettings | None, str | None]:
+        """Return (settings, None), (None, None) without a YAML, or (None, why it is unreadable).
+
+        The YAML is read again only when it has changed.
+        """
+        stamp = _file_stamp(self.path)
+        if self._face_read[0] != stamp:
+            self._face_read = stamp, (None, None)
             if stamp is not None:
                 try:
-                    self._read = stamp, (load_settings(str(self.path))[0], None)
+                    self._face_read = stamp, (load_settings(str(self.path))[0], None)
                 except (UserError, OSError) as error:
-                    self._read = stamp, (None, " ".join(str(error).split()))
-        return self._read[1]
+                    self._face_read = stamp, (None, " ".join(str(error).split()))
+        return self._face_read[1]
 
-    def _socket(self) -> Path | None:
+    def _find_socket(self) -> Path | None:
         """Return the running step's control socket; None while there is no step or no socket."""
         step = self._step
         if step is None or not step.runs or step.pid is None:
@@ -371,49 +389,51 @@ class FirstHour:
         return next((path for path in paths if read_socket_name(path)), None)
 
     def _face_values(self, settings: FaceSettings) -> JsonObject:
+        """Return name, servos and calibration of the face's YAML, as JSON values for the page."""
         return {
             "name": settings.name,
             "servos": {name: _servo_values(each) for name, each in settings.servos.items()},
             "has_place": settings.capabilities.place,
-            "calibration": settings.calibration if self._is_calibrated(settings) else None,
+            "calibration": settings.calibration if self._has_calibration(settings) else None,
         }
 
-    def _is_calibrated(self, settings: FaceSettings) -> bool:
+    def _has_calibration(self, settings: FaceSettings) -> bool:
         """Return whether the YAML names a calibration that was made with its present limits."""
         if settings.calibration is None:
             return False
         file = self.path.with_name(settings.calibration)
-        stamp = _stamp(file)
-        if stamp is not None and self._calibration[0] != stamp:
+        stamp = _file_stamp(file)
+        if stamp is not None and self._calibration_read[0] != stamp:
             try:
-                self._calibration = stamp, load_calibration(file).face_checksum
+                self._calibration_read = stamp, load_calibration(file).face_checksum
             except UserError:
-                self._calibration = stamp, ""
-        return stamp is not None and self._calibration[1] == settings.checksum
+                self._calibration_read = stamp, ""
+        return stamp is not None and self._calibration_read[1] == settings.checksum
 
-    def _yaml(self, joints: list[FoundJoint]) -> str:
+    def _found_face_yaml(self, joints: list[FoundJoint]) -> str:
         kind = bus_kind(self._kind or "")
-        return face_yaml(self.path.stem, kind, self._port or "", self._known()["rate"], joints)
+        return face_yaml(self.path.stem, kind, self._port or "", self._bus()["rate"], joints)
 
-    def _known(self) -> JsonObject:
+    def _bus(self) -> JsonObject:
+        """Return what the step `find` reported: `rate`, and `servos`, models by id (as text)."""
         if self._found is None:
             raise FaceError("not_available", "no servos are found yet; find them first")
         return self._found
 
     def _model_of(self, servo_id: int) -> str:
-        models = self._known()["servos"]
+        models = self._bus()["servos"]
         if str(servo_id) not in models:
             raise FaceError("not_found", f"no servo has id {servo_id}; found: {', '.join(models)}")
         return str(models[str(servo_id)])
 
-    def _wiring_of(self, kind: str) -> str | None:
-        """Return the YAML key of the board, for a `kind` of bus with hobby servos; else None."""
+    def _board_key(self, kind: str) -> str | None:
+        """Return the YAML key of the board if `kind` is a bus of hobby servos; None for others."""
         try:
             return bus_kind(kind).board_key or None
         except BusError:
             return None
 
-    def _keep_file(self, step: str = "by_eye") -> Path:
+    def _pose_file(self, step: str = "by_eye") -> Path:
         """Return the file of a step's captured poses that are not yet fitted."""
         return self.path.with_suffix(f".{step}.json")
 
@@ -423,36 +443,41 @@ class FirstHour:
 
     def _check_idle(self) -> None:
         if self._step is not None and self._step.runs:
-            shown = self._step.step.replace("_", " ")
-            raise FaceError("not_available", f"step '{shown}' uses the servos; end it first")
+            step_name = self._step.step.replace("_", " ")
+            raise FaceError("not_available", f"step '{step_name}' uses the servos; end it first")
 
-    def _wanted(self, step: str) -> Callable[[], bool]:
-        def is_wanted() -> bool:
-            return time.monotonic() - self._seen_s < PRESENCE_S
+    def _may_run(self, step: str) -> Callable[[], bool]:
+        """Return a function that returns whether `step` may go on.
 
-        return is_wanted if step in _FOR_A_PERSON else lambda: True
+        A step whose servos hold for a person needs an open page, which asks for `state`.
+        """
 
-    def _over(self, step: StepProcess) -> None:
+        def page_is_open() -> bool:
+            return time.monotonic() - self._page_seen_s < PRESENCE_S
+
+        return page_is_open if step in _NEEDS_A_PERSON else lambda: True
+
+    def _store(self, step: StepProcess) -> None:
         """Store the results of `step`; called in the step's own thread when it has ended."""
         with self._lock:
-            if step.was_killed:  # so it was to let go of its servos, and nobody else has the port
-                self._release(step)
-            self._robot_s[step.step] = self._robot_s.get(step.step, 0.0) + step.seconds
-            if (found := step.events.get("found")) is not None:
-                self._found = dict(found)
-                self._named, self._moved = {}, set()
+            if step.was_killed:  # it cannot have switched torque off, and the port is free
+                self._release_servos(step)
+            self._step_times_s[step.step] = self._step_times_s.get(step.step, 0.0) + step.duration_s
+            if (bus := step.events.get("found")) is not None:
+                self._found = dict(bus)
+                self._named, self._nudged = {}, set()
             if (nudged := step.events.get("nudged")) is not None:
-                self._moved.add(int(nudged["id"]))
+                self._nudged.add(int(nudged["id"]))
                 self._note = nudged["note"]
-            if (graded := step.events.get("graded")) is not None:
-                self._graded = graded
-            if step.was_left:
+            if (report := step.events.get("graded")) is not None:
+                self._calibration_report = report
+            if step.was_unwatched:
                 self._note = "no browser had this page open: servos were let go; kept values stay"
 
-    def _simulate(self) -> str:
+    def _start_simulation(self) -> str:
         if self._simulated is None:
-            made = ("--config", str(self.path)) if self.path.exists() else _SIMULATED
-            self._simulated = self._stack.enter_context(simulated_servos(made))
+            servos = ("--config", str(self.path)) if self.path.exists() else _SIMULATED_SERVOS
+            self._simulated = self._stack.enter_context(simulated_servos(servos))
         return self._simulated.port
 
 
@@ -464,7 +489,7 @@ def known_ports() -> list[JsonObject]:
     return [{"port": port.device, "what": port.description} for port in sorted(found)]
 
 
-def _stamp(path: Path) -> Stamp:
+def _file_stamp(path: Path) -> Stamp:
     try:
         found = path.stat()
     except OSError:
@@ -472,8 +497,12 @@ def _stamp(path: Path) -> Stamp:
     return found.st_mtime_ns, found.st_size
 
 
-def _limits_of(name: str, ends: Mapping[str, float], settings: FaceSettings) -> dict[str, float]:
-    """Return the YAML values for joint `name` from its ends (deg). Raises UserError."""
+def _limit_values(name: str, ends: Mapping[str, float], settings: FaceSettings) -> dict[str, float]:
+    """Return new YAML values of joint `name`: min_deg, max_deg, zero_offset_deg if it changes.
+
+    ends: its min, max and neutral, in degrees of the present settings; without a neutral 0 stays.
+    Raises UserError.
+    """
     low_deg, high_deg = sorted((ends["min"], ends["max"]))
     offset_deg = settings.servos[name].zero_offset_deg
     try:
@@ -483,7 +512,7 @@ def _limits_of(name: str, ends: Mapping[str, float], settings: FaceSettings) -> 
 
 
 @contextmanager
-def _refusals() -> Iterator[None]:
+def _refused_errors() -> Iterator[None]:
     """Convert UserError and BusError into FaceError `refused`, in one line."""
     try:
         yield
@@ -506,12 +535,16 @@ def _servo_values(servo: ServoSettings) -> JsonObject:
 
 
 def _step_values(step: StepProcess) -> JsonObject:
-    """Return the present state of a step of the setup, as JSON values for the page."""
+    """Return the present state of a step of the setup, as JSON values for the page.
+
+    seconds: its duration, or how long it has run; notes: its messages; events: the newest of each
+    kind.
+    """
     return {
         "name": step.step,
         "runs": step.runs,
         "error": step.error,
-        "seconds": round(step.seconds or time.monotonic() - step.began_s, 1),
+        "seconds": round(step.duration_s or time.monotonic() - step.began_s, 1),
         "notes": list(step.notes),
         "events": dict(step.events),
     }

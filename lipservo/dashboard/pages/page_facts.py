@@ -9,7 +9,7 @@ from lipservo.runtime.servos.assembly import load_settings
 from lipservo.settings.settings import FaceSettings, ServoSettings
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF
 
-#: How a drawing can move. The positive direction of each, which `RigServo.sign` refers to:
+#: Motions of the robot's drawing. The positive direction of each, which `RigServo.sign` refers to:
 #: jaw opens; upper_lip raises; lower_lip lowers; corner_out widens; corner_up raises; protrusion
 #: protrudes; neck_yaw and eye_yaw to the robot's own left; neck_pitch and eye_pitch up; neck_roll
 #: towards its left shoulder; lid opens; brow raises.
@@ -20,8 +20,8 @@ Channel = Literal[
 Side = Literal["left", "right", "both"]
 
 _LEFT, _RIGHT = frozenset({"left"}), frozenset({"right"})
-#: What is seen on the lips: a word for a legend, colours of the block and of its letters
-#: (contrast of at least 4.5 to 1), and the viseme classes by their first phoneme.
+#: Groups of phonemes by what is seen on the lips: a word for the legend, colours of a phoneme's
+#: block and of its letters (contrast 4.5 to 1 at least), viseme classes by their first phoneme.
 GROUPS: Final = {
     "closed": ("lips shut", "#9b2c3d", "#ffffff", ("P",)),
     "bitten": ("lip to teeth", "#b0561a", "#ffffff", ("F",)),
@@ -34,10 +34,11 @@ GROUPS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """A rule that finds the channel of the robot's drawing that a servo moves.
+    """A rule that finds the channel (motion) of the robot's drawing for a servo.
 
     part: the servo's part. named: sets of words; the servo's name must have a word of each. plus,
-    minus: words for a positive direction that is the drawing's, or opposite to it.
+    minus: words of the servo's setting `positive` that mean the channel's positive direction, or
+    the opposite one.
     """
 
     part: str
@@ -52,7 +53,7 @@ def _any(*words: str) -> frozenset[str]:
 
 
 _YAW, _PITCH, _ROLL = _any("yaw", "pan", "turn"), _any("pitch", "nod", "tilt"), _any("roll")
-#: The first that fits.
+#: The first rule that fits counts.
 _RULES: Final = (
     _Rule("neck", "neck_yaw", (_YAW,), _LEFT, _RIGHT),
     _Rule("neck", "neck_pitch", (_PITCH,), UP, DOWN),
@@ -66,10 +67,10 @@ _RULES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class RigServo:
-    """What a servo moves in the robot's drawing.
+    """What a servo moves in the robot's drawing, its rig.
 
-    sign: -1 where a positive angle is the drawing's negative direction. channel: None: not known;
-    the servo is drawn as a dial.
+    channel: the drawing's motion; None: not known, the servo is drawn as a dial. side: of the face
+    that moves. sign: -1 where a positive angle moves the drawing in its negative direction.
     """
 
     channel: Channel | None
@@ -78,40 +79,41 @@ class RigServo:
 
 
 def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
-    """Return what each servo moves in the drawing, by name.
+    """Return what each servo moves in the robot's drawing, by name.
 
-    A servo whose channel another servo moves already has no channel, and is drawn as a dial.
+    Where two servos would move the same channel and side, only the first gets it; the other has no
+    channel, and is drawn as a dial.
     """
     taken: dict[Channel, set[Side]] = {}
     rig = {}
     for name, settings in servos.items():
-        found = _found(name, settings)
-        if found.channel is not None:
-            sides = taken.setdefault(found.channel, set())
-            if found.side in sides or "both" in sides or (sides and found.side == "both"):
-                found = RigServo(None, found.side, 1)
+        motion = _servo_motion(name, settings)
+        if motion.channel is not None:
+            sides = taken.setdefault(motion.channel, set())
+            if motion.side in sides or "both" in sides or (sides and motion.side == "both"):
+                motion = RigServo(None, motion.side, 1)
             else:
-                sides.add(found.side)
-        rig[name] = found
+                sides.add(motion.side)
+        rig[name] = motion
     return rig
 
 
-def _found(name: str, settings: ServoSettings) -> RigServo:
+def _servo_motion(name: str, settings: ServoSettings) -> RigServo:
     """Return what a servo moves in the drawing, by its part, its name and its setting `positive`.
 
     The channel is None if they name no known motion, or its direction is not clear.
     """
-    side_status = side_of(name)
+    named_side = side_of(name)
     # What moves the middle is drawn on both sides.
-    side: Side = "both" if side_status == "middle" else side_status
+    side: Side = "both" if named_side == "middle" else named_side
     if settings.part == "mouth":
-        moved = joint_motion(name, settings.positive)
-        if moved is None:
+        motion = joint_motion(name, settings.positive)
+        if motion is None:
             return RigServo(None, side, 1)
-        return RigServo(moved.channel, side, moved.sign)
-    named, positive_words = words(name), words(settings.positive)
+        return RigServo(motion.channel, side, motion.sign)
+    name_words, positive_words = words(name), words(settings.positive)
     for rule in _RULES:
-        if rule.part != settings.part or not all(named & each for each in rule.named):
+        if rule.part != settings.part or not all(name_words & each for each in rule.named):
             continue
         plus, minus = bool(positive_words & rule.plus), bool(positive_words & rule.minus)
         if plus != minus:
@@ -130,7 +132,11 @@ def settings_of(config: str | None) -> FaceSettings | None:
 
 
 def page_facts(config: str | None) -> dict[str, object]:
-    """Return a face's facts for its pages, by name or path; without a config no servo is known."""
+    """Return a face's facts for the scripts of its pages, as JSON values.
+
+    config: the face's name or YAML path; without it, or if it cannot be read, `servos` and `rig`
+    are empty.
+    """
     settings = settings_of(config)
     servos = {} if settings is None else settings.servos
     return {
@@ -138,8 +144,8 @@ def page_facts(config: str | None) -> dict[str, object]:
         "rateHz": None if settings is None else settings.rate_hz,
         "servos": {name: servo_facts(servo) for name, servo in servos.items()},
         "rig": {
-            name: {"channel": found.channel, "side": found.side, "sign": found.sign}
-            for name, found in robot_rig(servos).items()
+            name: {"channel": motion.channel, "side": motion.side, "sign": motion.sign}
+            for name, motion in robot_rig(servos).items()
         },
         "phonemeGroups": {name: group_of(name) for name in PHONEMES if name != SILENCE},
         "groupColours": {name: (fill, ink) for name, (_, fill, ink, _) in GROUPS.items()},
@@ -165,9 +171,9 @@ def servo_facts(servo: ServoSettings) -> dict[str, object]:
 
 def group_of(phoneme: str) -> str:
     """Return the name of the group in `GROUPS` that contains a phoneme's viseme class."""
-    shown = VISEME_OF[phoneme]
+    viseme = VISEME_OF[phoneme]
     return next(
         name
         for name, (_, _, _, classes) in GROUPS.items()
-        if any(VISEME_OF[first] == shown for first in classes)
+        if any(VISEME_OF[first] == viseme for first in classes)
     )

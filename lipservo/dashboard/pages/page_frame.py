@@ -14,9 +14,9 @@ from nicegui import ui
 
 #: Where `lipservo/dashboard/static/` is served.
 STATIC_URL: Final = "/static"
-#: A page of faces that are being made, and of no other.
+#: The page of the setup of a new face; other faces have no such page.
 FIRST_HOUR: Final = "/first-hour"
-#: Of each page: where it is, and what it is called.
+#: Title of each page by its path.
 PLACES: Final = {
     FIRST_HOUR: "First hour",
     "/": "Live",
@@ -27,20 +27,20 @@ PLACES: Final = {
     "/lines": "Lines",
     "/settings": "Settings",
 }
-#: On all pages, in this order; STOP first.
+#: Scripts of all pages, in this order; STOP first.
 _ALWAYS: Final = ("stop.js", "link.js", "stopped.js", "watchdog.js")
-#: What those import: asked for at once, not one after the other.
+#: Modules that these scripts import: requested at once, not one after the other.
 _IMPORTED: Final = ("frame.js", "calls.js", "words.js")
 
 
-#: What STOP does until stop.js is there, which then asks again and tells what became of it.
+#: What STOP does until stop.js has loaded; stop.js then repeats the stop, and shows its result.
 _EARLY_STOP: Final = (
     "if(!window.faceStop){this.dataset.pressed=this.dataset.early='';"
     "fetch('/api/stop',{method:'POST',headers:{'Content-Type':'application/json'},"
     "body:JSON.stringify({level:'soft',wait_s:0})})}"
 )
 
-#: The way back of a face that was stopped: stopped.js shows it, and the question before it moves.
+#: The button that starts a stopped face, and a question before it moves; stopped.js shows them.
 _START: Final = (
     '<div id="face-start" hidden><p class="why" role="alert" hidden></p>'
     '<button type="button" class="act first begin">Start</button>'
@@ -58,7 +58,7 @@ def page_frame(
     """Draw the frame of the page at path `here`, and enter it for the page's content.
 
     status: the face's newest, None before its first answer; only its name and port are used, since
-    the page itself requests the rest. facts: of the face, for the page's scripts (`page_facts`).
+    the page's scripts request the rest. facts: of the face, for these scripts (`page_facts`).
     scripts: files of static/ that the page loads.
     """
     ui.page_title(f"{PLACES[here]} · {(status or {}).get('name') or 'lipservo'}")
@@ -68,13 +68,13 @@ def page_frame(
     places = {path: title for path, title in PLACES.items() if path != FIRST_HOUR}
     if facts.get("firstHour"):
         places = {FIRST_HOUR: PLACES[FIRST_HOUR], **places}
-    ui.add_body_html(_head(here, status or {}, places))
+    ui.add_body_html(_header_html(here, status or {}, places))
     ui.add_body_html(
-        f'<script type="application/json" id="face-facts">{_for_script(facts)}</script>'
+        f'<script type="application/json" id="face-facts">{_script_json(facts)}</script>'
     )
     for module in _IMPORTED:
         ui.add_head_html(f'<link rel="modulepreload" href="{STATIC_URL}/{module}">')
-    # Not `async`, they would wait for the framework's.
+    # `async`: without it these scripts would wait for those of the framework.
     for script in (*_ALWAYS, *scripts):
         ui.add_body_html(f'<script type="module" async src="{STATIC_URL}/{script}"></script>')
     with ui.element("div").classes("face-page").mark(f"page {PLACES[here]}"):
@@ -112,27 +112,27 @@ def command(text: str) -> str:
     return f"<pre><code>{' '.join(words)}</code></pre>"
 
 
-def _head(here: str, status: Mapping[str, Any], places: Mapping[str, str]) -> str:
+def _header_html(here: str, status: Mapping[str, Any], places: Mapping[str, str]) -> str:
     """Return HTML of the header of a page: face, port, links to all pages, and the stop button.
 
     here: the page's own path. places: titles of pages by path.
     """
     name = escape(str(status.get("name") or "no face yet"))
     port = status.get("port")
-    where = '<span class="port sim">SIMULATED</span>'
+    port_html = '<span class="port sim">SIMULATED</span>'
     if port:
-        where = f'<span class="port">{escape(str(port))}</span>'
+        port_html = f'<span class="port">{escape(str(port))}</span>'
     elif not status:
-        where = ""
-    ways = "".join(
+        port_html = ""
+    links = "".join(
         f'<a href="{path}"{" aria-current=page" if path == here else ""}>{title}</a>'
         for path, title in places.items()
     )
     return (
         '<div id="face-head"><header>'
-        f'<div class="who"><h1 id="face-name">{name}</h1>{where}'
+        f'<div class="who"><h1 id="face-name">{name}</h1>{port_html}'
         '<span id="face-state" role="status">…</span></div>'
-        f"<nav>{ways}</nav>"
+        f"<nav>{links}</nav>"
         f'<button id="face-stop" type="button" onclick="{_EARLY_STOP}"'
         ' title="Stops the face. Pressed again: limp at once.">'
         "<b>STOP</b><small>Esc</small></button></header>"
@@ -141,6 +141,6 @@ def _head(here: str, status: Mapping[str, Any], places: Mapping[str, str]) -> st
     )
 
 
-def _for_script(value: Mapping[str, object]) -> str:
+def _script_json(value: Mapping[str, object]) -> str:
     """Return `value` as JSON that cannot end a script element, whatever text it contains."""
     return json.dumps(value).replace("<", "\\u003c")

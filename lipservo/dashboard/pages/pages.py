@@ -26,7 +26,7 @@ from lipservo.dashboard.twin.element import HEAD_PATH, Twin
 from lipservo.settings.found_limits import WARNING
 
 #: A slow telephone may take so long to load a page; the framework would load it anew after 3 s.
-_PATIENCE_S: Final = 30.0
+_RECONNECT_S: Final = 30.0
 Status = Mapping[str, Any] | None
 #: Fills a page: the face's newest status, and the config that it was started with.
 Fill = Callable[[Status, str | None], Awaitable[None]]
@@ -43,8 +43,8 @@ _LIVE_SCRIPTS: Final = (
 )
 
 
-#: What the twin needs, asked for at once: the framework comes to it last.
-_EARLY: Final = f'''<link rel="preload" href="{HEAD_PATH}" as="fetch" crossorigin>
+#: Requests what the twin (the drawn head) needs at once: the framework would load it last.
+_TWIN_PRELOAD: Final = f'''<link rel="preload" href="{HEAD_PATH}" as="fetch" crossorigin>
 <script type="module" async>
 import {{ beginPicture }} from "lipservo-twin";
 beginPicture("{HEAD_PATH}");
@@ -52,7 +52,7 @@ beginPicture("{HEAD_PATH}");
 _SERVOS_SCRIPTS: Final = ("servo_table.js", "jog.js")
 _FIRST_HOUR_SCRIPTS: Final = ("first_hour/first_hour.js", "live/robot_view.js", "live/say_box.js")
 _LINES_SCRIPTS: Final = ("lines.js",)
-#: Starts a face that can play its lines.
+#: The command that starts a face which can play sound files.
 COMMAND: Final = "lipservo daemon --config FACE --play --sounds FOLDER --dashboard"
 _SETTINGS_SCRIPTS: Final = ("settings.js", "live/robot_view.js")
 
@@ -63,26 +63,27 @@ def build_pages(link: FaceLink, new_config: Path | None = None) -> None:
     link: to the face; a page shows the face that answers when the page is opened. new_config: the
     YAML that the first hour writes, which need not exist yet; None: no page of the first hour.
     """
-    _add(link, new_config, "/", _LIVE_SCRIPTS, _live)
-    _add(link, new_config, "/show", SHOW_SCRIPTS, _show)
-    _add(link, new_config, "/kiosk", KIOSK_SCRIPTS, _kiosk)
-    _add(link, new_config, "/servos", _SERVOS_SCRIPTS, _servos)
-    _add(link, new_config, "/calibrate", (), _calibrate)
-    _add(link, new_config, "/lines", _LINES_SCRIPTS, _lines)
-    _add(link, new_config, "/settings", _SETTINGS_SCRIPTS, _settings)
+    _add_page(link, new_config, "/", _LIVE_SCRIPTS, _live)
+    _add_page(link, new_config, "/show", SHOW_SCRIPTS, _show)
+    _add_page(link, new_config, "/kiosk", KIOSK_SCRIPTS, _kiosk)
+    _add_page(link, new_config, "/servos", _SERVOS_SCRIPTS, _servos)
+    _add_page(link, new_config, "/calibrate", (), _calibrate)
+    _add_page(link, new_config, "/lines", _LINES_SCRIPTS, _lines)
+    _add_page(link, new_config, "/settings", _SETTINGS_SCRIPTS, _settings)
     if new_config is not None:
-        _add(link, new_config, FIRST_HOUR, _FIRST_HOUR_SCRIPTS, _first_hour)
+        _add_page(link, new_config, FIRST_HOUR, _FIRST_HOUR_SCRIPTS, _first_hour)
 
 
-def _add(
+def _add_page(
     link: FaceLink, new_config: Path | None, path: str, scripts: Sequence[str], fill: Fill
 ) -> None:
     """Register one page at `path`, whose content `fill` draws.
 
-    new_config: the YAML from which the page has its facts while no face runs; None: there is none.
+    new_config: YAML of the face that is being set up, used for the page's facts while no face has
+    answered; None: no face is being set up.
     """
 
-    @ui.page(path, dark=None, reconnect_timeout=_PATIENCE_S)
+    @ui.page(path, dark=None, reconnect_timeout=_RECONNECT_S)
     async def page() -> None:
         """Draw the page for one browser, with what is known of the face as the page is opened."""
         status = link.status
@@ -104,13 +105,13 @@ async def _first_hour(_status: Status, _config: str | None) -> None:
 
 
 async def _calibrate(_status: Status, config: str | None) -> None:
-    found = await asyncio.to_thread(read_calibration, config)
-    calibrate_page(config, *found)
+    values_or_trouble = await asyncio.to_thread(read_calibration, config)
+    calibrate_page(config, *values_or_trouble)
 
 
 async def _live(_status: Status, _config: str | None) -> None:
     """Draw the live page: text to say, face as commanded, robot as measured, sound, phonemes."""
-    ui.add_head_html(_EARLY)
+    ui.add_head_html(_TWIN_PRELOAD)
     with card("Say something", classes="say"):
         html("<face-say></face-say><face-sound></face-sound>")
     with grid("live-top"):
@@ -121,7 +122,7 @@ async def _live(_status: Status, _config: str | None) -> None:
         with card("Now", classes="now"):
             html("<face-facts></face-facts>")
     with card("Sound and phonemes", "the last seconds; now is at the right", "sound"):
-        html("<face-timeline></face-timeline><face-waveform></face-waveform>" + _legend())
+        html("<face-timeline></face-timeline><face-waveform></face-waveform>" + _legend_html())
     with grid("live-bottom"):
         with card("Servos", "blue: where it is; orange: where it should be", "bars"):
             html("<face-servo-bars></face-servo-bars>")
@@ -130,19 +131,19 @@ async def _live(_status: Status, _config: str | None) -> None:
 
 
 async def _show(_status: Status, _config: str | None) -> None:
-    ui.add_head_html(_EARLY)
+    ui.add_head_html(_TWIN_PRELOAD)
     show_page()
 
 
 async def _kiosk(_status: Status, _config: str | None) -> None:
-    ui.add_head_html(_EARLY)
+    ui.add_head_html(_TWIN_PRELOAD)
     kiosk_page()
 
 
-def _legend() -> str:
+def _legend_html() -> str:
     entries = (
-        f'<span><i style="background:{fill}"></i>{escape(word)}</span>'
-        for word, fill, _, _ in GROUPS.values()
+        f'<span><i style="background:{fill}"></i>{escape(text)}</span>'
+        for text, fill, _, _ in GROUPS.values()
     )
     return f'<div class="legend">{"".join(entries)}</div>'
 
@@ -163,10 +164,10 @@ async def _lines(status: Status, _config: str | None) -> None:
         if folder:
             html("<face-lines></face-lines>")
         else:
-            html(_no_folder(), "empty")
+            html(_no_folder_html(), "empty")
 
 
-def _no_folder() -> str:
+def _no_folder_html() -> str:
     return (
         "<p>This face has no folder of sound files, or no voice to speak them with.</p>"
         f"<p>Start it with one:</p>{command(COMMAND)}"

@@ -24,6 +24,10 @@ export function remove(path) {
   return call("DELETE", path, undefined, PATIENCE_MS);
 }
 
+/**
+ * The parsed answer to a request. Throws an Error with a sentence for people, and with the HTTP
+ * `status` if an answer came. patienceMs: how long to wait for one.
+ */
 async function call(method, path, body, patienceMs, keepalive = false) {
   const request = { method, cache: "no-store", keepalive, signal: AbortSignal.timeout(patienceMs) };
   if (body !== undefined) {
@@ -48,17 +52,18 @@ export function refusal(status, answer) {
   return Object.assign(new Error(text), { status });
 }
 
-/** What went wrong, out of the forms that an answer may have; null: it does not say. */
+/** The error message of an answer, in whichever form it came; null: it has none. Pure. */
 export function sentence(answer) {
   if (typeof answer === "string") return answer || null;
-  const told = answer?.error ?? answer?.detail ?? answer?.message;
-  if (typeof told === "string") return told;
-  if (Array.isArray(told) && told[0]?.msg) {
-    return told.map((each) => `${each.loc?.at(-1) ?? ""}: ${each.msg}`).join("; ");
+  const error = answer?.error ?? answer?.detail ?? answer?.message;
+  if (typeof error === "string") return error;
+  if (Array.isArray(error) && error[0]?.msg) {
+    return error.map((each) => `${each.loc?.at(-1) ?? ""}: ${each.msg}`).join("; ");
   }
   return null;
 }
 
+/** An answer's JSON; text that is none as it is if it is short, else null. */
 function parsed(text) {
   try {
     return JSON.parse(text);

@@ -1,35 +1,36 @@
 // The stream of a face: what a frame of /api/twin means, and a connection that keeps the newest.
-// lipservo/dashboard/twin_frame.py writes what is read here.
+// lipservo/dashboard/live_frames.py writes what is read here.
 
 const UNKNOWN = 255;
 const ABSENT = -32768;
 const TORQUE_ON = 1, SERVOS_GONE = 2, SPEECH_GONE = 4, CUT_OFF = 8, SPEAKING = 16;
-// Nothing for so long: the connection is taken for dead, whatever the browser says of it.
+// A connection that brings nothing for so long counts as dead, whatever the browser says of it.
 const SILENT_MS = 3000;
 const FIRST_RETRY_MS = 250, LONGEST_RETRY_MS = 4000;
 
-// What one frame says. hello: what the stream said first. state, phoneme: by name, or null.
+// The values of one binary frame of /api/twin; live_frames.py has its layout. hello: the stream's first
+// message, with the names that indices refer to. state, phoneme: names, null where unknown.
 export function decode(buffer, hello) {
   const view = new DataView(buffer);
   const name = (names, index) => (index === UNKNOWN ? null : names[index] ?? null);
   const flags = view.getUint8(10);
-  let at = 12;
+  let offset = 12;
   const coefficients = new Float32Array(hello.n_components);
-  for (let i = 0; i < hello.n_components; i++, at += 4) coefficients[i] = view.getFloat32(at, true);
+  for (let i = 0; i < hello.n_components; i++, offset += 4) coefficients[i] = view.getFloat32(offset, true);
   const expression = {};
   for (const each of hello.expression) {
-    const raw = view.getInt16(at, true);
+    const raw = view.getInt16(offset, true);
     expression[each] = raw === ABSENT ? null : raw / (each.endsWith("_deg") ? 100 : 10000);
-    at += 2;
+    offset += 2;
   }
   const angles = () => hello.servos.map(() => {
-    const raw = view.getInt16(at, true);
-    at += 2;
+    const raw = view.getInt16(offset, true);
+    offset += 2;
     return raw === ABSENT ? null : raw / 100;
   });
   const goalsDeg = angles(), encodersDeg = angles();
-  const nPeaks = view.getUint8(at);
-  const peaks = Array.from(new Uint8Array(buffer, at + 1, nPeaks), (peak) => peak / 255);
+  const nPeaks = view.getUint8(offset);
+  const peaks = Array.from(new Uint8Array(buffer, offset + 1, nPeaks), (peak) => peak / 255);
   return {
     n: view.getUint32(0, true),
     timeS: view.getFloat32(4, true),
@@ -45,9 +46,9 @@ export function decode(buffer, hello) {
   };
 }
 
-// Call onHello(hello) for each face, onFrame(frame) at most once a picture with the newest frame,
-// and onLost() when the dashboard is gone; it is tried again for ever. Gives a function that ends.
-// onEvery(frame), where given, gets every frame that came, for what must miss none: a waveform.
+// Call onHello(hello) for each connection, onFrame(frame) at most once a picture with the newest frame,
+// and onLost() when the dashboard is gone; it is connected to again for ever. onEvery(frame), where
+// given, gets every frame, for listeners that must miss none. Returns a function that disconnects.
 export function connect(onFrame, onHello, onLost, onEvery = null) {
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   let socket = null, hello = null, newest = null, scheduled = false;
@@ -91,7 +92,7 @@ export function connect(onFrame, onHello, onLost, onEvery = null) {
     if (hello === null) return;
     newest = event.data;
     if (onEvery !== null) onEvery(newest = decode(event.data, hello));
-    // A tab that nobody sees draws nothing, and is told nothing.
+    // In a tab that is not seen the browser asks for no picture: onFrame is not called.
     if (!scheduled) {
       scheduled = true;
       requestAnimationFrame(show);
@@ -112,7 +113,7 @@ export function connect(onFrame, onHello, onLost, onEvery = null) {
   };
 }
 
-// The frames of the last seconds, oldest first, for a page that joins late; hello as in `connect`.
+// The frames of the last 30 s, oldest first, for a page just opened. hello: the stream's first message.
 export async function history(hello) {
   const answer = await fetch("/api/history");
   if (!answer.ok) return [];

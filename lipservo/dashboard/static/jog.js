@@ -5,7 +5,7 @@ import { place } from "./live/servo_bars.js";
 import { PulseRow } from "./pulse_row.js";
 import { shown, spoken, unread, whyStill } from "./words.js";
 
-const ARMED_MS = 3000; // as long as the face itself waits for the next word
+const ARMED_MS = 3000; // as long as the face itself waits for the next jog command
 const EVERY_MS = 60;
 
 class FaceJog extends HTMLElement {
@@ -52,7 +52,7 @@ class FaceJog extends HTMLElement {
     this.undo.forEach((each) => each());
   }
 
-  /** why: the face is stopped, a sentence; null: it is not. */
+  /** Disarm while nothing can be moved. why: a sentence, since the face is stopped; null: it can. */
   rest(why) {
     this.still = why;
     if (why !== null && this.isArmed) this.end();
@@ -63,13 +63,14 @@ class FaceJog extends HTMLElement {
     return performance.now() < this.armedUntilMs;
   }
 
+  /** Make a row for each servo: in degrees, or in microseconds for a hobby servo. */
   build(names) {
     this.rows = names.map((name) => new (facts.servos?.[name]?.pulse ? PulseRow : DegreeRow)(name, this));
     this.sliders.replaceChildren(...this.rows.map((row) => row.line));
     for (const { input } of this.rows) input.addEventListener("pointerdown", () => this.touch());
   }
 
-  /** Whether a person has agreed to take this servo beyond its limits; asks where not. */
+  /** Whether a person has agreed to take this servo beyond its limits; if not, show the question. */
   mayGoBeyond(name) {
     if (this.agreed.has(name)) return true;
     this.asked = name;
@@ -88,6 +89,7 @@ class FaceJog extends HTMLElement {
     this.say("", `${spoken(this.asked)} may go beyond its limits now, 10 µs at a time.`);
   }
 
+  /** Arm the sliders, each at its servo's present position; those of servos in trouble stay disabled. */
   async begin() {
     try {
       await postJson("/api/jog", { action: "arm" });
@@ -111,7 +113,7 @@ class FaceJog extends HTMLElement {
     if (this.isArmed) this.armedUntilMs = performance.now() + ARMED_MS;
   }
 
-  /** place: {deg} or {pulse_us}. */
+  /** Ask for a servo's new place, {deg} or {pulse_us}; the newest of each servo is sent. */
   want(name, place) {
     if (!this.isArmed) return;
     this.touch();
@@ -138,7 +140,7 @@ class FaceJog extends HTMLElement {
     this.sending = false;
   }
 
-  /** leaving: the page goes away, so that the call must outlive it. */
+  /** Disarm, and end jogging at the face. leaving: the page closes, and the call must outlive it. */
   async end(leaving = false) {
     this.armedUntilMs = 0;
     this.wanted.clear();
@@ -154,6 +156,7 @@ class FaceJog extends HTMLElement {
     }
   }
 
+  /** Show for how long the sliders are armed yet, or why they cannot be; 20 times a second. */
   count() {
     const leftMs = Math.max(0, this.armedUntilMs - performance.now());
     const isArmed = leftMs > 0;
@@ -208,11 +211,12 @@ class DegreeRow {
     this.input.addEventListener("input", () => jog.want(name, { deg: Number(this.input.value) }));
   }
 
-  /** Where the servo stands, or was sent to: the first touch moves nothing far. */
+  /** Set the slider to the servo's position, or its goal, so that the first touch moves nothing far. */
   rest(encoderDeg, goalDeg) {
     this.input.value = encoderDeg ?? goalDeg ?? 0;
   }
 
+  /** Show the servo's position. isHeld: a person moves the slider, which then stays where it is. */
   draw(encoderDeg, goalDeg, isHeld) {
     const at = encoderDeg === null ? null : place(encoderDeg, this.least, this.most);
     this.mark.hidden = at === null;

@@ -39,6 +39,7 @@ class FaceLines extends HTMLElement {
     clearInterval(this.clock);
   }
 
+  /** Request the list of files, and draw it where it has changed. */
   async load() {
     let files;
     try {
@@ -54,6 +55,7 @@ class FaceLines extends HTMLElement {
     return undefined;
   }
 
+  /** The list item of a file: name, size, and buttons to play, silence and delete. */
   line(file) {
     const item = document.createElement("li");
     item.dataset.file = file.name;
@@ -69,6 +71,7 @@ class FaceLines extends HTMLElement {
     return item;
   }
 
+  /** At the first press ask, by the button's text; at a second within SURE_MS delete the file. */
   confirm(button, name) {
     if (button.classList.contains("sure")) {
       return this.call(`${name} is deleted.`, () => remove(`/api/lines/${encodeURIComponent(name)}`));
@@ -82,6 +85,7 @@ class FaceLines extends HTMLElement {
     return undefined;
   }
 
+  /** Call `ask`, say `done` or what went wrong, and load the list again. */
   async call(done, ask) {
     try {
       await ask();
@@ -92,6 +96,7 @@ class FaceLines extends HTMLElement {
     await this.load();
   }
 
+  /** Upload files one after another, with a progress bar; then say which were refused. */
   async bring(files) {
     this.bar.hidden = false;
     const refused = [];
@@ -108,6 +113,7 @@ class FaceLines extends HTMLElement {
     await this.load();
   }
 
+  /** Mark the lines that are played now, and disable Play while the face is stopped. */
   tell(status) {
     const why = whyStill(status);
     for (const button of this.list.querySelectorAll(".play")) {
@@ -138,7 +144,7 @@ function sizeWords(file) {
   return parts.join(" · ");
 }
 
-/** Upload one file; `fetch` tells nobody how far it is, so this is the older way. */
+/** Upload one file by XMLHttpRequest, since `fetch` reports no progress. progress: gets the share sent. */
 function sent(file, progress) {
   return new Promise((resolve, reject) => {
     const request = new XMLHttpRequest();
@@ -152,7 +158,7 @@ function sent(file, progress) {
       try {
         answer = JSON.parse(request.responseText);
       } catch {
-        // whoever refused says no more than a number
+        // the answer has no words: only its status is shown
       }
       return reject(refusal(request.status, answer));
     });

@@ -6,9 +6,10 @@ import { isStopped, servoTrouble } from "./words.js";
 const STATUS_PERIOD_MS = 500;
 const SHOWN_BEFORE = 130; // frames of the seconds before the page was opened
 const PAINT_MS = 30;
-/** Frames come every 33 ms; one of so long ago is no longer how it is. */
+/** Frames come every 33 ms; what the last one says is out of date after so long. */
 export const OLD_MS = 700;
-/** A browser that takes so long for a picture draws in software: the twin first, and all of it less often. */
+/** A browser that takes so long for a picture draws in software: then the twin comes first, and everything
+ * is drawn less often. */
 const SLOW_PICTURE_MS = 60;
 const SLOW_SHARE = 4;
 const TWIN_FIRST_MS = 8000;
@@ -45,32 +46,32 @@ let lookedMs = performance.now();
 let pictureMs = 2 * SLOW_PICTURE_MS; // a running mean; slow until it has shown that it is not
 const listeners = { hello: new Set(), frame: new Set(), status: new Set(), draw: new Set(), paint: new Set() };
 
-/** Called once for each connection, and at once where one is there. */
+/** Call `listener(hello)` at each connection, and now if there is one. Returns a function that removes it. */
 export function onHello(listener) {
   listeners.hello.add(listener);
   if (face.hello) listener(face.hello);
   return () => listeners.hello.delete(listener);
 }
 
-/** Called with every frame: for whoever keeps a history. */
+/** Call `listener(frame)` with every frame, also those of before the page was opened. Returns as above. */
 export function onFrame(listener) {
   listeners.frame.add(listener);
   return () => listeners.frame.delete(listener);
 }
 
-/** Called with each new frame before the browser paints: for whoever draws it as it is. */
+/** Call `listener(frame)` with each frame to be drawn, before the browser paints. Returns as above. */
 export function onDraw(listener) {
   listeners.draw.add(listener);
   return () => listeners.draw.delete(listener);
 }
 
-/** Called each time before the browser paints: for what moves on between two frames. */
+/** Call `listener(frame)` before the browser paints, also without a new frame. Returns as above. */
 export function onPaint(listener) {
   listeners.paint.add(listener);
   return () => listeners.paint.delete(listener);
 }
 
-/** Called with every status; null: nobody answered. */
+/** Call `listener(status)` with every status; null: no answer came. Returns as above. */
 export function onStatus(listener) {
   listeners.status.add(listener);
   if (face.status) listener(face.status);
@@ -82,7 +83,7 @@ export function frameAgeMs() {
   return performance.now() - face.frameAtMs;
 }
 
-/** Where to draw the servos: where they were read last, while the face is stopped or starts. */
+/** Angles at which to draw the servos: while the face is stopped or starts, those that were read last. */
 export function drawnDeg(frame) {
   const isLast = frame.servosGone && (face.phase === "stopped" || face.phase === "starting");
   return isLast ? frame.encodersDeg.map((_, i) => face.seenDeg[i] ?? null) : frame.encodersDeg;
@@ -108,6 +109,7 @@ function tell(kind, value) {
   }
 }
 
+/** Keep a new frame, count those that were missed, and call the listeners. */
 function takeFrame(frame) {
   if (reloads) return;
   const before = face.frame;
@@ -123,6 +125,7 @@ function takeFrame(frame) {
   tell("frame", frame);
 }
 
+/** Keep a new connection's first message; call the listeners, then with frames of before it. */
 async function takeHello(hello) {
   face.hello = hello;
   face.frame = null; // numbers begin anew where the dashboard was started again
@@ -136,7 +139,10 @@ async function takeHello(hello) {
   }
 }
 
-/** The limits and names of this page are those of a face that has been replaced: load it anew. */
+/**
+ * Whether another face has taken the place of the one that this page was made for; then the page is
+ * loaded anew, but not again within RELOAD_MS.
+ */
 function isAnotherFace(hello) {
   const known = Object.keys(facts.servos ?? {}).join();
   const isNew = hello.servos.length > 0 && known !== hello.servos.join();
@@ -147,6 +153,7 @@ function isAnotherFace(hello) {
   return true;
 }
 
+/** Call the listeners that draw, before a picture of the browser; less often where it is slow. */
 function drawAll() {
   requestAnimationFrame(drawAll);
   const nowMs = performance.now();
@@ -161,25 +168,26 @@ function drawAll() {
   tell("paint", face.frame);
 }
 
-/** Where drawing is slow, the twin is there before anything else moves. */
+/** Whether drawing waits for the twin: in a slow browser, for the page's first seconds. */
 function waitsForTwin(nowMs) {
   const isSlow = pictureMs > SLOW_PICTURE_MS && nowMs < TWIN_FIRST_MS;
   return isSlow && document.querySelector(".twin") !== null && !window.twin?.ready;
 }
 
+/** Request the status, keep it, call the listeners, and do so again twice a second. */
 async function pollStatus() {
   const beganMs = performance.now();
   try {
-    const told = await getJson("/api/status", 2000);
-    // The last status is not how it is.
-    face.status = told.face_answers === false ? null : told;
-    face.trouble = told.trouble ?? null;
+    const answer = await getJson("/api/status", 2000);
+    // A face that does not answer has no status: the answer then repeats its last one.
+    face.status = answer.face_answers === false ? null : answer;
+    face.trouble = answer.trouble ?? null;
     face.refusal = null;
-    face.last = told;
+    face.last = answer;
     if (face.status !== null) {
-      face.fresh = told;
+      face.fresh = answer;
       face.freshMs = performance.now();
-      if (isStopped(told) || told.state === "ended") face.lastState = told.state;
+      if (isStopped(answer) || answer.state === "ended") face.lastState = answer.state;
     }
   } catch (error) {
     face.status = null;

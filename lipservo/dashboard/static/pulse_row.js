@@ -4,11 +4,15 @@ import { face, facts } from "./link.js";
 import { place } from "./live/servo_bars.js";
 import { shown, spoken } from "./words.js";
 
-const STEP_US = 10; // the face takes no more at a time beyond the limits
+const STEP_US = 10; // the longest step that the face accepts beyond the limits
 const ENDS_US = [500, 2500]; // and nothing outside of these
 const REPEAT_MS = 250; // of a button that is held down: as fast as the servo may follow
-const LIMITS = ["min", "neutral", "max"]; // that may be set to where the servo is
+const LIMITS = ["min", "neutral", "max"]; // may be set to the servo's present pulse
 
+/**
+ * The row of a hobby servo. jog: the FaceJog that it belongs to; us: the pulse sent last, null: not known;
+ * target: the pulse that a person has asked for, null: none.
+ */
 export class PulseRow {
   constructor(name, jog) {
     Object.assign(this, { name, jog, us: null, target: null });
@@ -41,12 +45,12 @@ export class PulseRow {
     this.tellSaved({ ...pulse, min_deg: least_deg, max_deg: most_deg });
   }
 
-  /** Those that the face keeps to, since its start. */
+  /** The servo's pulses {neutral_us, us_per_deg, min_us, max_us} as the running face has them. */
   get limits() {
     return face.status?.pulses?.[this.name] ?? facts.servos[this.name].pulse;
   }
 
-  /** Where a positive angle goes. */
+  /** The word for a positive angle, with an arrow to the side of the slider where it lies. */
   way() {
     const { positive, pulse } = facts.servos[this.name];
     if (!positive) return "";
@@ -57,7 +61,7 @@ export class PulseRow {
     this.draw(null, goalDeg, false);
   }
 
-  /** By the goal that was sent: nothing comes back from a hobby servo. */
+  /** Show the pulse of the goal that was sent, as a hobby servo reports none. isHeld: a person moves it. */
   draw(_encoderDeg, goalDeg, isHeld) {
     if (goalDeg === null) return;
     const { neutral_us, us_per_deg, min_us, max_us } = this.limits;
@@ -83,6 +87,7 @@ export class PulseRow {
     return us > min_us - 0.5 && us < max_us + 0.5;
   }
 
+  /** Ask for a pulse; beyond the limits only if a person has agreed to that for this servo. */
   want(us) {
     if (!this.isWithin(us) && !this.jog.mayGoBeyond(this.name)) {
       const { min_us, max_us } = this.limits;
@@ -94,13 +99,14 @@ export class PulseRow {
     this.jog.want(this.name, { pulse_us: us });
   }
 
-  /** On from where it is going to, as far as the face lets it. */
+  /** Ask for a pulse `us` further than the one asked for last. */
   step(us) {
     if (this.us === null) return;
     const next = Math.round(this.target ?? this.us) + us;
     this.want(Math.min(Math.max(next, Number(this.input.min)), Number(this.input.max)));
   }
 
+  /** Write the present pulse into the YAML as the servo's min, neutral or max. */
   async set(limit) {
     const pulse_us = Math.round(this.us);
     this.jog.touch();
@@ -122,7 +128,7 @@ export class PulseRow {
   }
 }
 
-/** Once for a click or a key, and again and again while it is held down. */
+/** Call `act` once for a click or a key, and every REPEAT_MS while the pointer holds the button down. */
 function held(button, act) {
   let timer = null;
   const end = () => {

@@ -38,6 +38,7 @@ class FaceServoTable extends HTMLElement {
     this.isHere = false;
   }
 
+  /** Request the servos and show them, every EVERY_MS while the table is on the page. */
   async look() {
     try {
       this.tell((await getJson("/api/servos", 2000)).servos);
@@ -48,17 +49,18 @@ class FaceServoTable extends HTMLElement {
     if (this.isHere) setTimeout(() => this.look(), EVERY_MS);
   }
 
+  /** Show servos in the order of the face's YAML, unknown ones at the end; make rows for new ones. */
   tell(servos) {
-    const still = whyStill(face.status);
-    if (still !== null) this.say("", still);
+    const whyStopped = whyStill(face.status);
+    if (whyStopped !== null) this.say("", whyStopped);
     else if (this.said.textContent === STILL) this.say("", "");
-    if (!servos.length && still === null) this.say("warn", "No face has reported yet how its servos are.");
+    if (!servos.length && whyStopped === null) this.say("warn", "No face has reported yet how its servos are.");
     else if (this.said.dataset.tone === "warn") this.say("", "");
     const order = Object.keys(facts.servos ?? {});
     const place = ({ name }) => (order.indexOf(name) + order.length + 1) % (order.length + 1);
-    for (const one of servos.toSorted((a, b) => place(a) - place(b))) {
-      if (!this.rows.has(one.name)) this.rows.set(one.name, new Row(this, one.name));
-      this.rows.get(one.name).set(one);
+    for (const servo of servos.toSorted((a, b) => place(a) - place(b))) {
+      if (!this.rows.has(servo.name)) this.rows.set(servo.name, new Row(this, servo.name));
+      this.rows.get(servo.name).set(servo);
     }
   }
 
@@ -93,6 +95,7 @@ class Row {
     this.reboot.addEventListener("click", () => this.confirm());
   }
 
+  /** Show a servo's readings, buttons and remedies. one: of `/api/servos`; null: nothing is known now. */
   set(one) {
     const cell = (name) => this.line.querySelector(`.${name}`);
     const limits = facts.servos?.[this.name] ?? {};
@@ -120,6 +123,7 @@ class Row {
     write(this.remedy.firstChild, lines.map((line) => `<div>${escaped(line)}</div>`).join(""));
   }
 
+  /** At the first press ask, by the button's text; at a second within SURE_MS restart the servo. */
   confirm() {
     if (this.sure) return this.ask("reboot");
     this.sure = setTimeout(() => this.calm(), SURE_MS);
@@ -137,6 +141,7 @@ class Row {
     this.table.say("", "");
   }
 
+  /** Switch the servo off or on, or restart it, and say what came of it. what: off, on or reboot. */
   async ask(what) {
     this.calm();
     const words = { off: "goes limp", on: "holds again", reboot: "restarts" };

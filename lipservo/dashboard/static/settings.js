@@ -35,20 +35,21 @@ class FaceSettings extends HTMLElement {
     this.undo();
   }
 
-  /** What is in the file, and whether it may be written. */
+  /** Request whether the settings may be saved, and show into which file, or why not. */
   async load() {
     const where = this.querySelector(".where");
     try {
-      const told = await getJson("/api/settings");
-      this.canSave = told.can_save;
-      where.textContent = told.can_save
-        ? `writes them into ${told.config}, whole or not at all`
-        : `Cannot be saved: ${told.why_not}.`;
+      const answer = await getJson("/api/settings");
+      this.canSave = answer.can_save;
+      where.textContent = answer.can_save
+        ? `writes them into ${answer.config}, whole or not at all`
+        : `Cannot be saved: ${answer.why_not}.`;
     } catch (error) {
       where.textContent = error.message;
     }
   }
 
+  /** Show the settings that a status has, making a slider for each new one. */
   tell(status) {
     const now = { ...status?.settings, ...status?.expression };
     const names = Object.keys(SETTINGS).filter((name) => name in now);
@@ -61,8 +62,8 @@ class FaceSettings extends HTMLElement {
     for (const name of names) {
       if (!this.rows.has(name)) this.rows.set(name, this.row(name, ONLY_AT_START.includes(name)));
       const row = this.rows.get(name);
-      // What a hand is on, or was within the last second, is not pulled away from it; what only a
-      // restart changes waits to be saved.
+      // A slider that was moved within the last second keeps its value; one whose setting only a
+      // restart changes keeps it until it is saved.
       const isHeld = performance.now() - row.touchedMs < (row.atStart ? Infinity : 1000);
       if (!isHeld) row.show(now[name]);
     }
@@ -70,6 +71,10 @@ class FaceSettings extends HTMLElement {
     this.save.disabled = isAway || !this.canSave || this.isSaving || !this.rows.size;
   }
 
+  /**
+   * Make the slider of a setting, at its place in the order of SETTINGS; returns {line, input, show, ...}.
+   * atStart: only a restart changes the setting.
+   */
   row(name, atStart = false) {
     const [title, least, most, step, unit, what] = SETTINGS[name];
     const line = document.createElement("label");
@@ -99,6 +104,7 @@ class FaceSettings extends HTMLElement {
     return row;
   }
 
+  /** Send the values that were set, the newest of each, until none is left; one call at a time. */
   async send() {
     if (this.sending) return;
     this.sending = true;
@@ -117,6 +123,7 @@ class FaceSettings extends HTMLElement {
     this.sending = false;
   }
 
+  /** Set all values and write them into the face's YAML. */
   async keep() {
     const values = Object.fromEntries([...this.rows].map(([name, row]) => [name, Number(row.input.value)]));
     this.isSaving = this.save.disabled = true;

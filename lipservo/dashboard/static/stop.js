@@ -9,13 +9,14 @@ const WAIT_S = 15; // easing to rest takes a few seconds, before the servos conf
 let level = "soft";
 let presses = 0;
 let trying = false;
-// {report: `StopReport`, atMs: `Date.now()` of the confirmation, null where this page did not see
-// it}: the last confirmed word, until the face is started again.
+// What the servos confirmed last, until the face is started again: {report: `StopReport`, atMs:
+// `Date.now()` of the confirmation, null where this page did not see it}; null: nothing.
 let word = null;
 
 const button = document.getElementById("face-stop");
 const line = document.getElementById("face-stop-report");
 
+/** Send one stop of level `how`; its answer, after up to `waitS` s for the confirmation. Throws if none comes. */
 async function post(how, waitS) {
   const response = await fetch("/api/stop", {
     method: "POST",
@@ -47,6 +48,10 @@ export async function stop(how = level) {
   if (!isOld()) finish();
 }
 
+/**
+ * Send a stop again and again until the face has taken it, and write each step under the head; besides,
+ * wait for the confirmation of the servos. isOld: whether a later press has taken over.
+ */
 async function insist(how, isOld) {
   let isConfirmed = false;
   let isWaiting = false;
@@ -97,7 +102,7 @@ const BY_HAND = `${SUPPLY} \`lipservo stop\`.`;
 export const LOCKED =
   "This page needs the face's token: open the address that was printed, or run `lipservo dashboard --open`.";
 
-/** What to do by hand; nothing where the servos have confirmed that they are limp. */
+/** A sentence on what to do by hand; if servos have confirmed that they are limp, on that. */
 function advice() {
   return isLimp(word) ? `The servos' last word: ${confirmedWords(word)}.` : BY_HAND;
 }

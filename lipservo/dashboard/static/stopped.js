@@ -5,17 +5,17 @@ import { face, facts, frameAgeMs, OLD_MS, onFrame, onHello, onStatus } from "./l
 import { confirmed, confirmedWords, driven, forget, isLimp, isTrying, keep, kept, show, stop } from "./stop.js";
 import { isStopped } from "./words.js";
 
-// What a dashboard says may be so old: a status of before `start` is no answer to it.
+// A status may be so old: one from before a `start` does not say what became of it.
 const STALE_MS = 3000;
-const START_MS = 60_000; // longer than any start takes that gets on
+const START_MS = 60_000; // longer than any start that succeeds
 const SLOW_MS = 12_000;
 const DONE_MS = 4000; // how long "started" stands there
 // The second click of a double click on Start, or a key that is held, is no answer to the question.
 const SURE_MS = 500;
-// The last record of a servo side that is gone is repeated for 0.8 s (`GONE_S` of moments.py), and
+// The last record of a servo side that is gone is repeated for 0.8 s (`GONE_S` of live_frames.py), and
 // statuses come twice a second: so long after a confirmation both may still say "driven".
 const LATE_MS = 1500;
-// One status that is missing is no end: a face that is let go once more may be late by as much.
+// A single missing status does not mean the end: a face that switches torque off again may be late.
 const SILENT_MS = 2500;
 const AT_END = ["stopped", "ended"]; // states in which the report of a stop is the last word
 const LIVELY = ["driven", "silent", "easing", "frozen", "letting go"];
@@ -105,6 +105,7 @@ function sentence(text) {
   return `${text[0].toUpperCase()}${text.slice(1).replace(/\.$/, "")}.`;
 }
 
+/** Write the phase, the sentence under the head, and Start with its question, from what is known now. */
 function render() {
   const nowMs = performance.now();
   const isOld = face.frame === null || frameAgeMs() > OLD_MS;
@@ -165,7 +166,7 @@ function decline() {
   button.focus();
 }
 
-/** The question has been answered with yes. */
+/** Start the face: the question has been answered with yes. A STOP pressed meanwhile is sent again. */
 async function begin() {
   if (askedMs === null || performance.now() - askedMs < SURE_MS) return;
   askedMs = null;
@@ -192,7 +193,7 @@ async function begin() {
   render();
 }
 
-/** What a new status means for a start that is under way. */
+/** End the start under way where a new status says that the face runs, stops, or did not start. */
 function follow(status) {
   const nowMs = performance.now();
   if (nowMs - starting.sinceMs > START_MS) {
@@ -219,6 +220,7 @@ function follow(status) {
   }
 }
 
+/** Take a new status: starts by others, the report of a stop; then draw. status: null, no answer came. */
 function take(status) {
   if (starting !== null) follow(status);
   else if (status !== null && wasStopped && !status.stopped && !AT_END.includes(status.state)) {
@@ -238,12 +240,12 @@ function take(status) {
   render();
 }
 
-/** Whether what comes now may be of before a press of STOP. */
+/** Whether a status that comes now may be from before the last press of STOP. */
 function isJustPressed() {
   return performance.now() - pressedMs < STALE_MS;
 }
 
-/** Keep what a status reports; its time is known only where this page saw the face move before. */
+/** Keep a status's stop report, with its own time, else with the present one if this page saw it move. */
 function learn(report) {
   if (isSame(kept()?.report, report)) return;
   const seenMs = sawMoving ? Date.now() : null;

@@ -5,7 +5,7 @@ import { isStopped, stateWords, statusWords } from "./words.js";
 
 const PERIOD_MS = 100;
 const PATIENT_MS = 4000; // a page that has just been opened has no frame yet
-// A servo side that has ended well is answered for by the status so soon.
+// After a servo side has ended well, a status that says so arrives within this.
 const ENDING_MS = 2500;
 const AT_END = ["letting go", "ended", "stopped"];
 
@@ -14,9 +14,9 @@ const state = document.getElementById("face-state");
 const beganMs = performance.now();
 
 /**
- * [tone, sentence] of what is wrong, worst first; null: nothing. seen: what is known, as `look`
- * gathers it. While a face is stopped or starts, or its confirmed end stands on the page, servos
- * and dashboard that are gone are no alarm. Pure.
+ * [tone, sentence] of the worst that is wrong; null: nothing. The argument is what is known, as `look`
+ * gathers it; phase: as of `phaseOf` in stopped.js. While a face is stopped or starts, or the page
+ * shows its confirmed end, servos and dashboard that are gone are no alarm. Pure.
  */
 export function complaint({ frame, ageMs, openMs, phase, status, lastState, servosMs, refusal, idle, isFirstHour, trouble }) {
   if (refusal !== null) return ["bad", refusal];
@@ -66,7 +66,7 @@ const ENDED =
   "The face has ended; what its servos confirmed did not reach this page. " +
   "Start it again at its computer, with `lipservo run` or `lipservo daemon`.";
 
-/** [words, tone] of the head: how the face is, in a few words. Pure. */
+/** [words, tone] of the page's head: the state of the face in a few words. The argument: as above. Pure. */
 export function headWords({ frame, ageMs, phase, status, word, lastState, refusal, idle }) {
   if (refusal !== null) return ["not let in", "bad"];
   const isOld = frame === null || ageMs > OLD_MS;
@@ -87,13 +87,14 @@ export function headWords({ frame, ageMs, phase, status, word, lastState, refusa
   return AT_END.includes(lastState) ? ["ended", "quiet"] : ["servo side gone", "bad"];
 }
 
+/** [words, tone] of a face that has stopped or ended. word: what its servos confirmed, may be null. */
 function stopWords(state, word) {
   if (word === null) return [`${state}, not confirmed`, "warn"];
   if (!isLimp(word) && isReleased(word)) return [`${state}: ${word.report.released_words}`, "warn"];
   return isLimp(word) ? [`${state}: limp`, "quiet"] : [`${state}: NOT confirmed limp`, "bad"];
 }
 
-/** `driven` is not claimed of a face whose port is gone, or of which some servos are not. Pure. */
+/** [words, tone] of a running face, corrected where its port is gone or some servos are not driven. Pure. */
 export function withServos([words, tone], status) {
   if (tone !== "good" || isStopped(status)) return [words, tone]; // a status of before the start
   if (status?.plugged === false) return ["port gone: look at the plug", "bad"];
@@ -104,19 +105,20 @@ export function withServos([words, tone], status) {
   return [`${words}, ${nOut} of ${states.length} servos not driven`, "warn"];
 }
 
+/** Gather what is known of the face, and write banner and head; ten times a second. */
 function look() {
   const nowMs = performance.now();
   const seen = {
     ...face, ageMs: frameAgeMs(), openMs: nowMs - beganMs, servosMs: nowMs - face.lastServosMs, word: kept(),
     isFirstHour: facts.firstHour,
   };
-  const wrong = complaint(seen);
-  banner.hidden = wrong === null;
-  if (wrong !== null) {
-    banner.dataset.level = wrong[0];
-    if (banner.textContent !== wrong[1]) banner.textContent = wrong[1];
+  const alarm = complaint(seen);
+  banner.hidden = alarm === null;
+  if (alarm !== null) {
+    banner.dataset.level = alarm[0];
+    if (banner.textContent !== alarm[1]) banner.textContent = alarm[1];
   }
-  document.body.classList.toggle("face-old", wrong !== null || face.phase === "gone");
+  document.body.classList.toggle("face-old", alarm !== null || face.phase === "gone");
   const [words, tone] = headWords(seen);
   if (state.textContent !== words) state.textContent = words;
   state.dataset.tone = tone;

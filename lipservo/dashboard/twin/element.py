@@ -16,7 +16,7 @@ from lipsync.errors import check_extra
 from lipsync.face.model import FaceModel
 
 HEAD_PATH = "/twin/head.bin"
-#: Kept by a browser, but asked for each time whether it is still the same.
+#: A browser keeps the head, but asks each time by its ETag whether it has changed.
 _CACHE = "no-cache"
 
 
@@ -24,30 +24,31 @@ class PackedHead:
     """A face model's head for drawing, as bytes that `make` returns, called once in a thread."""
 
     def __init__(self, make: Callable[[], bytes]) -> None:
-        self._making: Future[tuple[bytes, str]] = Future()
-        threading.Thread(target=self._work, args=(make,), name="twin's head", daemon=True).start()
+        self._result: Future[tuple[bytes, str]] = Future()
+        threading.Thread(target=self._make, args=(make,), name="twin's head", daemon=True).start()
 
     def get(self) -> tuple[bytes, str]:
         """Return the bytes, compressed with gzip, and their ETag; waits until they are made."""
-        return self._making.result()
+        return self._result.result()
 
-    def _work(self, make: Callable[[], bytes]) -> None:
+    def _make(self, make: Callable[[], bytes]) -> None:
+        """Call `make`; store its bytes, compressed, and their ETag, or its error, for `get`."""
         try:
             packed = make()
             tag = f'"{hashlib.sha256(packed).hexdigest()[:16]}"'
-            self._making.set_result((gzip.compress(packed, compresslevel=4, mtime=0), tag))
+            self._result.set_result((gzip.compress(packed, compresslevel=4, mtime=0), tag))
         except Exception as error:  # whoever asks for the head is told
-            self._making.set_exception(error)
+            self._result.set_exception(error)
 
 
 def twin_routes(app: FastAPI, face: FaceModel) -> None:
     """Add the route HEAD_PATH, which serves a face model's head, and start making that head."""
-    head = PackedHead(lambda: _packed(face))
+    head = PackedHead(lambda: _packed_head(face))
 
     # Not async: FastAPI runs it in a thread of its own, so that other answers do not wait.
     @app.get(HEAD_PATH, include_in_schema=False)
     def serve(request: Request) -> Response:
-        """Return the packed head, compressed for a browser that can unpack it; 304: unchanged.
+        """Return the head's bytes, gzipped where the browser accepts that; 304 if it has them.
 
         Blocks until the head is made.
         """
@@ -62,14 +63,14 @@ def twin_routes(app: FastAPI, face: FaceModel) -> None:
         return Response(packed, media_type="application/octet-stream", headers=headers)
 
 
-def _packed(face: FaceModel) -> bytes:
-    """Return the head that ships with a face model; of one of the user's own, made now.
+def _packed_head(face: FaceModel) -> bytes:
+    """Return the bytes of the head that ships for a face model, else make one, which is slow.
 
-    Raises MissingExtraError where that needs the extra `fit`.
+    Raises MissingExtraError if scipy (the extra `fit`), needed to make one, is not installed.
     """
-    kept = resources.files("lipsync.models") / f"head-{face.checksum}.bin.gz"
-    if kept.is_file():
-        return gzip.decompress(kept.read_bytes())
+    shipped = resources.files("lipsync.models") / f"head-{face.checksum}.bin.gz"
+    if shipped.is_file():
+        return gzip.decompress(shipped.read_bytes())
     check_extra("scipy", "the head of a model of your own")
     from lipsync.twin.packed import pack
     from lipsync.twin.twin import make_twin

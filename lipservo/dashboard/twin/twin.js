@@ -10,6 +10,7 @@ export default {
     </div>`,
   props: { source: String },
   data: () => ({ said: "Loading the face ..." }),
+  /** Show the picture, as `window.twin`, and say in its place if the head cannot be loaded. */
   async mounted() {
     this.picture = pictureOf(this.source);
     this.picture.placeIn(this.$refs.place);

@@ -36,7 +36,7 @@ Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 Headers = Sequence[tuple[bytes, bytes]]
 
-#: Pages load nothing from elsewhere, stand in no other page's frame, and name no address to others.
+#: Pages load nothing from other sites, are shown in no other page's frame, and send no referrer.
 #: NiceGUI's pages are made by inline scripts, and Vue compiles its templates in the browser.
 SECURITY_HEADERS: Final = (
     (
@@ -52,7 +52,7 @@ SECURITY_HEADERS: Final = (
     (b"cross-origin-resource-policy", b"same-origin"),
 )
 #: The script of STOP on every page; it imports nothing.
-_SCRIPT: Final = Path(__file__).parent.parent / "static" / "stop.js"
+_STOP_SCRIPT: Final = Path(__file__).parent.parent / "static" / "stop.js"
 _PAGE: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><title>lipservo: STOP</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <style>
@@ -70,7 +70,7 @@ color:#fff;cursor:pointer}#face-stop small{display:block;font-size:1rem}
 (it ends in <code>?token=…</code>), or run <code>lipservo dashboard --open</code>.</p>
 <script type="module">%s</script></html>
 """
-#: A sound file (`MOST_BYTES` of lipservo/dashboard/sound_lines.py) with what a form adds; the rest.
+#: Bytes of a body with a file (`MOST_BYTES` of sound_lines.py, and what a form adds); of others.
 _MOST_FILE_BYTES: Final = 51_000_000
 _MOST_BODY_BYTES: Final = 1 << 20
 _MOST_REQUESTS: Final = 256
@@ -94,8 +94,8 @@ async def answer_json(
 
     status: HTTP status. is_websocket: the answer refuses a handshake.
     """
-    of_json = [(b"content-type", b"application/json"), (b"cache-control", b"no-store"), *headers]
-    await answer_bytes(send, status, of_json, json.dumps(answer).encode(), is_websocket)
+    json_head = [(b"content-type", b"application/json"), (b"cache-control", b"no-store"), *headers]
+    await answer_bytes(send, status, json_head, json.dumps(answer).encode(), is_websocket)
 
 
 async def answer_bytes(
@@ -107,15 +107,15 @@ async def answer_bytes(
     """
     kind = "websocket.http.response" if is_websocket else "http.response"
     length = (b"content-length", str(len(body)).encode())
-    whole = [*headers, length, *SECURITY_HEADERS]
-    await send({"type": f"{kind}.start", "status": int(status), "headers": whole})
+    all_headers = [*headers, length, *SECURITY_HEADERS]
+    await send({"type": f"{kind}.start", "status": int(status), "headers": all_headers})
     await send({"type": f"{kind}.body", "body": body})
 
 
 @cache
 def stop_page() -> str:
-    """Return the HTML of the page with STOP alone, its script inline: files need the token."""
-    script = _SCRIPT.read_text("utf-8")
+    """Return the HTML of the page with STOP alone, its script inline, since files need a token."""
+    script = _STOP_SCRIPT.read_text("utf-8")
     return _PAGE.replace("%s", script.replace("</script", "<\\/script"), 1)
 
 
@@ -135,8 +135,8 @@ class OneTimeCode:
     def admits(self, given: str, client_port: int, server_port: int) -> bool:
         """Return whether a request with code `given` may get the token's cookie; True only once.
 
-        The code must be right and not yet used, and the user of the program at the other end of the
-        connection must be the constructor's `user` (not checked where the operating system does not
+        The code must be right and not yet used, and the program at the other end of the connection
+        must belong to the constructor's `user` (not checked where the operating system does not
         list its sockets). client_port, server_port: of that connection.
         """
         if self._is_used or not is_same_token(given, self.code):
@@ -150,27 +150,30 @@ class OneTimeCode:
 class RequestLimit:
     """An ASGI application that passes 256 requests and WebSockets at a time to another.
 
-    It refuses further ones, and those of a peer (an IP address) that has half of them.
+    Further ones are refused, as are those of a peer (an IP address) that has half of them already.
     """
 
     def __init__(self, app: App) -> None:
         """Wrap `app`."""
         self.app = app
         self._most = scaled(_MOST_REQUESTS)
-        self._open: Counter[str] = Counter()
+        self._n_of_peer: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request to the application within, or answer 503."""
+        """Pass a request to the application within; answer 503 where too many are open already.
+
+        Too many are 256, or half as many of one peer (an IP address).
+        """
         peer = (scope.get("client") or ("",))[0]
-        if 2 * self._open[peer] >= self._most or self._open.total() >= self._most:
+        if 2 * self._n_of_peer[peer] >= self._most or self._n_of_peer.total() >= self._most:
             busy, status = {"error": "too many requests at a time"}, HTTPStatus.SERVICE_UNAVAILABLE
             await answer_json(send, status, busy, is_websocket=scope["type"] == "websocket")
             return
-        self._open[peer] += 1
+        self._n_of_peer[peer] += 1
         try:
             await self.app(scope, receive, send)
         finally:
-            self._open -= Counter((peer,))  # drops who has none
+            self._n_of_peer -= Counter((peer,))  # `-=` removes a peer that has none left
 
 
 class AccessLayer:
@@ -229,7 +232,7 @@ class AccessLayer:
             await self.app(scope, receive, send)
         else:
             try:
-                await self.app(scope, _bounded(scope, receive), _with_headers(send, cors))
+                await self.app(scope, _with_size_limit(scope, receive), _with_headers(send, cors))
             except RuntimeError as error:
                 # Starlette's way of saying that the client has gone before it was answered.
                 if str(error) != "No response returned.":
@@ -238,19 +241,20 @@ class AccessLayer:
     def _verdict(self, request: Request, policy: Policy, scope: Scope) -> Refusal | Redirect | None:
         """Return a refusal, a redirect that sets the token's cookie, or None: admitted.
 
-        Raises ValueError for a request that cannot be read.
+        The redirect is for a page whose URL has the token, or the one-time code in its place; it
+        takes them out of the URL. Raises ValueError for a request that cannot be read.
         """
         refused = refusal(request, policy)
-        given = request.token_in_query
-        if policy.token is None or given is None or not request.is_page:
+        token = request.token_in_query
+        if policy.token is None or token is None or not request.is_page:
             return refused
-        is_wanted = is_same_token(given, policy.token) and refused is None
-        is_first = _is_401(refused) and request.method == "GET"
-        if not is_wanted and self._code is not None and is_first:
+        gets_cookie = is_same_token(token, policy.token) and refused is None
+        may_use_code = _lacks_token(refused) and request.method == "GET"
+        if not gets_cookie and self._code is not None and may_use_code:
             client, server = scope.get("client"), scope.get("server")
             ports = (client[1], server[1]) if client and server else (0, 0)
-            is_wanted = self._code.admits(given, *ports)
-        return redirect_to_cookie(request, policy.token) if is_wanted else refused
+            gets_cookie = self._code.admits(token, *ports)
+        return redirect_to_cookie(request, policy.token) if gets_cookie else refused
 
 
 def most_bytes(path: str) -> int:
@@ -267,26 +271,27 @@ def cors_headers(request: Request, policy: Policy) -> Headers:
     return [(b"access-control-allow-origin", origin.encode("latin-1")), (b"vary", b"origin")]
 
 
-def _is_401(refused: Refusal | None) -> bool:
-    """Return whether a request is refused for nothing but its missing or wrong token."""
+def _lacks_token(refused: Refusal | None) -> bool:
+    """Return whether a request is refused for its missing or wrong token (HTTP status 401)."""
     return refused is not None and refused.status == HTTPStatus.UNAUTHORIZED
 
 
 def _shows_stop(request: Request, policy: Policy) -> bool:
-    """Return whether a page requested on this computer is refused for its token alone.
+    """Return whether a refused request is for a page that may show STOP instead.
 
-    Such a page shows STOP, which needs no token; files that pages load do not.
+    So it is for every HTML page requested on this computer, from where a stop needs no token, but
+    not for files that pages load.
     """
-    is_seen = "text/html" in request.headers.get("accept", "")
-    is_ours = refusal(request, policy, is_stop=True) is None
-    return request.is_page and is_seen and is_ours and not request.path.startswith("/static/")
+    is_html = "text/html" in request.headers.get("accept", "")
+    may_stop = refusal(request, policy, is_stop=True) is None
+    return request.is_page and is_html and may_stop and not request.path.startswith("/static/")
 
 
-def _bounded(scope: Scope, receive: Receive) -> Receive:
+def _with_size_limit(scope: Scope, receive: Receive) -> Receive:
     """Return `receive`, but raising HTTPException 413 once the body exceeds `most_bytes`."""
     n_bytes = 0
 
-    async def receiving() -> Message:
+    async def receive_counted() -> Message:
         nonlocal n_bytes
         message = await receive()
         n_bytes += len(message.get("body", b""))
@@ -294,13 +299,15 @@ def _bounded(scope: Scope, receive: Receive) -> Receive:
             raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "the request is too large")
         return message
 
-    return receiving
+    return receive_counted
 
 
 def _with_headers(send: Send, cors: Headers) -> Send:
-    async def sending(message: Message) -> None:
+    """Return `send`, but adding the security headers and `cors` to an answer's headers."""
+
+    async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             message["headers"] = [*message.get("headers", ()), *SECURITY_HEADERS, *cors]
         await send(message)
 
-    return sending
+    return send_with_headers

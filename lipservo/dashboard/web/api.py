@@ -42,12 +42,12 @@ def make_api(link: FaceLink, hour: FirstHour | None = None) -> FastAPI:
         responses=_ERRORS,
     )
     add_error_answers(app)
-    hubs = add_streams(app, link)
+    streams = add_streams(app, link)
     app.include_router(face_routes(link))
     app.include_router(file_routes(link))
     if hour is not None:
         app.include_router(first_hour_routes(hour))
-    collector = FaceCollector(link, lambda: {name: hub.n_clients for name, hub in hubs.items()})
+    collector = FaceCollector(link, lambda: {name: hub.n_clients for name, hub in streams.items()})
 
     @app.get("/api/history", response_class=Response)
     async def history() -> Response:
@@ -81,7 +81,7 @@ class _FreshFiles(StaticFiles):
 def docs_html(openapi: Mapping[str, Any]) -> str:
     """Return an HTML page of every path in an OpenAPI schema: description, parameters, body."""
     name = escape(str(openapi["info"]["title"]))
-    operations = "".join(_operations(openapi))
+    operations = "".join(_operations_html(openapi))
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}: API</title>"
         f"<style>{_STYLE}</style><h1>{name}: API</h1>"
@@ -92,29 +92,29 @@ def docs_html(openapi: Mapping[str, Any]) -> str:
     )
 
 
-def _operations(openapi: Mapping[str, Any]) -> Iterator[str]:
+def _operations_html(openapi: Mapping[str, Any]) -> Iterator[str]:
     """Yield HTML of each operation of an OpenAPI schema: method, path, description, input."""
     for path, methods in openapi["paths"].items():
         for method, operation in methods.items():
             description = escape(operation.get("description", ""))
             yield f"<h2><b>{escape(method.upper())}</b>{escape(path)}</h2><p>{description}</p>"
-            given = operation.get("parameters", ())
-            if given:
-                names = ", ".join(f"{each['name']} ({each['in']})" for each in given)
+            parameters = operation.get("parameters", ())
+            if parameters:
+                names = ", ".join(f"{each['name']} ({each['in']})" for each in parameters)
                 yield f"<p>takes {escape(names)}</p>"
             body = operation.get("requestBody", {}).get("content", {}).get("application/json")
             if body:
-                shown = json.dumps(_resolved(body["schema"], openapi), indent=1)
-                yield f"<pre>{escape(shown)}</pre>"
+                schema_text = json.dumps(_inlined(body["schema"], openapi), indent=1)
+                yield f"<pre>{escape(schema_text)}</pre>"
 
 
-def _resolved(schema: Any, openapi: Mapping[str, Any]) -> Any:
+def _inlined(schema: Any, openapi: Mapping[str, Any]) -> Any:
     """Return a schema without titles, each `$ref` replaced by what it refers to."""
     if isinstance(schema, list):
-        return [_resolved(each, openapi) for each in schema]
+        return [_inlined(each, openapi) for each in schema]
     if not isinstance(schema, dict):
         return schema
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
-        return _resolved(openapi["components"]["schemas"][name], openapi)
-    return {key: _resolved(value, openapi) for key, value in schema.items() if key != "title"}
+        return _inlined(openapi["components"]["schemas"][name], openapi)
+    return {key: _inlined(value, openapi) for key, value in schema.items() if key != "title"}

@@ -21,7 +21,8 @@ from lipsync.text_to_speech.synthesis import FASTEST_WPM, HIGHEST_PITCH, SLOWEST
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
 Pulse = Annotated[float, Field(ge=SHORTEST_FOUND_US, le=LONGEST_FOUND_US)]
 _Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-#: By the code of a `FaceError`; those of an agent server that are not here say that it is busy.
+#: HTTP status by the code of a `FaceError`. Codes that are not listed, all of an agent server, mean
+#: that it is busy.
 _STATUS_OF: Final = {
     "refused": 422,
     "bad_message": 422,
@@ -214,28 +215,28 @@ class ErrorAnswer(BaseModel):
 def add_error_answers(app: FastAPI) -> None:
     """Make an application answer every error with one line of JSON and a fitting HTTP status."""
 
-    async def of_face(_request: Request, error: Exception) -> JSONResponse:
+    async def answer_face_error(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, FaceError)
         return _answer(status_of(error), str(error))
 
-    async def of_body(_request: Request, error: Exception) -> JSONResponse:
+    async def answer_bad_body(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
         if error.errors()[0]["type"] == "json_invalid":
             return _answer(400, "the body is not JSON")
         return _answer(422, first_error(error.errors()))
 
-    async def of_http(_request: Request, error: Exception) -> JSONResponse:
+    async def answer_http_error(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, HTTPException)
         return _answer(error.status_code, str(error.detail), error.headers)
 
-    async def of_ours(_request: Request, error: Exception) -> JSONResponse:
+    async def answer_own_fault(_request: Request, error: Exception) -> JSONResponse:
         logging.getLogger("lipservo.dashboard").error("a fault of ours", exc_info=error)
         return _answer(500, f"a fault of the dashboard's: {type(error).__name__}")
 
-    app.add_exception_handler(FaceError, of_face)
-    app.add_exception_handler(RequestValidationError, of_body)
-    app.add_exception_handler(HTTPException, of_http)
-    app.add_exception_handler(Exception, of_ours)
+    app.add_exception_handler(FaceError, answer_face_error)
+    app.add_exception_handler(RequestValidationError, answer_bad_body)
+    app.add_exception_handler(HTTPException, answer_http_error)
+    app.add_exception_handler(Exception, answer_own_fault)
 
 
 def status_of(error: FaceError) -> int:
@@ -245,8 +246,8 @@ def status_of(error: FaceError) -> int:
 
 def first_error(errors: Sequence[Any]) -> str:
     """Return the first of pydantic's errors as one line: field of the body, and message."""
-    where = ".".join(str(part) for part in errors[0]["loc"] if part != "body")
-    return f"{where}: {errors[0]['msg']}" if where else str(errors[0]["msg"])
+    field = ".".join(str(part) for part in errors[0]["loc"] if part != "body")
+    return f"{field}: {errors[0]['msg']}" if field else str(errors[0]["msg"])
 
 
 def _answer(status: int, text: str, headers: Any = None) -> JSONResponse:

@@ -97,15 +97,15 @@ def face_routes(link: FaceLink) -> APIRouter:
     @routes.get("/servos")
     async def servos() -> JsonObject:
         """How each servo is, what ails it in plain words, and what to do."""
-        # Of a face that is stopped no servo side runs, and its status says all that is known.
-        knows = not link.moment.servos_gone or is_stopped(link.status)
-        listed = listed_servos(link.status, is_fresh=link.answers and knows)
+        # No servo side runs while the face is stopped: its status is all that is known then.
+        is_current = not link.snapshot.servos_gone or is_stopped(link.status)
+        listed = listed_servos(link.status, is_fresh=link.answers and is_current)
         return {"servos": listed, **link.certainty()}
 
     @routes.post("/servos/{name}")
     async def servo(name: str, body: ServoBody) -> JsonObject:
         """Torque of one servo off or on, or restart it."""
-        _check_known(link, name)
+        _check_servo_exists(link, name)
         return dict(await link.servo(name, body.action))
 
     @routes.post("/jog")
@@ -118,7 +118,7 @@ def face_routes(link: FaceLink) -> APIRouter:
             return dict(await (link.jog_arm() if body.action == "arm" else link.jog_end()))
         if body.servo is None or (body.deg is None) == (body.pulse_us is None):
             raise FaceError("refused", "move needs servo, and either deg or pulse_us, not both")
-        _check_known(link, body.servo)
+        _check_servo_exists(link, body.servo)
         if body.pulse_us is not None:
             return dict(await link.jog_pulse(body.servo, body.pulse_us))
         assert body.deg is not None  # one of both
@@ -127,7 +127,7 @@ def face_routes(link: FaceLink) -> APIRouter:
     @routes.post("/pulse-limits")
     async def pulse_limits(body: PulseLimitBody) -> JsonObject:
         """Write the pulse that was found for a hobby servo into the face's own YAML."""
-        _check_known(link, body.servo)
+        _check_servo_exists(link, body.servo)
         config = (link.status or {}).get("config")
         async with one_at_a_time:
             return await asyncio.to_thread(
@@ -160,7 +160,7 @@ def face_routes(link: FaceLink) -> APIRouter:
     return routes
 
 
-def _check_known(link: FaceLink, name: str) -> None:
+def _check_servo_exists(link: FaceLink, name: str) -> None:
     """Raise FaceError for a servo that the face lacks; pass while the face's servos are unknown."""
     known = list((link.status or {}).get("servos") or link.layout.servos)
     if known and name not in known:
@@ -172,20 +172,20 @@ def file_routes(link: FaceLink) -> APIRouter:
     routes = APIRouter(prefix="/api")
     uploads = Uploads()
 
-    def named_file(name: str) -> str | None:
+    def status_text(name: str) -> str | None:
         value = (link.status or {}).get(name)
         return None if value is None else str(value)
 
     def lines() -> SoundLines:
-        folder = named_file("sounds")
+        folder = status_text("sounds")
         return SoundLines(None if folder is None else Path(folder))
 
     @routes.get("/settings")
     async def settings() -> JsonObject:
         """Return settings. live: as set last; saved: in the face's own YAML, null if shipped."""
-        shown = {"live": shown_settings(link.status), "config": named_file("config")}
+        shown = {"live": shown_settings(link.status), "config": status_text("config")}
         try:
-            saved = await asyncio.to_thread(saved_settings, named_file("config"))
+            saved = await asyncio.to_thread(saved_settings, status_text("config"))
         except FaceError as error:
             return {**shown, "saved": None, "can_save": False, "why_not": str(error)}
         return {**shown, "saved": saved, "can_save": True, "why_not": None}
@@ -198,18 +198,18 @@ def file_routes(link: FaceLink) -> APIRouter:
     @routes.get("/sound")
     async def sound() -> JsonObject:
         """Loudspeakers, microphones, voices and languages to choose, and what is chosen."""
-        return await asyncio.to_thread(sound_choices, named_file("config"))
+        return await asyncio.to_thread(sound_choices, status_text("config"))
 
     @routes.patch("/sound")
     async def choose(body: SoundBody) -> JsonObject:
         """Write choices into the face's own YAML; they count from its next start."""
         values = body.model_dump(exclude_none=True)
-        return await asyncio.to_thread(choose_sound, named_file("config"), values)
+        return await asyncio.to_thread(choose_sound, status_text("config"), values)
 
     @routes.post("/copy", status_code=201)
     async def copy() -> JsonObject:
         """Copy a shipped face to a file of your own, which can be changed and started."""
-        return await asyncio.to_thread(copy_shipped, named_file("config"))
+        return await asyncio.to_thread(copy_shipped, status_text("config"))
 
     @routes.get("/lines")
     async def listed() -> JsonObject:
@@ -225,7 +225,7 @@ def file_routes(link: FaceLink) -> APIRouter:
         declared = request.headers.get("content-length", "")
         if declared.isdigit() and int(declared) > MOST_BYTES:
             raise HTTPException(413, f"the file has over {MOST_BYTES // 10**6} MB")
-        place = lines().place_of(name)
+        place = lines().target_path(name)
         try:
             return await uploads.store(place, request.stream(), replace=replace)
         except ClientDisconnect:
@@ -241,8 +241,8 @@ def file_routes(link: FaceLink) -> APIRouter:
     async def play(body: PlayBody) -> JsonObject:
         """Play a line. Answered when it begins."""
         checked_name(body.file)
-        if named_file("sounds") is not None:
-            await asyncio.to_thread(lines().path_of, body.file)
+        if status_text("sounds") is not None:
+            await asyncio.to_thread(lines().existing_path, body.file)
         return dict(await link.play(body.file))
 
     return routes
@@ -252,34 +252,35 @@ def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
     """Return a face's present settings by name, without mood and gaze; empty without status."""
     if status is None:
         return {}
-    lively = (status.get("expression") or {}).get("expression")
+    amount = (status.get("expression") or {}).get("expression")
     settings = dict(status.get("settings") or {})
-    return settings if lively is None else {**settings, "expression": lively}
+    return settings if amount is None else {**settings, "expression": amount}
 
 
 async def change_settings(link: FaceLink, values: dict[str, float], *, save: bool) -> JsonObject:
     """Change settings now, with `save` in the face's YAML too: all or none.
 
-    Settings that only a restart changes are saved, not changed now. Returns which were set, and
-    whether and which were saved. Raises FaceError.
+    Settings that only a restart changes are saved, not changed now. Returns `set`: the values that
+    were changed now, `saved`: whether the YAML was written, and if so `at_restart`: names of values
+    that count from the next start. Raises FaceError.
     """
     if not save:
         await link.change(values)
         return {"set": values, "saved": False}
     config = (link.status or {}).get("config")
-    live = shown_settings(link.status)
-    live.pop("lookahead_ms", None)  # part of the delay, which is declared at the start
-    file = await asyncio.to_thread(with_settings, own_yaml(config), values)
+    present = shown_settings(link.status)
+    present.pop("lookahead_ms", None)  # part of the delay, which is fixed at the start
+    edit = await asyncio.to_thread(with_settings, own_yaml(config), values)
     # What only a restart changes, such as the look-ahead, is saved and not set.
-    now = {name: value for name, value in values.items() if name in live}
-    at_restart = [name for name in values if name not in live]
-    if now:
-        await link.change(now)
+    settable = {name: value for name, value in values.items() if name in present}
+    at_restart = [name for name in values if name not in present]
+    if settable:
+        await link.change(settable)
     try:
         with face_errors():
-            await asyncio.to_thread(file.write)
+            await asyncio.to_thread(edit.write)
     except FaceError:
-        if now:
-            await link.change({name: float(live[name]) for name in now})
+        if settable:  # back to the values before
+            await link.change({name: float(present[name]) for name in settable})
         raise
-    return {"set": now, "saved": True, "at_restart": at_restart}
+    return {"set": settable, "saved": True, "at_restart": at_restart}

@@ -39,13 +39,13 @@ def first_hour_routes(hour: FirstHour) -> APIRouter:
     async def name(body: NameBody) -> JsonObject:
         """Name a servo that was found."""
         named = (body.id, body.name, body.positive, body.part)
-        await asyncio.to_thread(hour.name, *named, same=body.same)
+        await asyncio.to_thread(hour.name_servo, *named, same=body.same)
         return await state()
 
     @routes.post("/wire")
     async def wire(body: WireBody) -> JsonObject:
         """Add a hobby servo by its wiring, or remove it by its name."""
-        await asyncio.to_thread(hour.wire, body.channel)
+        await asyncio.to_thread(hour.change_wiring, body.channel)
         return await state()
 
     @routes.post("/face")
@@ -64,19 +64,19 @@ def first_hour_routes(hour: FirstHour) -> APIRouter:
     @routes.post("/order")
     async def order(body: OrderBody) -> JsonObject:
         """Send an order to the step that runs."""
-        await asyncio.to_thread(hour.order, body.model_dump(exclude_none=True))
+        await asyncio.to_thread(hour.send_order, body.model_dump(exclude_none=True))
         return await state()
 
     @routes.post("/end")
     async def end() -> JsonObject:
         """End the step that runs: the face goes to rest, then torque goes off."""
-        hour.end()
+        hour.end_step()
         return await state()
 
     @routes.post("/limit")
     async def limit(body: EndBody) -> JsonObject:
         """Set min, neutral or max of a limp joint where it is held now."""
-        await asyncio.to_thread(hour.set_end, body.servo, body.end)
+        await asyncio.to_thread(hour.store_limit, body.servo, body.end)
         return await state()
 
     @routes.post("/limits")
@@ -88,7 +88,7 @@ def first_hour_routes(hour: FirstHour) -> APIRouter:
     @routes.post("/turn")
     async def turn(body: TurnBody) -> JsonObject:
         """Turn a simulated servo as a hand would."""
-        await asyncio.to_thread(hour.turn, body.servo, body.by_deg)
+        await asyncio.to_thread(hour.turn_simulated, body.servo, body.by_deg)
         return await state()
 
     return routes

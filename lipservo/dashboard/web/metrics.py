@@ -11,8 +11,8 @@ from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.servo_remedies import listed_servos
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
-#: Of each servo: name, field of the status, what it is.
-_OF_SERVO: Final = (
+#: Gauges of each servo: name, field of `listed_servos`, description.
+_SERVO_GAUGES: Final = (
     ("temperature_celsius", "temperature_degc", "inside the servo"),
     ("load_ratio", "load", "share of the stall torque"),
     ("voltage_volts", "voltage_v", "at the servo"),
@@ -79,9 +79,9 @@ class FaceCollector(Collector):
             yield _gauge(
                 "lipservo_recognizer_fallback_level", description, status["fallback_level"]
             )
-        yield from self._servos(is_fresh and not link.moment.servos_gone)
+        yield from self._servo_metrics(is_fresh and not link.snapshot.servos_gone)
 
-    def _servos(self, is_fresh: bool) -> Iterable[Metric]:
+    def _servo_metrics(self, is_fresh: bool) -> Iterable[Metric]:
         """Yield the metrics of all servos; figures that are not known are left out.
 
         is_fresh: the face's status and servo records are current.
@@ -93,7 +93,7 @@ class FaceCollector(Collector):
         for servo in servos:
             answers.add_metric([servo["name"]], servo["answers"])
         yield answers
-        for name, field, description in (*_OF_SERVO, *_SERVO_COUNTS):
+        for name, field, description in (*_SERVO_GAUGES, *_SERVO_COUNTS):
             kind: Any = GaugeMetricFamily
             if (name, field, description) in _SERVO_COUNTS:
                 kind = CounterMetricFamily

@@ -35,16 +35,17 @@ class PhotoPoints(BaseModel):
 def photo_routes(app: FastAPI, face: FaceModel) -> None:
     """Add routes for the shipped picture, its points and warp, and the warp of posted points.
 
-    Without the extra `fit` they answer that it is needed.
+    A warp moves a photograph's pixels with the face model. Without scipy (the extra `fit`) all
+    these routes answer 422 with one line.
     """
     try:
         check_extra("scipy", "a photograph that speaks")
     except MissingExtraError as error:
-        needed = {"error": str(error)}
+        answer = {"error": str(error)}
 
         @app.api_route(f"{PHOTO_PATH}.{{rest}}", methods=["GET", "POST"], include_in_schema=False)
-        def missing(rest: str) -> Response:  # noqa: ARG001 - a path's part
-            return JSONResponse(needed, 422)
+        def answer_extra_missing(rest: str) -> Response:  # noqa: ARG001 - a path's part
+            return JSONResponse(answer, 422)
 
         return
     from lipservo.display.photo_face import HAND_POINTS, photo_face
@@ -59,7 +60,7 @@ def photo_routes(app: FastAPI, face: FaceModel) -> None:
 
         Blocks while another warp is computed.
         """
-        # The warp is that of any pixels: there are none here.
+        # The warp depends on the landmarks alone: a picture of zeros stands for the pixels.
         no_pixels = np.broadcast_to(np.uint8(0), (size[1], size[0], 3))
         with one_at_a_time:
             packed = pack_photo(photo_face(no_pixels, landmarks, face), face)
@@ -78,16 +79,16 @@ def photo_routes(app: FastAPI, face: FaceModel) -> None:
 
     @app.get(f"{PHOTO_PATH}.json", include_in_schema=False)
     def points() -> Response:
-        known = twin_landmarks()
-        at = {name: np.round(known[n][:2], 1).tolist() for name, n in HAND_POINTS.items()}
-        return JSONResponse({"size": TWIN_SIZE, "points_px": at})
+        landmarks = twin_landmarks()
+        named_px = {name: np.round(landmarks[n][:2], 1).tolist() for name, n in HAND_POINTS.items()}
+        return JSONResponse({"size": TWIN_SIZE, "points_px": named_px})
 
     @app.get(f"{PHOTO_PATH}.bin", include_in_schema=False)
-    def shipped() -> Response:
+    def shipped_warp() -> Response:
         return warp(twin_landmarks(), TWIN_SIZE)
 
     @app.post(f"{PHOTO_PATH}.bin", include_in_schema=False)
-    def of_points(given: PhotoPoints) -> Response:
+    def warp_of_points(given: PhotoPoints) -> Response:
         try:
             if not all(64 <= each <= _LONGEST_SIDE_PX for each in given.size):
                 raise UserError(f"width and height must be 64 to {_LONGEST_SIDE_PX} pixels")

@@ -31,18 +31,18 @@ from lipservo.dashboard.web.api import make_api
 from lipservo.dashboard.web.stop_route import StopRoute, http_connections
 from lipsync.face.model import load_face
 
-#: What the API answers; everything else is a page.
-_OF_THE_API: Final = ("/api", "/docs", "/openapi.json", "/metrics", "/static")
-#: A client is asked so often whether it is there, and has so long to answer.
+#: Paths, with all below them, that the API answers; every other one is a page.
+_API_PATHS: Final = ("/api", "/docs", "/openapi.json", "/metrics", "/static")
+#: WebSocket clients get a ping so often, and have so long to answer it.
 _PING_S: Final = 4.0
 _MOST_MESSAGE_BYTES: Final = 1 << 20
-#: Stops that are being answered; the oldest, which was sent long ago, makes room.
+#: Stops that wait for their answer; beyond that, the oldest of them is aborted.
 _MOST_STOPS: Final = 32
 _CLOSING_S: Final = 1.0
 
 
-class _Parted:
-    """An ASGI application that passes requests by path to the API, or else to `app`, the pages."""
+class _ApiOrPages:
+    """An ASGI application that passes requests, by path, to the API or to `app`, the pages."""
 
     def __init__(self, api: App, pages: App) -> None:
         self.app = pages
@@ -50,7 +50,7 @@ class _Parted:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         path = scope.get("path", "")
-        is_api = any(path == each or path.startswith(f"{each}/") for each in _OF_THE_API)
+        is_api = any(path == each or path.startswith(f"{each}/") for each in _API_PATHS)
         app = self._api if is_api and scope["type"] != "lifespan" else self.app
         await app(scope, receive, send)
 
@@ -68,7 +68,7 @@ def make_app(
     whose components move the twin; None: the shipped one. token: see `Policy`. code: in the URL
     that the first browser is started with. hour: the setup of a new face. Raises ModelError.
     """
-    # FastAPI would send what it measures to wherever the environment says.
+    # Otherwise FastAPI sends telemetry to an endpoint set in the environment.
     os.environ["OTEL_SDK_DISABLED"] = "true"
 
     @contextlib.asynccontextmanager
@@ -76,7 +76,7 @@ def make_app(
         async with link.running():
             yield
 
-    # Nothing of a page is kept on disk; where NiceGUI would, it is no folder of the user's.
+    # No page stores anything; if NiceGUI does, it is not in the working folder.
     os.environ.setdefault("NICEGUI_STORAGE_PATH", os.path.join(tempfile.gettempdir(), "nicegui"))
     from nicegui import ui
 
@@ -90,7 +90,7 @@ def make_app(
     photo_routes(pages, face)
     build_pages(link, None if hour is None else hour.path)
     ui.run_with(pages, title="lipservo", show_welcome_message=False, tailwind=False)
-    return with_access(_Parted(make_api(link, hour), pages), link, token, code)
+    return with_access(_ApiOrPages(make_api(link, hour), pages), link, token, code)
 
 
 def with_access(
@@ -135,8 +135,8 @@ def server_of(
 ) -> uvicorn.Server:
     """Return a server of `app` with its limits; it is not running yet.
 
-    on_ready: called once clients can connect. ping_s: a client that answers no ping for so long is
-    dropped.
+    on_ready: called once clients can connect. ping_s: WebSocket clients get a ping so often, and
+    are dropped if they do not answer within as long.
     """
     config = uvicorn.Config(
         app,
@@ -146,7 +146,7 @@ def server_of(
         ws_ping_timeout=ping_s,
         ws_per_message_deflate=False,
         http=http_connections(Doorway(MOST_HEADS, HEAD_S), Doorway(_MOST_STOPS)),
-        loop="asyncio",  # of which is known how many connections it accepts before it reads
+        loop="asyncio",  # which accepts `backlog` connections at a time before it reads
         backlog=scaled(ACCEPTED),
         timeout_graceful_shutdown=round(_CLOSING_S),
         log_config=None,

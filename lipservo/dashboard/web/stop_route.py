@@ -30,9 +30,9 @@ from lipservo.dashboard.web.api_models import StopBody, first_error, status_of
 PATH: Final = "/api/stop"
 #: A body is {"level": "soft", "wait_s": 15, "end": false} at most.
 _LONGEST_BODY: Final = 1024
-_AT_ONCE: Final = StopBody()
-#: Of a face's answer to a freeze.
-_HELD: Final[tuple[str, ...]] = ("holds", "limp", "unknown")
+_SOFT_STOP: Final = StopBody()
+#: Keys of a face's answer to a freeze, with names of servos.
+_FREEZE_KEYS: Final[tuple[str, ...]] = ("holds", "limp", "unknown")
 
 
 def is_stop(scope: Mapping[str, Any]) -> bool:
@@ -41,12 +41,12 @@ def is_stop(scope: Mapping[str, Any]) -> bool:
 
 
 def http_connections(heads: Doorway, stops: Doorway) -> type[asyncio.Protocol]:
-    """Return the class of a server's HTTP connections, whose number two doorways limit.
+    """Return a uvicorn protocol class: HTTP connections whose number two doorways limit.
 
-    They abort the oldest of too many waiting connections, so that idle clients cannot block a stop.
-    heads: connections that wait for the head of their next request, or for the body of a stop.
-    stops: those that wait for the answer to a stop. `RequestLimit` limits those that wait for
-    another answer.
+    A doorway aborts the oldest of too many waiting connections, so that idle clients cannot block a
+    stop. heads: for connections whose next request's head, or a stop's body, is awaited. stops: for
+    connections that wait for the answer to a stop. Those that wait for another answer are limited
+    by `RequestLimit`.
     """
 
     class Connection(H11Protocol):
@@ -56,27 +56,30 @@ def http_connections(heads: Doorway, stops: Doorway) -> type[asyncio.Protocol]:
 
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
-            self._wait()
+            self._update_doorways()
 
         def on_response_complete(self) -> None:
             super().on_response_complete()
-            self._wait()
+            self._update_doorways()
 
         def connection_lost(self, exc: Exception | None) -> None:
             super().connection_lost(exc)
             heads.leave(self.transport)
             stops.leave(self.transport)
 
-        def _wait(self) -> None:
-            """Enter the doorway of what the connection waits for, if any; leave the other one."""
-            cycle, room = self.cycle, None
-            if cycle is None or cycle.response_complete:
-                # What has become a WebSocket sends no further head.
-                room = heads if self.transport.get_protocol() is self else None
-            elif is_stop(cycle.scope):
-                room = heads if cycle.more_body else stops
+        def _update_doorways(self) -> None:
+            """Enter the doorway for what this connection waits for, if there is one; leave others.
+
+            Called whenever that may have changed: bytes came, or an answer was sent.
+            """
+            request, doorway = self.cycle, None
+            if request is None or request.response_complete:
+                # A connection that has become a WebSocket sends no further head.
+                doorway = heads if self.transport.get_protocol() is self else None
+            elif is_stop(request.scope):
+                doorway = heads if request.more_body else stops
             for each in (heads, stops):
-                each.enter(self.transport) if each is room else each.leave(self.transport)
+                each.enter(self.transport) if each is doorway else each.leave(self.transport)
 
     return Connection
 
@@ -109,11 +112,12 @@ class StopRoute:
     ) -> tuple[int, dict[str, Any]]:
         """Check a request to stop the face, send the stop, and return (HTTP status, JSON answer).
 
-        A stop from this computer needs no token, unless it also ends the face.
+        A stop from this computer needs no token, unless it also ends the face's process.
         """
+        # `stop` is the request's body, or why it is refused.
         try:
-            stop = refusal(request, policy, is_stop=True) or await _parsed(receive)
-            if isinstance(stop, StopBody) and stop.end:  # it ends the face: needs the token
+            stop = refusal(request, policy, is_stop=True) or await _read_body(receive)
+            if isinstance(stop, StopBody) and stop.end:  # it ends the process: needs the token
                 stop = refusal(request, policy) or stop
         except ValueError:
             stop = Refusal(HTTPStatus.BAD_REQUEST, "the request cannot be read")
@@ -130,57 +134,57 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
 
     Returns
     -------
-    {"accepted": LEVEL}, with `wait_s` also {"report"}: what the servos confirmed (`StopReport`), or
-    None where no end came in time, or too many clients wait for one; of a freeze also `holds`,
-    `limp` and `unknown`, the names of servos. Where no face drives servos
-    {"accepted": None, "nothing_driven", "is_limp"}: a sentence, and whether servos confirmed it.
+    {"accepted": LEVEL}; with `wait_s` also "report": what the servos confirmed (`StopReport`), None
+    if the stop did not end in time, or too many clients wait for one. For a freeze also `holds`,
+    `limp` and `unknown`: names of servos. If no face drives servos {"accepted": None,
+    "nothing_driven": a sentence, "is_limp": whether the servos confirmed torque off}.
 
     Raises
     ------
     FaceError
-        not_answering: no face, or one that hangs; refused.
+        not_answering: no face is found, or it hangs; refused: by the face.
     """
-    path, sent, level = link.control_path, None, StopLevel(stop.level)
+    path, connection, level = link.control_path, None, StopLevel(stop.level)
     try:
         if path is not None:
-            sent = send_stop(path, level, end=stop.end)
+            connection = send_stop(path, level, end=stop.end)
     except BlockingIOError:
-        pass  # so many clients wait there already; it is sent again
+        pass  # too many clients wait at the socket; `stop_answer` sends it again
     except OSError:
-        path = None
+        path = None  # no face listens there now: it is searched for
     try:
         if path is None:
-            path = await link.located()
+            path = await link.find_control_path()
         with link.waiting_for_end(stop.wait_s) as wait_s:
-            again = partial(send_stop, path, level, end=stop.end)
-            answer, report = await stop_answer(sent, again, wait_s)
+            send_again = partial(send_stop, path, level, end=stop.end)
+            answer, report = await stop_answer(connection, send_again, wait_s)
     except (OSError, FaceError, NothingDrivenError) as error:
-        done = await link.without_answer(error, level)
-        return {"accepted": None, "nothing_driven": str(done), "is_limp": done.is_limp}
+        outcome = await link.release_unreached(error, level)
+        return {"accepted": None, "nothing_driven": str(outcome), "is_limp": outcome.is_limp}
     if "error" in answer:
         raise FaceError("refused", str(answer["error"]))
-    held = {name: answer[name] for name in _HELD if name in answer}
+    freeze_answer = {name: answer[name] for name in _FREEZE_KEYS if name in answer}
     return {
         "accepted": answer.get("accepted"),
-        **held,
+        **freeze_answer,
         **({"report": report} if stop.wait_s else {}),
     }
 
 
-async def _parsed(receive: Receive) -> StopBody | Refusal:
-    """Return the parsed body of a stop, a soft stop for an empty body, or a refusal."""
+async def _read_body(receive: Receive) -> StopBody | Refusal:
+    """Return the body of a stop request, a soft stop for an empty body, or a refusal."""
     body, is_whole = b"", False
-    while not is_whole:  # the server drops who sends it too slowly
+    while not is_whole:  # the doorway `heads` aborts a connection that sends it too slowly
         message = await receive()
         if message["type"] == "http.disconnect":
             return Refusal(HTTPStatus.BAD_REQUEST, "the client has gone")
         body += message.get("body", b"")
         if len(body) > _LONGEST_BODY:
-            long = f"the body is longer than {_LONGEST_BODY} bytes"
-            return Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, long)
+            too_long = f"the body is longer than {_LONGEST_BODY} bytes"
+            return Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, too_long)
         is_whole = not message.get("more_body")
     if not body:
-        return _AT_ONCE
+        return _SOFT_STOP
     try:
         json.loads(body)
     except (ValueError, RecursionError):

@@ -15,8 +15,8 @@ from lipservo.dashboard.live_frames import hello, state_hello, state_message
 from lipservo.runtime.status.live_board import BoardLayout
 
 MOST_CLIENTS: Final = 64
-#: A frame that was not taken for so long goes to somebody who does not read.
-_PATIENCE_S: Final = 5.0
+#: A client that does not take a frame for so long reads no more, and is disconnected.
+_SEND_TIMEOUT_S: Final = 5.0
 _TRY_AGAIN_LATER: Final = 1013
 Message = str | bytes
 
@@ -24,9 +24,10 @@ Message = str | bytes
 class FrameHub:
     """One stream of frames to many WebSocket clients.
 
-    layout: returns the face's layout now; hello: the first message to a client for a layout, sent
-    again when that changes. message: returns the newest frame; called at most once a tick, and
-    only where a client is connected.
+    layout: returns the face's present layout. hello: returns the first message to a client for a
+    layout, sent again when the layout changes. message: returns the newest frame; called at most
+    once a tick, and only while a client waits for a frame. n_dropped: clients that were too slow,
+    and were disconnected.
     """
 
     def __init__(
@@ -38,13 +39,13 @@ class FrameHub:
         self._layout = layout
         self._hello = hello
         self._message = message
-        self._next: asyncio.Future[tuple[BoardLayout, Message]] | None = None
+        self._next_frame: asyncio.Future[tuple[BoardLayout, Message]] | None = None
         self.n_clients = 0
         self.n_dropped = 0
 
     def tick(self) -> None:
         """Send the newest frame to every client that waits for one; call once per new frame."""
-        waiting, self._next = self._next, None
+        waiting, self._next_frame = self._next_frame, None
         if waiting is not None:
             waiting.set_result((self._layout(), self._message()))
 
@@ -77,27 +78,29 @@ class FrameHub:
         sent_layout: BoardLayout | None = None
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:
-                layout, message = await self._newest()
+                layout, message = await self._wait_for_frame()
                 if layout is not sent_layout:
-                    await self._send(socket.send_text(self._hello(layout)))
+                    await self._send_in_time(socket.send_text(self._hello(layout)))
                     sent_layout = layout
                 if isinstance(message, bytes):
-                    await self._send(socket.send_bytes(message))
+                    await self._send_in_time(socket.send_bytes(message))
                 else:
-                    await self._send(socket.send_text(message))
+                    await self._send_in_time(socket.send_text(message))
 
-    async def _send(self, sending: Awaitable[None]) -> None:
+    async def _send_in_time(self, sending: Awaitable[None]) -> None:
+        """Await a send; raise WebSocketDisconnect, and count it, if it takes longer than 5 s."""
         try:
-            async with asyncio.timeout(_PATIENCE_S):
+            async with asyncio.timeout(_SEND_TIMEOUT_S):
                 await sending
         except TimeoutError:
             self.n_dropped += 1
             raise WebSocketDisconnect from None
 
-    async def _newest(self) -> tuple[BoardLayout, Message]:
-        if self._next is None:
-            self._next = asyncio.get_running_loop().create_future()
-        return await asyncio.shield(self._next)
+    async def _wait_for_frame(self) -> tuple[BoardLayout, Message]:
+        """Return (layout, frame) of the next tick; all clients await one future."""
+        if self._next_frame is None:
+            self._next_frame = asyncio.get_running_loop().create_future()
+        return await asyncio.shield(self._next_frame)
 
 
 async def _until_gone(socket: WebSocket) -> None:
@@ -110,9 +113,9 @@ def add_streams(app: FastAPI, link: FaceLink) -> dict[str, FrameHub]:
     """Add the WebSockets of both streams to an application; return their hubs by name."""
     twin = FrameHub(lambda: link.layout, hello, lambda: link.frame)
     state = FrameHub(
-        lambda: link.layout, state_hello, lambda: state_message(link.moment, link.layout)
+        lambda: link.layout, state_hello, lambda: state_message(link.snapshot, link.layout)
     )
-    link.on_moment.extend((twin.tick, state.tick))
+    link.on_snapshot.extend((twin.tick, state.tick))
 
     @app.websocket("/api/twin")
     async def serve_twin(socket: WebSocket) -> None:

@@ -31,6 +31,7 @@ class Ear:
         self._listener.close()
 
     def _hear(self):
+        """Answer one word of each client, and keep it; in a thread until the socket is closed."""
         try:
             while True:
                 client, _ = self._listener.accept()

@@ -32,13 +32,15 @@ def test_it_knows_names_status_and_what_moves():
     async def watched(path):
         async with linked(path) as link:
             await until(
-                lambda: link.answers and not link.moment.servos_gone and not link.moment.speech_gone
+                lambda: (
+                    link.answers and not link.snapshot.servos_gone and not link.snapshot.speech_gone
+                )
             )
             assert link.layout == LAYOUT
             assert link.status["state"] == "driven"
             assert link.certainty()["up"]
-            first = link.moment.number
-            await until(lambda: link.moment.number > first + 5)
+            first = link.snapshot.number
+            await until(lambda: link.snapshot.number > first + 5)
             assert len(link.history) > 5
 
     path = short_folder() / "tom.sock"
@@ -52,13 +54,13 @@ def test_a_face_that_ends_is_gone_and_one_that_comes_after_it_is_found():
     async def watched():
         async with linked(path) as link:
             with WatchedFace(path):
-                await until(lambda: link.answers and not link.moment.servos_gone)
-            await until(lambda: not link.answers and link.moment.servos_gone)
+                await until(lambda: link.answers and not link.snapshot.servos_gone)
+            await until(lambda: not link.answers and link.snapshot.servos_gone)
             assert not link.certainty()["up"]
             with pytest.raises(FaceError, match="no face answers"):
                 await stop_face(link, StopBody())
             with WatchedFace(path) as second:
-                await until(lambda: link.answers and not link.moment.servos_gone)
+                await until(lambda: link.answers and not link.snapshot.servos_gone)
                 await stop_face(link, StopBody(level="limp"))
                 await until(lambda: second.said == ["limp"])
 

@@ -24,10 +24,10 @@ def reader(board):
 
 
 def test_before_anything_was_written_both_sides_are_gone(reader):
-    moment = reader.read(1, 0.0, 100.0)
-    assert (moment.servos, moment.speech) == (None, None)
-    assert moment.servos_gone
-    assert moment.speech_gone
+    snapshot = reader.read(1, 0.0, 100.0)
+    assert (snapshot.servos, snapshot.speech) == (None, None)
+    assert snapshot.servos_gone
+    assert snapshot.speech_gone
 
 
 def test_each_side_is_gone_by_itself_and_comes_back(board, reader):
@@ -36,9 +36,9 @@ def test_each_side_is_gone_by_itself_and_comes_back(board, reader):
     assert not reader.read(1, 0.0, 100.1).servos_gone
 
     board.write_servos(time_s=100.1 + GONE_S)
-    moment = reader.read(2, 0.0, 100.2 + GONE_S)
-    assert (moment.servos_gone, moment.speech_gone) == (False, True)
-    assert moment.speech["time_s"] == 100.0  # what it said last is there all the same
+    snapshot = reader.read(2, 0.0, 100.2 + GONE_S)
+    assert (snapshot.servos_gone, snapshot.speech_gone) == (False, True)
+    assert snapshot.speech["time_s"] == 100.0  # what it said last is there all the same
 
     board.write_speech(time_s=101.0)
     assert not reader.read(3, 0.0, 101.1).speech_gone
@@ -47,8 +47,8 @@ def test_each_side_is_gone_by_itself_and_comes_back(board, reader):
 def test_what_lay_there_before_the_first_look_may_be_old(board, reader):
     board.write_servos(time_s=50.0)
     board.write_speech(time_s=99.9)
-    moment = reader.read(1, 0.0, 100.0)
-    assert (moment.servos_gone, moment.speech_gone) == (True, False)
+    snapshot = reader.read(1, 0.0, 100.0)
+    assert (snapshot.servos_gone, snapshot.speech_gone) == (True, False)
 
 
 def test_peaks_are_those_since_the_moment_before(board, reader):

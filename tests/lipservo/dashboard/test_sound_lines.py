@@ -35,7 +35,7 @@ def stored(folder, name, content, **options):
         for first in range(0, len(content), 4096):
             yield content[first : first + 4096]
 
-    return asyncio.run(Uploads().store(SoundLines(folder).place_of(name), chunks(), **options))
+    return asyncio.run(Uploads().store(SoundLines(folder).target_path(name), chunks(), **options))
 
 
 def refused(code, do, *arguments, **options):
@@ -208,7 +208,7 @@ def test_links_and_folders_are_no_lines(folder, tmp_path):
     lines = SoundLines(folder)
     assert lines.listed() == []
     for name in ("link.wav", "folder.wav"):
-        refused("not_found", lines.path_of, name)
+        refused("not_found", lines.existing_path, name)
         refused("not_found", lines.remove, name)
     assert (tmp_path / "secret.wav").exists()
 
@@ -224,7 +224,7 @@ def test_a_performance_is_a_line_like_a_sound_and_a_damaged_one_is_refused(folde
     stored(folder, "hello.perf", content)
 
     assert [line["name"] for line in SoundLines(folder).listed()] == ["hello.perf"]
-    assert SoundLines(folder).path_of("hello.perf").read_bytes() == content
+    assert SoundLines(folder).existing_path("hello.perf").read_bytes() == content
     told = refused("not_sound", stored, folder, "cut.perf", content[:-300])
     assert told.startswith("cut.perf: damaged")
     assert [path.name for path in folder.iterdir()] == ["hello.perf"]

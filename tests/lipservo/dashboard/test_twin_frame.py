@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from places import ROOT
 from watched_face import LAYOUT
 
-from lipservo.dashboard.live_frames import FIELDS, Moment, encode, hello, state_hello, state_message
+from lipservo.dashboard.live_frames import (
+    FIELDS,
+    Snapshot,
+    encode,
+    hello,
+    state_hello,
+    state_message,
+)
 from lipservo.runtime.status.live_board import EXPRESSION_NAMES
 
 N = len(LAYOUT.servos)
@@ -36,9 +43,9 @@ def speech(**values):
     return record(LAYOUT.speech_type(), **{"phoneme": 2, "is_speech": 1, **values})
 
 
-def moment(peaks=b"", **values):
+def snapshot(peaks=b"", **values):
     about = {"servos": servos(), "speech": speech(), "servos_gone": False, "speech_gone": False}
-    return Moment(7, 1.5, **{**about, **values}, peaks=peaks)
+    return Snapshot(7, 1.5, **{**about, **values}, peaks=peaks)
 
 
 def read(frame):
@@ -65,7 +72,7 @@ def read(frame):
 def test_a_frame_says_what_the_face_does(goals, encoders, expression, peaks):
     frame = read(
         encode(
-            moment(
+            snapshot(
                 servos=servos(goal_deg=goals, encoder_deg=encoders),
                 speech=speech(expression=expression, arousal=-0.5, coefficients=np.arange(8)),
                 peaks=peaks,
@@ -90,7 +97,7 @@ def test_a_frame_says_what_the_face_does(goals, encoders, expression, peaks):
 
 
 def test_what_is_gone_is_not_told_as_if_it_were_there():
-    frame = read(encode(moment(servos_gone=True, speech_gone=True), LAYOUT))
+    frame = read(encode(snapshot(servos_gone=True, speech_gone=True), LAYOUT))
 
     assert frame["flags"] == 2 | 4
     assert (frame["state"], frame["phoneme"]) == (255, 255)
@@ -99,12 +106,12 @@ def test_what_is_gone_is_not_told_as_if_it_were_there():
 
 
 def test_before_anything_was_heard_nothing_is_known():
-    frame = read(encode(Moment(0, 0.0), LAYOUT))
+    frame = read(encode(Snapshot(0, 0.0), LAYOUT))
     assert set(frame["goals"]) == set(frame["encoders"]) == {-32768}
 
 
 def test_both_streams_take_less_than_8_kb_a_second():
-    far = moment(
+    far = snapshot(
         servos=servos(goal_deg=[-123.4] * N, encoder_deg=[-123.4] * N),
         speech=speech(expression=[-60.0] * M),
         peaks=bytes(8),
@@ -115,7 +122,9 @@ def test_both_streams_take_less_than_8_kb_a_second():
 
 def test_the_json_says_the_same():
     told = json.loads(
-        state_message(moment(servos=servos(goal_deg=[1.26] * N, encoder_deg=[np.nan] * N)), LAYOUT)
+        state_message(
+            snapshot(servos=servos(goal_deg=[1.26] * N, encoder_deg=[np.nan] * N)), LAYOUT
+        )
     )
     named = dict(zip(json.loads(state_hello(LAYOUT))["fields"], told, strict=True))
 
@@ -123,7 +132,7 @@ def test_the_json_says_the_same():
     assert named["goals_tenths_deg"] == [13] * N
     assert named["encoders_tenths_deg"] == [None] * N
     assert named["time_ms"] == 1500
-    gone = json.loads(state_message(moment(servos_gone=True), LAYOUT))
+    gone = json.loads(state_message(snapshot(servos_gone=True), LAYOUT))
     assert gone[2] is None
 
 
@@ -134,7 +143,7 @@ def test_the_page_reads_what_was_written(tmp_path):
     encoders = [np.nan, *goals[1:]]
     expression = [12.5, np.nan, *[0.25] * (M - 2)]
     frame = encode(
-        moment(
+        snapshot(
             servos=servos(goal_deg=goals, encoder_deg=encoders),
             speech=speech(
                 expression=expression, arousal=1.0, coefficients=np.linspace(0, 1, 8), is_cut_off=1

@@ -71,6 +71,7 @@ JOINTS = [Joint("jaw", 1, -2.0, 25.0, 300.0), Joint("lower_lip_right", 2, -40.0,
 
 
 def tick(phoneme: str, sent_deg: Sequence[float], coefficients: np.ndarray) -> StreetTick:
+    """Return a tick at .5 s with a phoneme, goals (n_servos,) and a face; no limit was hit."""
     none = np.zeros(len(sent_deg), dtype=bool)
     report = TickReport(
         1.0,

@@ -91,6 +91,7 @@ class ActedFace(AnsweringFace):
         return {"accepted": "start"}
 
     def _run(self):
+        """Write the board, and answer stops and status requests, every tick; run by a thread."""
         while not self._over.wait(_TICK_S):
             self._tell(time.monotonic())
             if not self.answers:
@@ -103,6 +104,7 @@ class ActedFace(AnsweringFace):
                     self._control.report_end(self.stop_report)
 
     def _tell(self, now_s):
+        """Write the records of the servo side and the speech side, of those that still write."""
         encoders = np.array([self.encoders_deg[name] for name in self.names])
         if self.writes_servos:
             self.board.write_servos(

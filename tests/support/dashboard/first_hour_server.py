@@ -52,6 +52,7 @@ class Server:
 
 @contextlib.contextmanager
 def served(path, *options):
+    """Yield the `Server` of `lipservo new-face --page` for the YAML at `path`; end it then."""
     command = [sys.executable, "-m", "lipservo", "new-face", "--page", "-o", str(path), *options]
     folder = short_folder()
     environment = {

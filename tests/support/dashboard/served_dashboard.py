@@ -36,7 +36,7 @@ def served(status=None, *, token=None, ping_s=4.0, code=None):
         served_for(lambda: path, token, ping_s, code) as dashboard,
     ):
         dashboard.face = face
-        while dashboard.link.moment.servos_gone or not dashboard.link.answers:
+        while dashboard.link.snapshot.servos_gone or not dashboard.link.answers:
             time.sleep(0.02)
         yield dashboard
 

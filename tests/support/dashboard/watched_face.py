@@ -61,6 +61,7 @@ class WatchedFace(AnsweringFace):
             )
 
     def _run(self):
+        """Tick, and answer stops and status requests, a hundred times a second; run by a thread."""
         due_s = time.monotonic()
         while not self._over.is_set():
             self.tick(time.monotonic())

@@ -3,7 +3,7 @@ import { escaped, shown, spoken } from "../words.js";
 import { about, draw, markers, mouth, write } from "./dom.js";
 
 const KEYS = { keep: "\r", back: "b", skip: "x", finish: "q" }; // as `calibrate guided` takes them
-const STICKS_MS = 4000;
+const STICKS_MS = 4000; // a slider keeps the angle sent for so long, until the robot's goal is the same
 const SEND_MS = 120; // of a slider that is dragged
 
 export class Calibration {
@@ -36,6 +36,7 @@ export class Calibration {
     else this.before(state);
   }
 
+  /** Draw the section while no step runs: the last grade, and the ways to calibrate. */
   before(state) {
     const made = state.graded ? grade(state.graded) : "";
     const failed = state.step?.error?.includes("is not written") && state.step.name === "measure";
@@ -70,6 +71,7 @@ export class Calibration {
     }
   }
 
+  /** Draw the calibration by eye: the wanted mouth, the robot's, and a slider for each joint. */
   byEye(state) {
     const eye = this.hour.event("by_eye", "eye");
     const chirps = this.hour.event("by_eye", "progress");
@@ -102,6 +104,7 @@ export class Calibration {
     for (const name of names) this.place(name, eye.goals_deg[name]);
   }
 
+  /** Set a joint's slider to its goal, unless a person has just moved it. */
   place(name, deg) {
     const line = this.body.querySelector(`.slider[data-servo="${name}"]`);
     const input = line.querySelector("input");
@@ -112,6 +115,7 @@ export class Calibration {
     write(line.querySelector("output"), `${shown(deg, 1)}°`);
   }
 
+  /** Show the angle of a slider that is dragged, and send it after SEND_MS with all that changed. */
   slide(input) {
     const name = input.closest(".slider")?.dataset.servo;
     if (!name) return;
@@ -128,6 +132,7 @@ export class Calibration {
     if (Object.keys(move).length) await this.hour.post("order", { move });
   }
 
+  /** Draw the measured calibration: markers seen, poses done, and where each joint is. */
   measuring(state) {
     const done = this.hour.event("measure", "progress");
     const seen = this.hour.event("measure", "seen");
@@ -165,7 +170,7 @@ export class Calibration {
     else if (what === "end") this.hour.post("end");
   }
 
-  /** What a slider has asked for last counts before the key. */
+  /** Send what sliders were moved to last, then the key. */
   async press(key) {
     clearTimeout(this.timer);
     await this.send();
@@ -173,6 +178,7 @@ export class Calibration {
     this.hour.post("order", { key: KEYS[key] });
   }
 
+  /** Start a measured calibration with a form's values. accept: go on with the poses that were kept. */
   measure(form, accept) {
     const value = (name) => form.elements[name].value.trim();
     const chosen = value("tracker");
@@ -208,7 +214,7 @@ function progress(done, before) {
   );
 }
 
-/** What became of it: the grade in the words of the command line, and what cannot close. */
+/** HTML of a calibration's grade: whether the lips meet, warnings, and the command's whole report. */
 function grade({ lines, warnings, closing }) {
   const isOpen = closing && !closing.closes;
   const [first, ...more] = lines;
@@ -219,10 +225,10 @@ function grade({ lines, warnings, closing }) {
       : isOpen
         ? `<p class="note bad">The mouth does not close: ${escaped(spoken(closing.joint ?? "a joint"))} stands at its limit, up to ${shown(closing.missing_deg, 1)}° are missing, and the lips stay up to ${shown(closing.apart_mm, 1)} mm apart. Widen that limit, or close it by its horn.</p>`
         : '<p class="note good">The lips meet.</p>';
-  const told = warnings.map((line) => `<li>${escaped(line)}</li>`).join("");
+  const warningItems = warnings.map((line) => `<li>${escaped(line)}</li>`).join("");
   return (
     `<div class="grade" data-closes="${tone}">${meets}<p class="lead">${escaped(first)}</p>` +
-    (told ? `<ul class="warnings">${told}</ul>` : "") +
+    (warningItems ? `<ul class="warnings">${warningItems}</ul>` : "") +
     `<details><summary>The whole report</summary><ul>${more.map((line) => `<li>${escaped(line)}</li>`).join("")}</ul></details></div>`
   );
 }

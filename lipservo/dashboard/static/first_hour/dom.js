@@ -1,6 +1,9 @@
 // Small tools of the sections: markup that is made anew only where it changed, and mouths as SVG.
 
-/** Markup is made anew only where it has changed, so that what is typed and focused stays. */
+/**
+ * Set an element's markup, and return whether it has changed since the last call: where it has not,
+ * nothing is touched, so that what is typed and focused stays.
+ */
 export function draw(element, markup) {
   if (element.drawnAs === markup) return false;
   element.drawnAs = markup;
@@ -25,12 +28,16 @@ export function mouth(loops, label, kind = "") {
   );
 }
 
-/** Markers as a tracker sees them from the front. seen: {names, points, loops} of the server. Pure. */
+/**
+ * SVG of markers as a tracker sees them from the front. Pure.
+ * seen: {names, points, loops} of the server; a point is null while its marker is not seen, and
+ * loops are lists of points that are joined.
+ */
 export function markers(seen) {
   const points = seen.points.map((point) => (point === null ? null : [point[0], -point[1]]));
-  const there = points.filter((point) => point !== null);
-  if (!there.length) return '<p class="hint">No marker is seen.</p>';
-  const [xs, ys] = [0, 1].map((axis) => there.map((point) => point[axis]));
+  const known = points.filter((point) => point !== null);
+  if (!known.length) return '<p class="hint">No marker is seen.</p>';
+  const [xs, ys] = [0, 1].map((axis) => known.map((point) => point[axis]));
   const [left, top] = [Math.min(...xs), Math.min(...ys)];
   const [width, height] = [Math.max(...xs) - left, Math.max(...ys) - top];
   const size = Math.max(width, height, 40);
@@ -46,7 +53,7 @@ export function markers(seen) {
     .join("");
   return (
     `<svg class="markers" viewBox="${left - margin} ${top - margin} ${width + 2 * margin} ${height + 2 * margin}" role="img" ` +
-    `aria-label="${there.length} of ${points.length} markers seen" style="stroke-width:${dot * 0.8}">${lines}${dots}</svg>`
+    `aria-label="${known.length} of ${points.length} markers seen" style="stroke-width:${dot * 0.8}">${lines}${dots}</svg>`
   );
 }
 

@@ -23,6 +23,7 @@ export class Hour {
     this.idleMs = performance.now();
   }
 
+  /** Post to the server and take its new state; return whether it succeeded, else show why not. */
   async post(path, body = {}) {
     if (path === "start" && this.starts) return false; // the second click of a double click
     this.failure = "";
@@ -39,6 +40,7 @@ export class Hour {
     }
   }
 
+  /** Request the state, take it, and do so again for ever: five times a second while a step runs. */
   async poll() {
     try {
       this.take(await getJson(HERE, 4000));
@@ -50,9 +52,10 @@ export class Hour {
     setTimeout(() => this.poll(), this.state?.works ? LIVELY_MS : CALM_MS);
   }
 
+  /** Keep a new state of the server, and show it. */
   take(state) {
     this.state = state;
-    // That no face answers is no alarm then, nor that one without a live board writes none.
+    // Between steps no face answers, and a step without a live board sends no frames: no alarm then.
     if (!state.drives) this.idleMs = performance.now();
     face.idle = face.status !== null || performance.now() - this.idleMs < BEGINS_MS;
     this.show();
@@ -116,12 +119,13 @@ class FirstHour extends HTMLElement {
     this.hour.poll();
   }
 
+  /** Draw the state: what is wrong, the steps, and the section that is open. */
   update() {
     const { state, failure, lost } = this.hour;
     const step = state?.step;
-    const wrong = lost ?? (failure || state?.trouble || (step && !step.runs ? step.error : "")) ?? "";
-    this.failure.hidden = !wrong;
-    if (this.failure.textContent !== wrong) this.failure.textContent = wrong;
+    const errorText = lost ?? (failure || state?.trouble || (step && !step.runs ? step.error : "")) ?? "";
+    this.failure.hidden = !errorText;
+    if (this.failure.textContent !== errorText) this.failure.textContent = errorText;
     if (state === null) return;
     this.told.hidden = !state.note;
     write(this.told, state.note ? `${state.note[0].toUpperCase()}${state.note.slice(1)}.` : "");
@@ -149,6 +153,7 @@ class FirstHour extends HTMLElement {
     this.head(state);
   }
 
+  /** Write the name and port of the new face into the head of the page. */
   head(state) {
     const name = state.face?.name ?? state.file.split("/").at(-1);
     write(document.getElementById("face-name"), name);

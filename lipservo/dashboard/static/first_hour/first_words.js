@@ -19,12 +19,14 @@ export class FirstWords {
     return "";
   }
 
+  /** Draw the section: why it must wait, a button that starts the face, or the face that runs. */
   update(state) {
     if (!this.can(state)) {
       draw(this.body, "<p>A face speaks once it is calibrated.</p>");
       return;
     }
     if (!this.hour.runs("speak")) {
+      // After a start that failed, perhaps for want of a sound card, sound is not preselected.
       const silent = state.step?.name === "speak" && state.step.error;
       draw(
         this.body,

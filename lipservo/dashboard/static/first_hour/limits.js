@@ -1,4 +1,5 @@
-// Limits by hand: torque off, every joint's place live, its ends set where a hand holds it.
+// Limits set by hand: torque is off, every joint's angle is shown live, and a button sets a limit where
+// a hand holds the joint.
 import { escaped, shown, spoken } from "../words.js";
 import { draw, write } from "./dom.js";
 
@@ -6,7 +7,7 @@ const HAND_DEG = [-10, -2, 2, 10]; // of a simulated hand
 const AROUND_DEG = 10;
 const ENDS = { min: "Set as min", neutral: "Neutral", max: "Set as max" };
 
-/** Whether limits are no more the careful ones of `new-face`: 10 degrees, of hobby servos 9. Pure. */
+/** Whether a servo's limits differ from the first ones of `new-face`, 10 degrees (hobby servos 9). Pure. */
 export function hasOwnLimits({ min_deg, max_deg }) {
   return !(min_deg === -max_deg && (max_deg === 10 || max_deg === 9));
 }
@@ -38,6 +39,7 @@ export class Limits {
     } else this.before(state);
   }
 
+  /** Draw the section while no step runs: limits that are set and not yet written, and what to do. */
   before(state) {
     const set = Object.entries(state.ends).map(([name, ends]) => `<li>${escaped(spoken(name))}: ${told(ends)}</li>`);
     const kept = set.length
@@ -52,6 +54,7 @@ export class Limits {
     );
   }
 
+  /** Draw the section while servos are limp: a row for each joint, and a button that writes the limits. */
   turning(state) {
     const turned = this.hour.event("limits", "turned");
     if (!turned) {
@@ -72,25 +75,30 @@ export class Limits {
     write(button, whole ? `Write the limits of ${whole === names.length ? "all" : whole} ${whole === 1 ? "joint" : "joints"}` : "Write the limits");
   }
 
+  /**
+   * Update a joint's row: its angle, its range so far, and the limits that are set.
+   * turned: the newest event of the step, {deg, obstacles} by joint.
+   */
   live(name, turned, state) {
     const line = this.body.querySelector(`[data-servo="${name}"]`);
     const deg = turned.deg[name];
     const ends = state.ends[name] ?? {};
-    const seen = (this.ranges[name] ??= [0, 0]);
-    if (deg !== null) this.ranges[name] = [Math.min(seen[0], deg), Math.max(seen[1], deg)];
-    const all = [...this.ranges[name], ...Object.values(ends)];
-    const [low, high] = [Math.min(...all) - AROUND_DEG, Math.max(...all) + AROUND_DEG];
-    const at = (each) => `${((100 * (each - low)) / (high - low)).toFixed(2)}%`;
+    const extremesDeg = (this.ranges[name] ??= [0, 0]);
+    if (deg !== null) this.ranges[name] = [Math.min(extremesDeg[0], deg), Math.max(extremesDeg[1], deg)];
+    // The track shows all angles so far, and AROUND_DEG beyond them to either side.
+    const anglesDeg = [...this.ranges[name], ...Object.values(ends)];
+    const [low, high] = [Math.min(...anglesDeg) - AROUND_DEG, Math.max(...anglesDeg) + AROUND_DEG];
+    const positionOf = (each) => `${((100 * (each - low)) / (high - low)).toFixed(2)}%`;
     write(line.querySelector("output"), deg === null ? "–" : `${shown(deg, 1)}°`);
     const mark = line.querySelector(".here");
     mark.hidden = deg === null;
-    if (deg !== null) mark.style.left = at(deg);
+    if (deg !== null) mark.style.left = positionOf(deg);
     const range = line.querySelector(".range");
     const [from, to] = [ends.min, ends.max].every((each) => each !== undefined) ? [ends.min, ends.max].sort((a, b) => a - b) : [null, null];
     range.hidden = from === null;
     if (from !== null) {
-      range.style.left = at(from);
-      range.style.right = `${100 - Number.parseFloat(at(to))}%`;
+      range.style.left = positionOf(from);
+      range.style.right = `${100 - Number.parseFloat(positionOf(to))}%`;
     }
     for (const end of Object.keys(ENDS)) {
       const button = line.querySelector(`[data-end=${end}]`);
@@ -98,12 +106,12 @@ export class Limits {
       write(button.querySelector("small"), end in ends ? `${shown(ends[end], 1)}°` : "");
       const flag = line.querySelector(`.flag.${end}`);
       flag.hidden = !(end in ends);
-      if (end in ends) flag.style.left = at(ends[end]);
+      if (end in ends) flag.style.left = positionOf(ends[end]);
     }
     write(line.querySelector(".why"), turned.obstacles[name] ?? "");
   }
 
-  /** Hobby servos: sliders in microseconds, through the gate. */
+  /** Draw the section for hobby servos, which report no angle: sliders in microseconds lead them. */
   byPulse(state) {
     if (this.hour.runs("jog")) {
       const made = draw(this.body, `<face-jog data-warning="${escaped(this.warning)}"></face-jog><div class="buttons end"><button type="button" class="act first" data-do="jogged">The limits are found</button></div>`);
@@ -119,6 +127,7 @@ export class Limits {
     void state;
   }
 
+  /** Do what the pressed button says; its `data-` attributes name a limit, a simulated hand or an action. */
   click(button) {
     if (button === null) return;
     const servo = button.closest("[data-servo]")?.dataset.servo;
@@ -138,6 +147,7 @@ export class Limits {
   }
 }
 
+/** HTML of a joint's row: name, angle, track, buttons that set its limits; a hand if it is simulated. */
 function row(name, servo, isSimulated) {
   const buttons = Object.entries(ENDS)
     .map(([end, text]) => `<button type="button" class="act" data-end="${end}">${text} <small></small></button>`)
@@ -152,7 +162,7 @@ function row(name, servo, isSimulated) {
   );
 }
 
-/** What became of the last writing into the servos. */
+/** HTML of what was written into the servos last; empty where nothing was. */
 function result(hour) {
   const step = hour.state.step;
   if (step?.name !== "set_up" || step.runs || step.error) return "";

@@ -38,6 +38,7 @@ export class Servos {
     return state.found ? `${Object.keys(state.found.servos).length} found at ${state.port}` : "";
   }
 
+  /** Draw the section: servos being searched, hobby servos, servos that were found, or the choice of a port. */
   update(state) {
     if (this.hour.runs("find")) {
       const where = state.simulated ? "the simulated port" : escaped(state.port);
@@ -47,6 +48,7 @@ export class Servos {
     else draw(this.body, ports(state));
   }
 
+  /** Draw the servos that were found: a chip for each, and a form that names the one that is chosen. */
   found(state) {
     const { servos, foreign } = state.found;
     if (Object.keys(foreign).length) {
@@ -54,8 +56,8 @@ export class Servos {
       return;
     }
     const ids = Object.keys(servos);
-    const left = ids.filter((id) => !state.named[id]);
-    if (this.id === null || !ids.includes(this.id)) this.id = left[0] ?? null;
+    const unnamed = ids.filter((id) => !state.named[id]);
+    if (this.id === null || !ids.includes(this.id)) this.id = unnamed[0] ?? null;
     const chips = ids
       .map((id) => {
         const named = state.named[id];
@@ -64,12 +66,12 @@ export class Servos {
       })
       .join("");
     const file = escaped(state.file.split("/").at(-1));
-    const end = left.length
-      ? `<p class="hint">${ids.length - left.length} of ${ids.length} named.</p>`
+    const footer = unnamed.length
+      ? `<p class="hint">${ids.length - unnamed.length} of ${ids.length} named.</p>`
       : `<p>All ${ids.length} servos have a name. The face gets careful limits of 10° to either side; the real ones come next.</p>` +
         `<button type="button" class="act first" data-do="write">Write ${file}</button>`;
     const form = this.id === null ? "" : this.form(state, servos[this.id]);
-    draw(this.body, `<div class="chips">${chips}</div>${form}${end}`);
+    draw(this.body, `<div class="chips">${chips}</div>${form}${footer}`);
     const busy = this.hour.runs("nudge");
     for (const button of this.body.querySelectorAll("button")) button.disabled = busy;
     if (this.id === null) return;
@@ -81,6 +83,7 @@ export class Servos {
     this.change();
   }
 
+  /** HTML of the form that names the chosen servo; its fields are shown once the servo has moved. */
   form(state, model) {
     const named = state.named[this.id] ?? { name: "", positive: "opens", part: "mouth", sign: 1 };
     const words = [...new Set([...WORDS, named.positive])];
@@ -100,6 +103,7 @@ export class Servos {
     );
   }
 
+  /** HTML of the forms for hobby servos: those that were added, one more, and writing the face's YAML. */
   wired(state) {
     const board = state.kinds[state.kind];
     const rows = state.wired
@@ -125,6 +129,7 @@ export class Servos {
     if (did && word) did.textContent = DID[word] ?? `did that: ${word}`;
   }
 
+  /** Do what the pressed button says; its `data-` attributes name a servo, a port or an action. */
   click(button) {
     if (button === null || button.type === "submit") return;
     const { id, do: what, unwire, port } = button.dataset;

@@ -2,7 +2,7 @@
 import { onFrame, onStatus } from "../link.js";
 import { caption } from "../live/live_facts.js";
 
-/** Nobody has spoken or touched the screen for so long: it dims. */
+/** The screen dims when nobody has spoken or touched it for so long. */
 const ASLEEP_AFTER_MS = 300_000;
 
 class FaceCaption extends HTMLElement {
@@ -34,6 +34,7 @@ class FaceCaption extends HTMLElement {
     if (this.innerHTML !== words) this.innerHTML = words;
   }
 
+  /** Make the screen bright, and let it dim ASLEEP_AFTER_MS from now. */
   woken() {
     this.kiosk.classList.remove("asleep");
     clearTimeout(this.dims);
@@ -41,7 +42,7 @@ class FaceCaption extends HTMLElement {
   }
 }
 
-/** The computer's own screen saver would hide the face; it is asked again whenever it is seen. */
+/** Keep the computer's screen saver off; the request is repeated whenever the page is seen again. */
 function keepScreenOn() {
   const ask = () => document.visibilityState === "visible" && navigator.wakeLock?.request("screen").catch(() => {});
   document.addEventListener("visibilitychange", ask);

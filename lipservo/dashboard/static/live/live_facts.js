@@ -23,6 +23,7 @@ class FaceFacts extends HTMLElement {
     this.undo.forEach((each) => each());
   }
 
+  /** Show a frame's phoneme, arousal, and whether the face speaks. */
   draw(frame) {
     const name = frame.phoneme ?? "";
     const text = name === "SIL" ? "" : name;
@@ -35,6 +36,7 @@ class FaceFacts extends HTMLElement {
     if (this.saying.textContent !== says) this.saying.textContent = says;
   }
 
+  /** Show a status: words that are said, figures, troubles. */
   tell(status) {
     this.words.innerHTML = caption(status);
     this.list.innerHTML = rows(status)
@@ -49,7 +51,7 @@ class FaceFacts extends HTMLElement {
   }
 }
 
-/** The words around the one that is said, which stands out; as HTML. Pure. */
+/** The status's words as HTML, the one that is said now in bold. status: may be null. Pure. */
 export function caption(status) {
   const words = status?.words ?? [];
   return words
@@ -73,19 +75,19 @@ const MOVED_BY = {
   visemes: "its visemes",
 };
 
-/** [word, value] for each line. Pure. */
+/** [label, value] for each line of facts. Pure. */
 export function rows(status) {
   if (status === null) return [["face", "does not answer"]];
-  const said = [];
-  if (isStopped(status) && status.stopped_by) said.push(["stopped by", status.stopped_by]);
-  if (status.speaking) said.push(["says", status.speaking]);
-  else if (status.sound) said.push(["hears", status.sound]);
-  if (status.moved_by) said.push(["mouth moved by", MOVED_BY[status.moved_by]]);
-  if (status.delay_ms != null) said.push(["mouth behind the sound", shown(status.delay_ms, 0, "ms")]);
-  if (status.n_ticks != null) said.push(["updates too late", lateWords(status.n_late, status.n_ticks)]);
-  if (status.recognizer) said.push(["recogniser", status.recognizer]);
-  if (status.output) said.push(["loudspeaker", status.output + (status.output_lost ? ": lost" : "")]);
-  return said;
+  const lines = [];
+  if (isStopped(status) && status.stopped_by) lines.push(["stopped by", status.stopped_by]);
+  if (status.speaking) lines.push(["says", status.speaking]);
+  else if (status.sound) lines.push(["hears", status.sound]);
+  if (status.moved_by) lines.push(["mouth moved by", MOVED_BY[status.moved_by]]);
+  if (status.delay_ms != null) lines.push(["mouth behind the sound", shown(status.delay_ms, 0, "ms")]);
+  if (status.n_ticks != null) lines.push(["updates too late", lateWords(status.n_late, status.n_ticks)]);
+  if (status.recognizer) lines.push(["recogniser", status.recognizer]);
+  if (status.output) lines.push(["loudspeaker", status.output + (status.output_lost ? ": lost" : "")]);
+  return lines;
 }
 
 /** `3 of 12,400`; a late tick is one that was skipped. Pure. */

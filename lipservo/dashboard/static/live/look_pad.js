@@ -45,7 +45,7 @@ class FaceLook extends HTMLElement {
     this.undo?.();
   }
 
-  /** why: nothing can look just now; null: it can. */
+  /** Lock the field while nothing can look. why: a sentence; null: it can. */
   still(why) {
     if (this.why === why) return;
     this.why = why;
@@ -61,6 +61,7 @@ class FaceLook extends HTMLElement {
     this.lookAt(across * MOST_YAW_DEG, -down * MOST_PITCH_DEG);
   }
 
+  /** Move the target by an arrow key, 5 degrees, and keep it there. */
   step(event) {
     const steps = { ArrowLeft: [-5, 0], ArrowRight: [5, 0], ArrowUp: [0, 5], ArrowDown: [0, -5] };
     const step = steps[event.key];
@@ -71,6 +72,7 @@ class FaceLook extends HTMLElement {
     this.lookAt(yaw + step[0], pitch + step[1]);
   }
 
+  /** Aim at angles in degrees, limited to the field: show the spot there, and send the target. */
   lookAt(yaw, pitch) {
     this.target = [
       Math.min(MOST_YAW_DEG, Math.max(-MOST_YAW_DEG, yaw)),

@@ -16,7 +16,7 @@ export const HATCH =
   'patternTransform="rotate(45)"><rect width="7" height="7" fill="#d7dde2"/>' +
   '<rect width="2.5" height="7" fill="#9aa6b0"/></pattern></defs>';
 
-/** The still parts; `drawFigure` moves them. channels: what this face has. */
+/** SVG of the figure at rest; `drawFigure` moves it. channels: motions that this robot has servos for. */
 export function figure(channels) {
   const eyes = channels.has("eye_yaw") || channels.has("eye_pitch") || channels.has("lid");
   return (
@@ -36,6 +36,7 @@ export function figure(channels) {
   );
 }
 
+/** SVG of an eye. side: the robot's; direction: -1 to the viewer's left, 1 to the right. */
 function eye(side, direction) {
   const x = MOUTH.x + direction * EYES.apart;
   const { y, radius, iris } = EYES;
@@ -59,7 +60,10 @@ export function hornMm(deg) {
   return HORN_MM * Math.sin(deg * RAD);
 }
 
-/** Where the mouth's points are, in millimetres from its middle, y down. Pure. */
+/**
+ * Where the mouth's points are, in millimetres from its middle, y down: {jawMm, pout (-1 to 1), corner,
+ * upper, lower}, the last three for both sides. moved: angles, as of `pose` in robot_view.js. Pure.
+ */
 export function mouthShape(moved) {
   const deg = (channel, side) => moved[channel]?.[side]?.deg ?? 0;
   const jawMm = JAW_MM * Math.sin(deg("jaw", "left") * RAD);
@@ -78,7 +82,7 @@ function both(make) {
   return { left: make("left"), right: make("right") };
 }
 
-/** Move everything; the numbers that were drawn, in millimetres and degrees. */
+/** Move the figure to `moved`, angles as of `pose`; return what was drawn, in millimetres and degrees. */
 export function drawFigure(svg, moved) {
   const find = (selector) => svg.querySelector(selector);
   const angle = (channel, side = "left") => moved[channel]?.[side]?.deg ?? 0;
@@ -115,6 +119,7 @@ function isWell(moved, channel, side) {
   return sides.every((each) => moved[channel]?.[each]?.well ?? true);
 }
 
+/** Draw jaw, lips, teeth and the horns of the mouth. shape: as of `mouthShape`; find: finds a part. */
 function drawMouth(find, shape, moved) {
   const at = (x, y) => [MOUTH.x + UNIT * x, MOUTH.y + UNIT * y];
   const { corner, upper, lower, jawMm, pout } = shape;
@@ -166,6 +171,7 @@ function drawHorns(group, moved, places) {
   group.innerHTML = drawn.join("");
 }
 
+/** Draw one eye, its lid and brow. angle: returns a channel's degrees for a side. */
 function drawEye(find, moved, side, angle) {
   const one = find(`[data-eye="${side}"]`);
   if (one) {
@@ -187,7 +193,7 @@ function drawEye(find, moved, side, angle) {
   }
 }
 
-/** 0 = wide open, 1 = shut; an eye at rest has its lid a seventh down. Pure. */
+/** How far a lid is shut, 0 to 1; at rest a seventh. Pure. */
 export function lidShut(moved, side) {
   const lid = moved.lid?.[side];
   if (!lid) return 0.14;

@@ -7,8 +7,9 @@ import { shown, spoken, unread } from "../words.js";
 const SIDES = ["left", "right"];
 
 /**
- * Angles in the drawing's directions: {channel: {left, right}: {deg, well, isThere}}. Pure.
- * rig: {servo: {channel, side, sign}}; encodersDeg: null where a servo never answered.
+ * Angles in the drawing's directions, {channel: {left: {deg, well}, right: {deg, well}}}; well: whether
+ * the servo works. Pure. rig: {servo: {channel, side, sign}}; encodersDeg: in the order of `names`, null
+ * where a servo never answered; troubleOf(name, deg): what is wrong with a servo, or null.
  */
 export function pose(names, rig, encodersDeg, troubleOf) {
   const moved = {};
@@ -33,6 +34,7 @@ class FaceRobot extends HTMLElement {
     this.undo.forEach((each) => each());
   }
 
+  /** Make the drawing of this face's robot, with a dial for each servo that moves none of its parts. */
   build(hello) {
     const rig = facts.rig ?? {};
     const channels = new Set(Object.values(rig).map((each) => each.channel));
@@ -48,6 +50,7 @@ class FaceRobot extends HTMLElement {
     this.svg.setAttribute("viewBox", hasHead(channels) ? "60 16 280 414" : "84 186 232 210");
   }
 
+  /** Move the drawing to the measured angles of a frame, and name the servos that do not work. */
   draw(frame) {
     if (!this.svg) return;
     const names = face.hello.servos;
@@ -76,7 +79,7 @@ class FaceRobot extends HTMLElement {
 const LAST = "Not running: drawn where its joints were read last.";
 const UNREAD = "Not running: its joints are not read, and drawn at 0°.";
 
-/** Which parts are hatched, in a sentence. Pure. */
+/** A sentence that names the parts that are hatched, four at most. Pure. */
 export function lostWords(names) {
   if (!names.length) return "";
   const listed = names.slice(0, 4).join(", ") + (names.length > 4 ? ` and ${names.length - 4} more` : "");
@@ -95,13 +98,14 @@ function dial(name) {
   );
 }
 
-function turn(one, name, encoder, why) {
+/** Turn a servo's dial to its measured angle. why: what is wrong with the servo; null: nothing. */
+function turn(dialElement, name, encoder, why) {
   const { least_deg: least = -90, most_deg: most = 90 } = facts.servos?.[name] ?? {};
   const share = encoder === null ? 0.5 : (encoder - least) / (most - least || 1);
   const turned = -90 + 180 * Math.min(1, Math.max(0, share));
-  one.querySelector("line").setAttribute("transform", `rotate(${turned.toFixed(1)})`);
-  one.querySelector("b").textContent = encoder === null ? unread(face.status, name, why === null) : shown(encoder, 1, "°");
-  one.classList.toggle("unwell", why !== null);
+  dialElement.querySelector("line").setAttribute("transform", `rotate(${turned.toFixed(1)})`);
+  dialElement.querySelector("b").textContent = encoder === null ? unread(face.status, name, why === null) : shown(encoder, 1, "°");
+  dialElement.classList.toggle("unwell", why !== null);
 }
 
 customElements.define("face-robot", FaceRobot);

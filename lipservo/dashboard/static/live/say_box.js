@@ -13,7 +13,7 @@ const EXAMPLES = ["My name is Pepper.", "Five blue bees move my lips.", "How war
 /** As the voice was made. */
 const USUAL = { rate_wpm: 175, pitch: 50 };
 
-/** Each language by its own name, in the order of these; first the face's. As HTML. Pure. */
+/** HTML options of languages, each by its own name, sorted by these; first the face's language, `own`. Pure. */
 export function languageOptions(tags, own) {
   const nameOf = (tag) => {
     try {
@@ -59,6 +59,7 @@ class FaceSay extends HTMLElement {
     this.undo();
   }
 
+  /** Show the form while the face can speak, else why it cannot. */
   tell(status) {
     const still = whyStill(status);
     const canSay = still === null && Boolean(status?.listens_on);
@@ -70,7 +71,7 @@ class FaceSay extends HTMLElement {
     if (this.how.innerHTML !== text) this.how.innerHTML = text;
   }
 
-  /** What there is to choose: once, and not before the face can speak. */
+  /** Request languages and voices once, when the face can speak, and make the choices of the form. */
   async ask() {
     this.asked = true;
     const told = await getJson("/api/sound", 20000).catch(() => null);
@@ -84,16 +85,17 @@ class FaceSay extends HTMLElement {
     this.voice.hidden = this.form.hidden;
   }
 
-  /** What differs from the face's own voice. */
+  /** The options that differ from the face's own voice, as /api/say takes them. */
   chosen() {
-    const asked = { language: this.form.elements.language.value };
-    asked.voice = this.voice.querySelector("select").value;
+    const options = { language: this.form.elements.language.value };
+    options.voice = this.voice.querySelector("select").value;
     for (const { name, value } of this.voice.querySelectorAll("input")) {
-      if (Number(value) !== USUAL[name]) asked[name] = Number(value);
+      if (Number(value) !== USUAL[name]) options[name] = Number(value);
     }
-    return Object.fromEntries(Object.entries(asked).filter(([, value]) => value !== ""));
+    return Object.fromEntries(Object.entries(options).filter(([, value]) => value !== ""));
   }
 
+  /** Let the face say a text, and show whether it was accepted. */
   async say(text) {
     if (!text) return;
     const button = this.form.querySelector("button");

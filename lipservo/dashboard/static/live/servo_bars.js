@@ -29,6 +29,7 @@ class FaceServoBars extends HTMLElement {
     });
   }
 
+  /** Show each servo's measured angle as a bar from 0, its goal as a tick, and what is wrong with it. */
   draw(frame) {
     const encodersDeg = drawnDeg(frame);
     for (const [i, { name, row, bar, goal, value }] of this.rows.entries()) {
@@ -52,6 +53,7 @@ function limits(name) {
   return facts.servos?.[name] ?? { least_deg: -90, most_deg: 90, positive: "" };
 }
 
+/** The element of a servo's strip, its ends and zero at their places. */
 function strip(name) {
   const { least_deg: least, most_deg: most, positive } = limits(name);
   const row = document.createElement("div");

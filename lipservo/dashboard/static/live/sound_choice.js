@@ -28,19 +28,20 @@ class FaceSound extends HTMLElement {
     this.copy.addEventListener("click", () => this.save());
   }
 
-  /** What there is to choose is asked for when the list is opened: it may start a voice. */
+  /** Request the choices, only when the list is opened, since that may start a speech engine; draw them. */
   async load() {
     try {
-      const told = await getJson("/api/sound", 20000);
-      this.form.innerHTML = fields(told);
-      this.copy.hidden = !told.is_shipped;
-      if (told.is_shipped) this.show("", "This face is shipped with lipservo: save a copy to change it.");
-      for (const each of this.form.elements) each.disabled = told.is_shipped;
+      const answer = await getJson("/api/sound", 20000);
+      this.form.innerHTML = fields(answer);
+      this.copy.hidden = !answer.is_shipped;
+      if (answer.is_shipped) this.show("", "This face is shipped with lipservo: save a copy to change it.");
+      for (const each of this.form.elements) each.disabled = answer.is_shipped;
     } catch (error) {
       this.show("bad", error.message);
     }
   }
 
+  /** Write a changed choice into the face's YAML, and say so. */
   async choose(field) {
     const value = field.type === "range" ? Number(field.value) : field.value;
     try {
@@ -68,7 +69,7 @@ class FaceSound extends HTMLElement {
   }
 }
 
-/** The form, as HTML. told: the answer of /api/sound. Pure. */
+/** The form's fields, as HTML. told: the answer of /api/sound. Pure. */
 export function fields(told) {
   const selects = Object.entries(CHOICES).map(([name, [label, from, none]]) => {
     const chosen = told.chosen[name] ?? "";

@@ -2,7 +2,7 @@
 import { LONGEST_SPAN_S, colour, fitted, shownTimeS, spanS } from "./canvas.js";
 import { facts, frameAgeMs, onFrame, onPaint } from "../link.js";
 
-/** Runs of one phoneme: {phoneme, fromS, toS}, oldest first. Pure, but for `runs` itself. */
+/** Add a frame's phoneme to `runs`, {phoneme, fromS, toS} each, oldest first; drop old ones. Changes `runs`. */
 export function extend(runs, timeS, phoneme, keptS = LONGEST_SPAN_S) {
   const last = runs.at(-1);
   if (last && timeS < last.toS) runs.length = 0; // the dashboard was started again
@@ -31,6 +31,7 @@ class FaceTimeline extends HTMLElement {
     this.undo.forEach((each) => each());
   }
 
+  /** Draw lines for seconds, and a block for each run of a phoneme but silence; now is at the right edge. */
   draw(frame) {
     const { context, width, height } = fitted(this.canvas);
     const nowS = shownTimeS(frame, frameAgeMs());
@@ -50,6 +51,7 @@ class FaceTimeline extends HTMLElement {
   }
 }
 
+/** Draw a vertical line at each whole second before `nowS`. */
 function drawSeconds(context, nowS, pxPerS, width, height) {
   context.strokeStyle = colour(context.canvas, "line");
   context.lineWidth = 1;
@@ -62,6 +64,7 @@ function drawSeconds(context, nowS, pxPerS, width, height) {
   }
 }
 
+/** Draw a phoneme's block in its group's colour, with its name where that fits. */
 function drawRun(context, name, left, right, height) {
   const group = facts.phonemeGroups?.[name] ?? "other";
   const [fill, ink] = facts.groupColours?.[group] ?? ["#e3e8ed", "#15202b"];

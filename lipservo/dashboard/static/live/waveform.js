@@ -22,9 +22,10 @@ class FaceWaveform extends HTMLElement {
     this.undo.forEach((each) => each());
   }
 
+  /** Keep the peaks of a frame with their times, in a ring of N_KEPT. */
   take(frame) {
     frame.peaks.forEach((peak, i) => {
-      // Blocks follow one another, whenever their frames come; after a real gap they begin anew.
+      // Blocks are 10 ms apart, whenever their frames come; only after a gap a frame's time counts.
       const dueS = frame.timeS - (frame.peaks.length - 1 - i) * BLOCK_S;
       const nextS = this.lastS + BLOCK_S;
       this.lastS = Math.abs(nextS - dueS) < GAP_S ? nextS : dueS;
@@ -34,6 +35,7 @@ class FaceWaveform extends HTMLElement {
     });
   }
 
+  /** Draw the peaks of the last seconds, red where the sound is at full scale. */
   draw(frame) {
     const { context, width, height } = fitted(this.canvas);
     const nowS = shownTimeS(frame, frameAgeMs());

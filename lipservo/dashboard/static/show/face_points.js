@@ -1,8 +1,9 @@
 // Where the face in a photograph is, set by hand: twenty dots that are dragged. Pure, but for the element.
 
 /**
- * Points that were not set yet, placed by those that were: the same move, turn and size for all.
- * known: where all are in another face, {name: [x, y]}; set: those set here.
+ * All points of a face, {name: [x, y]}: those set by hand, and the others placed by them, by the shift,
+ * rotation and scale that fit them best to another face. known: the points of that face; set: those
+ * set by hand. Least squares of similarity transforms of the plane.
  */
 export function placed(known, set) {
   const names = Object.keys(set);
@@ -26,7 +27,7 @@ export function placed(known, set) {
   );
 }
 
-/** The same points in the middle of a picture, as large as faces in portraits are. */
+/** Points of another face, moved to the middle of a picture and scaled to the size of a portrait's. */
 export function centred(known, [width, height]) {
   const ear = known.left_ear[0] - known.right_ear[0];
   const scale = (0.42 * Math.min(width, height)) / ear;
@@ -41,9 +42,9 @@ export function centred(known, [width, height]) {
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const words = (name) => name.replaceAll("_", " ");
 
-/** Dots on a picture; `points` are those of all, in its pixels. */
+/** A picture with dots on the points of a face; `points`: all of them, {name: [x, y]} in its pixels. */
 class FacePoints extends HTMLElement {
-  /** set: points that are known already; the others are placed by `known`, those of another face. */
+  /** Begin with a picture, a canvas. known: the points of another face; set: points set already. */
   edit(picture, known, set = {}) {
     this.known = centred(known, [picture.width, picture.height]);
     this.set = { ...set };
@@ -63,6 +64,7 @@ class FacePoints extends HTMLElement {
     this.place();
   }
 
+  /** Let a dot be moved: by dragging, or by arrow keys, with Shift ten pixels at a time. */
   moves(dot) {
     const name = dot.dataset.point;
     const put = (at) => {
@@ -92,6 +94,7 @@ class FacePoints extends HTMLElement {
     });
   }
 
+  /** Compute all points from those set by hand, and draw the dots there. */
   place() {
     this.points = placed(this.known, this.set);
     for (const dot of this.svg.querySelectorAll("g")) {

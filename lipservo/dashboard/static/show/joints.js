@@ -6,7 +6,7 @@ import { STLLoader, THREE } from "nicegui-scene";
 
 const MM_PER_M = 1000;
 
-/** A name as it is compared: exporters change spaces, dots and cases. Pure. */
+/** A name without spaces, dots and case, which programs that export models change. Pure. */
 export function plain(name) {
   return String(name ?? "").toLowerCase().replace(/[\s._:-]+/g, "");
 }
@@ -99,6 +99,7 @@ function children(element, tag) {
   return [...element.children].filter((each) => each.tagName === tag);
 }
 
+/** The numbers in a text, as many as in `otherwise`; `otherwise` itself where they are not. */
 function numbers(text, otherwise) {
   const found = (text ?? "").trim().split(/\s+/).map(Number);
   return found.length === otherwise.length && found.every(Number.isFinite) ? found : otherwise;
@@ -119,6 +120,7 @@ function colourOf(material) {
   return rgba ? new THREE.Color(...numbers(rgba, [0.8, 0.8, 0.8, 1]).slice(0, 3)) : null;
 }
 
+/** The mesh of a URDF's <visual>, with place and colour; null where its geometry is not available. */
 function shape(visual, meshes, materials, missing) {
   const form = children(visual, "geometry")[0]?.firstElementChild;
   if (!form) return null;
@@ -131,6 +133,7 @@ function shape(visual, meshes, materials, missing) {
   return mesh;
 }
 
+/** The geometry of a URDF's shape element; null for a mesh that is not among the files, noted in `missing`. */
 function geometryOf(form, meshes, missing) {
   const number = (name) => Number(form.getAttribute(name)) || 0.01;
   if (form.tagName === "box") return new THREE.BoxGeometry(...numbers(form.getAttribute("size"), [0.01, 0.01, 0.01]));

@@ -73,6 +73,7 @@ class FaceModel extends HTMLElement {
     this.view.draw();
   }
 
+  /** Turn the model's joints to the measured angles of a frame, and draw it. */
   draw(frame) {
     if (!this.view || !this.joints.length) return;
     const encoders = drawnDeg(frame);
@@ -92,7 +93,10 @@ class FaceModel extends HTMLElement {
   }
 }
 
-/** {root, names, missing, jointsOf(servos)}; raises an Error with one line. */
+/**
+ * {root, names, missing, jointsOf(servos)} of a model: its three.js object, names of its parts, meshes
+ * that are not among the files, and its joints with the names of servos. Throws an Error, one line.
+ */
 export async function readModel(files, servos) {
   const urdf = files.find((each) => /\.urdf$/i.test(each.name));
   if (urdf) {
@@ -126,7 +130,7 @@ export async function readModel(files, servos) {
   scene.traverse((node) => node.name && names.push(node.name));
   let kept = [];
   const jointsOf = (now) => {
-    kept.forEach((each) => each.turn(0)); // they are measured from where the model stands
+    kept.forEach((each) => each.turn(0)); // angles count from how the model stands in its file
     kept = nodeJoints(scene, now);
     return kept;
   };

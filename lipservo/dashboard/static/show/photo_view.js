@@ -6,14 +6,15 @@ import { moved, turn } from "./photo_warp.js";
 
 /** How much darker it is right under the upper lip than deeper in the mouth. */
 const SHADOW = 0.55;
-/** Of a close-up: how many widths of the mouth are seen. */
+/** Width of the picture in a close-up, in widths of the mouth. */
 const NEAR_WIDTHS = 2.2;
 /** Bright skin round the mouth; darker light makes darker teeth, within these. */
 const BRIGHT = 0.85, FULL_LIGHT = 185, LEAST_TONE = 0.45, MOST_TONE = 1.1, HUE = 0.15;
 
 /**
- * picture: a canvas of the warp's size. Returns {show(frame), closeUp(isNear), stop(), gapPx,
- * drawn, element}; drawn: how often.
+ * Draw a photograph in `container`. picture: a canvas of the warp's size; warp: as of `readWarp`.
+ * Returns {show(frame), closeUp(isNear), stop(), gapPx, drawn, element}; gapPx: how far the lips are
+ * open; drawn: how often it was drawn.
  */
 export function makePhoto(container, picture, warp, { inSoftware }) {
   const [width, height] = warp.size;
@@ -133,7 +134,7 @@ export function makePhoto(container, picture, warp, { inSoftware }) {
   });
 }
 
-/** Flat points into an attribute of three numbers each. */
+/** Write points, [x, y, x, y, ...], into an attribute of three numbers each; z stays. */
 function fill(attribute, px) {
   for (let i = 0; 2 * i < px.length; i += 1) attribute.setXY(i, px[2 * i], px[2 * i + 1]);
   attribute.needsUpdate = true;
@@ -208,6 +209,7 @@ function mouth(warp, flat, places, layer, uvOf, map) {
         shadow.attributes.position.setXY(2 * i + 1, ...below(ends, deep));
         shadow.attributes.color.setW(2 * i, SHADOW);
         shadow.attributes.color.setW(2 * i + 1, SHADOW * (1 - deep / warp.shadow_px));
+        // Between the lips their own skin hides the dark until they part by parted_px.
         const hides = 1 - Math.min(1, open / warp.parted_px);
         [top, ends, ends, middle, middle, begins, begins, bottom].forEach((point, row) => {
           const vertex = ROWS * i + row;

@@ -4,7 +4,10 @@
 const MOST_ROUNDS = 200; // of unfolding
 const LEAST_SHARE = 0.02; // of its area that a triangle keeps
 
-/** readPacked: of the twin's module; buffer: what lipservo/display/photo_packed.py wrote. */
+/**
+ * A photograph's warp: the header of a packed buffer, with its arrays and the areas of its triangles.
+ * readPacked: of the twin's module; buffer: what lipservo/display/photo_packed.py wrote.
+ */
 export function readWarp(readPacked, buffer) {
   const { header, array } = readPacked(buffer);
   const read = (where) => array(where);
@@ -17,7 +20,7 @@ export function readWarp(readPacked, buffer) {
   return header;
 }
 
-/** What a frame of static/frame.js wants of each target; what it leaves open is at rest. */
+/** The amount of each morph target, by name, in a frame of static/frame.js; what it lacks is at rest. */
 export function amountsOf(warp, frame) {
   const amounts = {};
   warp.components.forEach((name, k) => {
@@ -34,7 +37,10 @@ export function amountsOf(warp, frame) {
   return amounts;
 }
 
-/** {px, depth, turn, shift}: the mesh's vertices, and how the head is turned (`turned`). */
+/**
+ * {px, depth, amounts, pose}: the mesh's vertices in pixels, x and y in turn, and the depth of those of
+ * the skin; the amounts of its targets; how the head is turned (`poseOf`).
+ */
 export function moved(warp, frame) {
   const amounts = amountsOf(warp, frame);
   const skin = new Float64Array(warp.places);
@@ -84,7 +90,7 @@ function meet(contact, coefficients, skin) {
   });
 }
 
-/** {turn, shift}: px @ turn.T + shift, about the pivot; null: the head is straight. */
+/** {matrix, shift}: a point p turns to matrix p + shift, about the pivot; null: the head is straight. */
 function poseOf(warp, frame) {
   const rad = (name) => {
     const most = warp.most_pose_deg[name];
@@ -120,7 +126,7 @@ export function turn(points, pose) {
   }
 }
 
-/** Eyes stay as they are in the head; returns the row after theirs. */
+/** Place the eyes' vertices, which only turn with the head, and their centres; return the row after them. */
 function placeEyes(warp, still, px, first) {
   let at = first;
   for (const eye of warp.eyes) {
@@ -139,7 +145,10 @@ function placeEyes(warp, still, px, first) {
   return at;
 }
 
-/** The background gives way: less with each ring, smoothly along them. */
+/**
+ * Move the background's rings of vertices with the rim of the face, less with each ring outwards; the
+ * motion of the rim is smoothed along it. first: the row of the first ring.
+ */
 function placeRings(warp, px, first) {
   const { rim, rest_px: rest, rim_neighbours: reach } = warp;
   const n = rim.length;
@@ -158,7 +167,10 @@ function placeRings(warp, px, first) {
   }
 }
 
-/** Triangles that would turn over move as a whole. As `Unfolding`. */
+/**
+ * Move triangles of the skin that would turn over, or nearly, as a whole, by the mean motion of their
+ * corners; again until none is left. As `Unfolding`.
+ */
 function unfold(warp, px) {
   const { triangles, rest_px: rest, first_skin: first, areas: own } = warp;
   for (let round = 0; round < MOST_ROUNDS; round += 1) {

@@ -99,6 +99,7 @@ class FacePhoto extends HTMLElement {
     this.querySelector("face-points").edit(this.picture.canvas, this.shipped.points_px, this.points ?? {});
   }
 
+  /** Show the user's picture as a face. points: {name: [x, y]} in its pixels; kept by the browser. */
   async showOwn(points) {
     const { canvas } = this.picture;
     this.points = points;
@@ -119,6 +120,7 @@ class FacePhoto extends HTMLElement {
     }
   }
 
+  /** Draw a picture in place of the one before. answer: the response with its packed warp. */
   async show({ canvas }, answer) {
     const warp = readWarp(readPacked, await answer.arrayBuffer());
     const graphics = graphicsOf(document.createElement("canvas"));
@@ -135,7 +137,7 @@ class FacePhoto extends HTMLElement {
     if (this.what === "photo") this.view?.show(frame);
   }
 
-  /** As `lipservo film --landmarks` reads them, in pixels of the file. */
+  /** Save the points as a file that `lipservo film --landmarks` reads, in pixels of the picture's file. */
   save() {
     const { share } = this.picture;
     const points = Object.entries(this.points).map(([name, at]) => [
@@ -177,6 +179,7 @@ async function pictureOf(blob) {
   return { canvas, share: canvas.width / width };
 }
 
+/** The points in a JSON file, {name: [x, y, ...]}, in pixels of a picture scaled by `share`. Throws an Error. */
 async function pointsOf(file, share) {
   if (file.size > MOST_POINTS_BYTES) throw new Error(`${file.name}: too large for the points of a face`);
   try {

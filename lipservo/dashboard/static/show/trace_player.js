@@ -9,7 +9,10 @@ const MOST_BYTES = 300e6;
 const VERSION = 1;
 const TEXT_FROM_PX = 12; // a phoneme that is drawn narrower than this has no letters
 
-/** {servos, timesS, phonemes, coefficients, sentDeg} of a trace's text. Raises an Error with one line. */
+/**
+ * {servos, timesS, phonemes, coefficients, sentDeg} of a trace's text: names, and a value for each tick.
+ * Throws an Error with one line.
+ */
 export function readTrace(text) {
   const lines = text.split("\n").filter(Boolean);
   const head = parsed(lines[0]);
@@ -57,6 +60,7 @@ class FaceTrace extends HTMLElement {
     this.end();
   }
 
+  /** Read a trace, .jsonl or .gz, and show its first tick. */
   async open(file) {
     try {
       if (file.size > MOST_BYTES) throw new Error(`more than ${MOST_BYTES / 1e6} MB`);
@@ -86,6 +90,7 @@ class FaceTrace extends HTMLElement {
     this.draw();
   }
 
+  /** Play from the present tick to the end, at the speed of the recording. */
   play() {
     cancelAnimationFrame(this.playing);
     const { timesS } = this.trace;
@@ -107,6 +112,7 @@ class FaceTrace extends HTMLElement {
     face.held = null;
   }
 
+  /** Draw the plots: gap between the lips, one servo's angle, phonemes, and the present tick. */
   draw() {
     if (!this.trace || !this.canvas.clientWidth) return;
     const { context, width, height } = fitted(this.canvas);
@@ -132,7 +138,7 @@ class FaceTrace extends HTMLElement {
   }
 }
 
-/** One curve between two heights, with its least and most. */
+/** Draw a curve of values between two heights, and above it their range and `name`. x: of tick n, px. */
 function line(context, values, x, [top, bottom], name, stroke, ink) {
   const [least, most] = [Math.min(...values), Math.max(...values)];
   const y = (value) => bottom - ((value - least) / (most - least || 1)) * (bottom - top);

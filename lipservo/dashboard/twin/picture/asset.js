@@ -4,7 +4,10 @@
 const ARRAYS = { "<f4": Float32Array, "<u2": Uint16Array, u1: Uint8Array };
 const SCALED = { "<i2": Int16Array, i1: Int8Array };
 
-/** The header, and array(where): what lies there, scaled where it says by what. */
+/**
+ * {header, array}: the header of a packed buffer, and a function that returns the array at a place that
+ * the header names, {at, count, type, step}; integers with a `step` are scaled by it.
+ */
 export function readPacked(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));

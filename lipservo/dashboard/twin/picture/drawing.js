@@ -6,7 +6,7 @@ export const WITHOUT_WEBGL = "WebGL is not available: simple drawing";
 const HEIGHT_MM = 250;
 const MIDDLE_MM = [0, -38];
 
-/** Returns {show(pose), stop(), triangles: 0, element}, as head.js does. */
+/** Draw the face in `container`. Returns {show(pose), stop(), triangles: 0, element}, as head.js does. */
 export function makeDrawing(container, asset, onDrawn) {
   const canvas = document.createElement("canvas");
   const note = document.createElement("div");

@@ -11,7 +11,7 @@ const SHELL_MM = [4.5, 26, 14];
 const TILT_RAD = 0.2; // the upper end leans back
 const OUT_RAD = 0.45; // the rear edge stands off
 
-/** Both as parts of an asset: places, normals, colours, triangles and no morphs. */
+/** Both ears as parts of an asset, a shell and a rim each, in the colour of the skin before the ear. */
 export function earParts(asset) {
   const skin = asset.parts[0];
   return Object.values(BEFORE_EAR).flatMap(([vertex, out]) => {

@@ -9,10 +9,10 @@ import { lipGapMm } from "./pose.js";
 const LOOK_AT_MM = [0, -52, -45];
 const DISTANCE_MM = 640;
 const FIELD_OF_VIEW_DEG = 27;
-/** The same from near: the middle of the mouth, and from how far it is seen. */
+/** The same for a close-up: the middle of the mouth, and the distance from which it is seen. */
 const MOUTH_AT_MM = [0, -84, 5];
 const NEAR_MM = 205;
-/** Light reaches the teeth when the lips are open: least, and from which gap to which. */
+/** Light inside the mouth: the least share, and the lip gaps between which it rises to 1. */
 const MOUTH_LIGHT = { least: 0.12, fromMm: 0.9, toMm: 5 };
 const IN_MOUTH = ["teeth_upper", "teeth_lower", "mouth"];
 const MATERIALS = {
@@ -27,8 +27,8 @@ const MATERIALS = {
 };
 
 /**
- * Needs WebGL. Returns {show(pose), stop(), triangles, element}; onDrawn is called after every
- * redraw. What a processor draws alone is simpler (plain_mesh.js), and its edges are not smoothed.
+ * Draw the head by WebGL in `container`. Returns {show(pose), closeUp(isNear), stop(), triangles,
+ * element}; onDrawn is called after every redraw. What a processor draws alone is simpler (plain_mesh.js), and its edges are not smoothed.
  */
 export function makeHead(container, asset, onDrawn, { inSoftware }) {
   const renderer = new THREE.WebGLRenderer({ antialias: !inSoftware, alpha: true });
@@ -142,6 +142,7 @@ function turn(object, { pitch, yaw, roll }) {
   object.rotation.set(...angles, "YXZ");
 }
 
+/** The mesh of a part of the asset; its `userData.move(targets)` applies the morph targets. */
 function meshOf(part, inSoftware) {
   const colours = linear(part.colours);
   const { mesh, move } = inSoftware
@@ -153,7 +154,7 @@ function meshOf(part, inSoftware) {
   return mesh;
 }
 
-/** {mesh, move(targets)}; the shader moves it. */
+/** {mesh, move(targets)}: a part of the asset whose morph targets the shader applies. */
 function morphedMesh(part, colours) {
   const geometry = new THREE.BufferGeometry();
   const floats = (values) => new THREE.BufferAttribute(values, 3);
@@ -174,7 +175,7 @@ function morphedMesh(part, colours) {
   return { mesh, move };
 }
 
-/** A processor alone draws a matt one, of fewer triangles. */
+/** The mesh of an eyeball; in software a matt one, of fewer triangles. */
 function eyeball(eye, inSoftware) {
   const [around, down] = inSoftware ? [20, 16] : [48, 40];
   const geometry = new THREE.SphereGeometry(eye.radius_mm, around, down).rotateX(Math.PI / 2);
@@ -194,6 +195,7 @@ function linear(bytes) {
   return found;
 }
 
+/** Add the sky's light and three lamps to a scene; plain_mesh.js computes the same. */
 function light(scene) {
   scene.add(new THREE.HemisphereLight(0xffffff, 0xb59a8c, 1.5));
   const from = (x, y, z, strength, colour) => {

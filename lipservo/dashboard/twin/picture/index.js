@@ -32,7 +32,7 @@ export class TwinPicture {
     this.loaded.catch(() => {}); // whoever waits for it is told
   }
 
-  /** From now on it is seen there. */
+  /** Put the picture into an element of the page. */
   placeIn(element) {
     element.append(this._container);
   }
@@ -41,6 +41,7 @@ export class TwinPicture {
     return this.drawn > 0;
   }
 
+  /** Load the head, and begin to draw it: by WebGL, or simply where there is none. */
   async _load(url) {
     const loading = loadAsset(url);
     // A browser takes its time to begin with WebGL: it does so while the head is on its way.
@@ -87,6 +88,7 @@ export class TwinPicture {
     this._begin("canvas", makeDrawing);
   }
 
+  /** Make the view, and show the newest frame, or the face at rest. */
   _begin(kind, make) {
     this._view = make(this._container, this._asset, () => {
       this.drawn += 1;
@@ -106,7 +108,7 @@ export class TwinPicture {
 
 let early = null;
 
-/** Begin with the picture of a page before the framework has made a place for it. */
+/** Begin to load a page's picture before the framework has made an element for it. */
 export function beginPicture(url) {
   early = { url, picture: new TwinPicture(url) };
 }

@@ -3,11 +3,14 @@
 
 import { THREE } from "nicegui-scene";
 
-/** Lamps as `head.js` hangs them: from where, how strong. */
+/** Lamps as in `head.js`: position, strength. */
 const LAMPS = [[[-350, 420, 600], 1.7], [[500, 120, 400], 0.6], [[200, 300, -500], 0.9]];
 const SKY = 1.5, GROUND = 1.05;
 
-/** {mesh, move(targets)}: a part of the asset; colours: linear shares. */
+/**
+ * {mesh, move(targets)}: a part of the asset, lit beforehand and moved by the processor. colours: of its
+ * vertices, linear, 0 to 1; look: options of the material.
+ */
 export function plainMesh(part, colours, look) {
   const triangles = part.name === "skin" ? quarter(part.triangles) : part.triangles;
   const used = [...new Set(triangles)].sort((a, b) => a - b);
@@ -40,14 +43,14 @@ export function plainMesh(part, colours, look) {
   return { mesh, move };
 }
 
-/** One triangle for each four of the last subdivision, which keeps its corners' numbers. */
+/** The triangles before the last subdivision: one for each four, by their outer corners. */
 function quarter(triangles) {
   const found = [];
   for (let i = 0; i + 11 < triangles.length; i += 12) found.push(triangles[i], triangles[i + 4], triangles[i + 8]);
   return found;
 }
 
-/** Of a matt surface, as shaders divide it: by pi. */
+/** Light on a matt surface with this normal, divided by pi as three.js's shaders do. */
 function lightOn(x, y, z) {
   let light = GROUND + ((SKY - GROUND) * (y + 1)) / 2;
   for (const [[lx, ly, lz], strength] of LAMPS) {

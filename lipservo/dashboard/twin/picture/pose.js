@@ -7,39 +7,39 @@ const SMILE = [-0.7, 1.1];
 
 const within = (value, [least, most]) => Math.min(most, Math.max(least, value));
 
-/** What a face does of which nothing is known: its mouth rests. */
+/** The pose of a face of which nothing is known: its mouth is at rest. */
 export function restingPose(asset) {
   return poseOf({ coefficients: asset.rest, expression: {} }, asset);
 }
 
 /**
- * frame: of static/frame.js. Returns {targets: {name: amount}, neckDeg, eyesDeg}, the angles as
+ * The head's pose in a frame of static/frame.js. Returns {targets: {name: amount}, neckDeg, eyesDeg}, the angles as
  * {pitch, yaw, roll}. What the frame leaves open is 0; components that it lacks are those of rest.
  */
 export function poseOf(frame, asset) {
-  const said = (name) => frame.expression?.[name] ?? 0;
+  const expressionOf = (name) => frame.expression?.[name] ?? 0;
   const targets = {};
   asset.components.forEach((name, k) => {
     const amount = frame.coefficients?.[k];
     targets[name] = Number.isFinite(amount) ? amount : asset.rest[k];
   });
   for (const side of ["left", "right"]) {
-    const lid = within(said(`lid_${side}`), LID);
+    const lid = within(expressionOf(`lid_${side}`), LID);
     targets[`lid_${side}`] = lid;
     // The second target leads the lid over the eyeball and not through it: packed.py.
     targets[`lid_${side}_over`] = Math.max(0, lid * (1 - lid));
   }
-  targets.brow = within(said("brow"), BROW);
-  targets.smile = within(said("smile"), SMILE);
-  targets.lip_tuck = within(said("lip_tuck"), [0, 1]);
+  targets.brow = within(expressionOf("brow"), BROW);
+  targets.smile = within(expressionOf("smile"), SMILE);
+  targets.lip_tuck = within(expressionOf("lip_tuck"), [0, 1]);
   return {
     targets,
     neckDeg: {
-      pitch: said("neck_pitch_deg"),
-      yaw: said("neck_yaw_deg"),
-      roll: said("neck_roll_deg"),
+      pitch: expressionOf("neck_pitch_deg"),
+      yaw: expressionOf("neck_yaw_deg"),
+      roll: expressionOf("neck_roll_deg"),
     },
-    eyesDeg: { pitch: said("eye_pitch_deg"), yaw: said("eye_yaw_deg"), roll: 0 },
+    eyesDeg: { pitch: expressionOf("eye_pitch_deg"), yaw: expressionOf("eye_yaw_deg"), roll: 0 },
   };
 }
 

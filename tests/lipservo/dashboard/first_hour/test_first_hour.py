@@ -99,7 +99,7 @@ def test_limits_that_nobody_set_are_not_written(path):
     hour = FirstHour(path)
 
     with pytest.raises(FaceError, match="has not told its angle"):
-        hour.set_end("jaw", "min")
+        hour.store_limit("jaw", "min")
     with pytest.raises(FaceError, match="set min and max of one first"):
         hour.write_limits()
 
@@ -168,8 +168,8 @@ def test_a_step_that_nobody_wants_is_ended():
     step = StepProcess(
         "find",
         {"port": "/dev/null", "kind": "dynamixel"},
-        is_wanted=lambda: False,
-        ended=ended.append,
+        may_run=lambda: False,
+        on_end=ended.append,
     )
 
     step.wait()
@@ -222,7 +222,7 @@ def test_a_step_that_hangs_when_it_should_end_is_killed_and_says_what_may_still_
 
     assert not step.runs
     assert "was killed: its servos may still hold" in step.error
-    assert not step.let_go
+    assert not step.is_limp
 
 
 def test_orders_to_a_step_that_hangs_hold_up_no_thread_of_the_server():

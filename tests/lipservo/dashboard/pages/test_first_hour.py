@@ -50,6 +50,8 @@ def page(browser, path):
 
 
 def name_servos(page):
+    """Choose simulated servos on the page, name each after it has moved, and write the YAML."""
+
     def answer_late(route):
         """The page asks for the state twice before a name is stored."""
         time.sleep(1.5)
@@ -69,6 +71,7 @@ def name_servos(page):
 
 
 def set_limits(page):
+    """Turn each limp joint to both ends, as a hand would, set its limits there, and write them."""
     page.click("[data-do=let-go]")
     page.locator(".turn").first.wait_for()
     page.reload()  # in the middle of it: all is as it was
@@ -102,6 +105,7 @@ def set_end(row, end):
 
 
 def calibrate_by_eye(page):
+    """Bring the sliders to the angles of `BY_EYE` for every wanted mouth shape, and keep each."""
     page.click("[data-do=by-eye]")
     for name, (jaw, corners, forward) in BY_EYE.items():
         page.locator(".eye .name", has_text=name).filter(has_text=name).wait_for()
@@ -121,6 +125,7 @@ def calibrate_by_eye(page):
 
 
 def measure(page):
+    """Run a measured calibration with the computed tracker, to its end."""
     page.locator(".hour-section").nth(2).locator(".open").click()
     page.locator(".ways form [name=lags]").uncheck()
     page.click(".ways form button")

@@ -29,10 +29,10 @@ def test_a_stop_comes_through_while_everything_else_hangs():
             saying = [threading.Thread(target=say, daemon=True) for _ in range(6)]
             for thread in saying:
                 thread.start()
-            dashboard.link._others.submit(time.sleep, 3.0)
-            dashboard.link._others.submit(time.sleep, 3.0)
-            dashboard.link._asking.submit(time.sleep, 3.0)
-            dashboard.link._finding.submit(time.sleep, 3.0)
+            dashboard.link._command_pool.submit(time.sleep, 3.0)
+            dashboard.link._command_pool.submit(time.sleep, 3.0)
+            dashboard.link._status_pool.submit(time.sleep, 3.0)
+            dashboard.link._find_pool.submit(time.sleep, 3.0)
 
             told = client.post("/api/stop", json={"level": "limp"}).json()
             assert told["accepted"] == "limp"

@@ -18,6 +18,7 @@ TOKEN = "a secret"
 
 @contextlib.contextmanager
 def crowd(address, n_peers, n=300):
+    """Yield a crowd of `n` connected clients, of `n_peers` addresses, that send nothing."""
     host, port = address.removeprefix("http://").split(":")
     idle = IdleCrowd((host, int(port)), n_peers, OPENINGS["page"], n)
     over = threading.Event()

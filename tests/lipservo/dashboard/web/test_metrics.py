@@ -6,7 +6,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.live_frames import Moment
+from lipservo.dashboard.live_frames import Snapshot
 from lipservo.dashboard.web.metrics import FaceCollector, metrics_text
 
 STATUS = {
@@ -30,7 +30,7 @@ class Known(FaceLink):
     def __init__(self, status, *, answers=True, servos_gone=False):
         super().__init__(lambda: None)
         self.status = status
-        self.moment = Moment(1, 0.0, servos_gone=servos_gone)
+        self.snapshot = Snapshot(1, 0.0, servos_gone=servos_gone)
         self._is_answering = answers
 
     @property
@@ -38,7 +38,8 @@ class Known(FaceLink):
         return self._is_answering
 
 
-def told(status=None, **about):
+def scraped_values(status=None, **about):
+    """Return the metrics of a status, parsed as Prometheus does: value by (name, *label values)."""
     link = Known(STATUS if status is None else status, **about)
     text = metrics_text(FaceCollector(link, lambda: {"twin": 2, "state": 0})).decode()
     return {
@@ -49,7 +50,7 @@ def told(status=None, **about):
 
 
 def test_a_face_that_is_well():
-    found = told()
+    found = scraped_values()
 
     assert found["lipservo_up",] == 1
     assert found["lipservo_servo_answers", "jaw"] == 1
@@ -64,7 +65,7 @@ def test_a_face_that_is_well():
 
 
 def test_a_servo_that_was_never_heard_has_no_figures():
-    found = told()
+    found = scraped_values()
 
     for name in ("neck", "brow"):
         assert found["lipservo_servo_answers", name] == 0
@@ -75,7 +76,7 @@ def test_a_servo_that_was_never_heard_has_no_figures():
 
 @pytest.mark.parametrize("about", [{"answers": False}, {"servos_gone": True}], ids=str)
 def test_of_a_face_that_is_gone_no_old_figure_is_told(about):
-    found = told(**about)
+    found = scraped_values(**about)
 
     assert found["lipservo_up",] == 0
     for name in ("jaw", "neck", "brow"):
@@ -88,6 +89,6 @@ def test_of_a_face_that_is_gone_no_old_figure_is_told(about):
 
 
 def test_of_no_face_at_all_it_is_told_that_there_is_none():
-    found = told({}, answers=False, servos_gone=True)
+    found = scraped_values({}, answers=False, servos_gone=True)
     assert found["lipservo_up",] == 0
     assert not any(name.startswith("lipservo_servo_") for name, *_ in found)

@@ -22,6 +22,7 @@ from lipservo.dashboard.web.stop_route import StopRoute
 
 
 def scope(**more):
+    """Return the ASGI scope of a stop from this computer; `more` replaces fields."""
     return {
         "type": "http",
         "method": "POST",
@@ -321,7 +322,7 @@ def test_a_stop_passes_a_busy_loop_a_full_pool_and_a_slow_upload(tmp_path, monke
             for thread in threads:
                 thread.start()
             for _ in range(4):
-                for pool in (dashboard.link._others, dashboard.link._asking):
+                for pool in (dashboard.link._command_pool, dashboard.link._status_pool):
                     pool.submit(is_over.wait, 60.0)
             try:
                 assert in_fsync.wait(30.0)
