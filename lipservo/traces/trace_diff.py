@@ -399,7 +399,7 @@ def draw_difference(path: Path, first: Trace, second: Trace, both: Overlay) -> N
         gap_axis.plot(both.sound_s, curve, style, label=trace.name, linewidth=1.2)
     gap_axis.axhline(CLOSED_GAP_MM, color="0.5", linewidth=0.6, linestyle=":")
     gap_axis.set_ylabel("lip gap, mm")
-    gap_axis.legend(fontsize=8)
+    gap_axis.legend(loc="upper right", fontsize=8)
     _label_phonemes(gap_axis, both)
     distance_axis.fill_between(both.sound_s, both.lips_mm, color="tab:red", linewidth=0.0)
     distance_axis.set_ylabel("lips apart,\nmm rms")
