@@ -18,9 +18,9 @@ from calibration.capture.joint_health import (
     SUSPECTED,
     WEAK,
     JointFault,
-    alive,
     is_dead,
     joint_fault,
+    joint_signal,
     moved_alone_mm,
 )
 from calibration.capture.repeated_poses import FaceChange, bears_out, changed_poses, face_change
@@ -381,7 +381,7 @@ def _faulty_joints(record: _Record) -> Iterator[Finding]:
                 "change its `sign` in the face YAML"
             )
             found.append((turned, True))
-        elif alive(lines, joint) < WEAK:
+        elif joint_signal(lines, joint) < WEAK:
             found.append(("is weak or dead: it moves the markers little above chance", False))
         else:
             continue

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from calibration.calibration import Calibration, CalibrationError, Following, Origin, Touch
 from calibration.capture.capture import Capture, outside_ladders
-from calibration.capture.joint_health import alive
+from calibration.capture.joint_health import joint_signal
 from calibration.capture.sanity import check_capture
 from calibration.capture.straight_lines import straight_lines
 from calibration.closure import CLOSED_GAP_MM
@@ -381,7 +381,7 @@ def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
     lines = straight_lines(capture)
     range_deg = np.maximum(np.ptp(capture.goals_deg, axis=0), 1e-6)
     chance_mm = lines.chance_mm / range_deg * names.shape_features.of_noise(len(names.human))
-    signals = np.array([alive(lines, joint) for joint in range(len(range_deg))])
+    signals = np.array([joint_signal(lines, joint) for joint in range(len(range_deg))])
     return np.asarray(chance_mm * (_KNOWN_WELL / np.maximum(signals, 1e-9)) ** 1.5)
 
 
