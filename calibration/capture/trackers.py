@@ -160,8 +160,8 @@ class FileTracker:
     def _check_same_capture(self, kept: Mapping[int, Mapping[str, Array]]) -> None:
         """Raise CalibrationError if the last kept pose differs from that pose in the recorded file.
 
-        kept: markers (3,) mm by pose number, from 0, and by name. The median distance of the markers
-        is compared, so two exchanged names do no harm.
+        kept: markers (3,) mm by pose number, from 0, and by name. The median distance of the
+        markers is compared, so two exchanged names do no harm.
         """
         if not kept:
             return
@@ -190,7 +190,7 @@ class FileTracker:
         return self._path.with_name(f"{self._path.name}.{POSE_FILE}")
 
     def _announce_pose(self, pose: int, reached_deg: Array) -> None:
-        """Write a pose's number (0: neutral) and angles to `pose.json`; report the pose to the user."""
+        """Write a pose's number (0: neutral) and angles to `pose.json`; ask for its recording."""
         self._pose = pose
         angles_deg = dict(zip(self._servo_names, np.round(reached_deg, 3).tolist(), strict=True))
         write_whole(self._pose_file, json.dumps({"pose": pose, "servos_deg": angles_deg}))
