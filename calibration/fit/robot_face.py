@@ -394,7 +394,7 @@ class _FaceFit:
     def predict_captured(self, filled_mm: Array) -> Array:
         """Return markers, (n, n_markers, 3) mm, predicted at all captured poses from filled_mm.
 
-        filled_mm: (n, n_markers, 3), the captured markers, lost ones filled in; all are learnt from.
+        filled_mm: (n, n_markers, 3), the captured markers, lost ones filled in; all count.
         """
         assert self.hyperparameters is not None
         inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
