@@ -379,6 +379,7 @@ class _NegativeLogLikelihood:
         d_backlash += from_mean / _BACKLASH_SD_DEG**2
         d_reach = (x * (d_straight @ x)).sum(axis=0)
         alike = np.exp(-0.5 * self._apart / hyperparameters.width_mm**2)
+        # By the logarithms: each derivative times its hyperparameter.
         d_others = [
             hyperparameters.curvature * (d_joints * straight**2).sum(),
             hyperparameters.noise_mm2 * d_noise,
