@@ -82,7 +82,7 @@ class FourBar:
         return np.asarray(np.rad2deg(np.arctan2(-y, -x) - inner_rad))
 
     def _reach_mm(self, servo_deg: Array) -> tuple[Array, Array, Array]:
-        """Return the vector from the crank's end to the rocker's axis: x and y in mm, and length."""
+        """Return x, y and length in mm of the vector from the crank's end to the rocker's axis."""
         crank = np.deg2rad(self.start_deg + servo_deg)
         x, y = self.ground_mm - self.crank_mm * np.cos(crank), -self.crank_mm * np.sin(crank)
         return x, y, np.hypot(x, y)

@@ -31,8 +31,8 @@ class PageWatch:
         self.watch = Watch(self.progress, self.arrived, self.seen)
 
     @cached_property
-    def _reckoned_poses(self) -> int:
-        return self._setup.for_machine().reckoned_poses
+    def _estimated_poses(self) -> int:
+        return self._setup.for_machine().estimated_poses
 
     def progress(self, what: str, done: int, total: int) -> None:
         """Send the page how many of the `total` poses or chirps (`what`) are done; minutes left."""
@@ -40,7 +40,7 @@ class PageWatch:
         if not done:
             self._began_s, spent_s = time.monotonic(), 0.0
         if what == "poses":
-            total = max(self._reckoned_poses, done + 1)
+            total = max(self._estimated_poses, done + 1)
             left_s = spent_s / done * (total - done) + self._chirps_s if done else None
         else:
             left_s = (total - done) * CHIRPS_S

@@ -62,7 +62,7 @@ def check_plan(setup: CalibrationSetup, path: Path) -> None:
         )
 
 
-def stand_in_poses(
+def hold_plan_poses(
     setup: CalibrationSetup,
     plan: PosePlan,
     arrived: Callable[[int, Array], object],

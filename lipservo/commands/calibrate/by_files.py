@@ -63,10 +63,10 @@ def plan(
         made = procedure.whole_range_plan()
         then = f"--plan {file} --markers FILE -o FILE"
     else:
-        from lipservo.calibrating.face_source import read_seen
+        from lipservo.calibrating.face_source import read_recorded
 
         mesh = mesh_options(landmarker, eye_distance_mm)
-        seen, capture = read_seen(setup, refine, markers, axes, mesh)
+        seen, capture = read_recorded(setup, refine, markers, axes, mesh)
         further, lines = procedure.further_plan(capture, seen.servos.positive, accept=accept)
         for line in lines:
             MESSAGES.print(line)
@@ -133,13 +133,13 @@ def fit(
 
         result = fit_simulated_face(setup)
     else:
-        from lipservo.calibrating.face_source import read_seen
+        from lipservo.calibrating.face_source import read_recorded
         from lipservo.calibrating.measured_calibration import fit_capture
         from lipservo.calibrating.plan_poses import check_plan as check_goals
 
         check_goals(setup, plan)
         mesh = mesh_options(landmarker, eye_distance_mm)
-        setup, capture = read_seen(setup, plan, markers, axes, mesh)
+        setup, capture = read_recorded(setup, plan, markers, axes, mesh)
         with MESSAGES.status("fitting", spinner="line"):
             result = fit_capture(setup, capture)
     finish(setup, result, output, plots=plots, check_plan=check_plan, as_json=as_json)
@@ -175,7 +175,7 @@ def grade(
     check_files(file, inputs=[plan, markers])
     setup = load_setup(config, model, accept=accept)
     from calibration.fit.measured_grade import too_bad
-    from lipservo.calibrating.face_source import reader_of
+    from lipservo.calibrating.face_source import picture_reader
     from lipservo.calibrating.plan_poses import check_face, grade_by_files
     from lipservo.calibrating.shown_calibration import (
         coverage_table,
@@ -185,7 +185,7 @@ def grade(
     )
 
     check_face(setup, before, str(file))
-    read = reader_of(markers, setup, mesh_options(landmarker, eye_distance_mm))
+    read = picture_reader(markers, setup, mesh_options(landmarker, eye_distance_mm))
     found, warnings = grade_by_files(setup, before, plan, markers, axes=axes, read=read)
     for line in () if as_json else warnings:
         MESSAGES.print(line)

@@ -182,7 +182,7 @@ def keep_beside(output: Path, keep: Path | None) -> Path:
 
 
 @contextmanager
-def going_on(output: Path, keep: Path | None) -> Iterator[Path]:
+def resumable_poses(output: Path, keep: Path | None) -> Iterator[Path]:
     """Yield the file of captured poses, from which the same command, if run again, continues.
 
     keep: as the user named the file; None: a file beside the calibration `output`; when the block
@@ -206,7 +206,7 @@ def going_on(output: Path, keep: Path | None) -> Iterator[Path]:
 
 
 @contextmanager
-def making(
+def resumable_setup(
     setup: "CalibrationSetup",
     output: Path,
     keep: Path | None,
@@ -216,10 +216,10 @@ def making(
 ) -> Iterator["tuple[CalibrationSetup, Callable[[CalibrationResult], None]]"]:
     """Yield the setup at its servos' port, and a function that saves an unfinished calibration.
 
-    keep, output: as for `going_on`, whose file the setup continues; port, sim, config: as for
-    `setup_at_port`.
+    keep, output: as for `resumable_poses`, whose file the setup continues; port, sim, config: as
+    for `setup_at_port`.
     """
-    with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
+    with resumable_poses(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
         at = replace(at, keep=kept)
         yield at, lambda so_far: save_so_far(at, so_far, output)
 
@@ -269,9 +269,9 @@ def _made(
     Also lines about these parts, and why it is too bad to be saved, or None.
     """
     from calibration.fit.measured_grade import too_bad
-    from lipservo.calibrating.hand_poses import with_hand_made
+    from lipservo.calibrating.hand_poses import with_kept_hand_parts
 
-    calibration, kept = with_hand_made(result.calibration, setup.servos, output)
+    calibration, kept = with_kept_hand_parts(result.calibration, setup.servos, output)
     is_taken = result.fit is None or setup.accept
     return calibration, kept, None if is_taken else too_bad(calibration)
 

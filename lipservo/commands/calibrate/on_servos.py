@@ -24,8 +24,8 @@ from lipservo.commands.calibrate.making import (
     finish,
     keep_beside,
     load_setup,
-    making,
     mesh_options,
+    resumable_setup,
     setup_at_port,
 )
 from lipservo.commands.options import (
@@ -98,7 +98,7 @@ def measure(
     from lipservo.calibrating.face_source import calibrate_seen
 
     mesh = mesh_options(landmarker, eye_distance_mm, camera)
-    with making(setup, output, keep, port, sim, config) as (at, save):
+    with resumable_setup(setup, output, keep, port, sim, config) as (at, save):
         result = calibrate_seen(at, tracker, axes, mesh, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
@@ -131,7 +131,7 @@ def guided(
     )
     from lipservo.calibrating.guided_calibration import calibrate_by_keys
 
-    with making(setup, output, keep, port, sim, config) as (at, save):
+    with resumable_setup(setup, output, keep, port, sim, config) as (at, save):
         result = calibrate_by_keys(at, save)
         finish(setup, result, output, as_json=as_json)
 
@@ -177,7 +177,7 @@ def practise(
     from lipservo.calibrating.measured_calibration import practise_in_memory, practise_over_wire
 
     practise_on = practise_in_memory if sim is None else practise_over_wire
-    with making(setup, output, keep, None, sim, config) as (at, save):
+    with resumable_setup(setup, output, keep, None, sim, config) as (at, save):
         result = practise_on(at, seed, family, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
@@ -205,7 +205,7 @@ def pose(
     """
     check_inputs(plan)
     setup = load_setup(config, None, speed_deg_s=speed)
-    from lipservo.calibrating.plan_poses import read_poses, stand_in_poses
+    from lipservo.calibrating.plan_poses import hold_plan_poses, read_poses
     from lipservo.terminal.keys import read_line
 
     numbers, chosen = read_poses(setup, plan, poses or ())
@@ -218,7 +218,7 @@ def pose(
     with setup_at_port(setup, port, sim, config) as at:
         if at.settings.capabilities.in_memory:
             say_simulated()
-        stand_in_poses(at, chosen, arrived, lambda: read_line("Enter when it is recorded"))
+        hold_plan_poses(at, chosen, arrived, lambda: read_line("Enter when it is recorded"))
 
 
 def lags(
