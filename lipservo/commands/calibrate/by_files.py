@@ -60,8 +60,8 @@ def plan(
 
     procedure, names = setup.procedure(), setup.servos.names
     if refine is None or markers is None:
-        made = procedure.whole_range_plan()
-        then = f"--plan {file} --markers FILE -o FILE"
+        new_plan = procedure.whole_range_plan()
+        next_options = f"--plan {file} --markers FILE -o FILE"
     else:
         from lipservo.calibrating.face_source import read_recorded
 
@@ -70,15 +70,15 @@ def plan(
         further, lines = procedure.further_plan(capture, seen.servos.positive, accept=accept)
         for line in lines:
             MESSAGES.print(line)
-        made = joined(read_plan(refine, names), further)
-        then = f"--plan {file} --markers {markers} -o FILE"
-    write_plan(made, file)
+        new_plan = joined(read_plan(refine, names), further)
+        next_options = f"--plan {file} --markers {markers} -o FILE"
+    write_plan(new_plan, file)
     if as_json:
-        print_json({"plan": str(file), "poses": len(made)})
+        print_json({"plan": str(file), "poses": len(new_plan)})
         return
     RESULTS.print(
-        f"{file}: {len(made)} poses. Reach each from the side it names (`lipservo calibrate pose "
-        f"{file}` does), record the markers, then `lipservo calibrate fit {then}`",
+        f"{file}: {len(new_plan)} poses. Reach each from the side it names (`lipservo calibrate "
+        f"pose {file}` does), record the markers, then `lipservo calibrate fit {next_options}`",
     )
 
 
@@ -186,22 +186,22 @@ def grade(
 
     check_face(setup, before, str(file))
     read = picture_reader(markers, setup, mesh_options(landmarker, eye_distance_mm))
-    found, warnings = grade_by_files(setup, before, plan, markers, axes=axes, read=read)
+    graded, warnings = grade_by_files(setup, before, plan, markers, axes=axes, read=read)
     for line in () if as_json else warnings:
         MESSAGES.print(line)
-    bad = too_bad(found)
-    if bad is not None and not accept:
+    fault = too_bad(graded)
+    if fault is not None and not accept:
         raise UserError(
-            f"{file} stays as it is: {bad}; check the markers, calibrate anew, or save it anyway "
+            f"{file} stays as it is: {fault}; check the markers, calibrate anew, or save it anyway "
             "with --accept"
         )
-    save_calibration(found, file)
+    save_calibration(graded, file)
     if as_json:
-        grade, coverage = grade_values(found), coverage_values(found)
+        grade, coverage = grade_values(graded), coverage_values(graded)
         print_json(
             {"calibration": str(file), "grade": grade, "coverage": coverage, "warnings": warnings}
         )
         return
-    for line in report_lines(found, str(file), None, with_servos=False):
+    for line in report_lines(graded, str(file), None, with_servos=False):
         RESULTS.print(line)
-    RESULTS.print(coverage_table(found))
+    RESULTS.print(coverage_table(graded))

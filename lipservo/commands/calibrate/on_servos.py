@@ -211,8 +211,8 @@ def pose(
     numbers, chosen = read_poses(setup, plan, poses or ())
 
     def arrived(row: int, reached_deg: "Array") -> None:
-        stands = zip(chosen.servo_names, reached_deg, chosen.goals_deg[row], strict=True)
-        angles = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in stands)
+        reached = zip(chosen.servo_names, reached_deg, chosen.goals_deg[row], strict=True)
+        angles = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in reached)
         RESULTS.print(f"pose {numbers[row]}: {angles} deg")
 
     with setup_at_port(setup, port, sim, config) as at:
