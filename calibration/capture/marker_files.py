@@ -121,6 +121,7 @@ def read_c3d(path: Path) -> dict[str, Array]:
     lost = ~np.isfinite(points).all(axis=0) | (residuals < 0.0) | (points == 0.0).all(axis=0)
     places = {}
     for i, label in named:
+        # A label beyond the stored points is of a point that was never seen.
         seen = points[:, i, ~lost[i]] if i < points.shape[1] else points[:, :0, 0]
         median = np.median(seen, axis=1) if seen.size else np.full(3, np.nan)
         places[label] = _MM_PER_UNIT[unit] * median

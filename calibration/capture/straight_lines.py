@@ -59,12 +59,14 @@ def straight_lines(capture: Capture) -> StraightLines:
     inputs = np.hstack([x, np.ones((len(x), 1))])
     if len(x) > _POSES_PER_TERM * (2 * n_servos + 1):
         inputs = np.hstack([inputs, x**2])
+    # Coordinates too large for any tracker count as lost.
     seen_mm = np.where(np.abs(capture.markers_mm) < _SENSELESS_MM, capture.markers_mm, np.nan)
     usual_mm = np.nanmedian(seen_mm, axis=0)
     expected_mm = np.broadcast_to(usual_mm, seen_mm.shape)
     senseless: NDArray[np.bool_] = np.asarray(~np.isfinite(seen_mm).all(axis=2))
     offset_mm = np.where(senseless[..., None], 0.0, seen_mm - usual_mm)
     offset_mm -= np.median(offset_mm, axis=1, keepdims=True)  # a head that moves takes all along
+    # Nor can a marker be that far from its usual place in the head.
     senseless |= ~senseless & (np.linalg.norm(offset_mm, axis=2) > _FARTHEST_MM)
     far: NDArray[np.bool_] = senseless.copy()
     for _ in range(_ROUNDS):
@@ -78,13 +80,14 @@ def straight_lines(capture: Capture) -> StraightLines:
         # line, and may make good readings look bad.
         farthest = off_mm >= np.where(far, 0.0, off_mm).max(axis=0)
         far = np.asarray(senseless | (beyond & (far | farthest)))
-    # The noise in each axis, and by it the standard error of the slopes.
+    # Residuals over degrees of freedom: the noise in each axis, the standard error of the slopes by
+    # it, and the noise of each marker.
     residual_mm2 = np.sum((filled_mm - expected_mm) ** 2)
-    freedom = max(1, filled_mm[0].size * (len(inputs) - inputs.shape[1]))
-    noise_mm2 = residual_mm2 / freedom
+    n_free = max(1, filled_mm[0].size * (len(inputs) - inputs.shape[1]))
+    noise_mm2 = residual_mm2 / n_free
     chance_mm = np.sqrt(noise_mm2 * np.diag(np.linalg.pinv(inputs.T @ inputs))[:n_servos])
-    marker_freedom = max(1, 3 * (len(inputs) - inputs.shape[1]))
-    own_mm = np.sqrt(np.sum((filled_mm - expected_mm) ** 2, axis=(0, 2)) / marker_freedom)
+    n_free_of_marker = max(1, 3 * (len(inputs) - inputs.shape[1]))
+    own_mm = np.sqrt(np.sum((filled_mm - expected_mm) ** 2, axis=(0, 2)) / n_free_of_marker)
     slopes_mm = fit[:n_servos].reshape(-1, *usual_mm.shape)
     return StraightLines(slopes_mm, chance_mm, expected_mm, far, float(np.sqrt(noise_mm2)), own_mm)
 

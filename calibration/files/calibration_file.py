@@ -395,18 +395,18 @@ def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
     return {viseme: trim.by_name(names, missing=0.0) for viseme, trim in trims.items()}
 
 
-def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
+def _parse_errors(place: Place, servos: list[Place]) -> HoldOutErrors:
     """Return the errors on held-out motion, from the mapping `hold_out` and those of all servos.
 
-    Raises CalibrationError unless `each_marker_rms_mm` has `n_markers` values.
+    place: that mapping. Raises CalibrationError unless `each_marker_rms_mm` has `n_markers` values.
     """
-    n_markers = hold_out.at("n_markers").count()
-    each: dict[str, float] = {}
+    n_markers = place.at("n_markers").count()
+    rms: dict[str, float] = {}
     if n_markers:
-        each = _parse_mapping(hold_out, "each_marker_rms_mm", Place.number)
-        if len(each) != n_markers:
+        rms = _parse_mapping(place, "each_marker_rms_mm", Place.number)
+        if len(rms) != n_markers:
             raise CalibrationError(
-                f"hold_out.each_marker_rms_mm has {len(each)} values for {n_markers} markers"
+                f"hold_out.each_marker_rms_mm has {len(rms)} values for {n_markers} markers"
             )
     joint_rms_deg = tuple(_number_of_each(servos, "hold_out_rms_deg").tolist())
-    return _parse_record(hold_out, HoldOutErrors, joint_rms_deg=joint_rms_deg, each_marker_rms_mm=each)
+    return _parse_record(place, HoldOutErrors, joint_rms_deg=joint_rms_deg, each_marker_rms_mm=rms)

@@ -389,6 +389,8 @@ class Retargeting:
         from_rest : Array
             (n, n_components) mm, coefficients less the rest.
         """
+        # The speaker's scaled motion on the robot's neutral, and the gaps wanted instead of its
+        # own.
         copies_mm, gaps_mm = self.copies_mm(from_rest)
         features = self.mouth.names.shape_features
         poses_deg = self.mouth.nearest_deg(features.of(copies_mm, gaps_mm))

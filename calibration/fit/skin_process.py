@@ -167,6 +167,9 @@ class SkinProcess:
 def squared_distances_mm2(marker_names: Sequence[str], rest_mm: Array) -> Array:
     """Return squared distances of markers along the skin, which is slit at the mouth.
 
+    A fourth dimension sets the upper lip's markers 15 mm off to one side, the lower lip's to the
+    other, so that closed lips are not near each other.
+
     Parameters
     ----------
     marker_names : Sequence[str]

@@ -219,9 +219,9 @@ def resumable_setup(
     keep, output: as for `resumable_poses`, whose file the setup continues; port, sim, config: as
     for `setup_at_port`.
     """
-    with resumable_poses(output, keep) as poses_file, setup_at_port(setup, port, sim, config) as at:
-        at = replace(at, keep=poses_file)
-        yield at, lambda so_far: save_so_far(at, so_far, output)
+    with resumable_poses(output, keep) as kept, setup_at_port(setup, port, sim, config) as at_port:
+        at_port = replace(at_port, keep=kept)
+        yield at_port, lambda so_far: save_so_far(at_port, so_far, output)
 
 
 def saved(

@@ -98,8 +98,8 @@ def measure(
     from lipservo.calibrating.face_source import calibrate_seen
 
     mesh = mesh_options(landmarker, eye_distance_mm, camera)
-    with resumable_setup(setup, output, keep, port, sim, config) as (at, save):
-        result = calibrate_seen(at, tracker, axes, mesh, save)
+    with resumable_setup(setup, output, keep, port, sim, config) as (at_port, save):
+        result = calibrate_seen(at_port, tracker, axes, mesh, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
 
@@ -131,8 +131,8 @@ def guided(
     )
     from lipservo.calibrating.guided_calibration import calibrate_by_keys
 
-    with resumable_setup(setup, output, keep, port, sim, config) as (at, save):
-        result = calibrate_by_keys(at, save)
+    with resumable_setup(setup, output, keep, port, sim, config) as (at_port, save):
+        result = calibrate_by_keys(at_port, save)
         finish(setup, result, output, as_json=as_json)
 
 
@@ -177,8 +177,8 @@ def practise(
     from lipservo.calibrating.measured_calibration import practise_in_memory, practise_over_wire
 
     practise_on = practise_in_memory if sim is None else practise_over_wire
-    with resumable_setup(setup, output, keep, None, sim, config) as (at, save):
-        result = practise_on(at, seed, family, save)
+    with resumable_setup(setup, output, keep, None, sim, config) as (at_port, save):
+        result = practise_on(at_port, seed, family, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
 
@@ -215,10 +215,10 @@ def pose(
         angles = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in reached)
         RESULTS.print(f"pose {numbers[row]}: {angles} deg")
 
-    with setup_at_port(setup, port, sim, config) as at:
-        if at.settings.capabilities.in_memory:
+    with setup_at_port(setup, port, sim, config) as at_port:
+        if at_port.settings.capabilities.in_memory:
             say_simulated()
-        hold_plan_poses(at, chosen, arrived, lambda: read_line("Enter when it is recorded"))
+        hold_plan_poses(at_port, chosen, arrived, lambda: read_line("Enter when it is recorded"))
 
 
 def lags(
@@ -261,8 +261,8 @@ def lags(
             f"give the lag, such as --lag-ms {setup.servos.names[0]}=60"
         )
     else:
-        with setup_at_port(setup, port, sim, config) as at:
-            found = measure_lags(at, before)
+        with setup_at_port(setup, port, sim, config) as at_port:
+            found = measure_lags(at_port, before)
     # Trims may have been set while servos chirped.
     now = load_calibration(file)
     if now.origin != before.origin or now.servo_names != before.servo_names:
@@ -317,17 +317,17 @@ def touch(
     if by_eye and tracker is not None:
         raise typer.BadParameter("give --by-eye or --tracker, not both")
 
-    with setup_at_port(setup, port, sim, config) as at:
+    with setup_at_port(setup, port, sim, config) as at_port:
         if tracker is not None:
             mesh = mesh_options(landmarker, eye_distance_mm, camera)
-            with tracker_source(at, tracker, axes, mesh) as make_tracker:
-                found, later_mm = touch_by_markers(at, before, make_tracker)
+            with tracker_source(at_port, tracker, axes, mesh) as make_tracker:
+                found, later_mm = touch_by_markers(at_port, before, make_tracker)
         elif sim is not None and not by_eye:
-            found, later_mm = touch_by_markers(at, before, lambda _: computed_tracker(at))
-        elif by_eye or not at.has_load:
-            found, later_mm = touch_by_eye(at, before, read_key)
+            found, later_mm = touch_by_markers(at_port, before, lambda _: computed_tracker(at_port))
+        elif by_eye or not at_port.has_load:
+            found, later_mm = touch_by_eye(at_port, before, read_key)
         else:
-            found, later_mm = touch_by_current(at, before)
+            found, later_mm = touch_by_current(at_port, before)
     save_calibration(found, file)
     if as_json:
         print_json({"calibration": str(file), "contact_later_mm": later_mm})
