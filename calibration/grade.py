@@ -280,7 +280,7 @@ def gap_figures(
     known = np.isfinite(made_mm)
     weights = np.ones(len(made_mm)) if shares is None else shares
     wanted, made, human = wanted_mm[known], made_mm[known], human_gap_mm[known]
-    closed, small = human <= CLOSED_GAP_MM, is_small(human)
+    closed, small = human <= CLOSED_GAP_MM, is_slightly_open(human)
     has_spread = len(wanted) > 2 and float(np.ptp(wanted)) > _LEAST_SPREAD_MM
     slope = np.polyfit(wanted, made, 1, w=np.sqrt(weights[known]))[0] if has_spread else None
     kept = made[small] >= _HALF_MADE * wanted[small]
@@ -291,7 +291,7 @@ def gap_figures(
     )
 
 
-def is_small(human_gap_mm: Array) -> NDArray[np.bool_]:
+def is_slightly_open(human_gap_mm: Array) -> NDArray[np.bool_]:
     """Return whether the speaker's lips are a little open, by 2 to 4 mm.
 
     Parameters

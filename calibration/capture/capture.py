@@ -101,7 +101,7 @@ def plan_poses(
         # The same pose again: what drifted, slipped or was moved meanwhile shows.
         for repeat in (len(sweeps_deg) + n_random // 2, len(goals_deg) - 1):
             goals_deg[repeat], side[repeat] = 0.0, 1.0
-    return reached_from(joints, goals_deg, side, rules)
+    return plan_of_poses(joints, goals_deg, side, rules)
 
 
 def plan_around(
@@ -130,7 +130,7 @@ def plan_around(
     side = np.ones_like(goals_deg)
     if seed is not None:
         side = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], goals_deg.shape)
-    return reached_from(joints, goals_deg, side, rules)
+    return plan_of_poses(joints, goals_deg, side, rules)
 
 
 def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
@@ -169,7 +169,7 @@ def _arrays(plan: PosePlan) -> tuple[Any, ...]:
     return plan.goals_deg, plan.from_below, plan.start_deg, ladders_of(plan)
 
 
-def reached_from(
+def plan_of_poses(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
     """Return a plan of poses within limits and rules, with a start up to 3 degrees before each.

@@ -69,7 +69,7 @@ class FaceChange:
         )
 
 
-def first_part(plan: PosePlan) -> PosePlan:
+def poses_to_repeat(plan: PosePlan) -> PosePlan:
     """Return a plan's poses to repeat: neutral and every joint alone, once from each side."""
     rows = np.flatnonzero((np.abs(plan.goals_deg) > _STILL_DEG).sum(axis=1) <= 1)
     keys = np.hstack([plan.goals_deg[rows], plan.from_below[rows]])
@@ -227,7 +227,7 @@ def _mean_seen_mm(seen_mm: Array) -> Array:
     return np.asarray(np.ma.filled(np.ma.masked_invalid(seen_mm).mean(axis=0), np.nan))
 
 
-def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
+def confirms(changed: ChangedPoses, fault: JointFault) -> bool:
     """Return whether repeated poses, `changed`, confirm a fault that `joint_fault` has found."""
     if fault.joint < 0:
         return False

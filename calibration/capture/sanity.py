@@ -23,7 +23,7 @@ from calibration.capture.joint_health import (
     joint_signal,
     moved_alone_mm,
 )
-from calibration.capture.repeated_poses import FaceChange, bears_out, changed_poses, face_change
+from calibration.capture.repeated_poses import FaceChange, changed_poses, confirms, face_change
 from calibration.capture.straight_lines import (
     StraightLines,
     in_head_frame,
@@ -404,7 +404,7 @@ def _fault_during_capture(capture: Capture, lines: StraightLines) -> JointFault 
     if changes is None:
         return joint_fault(capture, lines)
     change, suspected = face_change(changes), joint_fault(capture, lines, SUSPECTED)
-    if suspected is None or not bears_out(changes, suspected):
+    if suspected is None or not confirms(changes, suspected):
         return change
     # A confirmed fit says more: at which pose it was, and whether the joint stopped or slipped.
     return suspected if change is None or change.joint == suspected.joint else change

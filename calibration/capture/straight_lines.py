@@ -98,10 +98,10 @@ def without_far_points(capture: Capture, lines: StraightLines) -> tuple[Capture,
     if not left_out.any():
         return capture, ()
     markers_mm = np.where(left_out[..., None], np.nan, capture.markers_mm)
-    return replace(capture, markers_mm=markers_mm), far_line(left_out, capture.marker_names)
+    return replace(capture, markers_mm=markers_mm), outlier_line(left_out, capture.marker_names)
 
 
-def far_line(left_out: NDArray[np.bool_], names: Sequence[str]) -> tuple[str, ...]:
+def outlier_line(left_out: NDArray[np.bool_], names: Sequence[str]) -> tuple[str, ...]:
     """Return a line about readings that are left out; () if there are none.
 
     Parameters

@@ -72,14 +72,14 @@ def swaps_refused(swaps: Sequence[Swap]) -> str:
 
 
 def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
-    """Return the markers of a capture with the names in `swaps` corrected.
+    """Return the markers of a capture with the names in `swaps` exchanged back.
 
     Parameters
     ----------
     capture : Capture
         Capture of n poses.
     swaps : Sequence[Swap]
-        Pose and two names each.
+        Pairs of markers, each in one pose, not in every pose.
 
     Returns
     -------
@@ -199,7 +199,7 @@ def _exchanged_pairs(
 _N_LOOKS = 3
 
 
-def put_right(
+def retake_swaps(
     plan: PosePlan,
     marker_names: tuple[str, ...],
     robot: Robot,

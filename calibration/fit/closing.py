@@ -94,7 +94,7 @@ def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
     gains = -_STEP_MM * np.arange(n_steps)[:, None] * gap_slopes.sum(axis=0)
     least_deg, most_deg = (limit - base_deg for limit in mouth.limits_deg)
     turned_deg = bounded_minimum(np.repeat(cost[None], n_steps, axis=0), gains, least_deg, most_deg)
-    goals_deg = mouth.kept_deg(base_deg + turned_deg)
+    goals_deg = mouth.limited_deg(base_deg + turned_deg)
     # Steps that hardly close the middle gap, by its slopes.
     stuck = np.flatnonzero(np.diff(-goals_deg @ gap_slopes[0]) < _LEAST_STEP_MM)
     n_kept = int(stuck[0]) + 1 if len(stuck) else n_steps
@@ -265,7 +265,7 @@ class SeenLadders:
         return self.passed or self.kink.is_contact
 
 
-def begins(capture: Capture) -> NDArray[np.bool_]:
+def lips_are_open(capture: Capture) -> NDArray[np.bool_]:
     """Return which poses belong to no ladder or to the first steps of one, so that lips are open.
 
     A ladder is a series of poses that close the lips step by step.
@@ -302,7 +302,7 @@ class Apertures:
     last_mm: float
 
 
-def apertures_of(capture: Capture) -> Apertures | None:
+def ladder_apertures(capture: Capture) -> Apertures | None:
     """Return the lips' apertures in a capture's ladders, poses that close the lips in steps.
 
     None without ladders or without dots on both lips.
@@ -324,13 +324,13 @@ def apertures_of(capture: Capture) -> Apertures | None:
     return Apertures(tuple(rows), tuple(apertures_mm), pairs, share, float(np.nanmean(last_mm)))
 
 
-def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
+def read_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
     """Return what a capture's ladders, poses that close the lips in steps, show of contact.
 
     None without ladders or without dots on both lips. markers_of: the face learnt so far, from
     poses (k, n_servos) degrees to markers in mm; noise_mm: of a marker in one axis.
     """
-    seen = apertures_of(capture)
+    seen = ladder_apertures(capture)
     if seen is None:
         return None
     closes_mm = []

@@ -90,7 +90,7 @@ def _errors(
     human_mm = model.markers_mm(held_out)
     nearest_deg = mouth.nearest_deg(mouth.names.shape_features.of(human_mm))
     free_deg = (held_out - model.rest) @ weights.T
-    positions_deg = mouth.kept_deg(free_deg)
+    positions_deg = mouth.limited_deg(free_deg)
     return measure_hold_out(
         human_mm,
         mouth.markers_of(positions_deg),

@@ -30,11 +30,11 @@ from calibration.capture.marker_files import (
     read_plan,
     write_table,
 )
-from calibration.capture.straight_lines import far_line, on_head
+from calibration.capture.straight_lines import on_head, outlier_line
 from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.measured import MeasuredFit, lips_apart_mm
 from calibration.fit.retargeting import correspond, gap_heights_mm
-from calibration.grade import Grade, gap_figures, is_small
+from calibration.grade import Grade, gap_figures, is_slightly_open
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, FaceWithAnimPhos
 from lipsync.arrays import Array
@@ -216,7 +216,7 @@ def _choose_frames(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Arra
     from_rest = fit.held_out - fit.retargeting.model.rest
     model = fit.retargeting.model
     is_closed = fit.retargeting.closing(from_rest) >= 1.0
-    is_small_gap = ~is_closed & is_small(model.lip_gaps_mm(model.markers_mm(fit.held_out)))
+    is_small_gap = ~is_closed & is_slightly_open(model.lip_gaps_mm(model.markers_mm(fit.held_out)))
     n_closed, n_small = min(_N_CLOSED, int(is_closed.sum())), min(_N_SMALL, int(is_small_gap.sum()))
     # Frames with closed lips, with lips a little open, and others that fill up to N_GRADED.
     kinds = ((is_closed, n_closed), (is_small_gap, n_small), (~is_closed & ~is_small_gap, N_GRADED))
@@ -262,7 +262,7 @@ def _drop_far_lips(
         known_mm = lips_mm[np.isfinite(lips_mm)]
         if len(known_mm):
             far[pose, lips] = lips_mm > max(_FAR_MM, _FAR_TIMES * float(np.median(known_mm)))
-    return np.where(far[..., None], np.nan, seen_mm), far_line(far, names)
+    return np.where(far[..., None], np.nan, seen_mm), outlier_line(far, names)
 
 
 def _weighted_rms(squares: Array, shares: Array) -> float:

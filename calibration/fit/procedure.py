@@ -25,9 +25,9 @@ from calibration.capture.capture import (
     gather,
     joined,
     plan_around,
+    plan_of_poses,
     plan_poses,
     plan_rows,
-    reached_from,
     take_poses,
     usual_poses,
 )
@@ -37,9 +37,9 @@ from calibration.capture.joint_health import (
     extra_poses,
     unseen_alone,
 )
-from calibration.capture.repeated_poses import first_part
+from calibration.capture.repeated_poses import poses_to_repeat
 from calibration.capture.sanity import CheckedCapture, check_capture, check_frame
-from calibration.capture.swaps import put_right
+from calibration.capture.swaps import retake_swaps
 from calibration.fit.closing import (
     FIRST_STEPS,
     MORE_STEPS,
@@ -47,7 +47,7 @@ from calibration.fit.closing import (
     N_SHAPES,
     Ladder,
     plan_ladders,
-    see_ladders,
+    read_ladders,
 )
 from calibration.fit.measured import MeasuredFit, mouth_of, retargeting_of, split_frames
 from calibration.fit.measured_grade import N_GRADED, graded, graded_poses
@@ -125,7 +125,7 @@ class Procedure:
     @property
     def n_usual_more(self) -> int:
         """How many poses usually follow the `n_poses`: closing steps, repeats, those to grade."""
-        return N_SHAPES * FIRST_STEPS + len(first_part(self.range_plan())) + N_GRADED
+        return N_SHAPES * FIRST_STEPS + len(poses_to_repeat(self.range_plan())) + N_GRADED
 
     def whole_range_plan(self) -> PosePlan:
         """Return a plan of all `n_poses` poses in the joints' ranges, for a capture by files.
@@ -133,7 +133,7 @@ class Procedure:
         The first ones are repeated at the end, except where all poses are needed for the range.
         """
         plan = plan_poses(self.joints, self.n_poses, rules=self.rules, seed=self.seed)
-        return joined(plan, first_part(plan)) if self.n_of_speech else plan
+        return joined(plan, poses_to_repeat(plan)) if self.n_of_speech else plan
 
     def further_plan(
         self, capture: Capture, positive: Sequence[str], *, accept: bool
@@ -231,7 +231,7 @@ class Procedure:
             # Capture what `poses`, or the file, lacks of the plan; return all of it.
             earlier = poses if kept.path is None else kept.read(plan, marker_names)
             poses[:] = take_poses(plan, marker_names, robot, earlier, kept, pressing)
-            poses[:] = put_right(plan, marker_names, robot, poses, kept, report)
+            poses[:] = retake_swaps(plan, marker_names, robot, poses, kept, report)
             return gather(plan, marker_names, poses)
 
         plan = self.range_plan()
@@ -258,7 +258,7 @@ class Procedure:
         plan = joined(plan, self.speech_plan(checked, self.n_of_speech))
         captured = take(plan, pressing)
         plan = self._with_ladders(plan, captured, checked.still, take)
-        return take(joined(plan, first_part(self.range_plan())))
+        return take(joined(plan, poses_to_repeat(self.range_plan())))
 
     def _with_ladders(
         self, plan: PosePlan, captured: Capture, still: Sequence[int], take: _Take
@@ -283,7 +283,7 @@ class Procedure:
             # All ladders go on together, some steps at a time.
             captured = take(plan, range(first_row, len(plan)))
             n_done = until
-            seen = see_ladders(captured, learnt.face.free_mm, learnt.face.noise_mm)
+            seen = read_ladders(captured, learnt.face.free_mm, learnt.face.noise_mm)
             if seen is None or seen.meet or all(len(each.goals_deg) <= n_done for each in ladders):
                 break
         return plan
@@ -295,7 +295,7 @@ class Procedure:
         """
         goals_deg = ladder.goals_deg[steps]
         sides = np.tile(ladder.from_below, (len(goals_deg), 1))
-        plan = reached_from(self.joints, goals_deg, sides, self.rules)
+        plan = plan_of_poses(self.joints, goals_deg, sides, self.rules)
         return replace(plan, ladders=np.full(len(goals_deg), number, dtype=np.int64))
 
 
@@ -318,7 +318,7 @@ def take_grade(
     earlier = kept.read(plan, marker_names)
     numbered = replace(robot, arrived=lambda row, deg: robot.arrived(kept.first + row, deg))
     poses = take_poses(plan, marker_names, numbered, earlier, kept)
-    poses = put_right(plan, marker_names, numbered, poses, kept, expected_mm=wanted.targets_mm)
+    poses = retake_swaps(plan, marker_names, numbered, poses, kept, expected_mm=wanted.targets_mm)
     seen = gather(plan, marker_names, poses)
     calibration, remarks = graded(fit.calibration, wanted, seen)
     return replace(fit, calibration=calibration, warnings=(*fit.warnings, *remarks))

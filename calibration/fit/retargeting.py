@@ -337,7 +337,7 @@ class RobotMouth:
             doubt_mm_per_deg=self.doubt_mm_per_deg,
         )
 
-    def kept_deg(self, free_deg: Array) -> Array:
+    def limited_deg(self, free_deg: Array) -> Array:
         """Return poses limited to the joint ranges and coupling rules, (n, n_servos) degrees.
 
         Parameters
@@ -587,9 +587,9 @@ def widest_pose_deg(mouth: RobotMouth) -> Array:
     for joint in (*range(n_servos), *range(n_servos)):
         tries = np.repeat(pose_deg, 3, axis=0)
         tries[:, joint] = (limits_deg[0][joint], 0.0, limits_deg[1][joint])
-        heights_mm = _middle_heights_mm(mouth, mouth.markers_of(mouth.kept_deg(tries)))
+        heights_mm = _middle_heights_mm(mouth, mouth.markers_of(mouth.limited_deg(tries)))
         pose_deg = tries[heights_mm.argmax()][None]
-    return np.asarray(mouth.kept_deg(pose_deg)[0])
+    return np.asarray(mouth.limited_deg(pose_deg)[0])
 
 
 def _middle_heights_mm(mouth: RobotMouth, markers_mm: Array) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sklearn.model_selection import KFold
 
 from calibration.capture.capture import Capture
-from calibration.fit.closing import SeenLadders, begins, see_ladders
+from calibration.fit.closing import SeenLadders, lips_are_open, read_ladders
 from calibration.fit.retargeting import ShapeFeatures, gap_heights_mm
 from calibration.fit.skin_process import (
     Hyperparameters,
@@ -302,7 +302,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     centre_mm = np.nanmean(capture.markers_mm, axis=0)
     seen_mm = capture.markers_mm - centre_mm
     apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
-    is_open = begins(capture)
+    is_open = lips_are_open(capture)
     fit = _FaceFit(poses, apart_mm2, is_open)
     known = np.isfinite(seen_mm)
     filled = fit.fill_lost_points(seen_mm, known)
@@ -314,7 +314,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     if mouth is not None:
         # Contact, if ladders (poses that close the lips in steps) show it; without ladders it is
         # looked for in all poses.
-        ladders = see_ladders(capture, lambda deg: centre_mm + fit.predict(filled, deg), noise_mm)
+        ladders = read_ladders(capture, lambda deg: centre_mm + fit.predict(filled, deg), noise_mm)
         if ladders is None or ladders.kink.is_contact:
             touching = None if ladders is None else ladders.touching
             freed = _without_contact(fit, seen_mm, known, filled, centre_mm, mouth, touching)

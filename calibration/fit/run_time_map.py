@@ -68,7 +68,7 @@ class RunTimeMap:
         if self.closure is not None:
             x = np.clip(from_rest, *self.x_range)
             poses_deg = self.closure.corrected_deg(x, poses_deg, *mouth.limits_deg)
-        return mouth.kept_deg(poses_deg)
+        return mouth.limited_deg(poses_deg)
 
     def without(self, still: Sequence[int]) -> "RunTimeMap":
         """Return a map whose joints numbered in `still` are at 0 degrees for every wanted face."""

@@ -101,7 +101,7 @@ class Hyperparameters:
     width_mm: float
     own: float
 
-    def joints(self, one: Array, other: Array) -> Array:
+    def pose_covariance(self, one: Array, other: Array) -> Array:
         """Return the covariance K of two sets of poses.
 
         Parameters
@@ -119,7 +119,7 @@ class Hyperparameters:
         straight = (one * self.reach_mm2) @ other.T
         return np.asarray(_CONSTANT_MM2 + straight + self.curvature * straight**2)
 
-    def skin(self, apart_mm2: Array) -> Array:
+    def skin_covariance(self, apart_mm2: Array) -> Array:
         """Return the covariance S of markers.
 
         Parameters
@@ -160,7 +160,7 @@ class SkinProcess:
         Array
             (m, n_markers, 3) mm from each marker's mean position.
         """
-        weights = self.hyperparameters.joints(inputs, self.inputs)
+        weights = self.hyperparameters.pose_covariance(inputs, self.inputs)
         return np.asarray(np.tensordot(weights, self.solved, axes=1))
 
 
@@ -286,13 +286,13 @@ def fit_process(
         Predicts markers in mm.
     """
     eig = _KroneckerEigen(
-        hyperparameters.joints(inputs, inputs),
-        hyperparameters.skin(apart_mm2),
+        hyperparameters.pose_covariance(inputs, inputs),
+        hyperparameters.skin_covariance(apart_mm2),
         hyperparameters.noise_mm2,
     )
     # Inverse of the covariance times the markers, then times the covariance of the skin.
     weighted = eig.rotated(from_centre_mm) / eig.variance[:, :, None]
-    by_marker = (hyperparameters.skin(apart_mm2) @ eig.skin_vectors) @ weighted
+    by_marker = (hyperparameters.skin_covariance(apart_mm2) @ eig.skin_vectors) @ weighted
     solved = (eig.pose_vectors @ by_marker.reshape(len(inputs), -1)).reshape(by_marker.shape)
     return SkinProcess(hyperparameters, inputs, solved)
 
@@ -348,8 +348,8 @@ class _NegativeLogLikelihood:
         hyperparameters = _hyperparameters_of(parameters, n_servos)
         x = self._poses.inputs(hyperparameters.backlash_deg)
         eig = _KroneckerEigen(
-            hyperparameters.joints(x, x),
-            hyperparameters.skin(self._apart),
+            hyperparameters.pose_covariance(x, x),
+            hyperparameters.skin_covariance(self._apart),
             hyperparameters.noise_mm2,
         )
         turned = eig.rotated(self._values)

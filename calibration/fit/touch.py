@@ -13,9 +13,9 @@ import numpy as np
 from sklearn.cluster import KMeans
 
 from calibration.calibration import Calibration, CalibrationError
-from calibration.capture.capture import Capture, PosePlan, ladders_of, reached_from
+from calibration.capture.capture import Capture, PosePlan, ladders_of, plan_of_poses
 from calibration.closure import CLOSED_GAP_MM, Closure
-from calibration.fit.closing import apertures_of, bent_line, find_kink
+from calibration.fit.closing import bent_line, find_kink, ladder_apertures
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array, Indices
@@ -58,7 +58,7 @@ def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthS
         goals.append(poses_deg)
         sides.append(np.tile(np.where(direction == 0.0, 1.0, direction), (len(poses_deg), 1)))
         ladders.append(np.full(len(poses_deg), number + 1))
-    plan = reached_from(servos.joints, np.concatenate(goals), np.concatenate(sides), servos.rules)
+    plan = plan_of_poses(servos.joints, np.concatenate(goals), np.concatenate(sides), servos.rules)
     return replace(plan, ladders=np.concatenate(ladders))
 
 
@@ -69,7 +69,7 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
     than before until they meet. Raises CalibrationError where no contact is found.
     """
     closure, lips = _closure_of(calibration), calibration.learnt_lips
-    apertures = apertures_of(seen)
+    apertures = ladder_apertures(seen)
     if apertures is None or lips is None:
         raise CalibrationError("contact needs markers on both lips, one above the other; add them")
     noise_mm = apertures.share * lips.noise_mm
