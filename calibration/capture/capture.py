@@ -172,7 +172,7 @@ def _arrays(plan: PosePlan) -> tuple[Any, ...]:
 def plan_of_poses(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
-    """Return a plan of poses within limits and rules, with a start up to 3 degrees before each.
+    """Return a plan of poses within limits and rules, each with a start up to 3 degrees before it.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def plan_of_poses(
     goals_deg : Array
         (n, n_servos) degrees.
     side : Array
-        (n, n_servos): 1 from below, -1 from above.
+        (n, n_servos): the side that a joint comes from, 1 below, -1 above.
 
     Returns
     -------
@@ -375,7 +375,11 @@ class KeptPoses:
         return found
 
     def _lines(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield number and content of each line, after an unfinished last one was removed."""
+        """Yield the number, from 1, and parsed content of each line of the file, if there is one.
+
+        An unfinished last line is removed from the file first. Raises CalibrationError for a file
+        of anything else.
+        """
         if self.path is None or not self.path.exists():
             return
         try:

@@ -315,15 +315,15 @@ class DotsFolder:
         Raises CalibrationError for an unreadable picture, or one not as large as the first.
         """
         names = self._names
-        found = find_dots(picture)
-        self._check_size(picture.name, found.size_px)
+        dots = find_dots(picture)
+        self._check_size(picture.name, dots.size_px)
         places_px = name_dots(
-            found.middles_px,
+            dots.middles_px,
             names.first_px,
             furthest_px=_FURTHEST_MM / names.mm_per_px,
             sure_px=_SURE_MM / names.mm_per_px,
         )
-        self._report_dots(picture.name, found, places_px)
+        self._report_dots(picture.name, dots, places_px)
         origin_px = np.mean(list(names.first_px.values()), axis=0)
         places_mm = dots_mm(places_px, origin_px, names.mm_per_px)
         return [(pose, name, place_mm) for name, place_mm in places_mm.items()]
@@ -341,18 +341,18 @@ class DotsFolder:
                 f"{ref_px[1]} x {ref_px[0]}; take all pictures with one camera that stands still"
             )
 
-    def _report_dots(self, picture: str, found: FoundDots, places_px: Mapping[str, Array]) -> None:
+    def _report_dots(self, picture: str, dots: FoundDots, places_px: Mapping[str, Array]) -> None:
         """Report a picture's touching and hidden dots to the user, each remark on a picture once.
 
         picture: the file's name; places_px: (2,) pixels of each named dot, NaN where hidden.
         """
         n_lost = sum(bool(np.isnan(place).any()) for place in places_px.values())
         remarks = []
-        if found.n_merged:
-            remarks.append(f"dots that touch, separated by shape: {2 * found.n_merged}")
+        if dots.n_merged:
+            remarks.append(f"dots that touch, separated by shape: {2 * dots.n_merged}")
         if n_lost == len(places_px):
             remarks.append(
-                f"left out: {len(found.middles_px)} dots are seen of {n_lost}, and names would be "
+                f"left out: {len(dots.middles_px)} dots are seen of {n_lost}, and names would be "
                 "a guess"
             )
         elif n_lost:

@@ -153,15 +153,18 @@ class MeshFolder:
         return readings
 
     def _read(self, pose: int | None) -> tuple[list[Reading], list[tuple[str, str]]]:
-        """Return readings of a pose, None: of all, and the names of useless files with reasons."""
+        """Return the readings of all photographs of a pose, and names of useless files with reasons.
+
+        pose: None: of all poses.
+        """
         readings: list[Reading] = []
         useless = []
         for number, path in pose_pictures(self._folder, pose):
-            found = self._markers_of(path)
-            if isinstance(found, str):
-                useless.append((path.name, found))
+            result = self._markers_of(path)
+            if isinstance(result, str):
+                useless.append((path.name, result))
             else:
-                by_name = zip(MARKERS_47.names, found, strict=True)
+                by_name = zip(MARKERS_47.names, result, strict=True)
                 readings += [(number, name, np.asarray(place_mm)) for name, place_mm in by_name]
         return readings, useless
 
@@ -179,17 +182,17 @@ class MeshFolder:
         state = (status.st_size, status.st_mtime_ns)
         stored = self._read_results.get(path)
         if stored is None or stored[0] != state:
-            found = self._read_photograph(path)
+            result = self._read_photograph(path)
             if (
-                isinstance(found, str)
-                and found == _UNREADABLE
+                isinstance(result, str)
+                and result == _UNREADABLE
                 and self._unreadable.get(path) != state
             ):
                 self._unreadable[path] = state  # somebody may be writing it; looked at once more
-                return found
-            self._read_results[path] = (state, found)
-            if isinstance(found, str):
-                self._tell(f"{path.name}: {found}; take it again: {_FOLDER_REMEDY}")
+                return result
+            self._read_results[path] = (state, result)
+            if isinstance(result, str):
+                self._tell(f"{path.name}: {result}; take it again: {_FOLDER_REMEDY}")
         return self._read_results[path][1]
 
     def _read_photograph(self, path: Path) -> Array | str:
@@ -286,13 +289,13 @@ class CameraTracker:
 
         The second value is the reason why the last picture without a face had none; else empty.
         """
-        found: list[Array] = []
+        meshes_px: list[Array] = []
         why = ""
         for _ in range(_MOST_PICTURES):
             try:
-                found.append(self._see())
+                meshes_px.append(self._see())
             except NoFaceError as error:
                 why = str(error)
-            if len(found) == _N_PICTURES:
+            if len(meshes_px) == _N_PICTURES:
                 break
-        return (found, why) if len(found) == _N_PICTURES else ([], why)
+        return (meshes_px, why) if len(meshes_px) == _N_PICTURES else ([], why)

@@ -246,13 +246,13 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
     slip_errors = np.abs(changed.slid_mm) / changed.slid_error_mm
     lost_mm = changed.did_mm - changed.does_mm
     lost_errors = lost_mm / changed.lost_error_mm
-    found = []
+    candidates = []
     for joint, (slip_deg, lost) in enumerate(zip(changed.slipped_deg, changed.lost, strict=True)):
         slip_in_errors, loss_in_errors = float(slip_errors[joint]), float(lost_errors[joint])
         is_stop = lost > _LOST_SHARE and loss_in_errors > _SURE_LOST_ERRORS
         if is_stop:
             fault = FaceChange("stopped", joint, min(float(lost), 1.0), *where)
-            found.append((lost_mm[joint], fault))
+            candidates.append((lost_mm[joint], fault))
         # A joint that stopped far from 0 shifts all poses, too; a horn that slipped still moves.
         may_slip = not is_stop or lost < _ALL_LOST
         # Nor is a joint to blame whose motion alone, early, was no more than noise.
@@ -261,9 +261,9 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
         is_slip = _SLIPPED_DEG < abs(slip_deg) < _MOST_SLIPPED_DEG
         if may_slip and fits_direction and is_slip and slip_in_errors > _SURE_ERRORS:
             fault = FaceChange("slipped", joint, float(slip_deg), *where)
-            found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
-    if found:
-        return max(found, key=lambda each: float(each[0]))[1]
+            candidates.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
+    if candidates:
+        return max(candidates, key=lambda each: float(each[0]))[1]
     most_mm = float(np.sort(np.linalg.norm(changed.common_mm, axis=1))[-3:].mean())
     if most_mm > max(_SURE_MM, _SURE_ERRORS * changed.common_error_mm):
         return FaceChange("shifted", -1, most_mm, *where)

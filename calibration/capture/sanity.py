@@ -257,7 +257,7 @@ def check_capture(
     positive: what a positive angle of each joint does, from the face's YAML; empty: reversed joints
     are not found. accept: doubts about size, swaps and joints become warnings.
     """
-    warnings = _warnings_of(found for check in _FIRST_CHECKS for found in check(capture))
+    warnings = _warnings_of(finding for check in _FIRST_CHECKS for finding in check(capture))
     usual_mm = np.nanmedian(capture.markers_mm, axis=0)
     warnings += check_frame(capture.marker_names, usual_mm, model, accept=accept)
     record = _Record(capture, model, positive, capture, straight_lines(capture))
@@ -272,10 +272,10 @@ def _warnings_of(findings: Iterable[Finding], *, accept: bool = False) -> tuple[
     accept: findings that are a judgement warn instead of refusing.
     """
     warnings = []
-    for found in findings:
-        if found.refusal and not (accept and found.is_judgement):
-            raise CalibrationError(found.refusal)
-        warnings.append(found.warning)
+    for finding in findings:
+        if finding.refusal and not (accept and finding.is_judgement):
+            raise CalibrationError(finding.refusal)
+        warnings.append(finding.warning)
     return tuple(warnings)
 
 
@@ -361,35 +361,35 @@ def _faulty_joints(record: _Record) -> Iterator[Finding]:
     capture, positive = outside_ladders(record.capture), record.positive
     lines = straight_lines(capture)
     fault = _fault_during_capture(capture, lines)
-    found = []
+    remarks = []
     if fault is not None:
-        found.append((fault.description(capture.servo_names), fault.joint >= 0))
+        remarks.append((fault.description(capture.servo_names), fault.joint >= 0))
     n_servos = len(capture.servo_names)
     record.still += [joint for joint in range(n_servos) if is_dead(capture, lines, joint)]
     # After a fault during the capture the fitted effects of joints are not to be trusted.
     for joint, name in enumerate(capture.servo_names if fault is None else ()):
         word = positive[joint] if positive else ""
         if joint in record.still and positive and not word:
-            found.append(("moves the lips forward, which is not seen here: it stays at 0", False))
+            remarks.append(("moves the lips forward, which is not seen here: it stays at 0", False))
         elif joint in record.still:
             dead = (
                 "moves no marker by more than chance, so speech would not move it; check its horn, "
                 "linkage and limits, look again (`plan --refine`), or give it `part: other`"
             )
-            found.append((dead, True))
+            remarks.append((dead, True))
         elif word and _is_reversed(capture, lines, joint, _known_word(name, word)):
             turned = (
                 f"is reversed: a positive angle should {_without_s(word)}, and does the opposite; "
                 "change its `sign` in the face YAML"
             )
-            found.append((turned, True))
+            remarks.append((turned, True))
         elif joint_signal(lines, joint) < WEAK:
-            found.append(("is weak or dead: it moves the markers little above chance", False))
+            remarks.append(("is weak or dead: it moves the markers little above chance", False))
         else:
             continue
         # Each finding begins with the servo's name.
-        found[-1] = (f"servo {name!r} {found[-1][0]}", found[-1][1])
-    for text, refuses in sorted(found, key=lambda each: not each[1]):
+        remarks[-1] = (f"servo {name!r} {remarks[-1][0]}", remarks[-1][1])
+    for text, refuses in sorted(remarks, key=lambda each: not each[1]):
         refusal = f"{text}. If it is as it should be, add --accept" if refuses else ""
         yield Finding(text, refusal, is_judgement=True)
 

@@ -150,8 +150,8 @@ class FileTracker:
         Array
             (n_markers, 3) mm, NaN for lost points.
         """
-        found = self._wait_for_pose(self._pose)
-        return np.array([found.get(name, np.full(3, np.nan)) for name in self._names])
+        markers = self._wait_for_pose(self._pose)
+        return np.array([markers.get(name, np.full(3, np.nan)) for name in self._names])
 
     def close(self) -> None:
         """Delete `pose.json`, which contains the pose that the robot holds."""
@@ -202,14 +202,14 @@ class FileTracker:
         pose: from 1; 0 is neutral. A pose is complete once it has all markers of neutral, or some
         and no new one for 0.5 s. Raises CalibrationError after 300 s.
         """
-        found_before: Mapping[str, Array] = {}
+        markers_before: Mapping[str, Array] = {}
         waited_s = quiet_s = 0.0
         while waited_s < PATIENCE_S:
-            found = self._read_medians(pose)
-            quiet_s = quiet_s + _LOOK_EVERY_S if found.keys() == found_before.keys() else 0.0
-            if found and (quiet_s >= _QUIET_S or set(self._names) == set(found)):
-                return found
-            found_before = found
+            markers = self._read_medians(pose)
+            quiet_s = quiet_s + _LOOK_EVERY_S if markers.keys() == markers_before.keys() else 0.0
+            if markers and (quiet_s >= _QUIET_S or set(self._names) == set(markers)):
+                return markers
+            markers_before = markers
             self._wait(_LOOK_EVERY_S)
             waited_s += _LOOK_EVERY_S
         raise CalibrationError(

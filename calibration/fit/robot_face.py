@@ -260,7 +260,7 @@ class RobotFace:
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos) degrees, in the middle of the backlash.
+            (n, n_servos) degrees of the horns, without backlash.
 
         Returns
         -------
@@ -276,7 +276,7 @@ class RobotFace:
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos) degrees, in the middle of the backlash.
+            (n, n_servos) degrees of the horns, without backlash.
 
         Returns
         -------

@@ -88,11 +88,11 @@ def identify(
     CalibrationError
         A joint's encoder does not follow.
     """
-    found = []
+    figures = []
     for joint in range(len(joints)):
-        found.append(_identify_joint(drive, joints, joint, rate_hz))
+        figures.append(_identify_joint(drive, joints, joint, rate_hz))
         progress(joint + 1)
-    lag_s, bandwidth_hz, top_speed_deg_s = np.array(found).T
+    lag_s, bandwidth_hz, top_speed_deg_s = np.array(figures).T
     return Following(lag_s, backlash_deg, top_speed_deg_s, bandwidth_hz)
 
 

@@ -55,7 +55,7 @@ class Poses:
     half_range_deg: Array
 
     def inputs(self, backlash_deg: Array) -> Array:
-        """Return the positions of the horns, behind the backlash, from -1 to 1 of the range.
+        """Return the horns' angles, scaled to -1..1; they lag behind goals by half the backlash.
 
         Parameters
         ----------

@@ -432,7 +432,7 @@ class ElasticFace:
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos) degrees, behind the backlash.
+            (n, n_servos) degrees of the horns, backlash included.
         warmth : float
             0 cold to 1 warm.
 
@@ -457,7 +457,7 @@ class ElasticFace:
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos) degrees, behind the backlash.
+            (n, n_servos) degrees of the horns, backlash included.
 
         Returns
         -------
@@ -472,7 +472,7 @@ class ElasticFace:
         Parameters
         ----------
         output_deg : Array
-            (n_servos,) degrees, behind the backlash.
+            (n_servos,) degrees of the horns, backlash included.
         n_moves : int
             Number of moves since the robot was cold.
 

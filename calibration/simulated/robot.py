@@ -49,7 +49,7 @@ class RobotDraw:
         Parameters
         ----------
         output_deg : Array
-            (n_servos,) degrees, behind the backlash.
+            (n_servos,) degrees of the horns, backlash included.
         _n_moves : int
             Not used.
 
@@ -135,7 +135,7 @@ class Skin(Protocol):
         Parameters
         ----------
         output_deg : Array
-            (n_servos,) degrees, behind the backlash.
+            (n_servos,) degrees of the horns, backlash included.
         n_moves : int
             Number of moves since the robot was cold.
 
@@ -189,7 +189,7 @@ class SimulatedRobot:
 
     @property
     def output_deg(self) -> Array:
-        """The angles of the horns, behind the backlash, for tests.
+        """The angles of the horns, backlash included, for tests.
 
         Returns
         -------
@@ -227,7 +227,7 @@ def true_markers_mm(draw: RobotDraw, output_deg: Array) -> Array:
     draw : RobotDraw
         The drawn robot.
     output_deg : Array
-        (n, n_servos) degrees, behind the backlash.
+        (n, n_servos) degrees of the horns, backlash included.
 
     Returns
     -------

@@ -47,8 +47,8 @@ class AvCamera:
     """A camera, or a video file or generator in its place, read by PyAV.
 
     wanted: number or path of a device; `lavfi:GRAPH` or a video file replaces a camera. mode:
-    picture format to request; None: the default. Raises UserError if PyAV is missing, and
-    CameraError from `__enter__` if it cannot be opened.
+    picture format to request; None: the default. Raises UserError without the extra
+    `video`, and CameraError from `__enter__` if it cannot be opened.
     """
 
     def __init__(
@@ -59,6 +59,11 @@ class AvCamera:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        """Store what to open; nothing is opened yet. Raises UserError without the extra `video`.
+
+        wanted: number or path of a device, `lavfi:GRAPH` or a video file; mode: picture format,
+        None: the default; clock, sleep: of the monotonic time, in seconds.
+        """
         check_extra("ai_edge_litert", "recording a camera")
         self._wanted, self._mode = wanted, mode or CameraMode()
         self._clock, self._sleep = clock, sleep

@@ -77,6 +77,11 @@ class KeysFront:
         console: Console,
         drawn: Drawn | None = None,
     ) -> None:
+        """Store where to draw mouths and from where keys come.
+
+        model: of the speaker, whose mouth is drawn; drawn: from joint degrees (n_servos,) to the
+        robot's markers (47, 3) in mm, None: its mouth is not drawn.
+        """
         self._model, self._read_key = model, read_key
         self._console, self._robot_markers_of = console, drawn
 
@@ -130,6 +135,11 @@ class LimpFront:
         live: Live,
         undivided: Callable[[], AbstractContextManager[object]],
     ) -> None:
+        """Store the limp servos, and how their poses are shown and kept.
+
+        mouth: the joints of the servos; keys: what the person presses; live: shows the joints;
+        undivided: a context in which no signal interrupts.
+        """
         self._servos, self._mouth, self._keys = servos, mouth, keys
         self._live, self._undivided = live, undivided
         self._note = ""

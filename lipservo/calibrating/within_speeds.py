@@ -71,8 +71,9 @@ def within_speeds(
 def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
     """Return random speech: walks without pauses through AnimPhos that may follow each other.
 
-    AnimPhos are recorded shapes of phonemes. A walk ends after eight: some successions of AnimPhos
-    form a circle, and the lag of a motion that repeats itself cannot be measured.
+    AnimPhos are recorded pieces of motion, each about one phoneme. A walk ends after eight: some
+    successions of AnimPhos form a circle, and the lag of a motion that repeats itself cannot be
+    measured.
 
     Parameters
     ----------

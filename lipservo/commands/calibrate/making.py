@@ -128,8 +128,8 @@ def mesh_options(
 ) -> "MeshOptions":
     """Return the options of a face tracker; its networks are opened only once it is used.
 
-    landmarker: the tracker's file; None: the default one. eye_distance_mm: between the person's
-    eyes; None: not given. camera: by number or name.
+    landmarker: the tracker's file; None: the default one. eye_distance_mm: between the outer
+    corners of the robot's eyes; None: not given. camera: its number or device, or a video file.
     """
     from lipservo.calibrating.face_source import MeshOptions
     from lipsync.video.face_tracker import open_tracker

@@ -254,7 +254,7 @@ def lags(
     from lipservo.calibrating.shown_calibration import following_lines, following_values
 
     if lag_ms:
-        found = typed_lags(setup, before, lag_ms)
+        measured = typed_lags(setup, before, lag_ms)
     elif not setup.settings.capabilities.place:
         raise CalibrationError(
             f"servos on a {setup.settings.bus.kind} bus cannot measure their lag: film one, and "
@@ -262,17 +262,17 @@ def lags(
         )
     else:
         with setup_at_port(setup, port, sim, config) as at_port:
-            found = measure_lags(at_port, before)
+            measured = measure_lags(at_port, before)
     # Trims may have been set while servos chirped.
-    now = load_calibration(file)
-    if now.origin != before.origin or now.servo_names != before.servo_names:
+    present = load_calibration(file)
+    if present.origin != before.origin or present.servo_names != before.servo_names:
         raise CalibrationError(f"{file}: was replaced while servos were measured; measure again")
-    found = replace(now, following=found.following)
-    save_calibration(found, file)
+    measured = replace(present, following=measured.following)
+    save_calibration(measured, file)
     if as_json:
-        print_json({"calibration": str(file), "servos": following_values(found)})
+        print_json({"calibration": str(file), "servos": following_values(measured)})
         return
-    for line in following_lines(found):
+    for line in following_lines(measured):
         RESULTS.print(line)
 
 
@@ -321,14 +321,14 @@ def touch(
         if tracker is not None:
             mesh = mesh_options(landmarker, eye_distance_mm, camera)
             with tracker_source(at_port, tracker, axes, mesh) as make_tracker:
-                found, later_mm = touch_by_markers(at_port, before, make_tracker)
+                new, later_mm = touch_by_markers(at_port, before, make_tracker)
         elif sim is not None and not by_eye:
-            found, later_mm = touch_by_markers(at_port, before, lambda _: computed_tracker(at_port))
+            new, later_mm = touch_by_markers(at_port, before, lambda _: computed_tracker(at_port))
         elif by_eye or not at_port.has_load:
-            found, later_mm = touch_by_eye(at_port, before, read_key)
+            new, later_mm = touch_by_eye(at_port, before, read_key)
         else:
-            found, later_mm = touch_by_current(at_port, before)
-    save_calibration(found, file)
+            new, later_mm = touch_by_current(at_port, before)
+    save_calibration(new, file)
     if as_json:
         print_json({"calibration": str(file), "contact_later_mm": later_mm})
         return
