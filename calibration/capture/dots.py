@@ -191,8 +191,9 @@ def _two_dots(pixels: Array) -> Array:
 
     The variance along the line between two discs d apart is d^2 / 4 greater than across it.
     """
-    spread, axes = np.linalg.eigh(np.cov(pixels.T))
-    half_apart = np.sqrt(max(0.0, spread[1] - spread[0])) * axes[:, 1]
+    variances, axes = np.linalg.eigh(np.cov(pixels.T))
+    # Half the distance of the discs, along the axis of greatest variance.
+    half_apart = np.sqrt(max(0.0, variances[1] - variances[0])) * axes[:, 1]
     middle = pixels.mean(axis=0)
     return np.array([middle - half_apart, middle + half_apart])
 

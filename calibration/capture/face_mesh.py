@@ -153,7 +153,7 @@ class MeshFolder:
         return readings
 
     def _read(self, pose: int | None) -> tuple[list[Reading], list[tuple[str, str]]]:
-        """Return the readings of all photographs of a pose, and names of useless files with reasons.
+        """Return the readings of photographs of a pose, and the names of useless ones with reasons.
 
         pose: None: of all poses.
         """

@@ -430,6 +430,7 @@ def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) 
         return False
     sizes_mm = np.linalg.norm(slope_mm[directed], axis=1)
     moved_most = directed[np.argsort(sizes_mm)[-_MOVED_MOST:]]
+    # Motion in the direction of the word, and all motion, of the markers that the joint moves most.
     along_mm = float((slope_mm[moved_most] * direction[moved_most]).sum())
     total_mm = float(np.linalg.norm(slope_mm[moved_most], axis=1).sum())
     if np.nansum(moved_alone_mm(capture, joint)[moved_most] * direction[moved_most]) > 0.0:

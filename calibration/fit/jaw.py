@@ -67,11 +67,12 @@ def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
     Raises CalibrationError for a speaker whose jaw line hardly moves.
     """
     frames = model.animphos.frames
-    line = list(JAW_LINE)
-    markers_mm = model.markers_mm(frames)[:, line]
+    jaw = list(JAW_LINE)
+    markers_mm = model.markers_mm(frames)[:, jaw]
     height_mm = markers_mm[:, :, 1].mean(axis=1)
+    # An open jaw is low: the lowest 2 % of the frames.
     widest = height_mm <= np.quantile(height_mm, 1.0 - _OPEN_QUANTILE)
-    return jaw_blend(model.markers_mm(model.rest[None])[0, line], markers_mm[widest].mean(axis=0))
+    return jaw_blend(model.markers_mm(model.rest[None])[0, jaw], markers_mm[widest].mean(axis=0))
 
 
 def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:

@@ -393,8 +393,9 @@ def split_frames(
 ) -> tuple[Array, Array]:
     """Return frames to fit and frames to hold out, from different AnimPhos, drawn by `seed`.
 
-    n_animphos: a fifth of so many is held out, the others are fitted; None: as a measured fit.
-    Raises CalibrationError for a model with fewer than two AnimPhos.
+    AnimPhos are recorded pieces of motion, each about one phoneme. n_animphos: a fifth of so many
+    is held out, the others are fitted; None: 240 are fitted and 160, but at most a fifth of all,
+    are held out. Raises CalibrationError for a model with fewer than two AnimPhos.
 
     Returns
     -------

@@ -71,7 +71,10 @@ class CalibrationSetup:
 
     @property
     def servos(self) -> MouthServos:
-        """The mouth's servos in the form that the fits of a calibration need."""
+        """The mouth's servos in the form that the fits of a calibration need.
+
+        A joint's word for its positive angle is empty if the tracker cannot see that motion.
+        """
         mouth = self.settings.mouth_servos
         return MouthServos(
             joints=tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()),
