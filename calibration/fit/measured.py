@@ -97,6 +97,7 @@ class ShapeErrors:
         """
         right, left = self.mouth.names.corners
         poses_deg = self.retargeting.poses_deg(from_rest)
+        # The wanted gaps, and the speaker's scaled motion on the robot's neutral.
         copies_mm, gaps_mm = self.retargeting.copies_mm(from_rest)
         best_mm = self.mouth.markers_of(poses_deg)
         opening_mm = gap_heights_mm(best_mm, self.mouth.names.shape_features.gaps[:1])[:, 0]

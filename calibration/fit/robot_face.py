@@ -53,7 +53,7 @@ class LipContact:
         Parameters
         ----------
         free_gaps_mm : Array
-            (n, n_gaps) mm, heights of the gaps in the free face.
+            (n, n_gaps) mm, gaps if lips did not stop each other (the free face).
         """
         return np.maximum(self.closed_mm - free_gaps_mm, 0.0)
 
@@ -65,7 +65,7 @@ class LipContact:
         free_mm : Array
             (n, n_markers, 3) mm, markers of the free face.
         free_gaps_mm : Array
-            (n, n_gaps) mm, heights of the gaps in the free face.
+            (n, n_gaps) mm, gaps if lips did not stop each other (the free face).
         """
         pushed = np.tensordot(self.overlap_mm(free_gaps_mm), self.pushed, axes=1)
         return np.asarray(free_mm + pushed)
@@ -77,7 +77,7 @@ def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]
     Parameters
     ----------
     free_gaps_mm : Array
-        (n, n_gaps) mm, heights of the gaps in the free face.
+        (n, n_gaps) mm, gaps if lips did not stop each other (the free face).
     closed_mm : Array
         (n_gaps,) mm, gaps of closed lips.
     """
@@ -112,7 +112,7 @@ def closed_gaps_mm(
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps) mm: captured, and of the free face.
+        (n, n_gaps) mm: captured, and if lips did not stop each other.
     contact : NDArray[np.bool_]
         (n,): poses in contact.
     closed_mm : Array
@@ -140,7 +140,7 @@ def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array)
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps) mm: captured, and of the free face.
+        (n, n_gaps) mm: captured, and if lips did not stop each other.
     closed_mm : Array
         (n_gaps,) mm, an estimate, kept where fewer than 3 poses touch.
 
@@ -165,7 +165,7 @@ def is_stopped(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> bo
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps) mm: captured, and of the free face.
+        (n, n_gaps) mm: captured, and if lips did not stop each other.
     closed_mm : Array
         (n_gaps,) mm, gaps of closed lips.
     """
@@ -190,9 +190,9 @@ def fit_contact(
     Parameters
     ----------
     missed_mm : Array
-        (n, n_markers, 3) mm, captured less free, NaN where lost.
+        (n, n_markers, 3) mm, captured less those of free lips, NaN where lost.
     free_gaps_mm : Array
-        (n, n_gaps) mm, of the free face.
+        (n, n_gaps) mm, gaps if lips did not stop each other.
     closed_mm : Array
         (n_gaps,) mm, gaps of closed lips.
     gaps : tuple[tuple[int, int], ...]
@@ -209,17 +209,17 @@ def fit_contact(
     mean_mm = over_mm.mean(axis=1, keepdims=True)
     # Ridge regression on the mean overlap of all gaps, shared evenly among the gaps.
     by_mean = (mean_mm.T @ missed.reshape(len(missed), -1)) / (mean_mm.T @ mean_mm + _RIDGE_MM2)
-    pushed = np.repeat(by_mean, over_mm.shape[1], axis=0) / over_mm.shape[1]
-    shaped = pushed.reshape(over_mm.shape[1], *missed_mm.shape[1:]).copy()
+    evenly = np.repeat(by_mean, over_mm.shape[1], axis=0) / over_mm.shape[1]
+    by_gap = evenly.reshape(over_mm.shape[1], *missed_mm.shape[1:]).copy()
     for gap, (upper, lower) in enumerate(gaps):
         # The two dots of a gap part by all of its own overlap, and by no other gap's; what is
         # missing is shared by both.
         for other in range(len(gaps)):
             wanted = 1.0 if other == gap else 0.0
-            missing = wanted - (shaped[other, upper, 1] - shaped[other, lower, 1])
-            shaped[other, upper, 1] += missing / 2
-            shaped[other, lower, 1] -= missing / 2
-    return LipContact(closed_mm, shaped)
+            missing = wanted - (by_gap[other, upper, 1] - by_gap[other, lower, 1])
+            by_gap[other, upper, 1] += missing / 2
+            by_gap[other, lower, 1] -= missing / 2
+    return LipContact(closed_mm, by_gap)
 
 
 _FOLDS = 6

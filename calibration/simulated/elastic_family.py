@@ -125,11 +125,11 @@ def _lip_motion(word: str) -> JointMotion | None:
 
 
 def _kind_of(
-    motion: JointMotion | None, all_read: Sequence[JointMotion | None], taken: list[str]
+    motion: JointMotion | None, all_motions: Sequence[JointMotion | None], taken: list[str]
 ) -> str:
     """Return the kind of pull, a key of `KINDS`, for a joint's motion; None: not known.
 
-    all_read: the motions of all joints; taken: kinds given to the joints before. A kind not taken
+    all_motions: the motions of all joints; taken: kinds given to the joints before. A kind not taken
     is guessed for an unknown motion, and where several joints of one channel name no side.
     """
     if motion is None:
@@ -138,7 +138,7 @@ def _kind_of(
     if motion.channel == "jaw" and "jaw" in taken:
         return "lower"
     if motion.side == "both" and motion.channel in _KINDS_TO_SHARE:
-        same_channel = [each for each in all_read if each and each.channel == motion.channel]
+        same_channel = [each for each in all_motions if each and each.channel == motion.channel]
         free_kinds = [kind for kind in _KINDS_TO_SHARE[motion.channel] if kind not in taken]
         if len(same_channel) > 1 and free_kinds:
             return free_kinds[0]
