@@ -129,8 +129,8 @@ def _kind_of(
 ) -> str:
     """Return the kind of pull, a key of `KINDS`, for a joint's motion; None: not known.
 
-    all_motions: the motions of all joints; taken: kinds given to the joints before. A kind not taken
-    is guessed for an unknown motion, and where several joints of one channel name no side.
+    all_motions: of all joints; taken: kinds given to the joints before. A kind not taken is guessed
+    for an unknown motion, and where several joints of one channel name no side.
     """
     if motion is None:
         free_kinds = [kind for kind in _GUESSED_KINDS if kind not in taken]
