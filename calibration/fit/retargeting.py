@@ -381,7 +381,7 @@ class Retargeting:
     def poses_deg(self, from_rest: Array) -> Array:
         """Return the nearest poses, lips closed where the speaker's are, (n, n_servos) degrees.
 
-        Where lips close, the gap that the nearest pose still leaves is asked for on top, in three
+        Where lips close, the gap aimed at is corrected by the error of the nearest pose, in three
         rounds, as the search weighs gaps against the rest of the shape.
 
         Parameters
@@ -396,11 +396,11 @@ class Retargeting:
         poses_deg = self.mouth.nearest_deg(features.of(copies_mm, gaps_mm))
         closed = self.closing(from_rest) >= 1.0
         if closed.any():
-            asked_mm = gaps_mm[closed].copy()
+            aimed_mm = gaps_mm[closed].copy()
             for _ in range(_CLOSING_ROUNDS):
                 reached_mm = gap_heights_mm(self.mouth.markers_of(poses_deg[closed]), features.gaps)
-                asked_mm[..., 1] += gaps_mm[closed][..., 1] - reached_mm
-                poses_deg[closed] = self.mouth.nearest_deg(features.of(copies_mm[closed], asked_mm))
+                aimed_mm[..., 1] += gaps_mm[closed][..., 1] - reached_mm
+                poses_deg[closed] = self.mouth.nearest_deg(features.of(copies_mm[closed], aimed_mm))
         return poses_deg
 
     def targets_mm(self, from_rest: Array) -> Array:

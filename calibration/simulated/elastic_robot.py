@@ -538,8 +538,8 @@ class ElasticFace:
                 ..., 0
             ]
             gaps_mm = free_mm + force_n[rows] @ self._compliance
-            met_before, meet = meet, np.where(meet, force_n[rows] > 0.0, gaps_mm < 0.0)
-            if (meet == met_before).all():
+            meet_before, meet = meet, np.where(meet, force_n[rows] > 0.0, gaps_mm < 0.0)
+            if (meet == meet_before).all():
                 break
         return np.maximum(force_n, 0.0)
 
