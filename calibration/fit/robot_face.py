@@ -97,8 +97,8 @@ def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
         (n,): poses in contact.
     """
     is_seen = np.isfinite(seen_gaps_mm[contact]).any(axis=0)
-    closing_mm = np.where(is_seen, seen_gaps_mm[contact], np.nanmin(seen_gaps_mm, axis=0))
-    return np.asarray(np.nanmedian(closing_mm, axis=0))
+    contact_gaps_mm = np.where(is_seen, seen_gaps_mm[contact], np.nanmin(seen_gaps_mm, axis=0))
+    return np.asarray(np.nanmedian(contact_gaps_mm, axis=0))
 
 
 def closed_gaps_mm(

@@ -186,13 +186,13 @@ def typed_lags(
     check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
     following = _known_following(calibration)
     lag_s, names_seen = following.lag_s.copy(), set()
-    for each in typed:
-        name, _, number = each.partition("=")
+    for text in typed:
+        name, _, number = text.partition("=")
         if name not in names:
             known = ", ".join(names)
-            raise CalibrationError(f"--lag-ms {each}: no such joint; use one of {known}")
+            raise CalibrationError(f"--lag-ms {text}: no such joint; use one of {known}")
         if name in names_seen:
-            raise CalibrationError(f"--lag-ms {each}: {name} is given twice; give it once")
+            raise CalibrationError(f"--lag-ms {text}: {name} is given twice; give it once")
         names_seen.add(name)
         try:
             lag_ms = float(number)
@@ -200,7 +200,7 @@ def typed_lags(
             lag_ms = math.nan
         if not 0.0 <= lag_ms <= _MOST_LAG_MS:
             allowed = f"JOINT=MS with 0 to {_MOST_LAG_MS:g} ms, such as {name}=60"
-            raise CalibrationError(f"--lag-ms {each}: needs {allowed}")
+            raise CalibrationError(f"--lag-ms {text}: needs {allowed}")
         lag_s[names.index(name)] = lag_ms / 1e3
     return replace(calibration, following=replace(following, lag_s=lag_s))
 

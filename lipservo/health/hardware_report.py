@@ -52,11 +52,11 @@ def about_face(settings: FaceSettings) -> Report:
         },
         "buses": [
             {
-                **plain_values(one.bus),
-                "usb": usb_product(one.servo_port or ""),
-                "capabilities": one.capabilities.as_dict(),
+                **plain_values(face.bus),
+                "usb": usb_product(face.servo_port or ""),
+                "capabilities": face.capabilities.as_dict(),
             }
-            for one in settings.alone.values()
+            for face in settings.alone.values()
         ],
         "rate_hz": settings.rate_hz,
         "servos": [
