@@ -74,8 +74,8 @@ class Closure:
     def wanted_mm(self, from_rest: Array, apart_mm: float) -> Array:
         """Return a face's wanted gaps beyond contact; negative where the speaker's lips close.
 
-        Open lips get the gaps of the map, closed ones go `press_mm` past contact, with a blend
-        between. Near the rest closed lips press less; at rest they just touch.
+        Open lips get the opening by `opens_mm`, closed ones go `press_mm` past contact, with a
+        blend between. Near the rest closed lips press less; at rest they just touch.
 
         Parameters
         ----------

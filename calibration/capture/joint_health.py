@@ -216,7 +216,8 @@ def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> J
         return None
     rss = _rss(base, y)
     sure = max(sure, _chance_f_value(base, y, (n - _N_BEFORE - _N_AFTER) * x.shape[1]))
-    # A joint that stopped leaves a shift, too: so a stop wins unless the shift's F is far higher.
+    # A joint that stopped leaves a shift, too: so the stop wins unless the shift's F is half as
+    # high again.
     stop, shift = _best_stop(base, x, y, rss, sure), _best_shift(base, x, y, rss, sure)
     if stop and (not shift or stop[0] > _STOP_SHARE * shift[0]):
         return stop[1]

@@ -130,7 +130,7 @@ def read_c3d(path: Path) -> dict[str, Array]:
 
 def _check_is_c3d(path: Path) -> None:
     """Raise CalibrationError for a file that does not begin as C3D does: ezc3d may hang on it."""
-    if not os.path.isfile(path):  # of a name that is too long Path raises
+    if not os.path.isfile(path):  # Path's raises for too long a name
         raise CalibrationError(f"{str(path)[:200]!r}: no such file")
     try:
         with path.open("rb") as file:

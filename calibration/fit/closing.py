@@ -201,7 +201,7 @@ def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, flo
         cost, slopes, variance = bent_line(x, y, float(kink_mm), noise_mm)
         if straight_cost - cost > best[1]:
             slope_left = slopes[2] / max(slopes[1], 0.2)
-            # Variance of the ratio of both slopes, by their own variances.
+            # 1 / variance of the ratio of both slopes, by their own variances.
             weight = slopes[1] ** 2 / max(variance[2, 2] + slope_left**2 * variance[1, 1], 1e-9)
             best = (float(kink_mm), straight_cost - cost, float(slope_left), float(weight))
     return best
