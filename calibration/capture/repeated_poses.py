@@ -154,13 +154,15 @@ class ChangedPoses:
 
 
 def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None:
-    """Return the changes over repeated poses; None unless every joint was captured alone twice.
+    """Return the changes over repeated poses, or None.
 
-    lines: the fitted lines of this capture.
+    None unless neutral, and every joint moved alone, were captured both early and late. lines: the
+    fitted lines of this capture.
     """
     if not is_repeated(capture):
         return None
     pairs = repeats(capture)
+    # Rows of the capture: the first and the last reading of each repeated pose.
     early, late = (np.array([pair[i] for pair in pairs]) for i in (0, 1))
     goals_deg = capture.goals_deg[early]
     is_moved = np.abs(goals_deg) > _STILL_DEG
@@ -170,7 +172,9 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
     seen_mm = np.where(lines.far[..., None], np.nan, capture.markers_mm)
     off_mm = _zero_where_lost(seen_mm[late] - seen_mm[early])
     common_mm = np.median(off_mm, axis=0)
-    # Most markers in most poses are where they were: what is left of them is noise.
+    # Most markers in most poses are where they were: what is left of them is noise. 1.4826 times a
+    # median deviation estimates a standard deviation, and the standard error of a median is 1.25
+    # times that of a mean.
     noise_mm = max(1.4826 * float(np.median(np.abs(off_mm - common_mm))), 1e-6)
     n = len(pairs)
     # The direction in which each joint, turned as in these poses, moves all markers: a unit vector
@@ -185,6 +189,7 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
         return np.asarray(np.sum(headings * _zero_where_lost(moved_mm - still_mm), axis=(1, 2)))
 
     did_mm, does_mm = alone_mm(early), alone_mm(late)
+    # Of a difference of two means, in units of the noise's variance.
     variances = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in rows_alone])
     slid_mm = np.sum(headings * common_mm, axis=(1, 2))
     error_mm2 = common_mm.size * (1.25 * noise_mm) ** 2 / n

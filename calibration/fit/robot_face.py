@@ -412,14 +412,15 @@ def _without_contact(
 ) -> tuple[Array, NDArray[np.bool_], Array] | None:
     """Return markers as if lips did not stop each other, which are measured, and closed gaps in mm.
 
-    seen_mm, known, filled: captured markers from their centres centre_mm, which of them are known,
-    and the markers with lost ones predicted, (n, n_markers, 3) each. touching: (n,), poses in which
-    ladders, which close the lips in steps, showed contact; None: there are no ladders. Returns None
-    without evidence that lips stop each other.
+    None without evidence that lips stop each other. seen_mm, known, filled: captured markers from
+    their centres centre_mm, which of them are known, and the markers with lost ones predicted, (n,
+    n_markers, 3) each. touching: (n,), poses in which ladders, which close the lips in steps,
+    showed contact; None: there are no ladders.
     """
     gaps = mouth.gaps
     seen_gaps_mm = gap_heights_mm(np.where(known, seen_mm, np.nan) + centre_mm, gaps)
     contact = touching
+    # Without ladders the poses with the narrowest gaps are taken for contact at first.
     if contact is None:
         contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_CONTACT_SHARE)
     if contact.sum() < _LEAST_IN_CONTACT:
