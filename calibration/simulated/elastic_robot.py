@@ -279,6 +279,7 @@ def _jaw_share(flat: Array, edge_mm: Array) -> Array:
     (N_PAIRS, 3), where the lips meet.
     """
     middle_xy = edge_mm[:, :2].mean(axis=0)
+    # The blend from head to jaw widens from the middle, as `JAW_BLEND_WIDTH_PER_MM` in face.py.
     width_mm = np.maximum(0.45 * np.abs(flat[:, 0] - middle_xy[0]), 1.0)
     height_mm = flat[:, 1] - np.interp(flat[:, 0], edge_mm[:, 0], edge_mm[:, 1])
     share = 1.0 / (1.0 + np.exp(np.clip(height_mm / width_mm, -50.0, 50.0)))
@@ -318,9 +319,10 @@ def _interpolation(mesh: Delaunay, across: NDArray[np.bool_], flat: Array, point
         if triangle < 0 or across[triangle]:
             weights[row, np.linalg.norm(flat - point, axis=1).argmin()] = 1.0
             continue
-        to_local = mesh.transform[triangle]
-        local = to_local[:2] @ (point - to_local[2])
-        weights[row, mesh.simplices[triangle]] = [*local, 1.0 - local.sum()]
+        transform = mesh.transform[triangle]
+        # SciPy's transform of a triangle gives two of the three barycentric weights.
+        first_two = transform[:2] @ (point - transform[2])
+        weights[row, mesh.simplices[triangle]] = [*first_two, 1.0 - first_two.sum()]
     return weights
 
 
@@ -328,8 +330,8 @@ def _interpolation(mesh: Delaunay, across: NDArray[np.bool_], flat: Array, point
 _LIP_MM_PER_N = 0.1
 #: Robots of seeds 2000 to 2011 need 4.
 _ACTIVE_SET_ROUNDS = 30
-#: Moves after which two thirds of the warming is done.
-_WARMING_MOVES = 30.0
+#: Poses, of two moves each, after which two thirds of the warming is done.
+_WARMING_POSES = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -481,7 +483,8 @@ class ElasticFace:
         Array
             (47, 3) mm.
         """
-        warmth = 1.0 - np.exp(-n_moves / (2 * _WARMING_MOVES))
+        # A pose takes two moves: one to its start, one to its goal.
+        warmth = 1.0 - np.exp(-n_moves / (2 * _WARMING_POSES))
         return np.asarray(self.state(output_deg[None], warmth).markers_mm[0])
 
     def closing_force_n(self, overlap_mm: float) -> float:
