@@ -46,14 +46,14 @@ def keep_rules(rules: Sequence[CouplingRule], positions_deg: Array) -> Array:
         (n_servos,) degrees.
     """
     for rule in rules:
-        reached_deg = float(rule.weights @ positions_deg)
-        if reached_deg > rule.at_most_deg + _SAME_DEG:
-            share = rule.at_most_deg / reached_deg
-            positions_deg = np.where(rule.weights != 0.0, share * positions_deg, positions_deg)
+        sum_deg = float(rule.weights @ positions_deg)
+        if sum_deg > rule.at_most_deg + _SAME_DEG:
+            factor = rule.at_most_deg / sum_deg
+            positions_deg = np.where(rule.weights != 0.0, factor * positions_deg, positions_deg)
     for rule in rules:
-        reached_deg = float(rule.weights @ positions_deg)
-        if reached_deg > rule.at_most_deg + _SAME_DEG:
-            positions_deg = positions_deg * (rule.at_most_deg / reached_deg)
+        sum_deg = float(rule.weights @ positions_deg)
+        if sum_deg > rule.at_most_deg + _SAME_DEG:
+            positions_deg = positions_deg * (rule.at_most_deg / sum_deg)
     return positions_deg
 
 
@@ -197,17 +197,18 @@ class Calibration:
         Array
             (k, n_servos) degrees, in the order of `servo_names`.
         """
+        # Change from the rest, kept within the range of the frames that the map was fitted to.
         x = np.minimum(np.maximum(faces - self.rest, self.x_range[0]), self.x_range[1])
         free_deg = free_angles_deg(
             x, self.rest_deg, self.weights, self.quadratic_weights, self.centres,
             self.centre_weights,
         )  # fmt: skip
-        kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
+        limited_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         if self.closure is not None:
-            kept_deg = self.closure.corrected_deg(x, kept_deg, self.min_deg, self.max_deg)
+            limited_deg = self.closure.corrected_deg(x, limited_deg, self.min_deg, self.max_deg)
         if not self.rules:
-            return kept_deg
-        return np.array([keep_rules(self.rules, pose_deg) for pose_deg in kept_deg])
+            return limited_deg
+        return np.array([keep_rules(self.rules, pose_deg) for pose_deg in limited_deg])
 
 
 def free_angles_deg(
@@ -256,8 +257,8 @@ def distances(x: Array, centres: Array) -> Array:
     Array
         (n, m) mm.
     """
-    apart = x[:, None] - centres
-    return np.asarray(np.sqrt(np.einsum("kmn,kmn->km", apart, apart)))
+    offsets_mm = x[:, None] - centres
+    return np.asarray(np.sqrt(np.einsum("kmn,kmn->km", offsets_mm, offsets_mm)))
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:
@@ -312,14 +313,14 @@ def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) ->
     servo_models: models of the calibrated servos, in their order. A calibration that names no servo
     models passes.
     """
-    measured = calibration.origin.servo_models or tuple(servo_models)
-    other = [
+    models_before = calibration.origin.servo_models or tuple(servo_models)
+    changes = [
         f"servo {name!r} was calibrated as a {was} and is a {now} in this face"
-        for name, was, now in zip(calibration.servo_names, measured, servo_models, strict=True)
+        for name, was, now in zip(calibration.servo_names, models_before, servo_models, strict=True)
         if was != now
     ]
-    if other:
-        raise CalibrationError(f"{'; '.join(other)}; {_REMEDY}")
+    if changes:
+        raise CalibrationError(f"{'; '.join(changes)}; {_REMEDY}")
 
 
 def check_servo_memories(calibration: Calibration, memories: Sequence[ServoMemory | None]) -> None:
@@ -328,21 +329,21 @@ def check_servo_memories(calibration: Calibration, memories: Sequence[ServoMemor
     memories: of the calibrated servos, in their order; a servo that did not answer is None and is
     skipped; empty: these servos store nothing. A calibration made without servos passes.
     """
-    measured = calibration.origin.servo_memories
-    if not measured or not memories:
+    memories_before = calibration.origin.servo_memories
+    if not memories_before or not memories:
         return
-    other = []
-    for name, was, now in zip(calibration.servo_names, measured, memories, strict=True):
+    changes = []
+    for name, was, now in zip(calibration.servo_names, memories_before, memories, strict=True):
         if was is None or now is None:
             continue
         for field_ in fields(ServoMemory):
-            before, found = getattr(was, field_.name), getattr(now, field_.name)
-            if before != found:
-                other.append(
-                    f"servo {name!r} has {field_.name.replace('_', ' ')} {found} and was "
-                    f"calibrated with {before}"
+            value_before, value_now = getattr(was, field_.name), getattr(now, field_.name)
+            if value_before != value_now:
+                changes.append(
+                    f"servo {name!r} has {field_.name.replace('_', ' ')} {value_now} and was "
+                    f"calibrated with {value_before}"
                 )
-    if other:
+    if changes:
         raise CalibrationError(
-            f"{'; '.join(other)}; run `lipservo setup-servos`, or calibrate anew"
+            f"{'; '.join(changes)}; run `lipservo setup-servos`, or calibrate anew"
         )

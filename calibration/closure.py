@@ -14,12 +14,13 @@ import numpy as np
 
 from lipsync.arrays import Array, Indices
 
-#: Speaker's gaps up to the first are closed, up to so much more blended from pressed to open, so
-#: that angles do not jump; and corrected whole up to there, then less and less. Nearer to the rest
-#: than the last, mm of the coefficients, closed lips are pressed less and less, since servos must
-#: not press all day; recorded closures of speech are 2.9 or more from it.
-CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM, _RESTS_MM = 1.0, 0.8, 2.6, 1.0
-_FADES_MM = _CORRECTED_MM - CLOSED_GAP_MM - BLEND_MM
+#: The speaker's lips are closed at a gap up to CLOSED_GAP_MM. Over BLEND_MM more the wanted gap is
+#: blended from pressed to open, so that angles do not jump. Up to there poses are corrected wholly,
+#: from there less and less, and not at all at _CORRECTED_BELOW_MM. Closed lips are pressed wholly
+#: where the coefficients are at least _FULL_PRESS_MM from the rest, and less and less nearer to it,
+#: since servos must not press all day; recorded closures of speech are 2.9 mm or more from it.
+CLOSED_GAP_MM, BLEND_MM, _CORRECTED_BELOW_MM, _FULL_PRESS_MM = 1.0, 0.8, 2.6, 1.0
+_FADE_OUT_MM = _CORRECTED_BELOW_MM - CLOSED_GAP_MM - BLEND_MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +66,16 @@ class Closure:
         Array
             (k, n_gaps) mm: below 0 lips press each other.
         """
-        moved = poses_deg - self.at_deg
-        first, second = pairs(moved.shape[1])
-        bent = (moved[:, first] * moved[:, second]) @ self.bends.T
-        return np.asarray(self.gaps_mm + moved @ self.slopes.T + bent)
+        moved_deg = poses_deg - self.at_deg
+        first, second = pairs(moved_deg.shape[1])
+        quadratic_mm = (moved_deg[:, first] * moved_deg[:, second]) @ self.bends.T
+        return np.asarray(self.gaps_mm + moved_deg @ self.slopes.T + quadratic_mm)
 
     def wanted_mm(self, from_rest: Array, apart_mm: float) -> Array:
         """Return a face's wanted gaps beyond contact; negative where the speaker's lips close.
 
-        At rest closed lips just touch.
+        Open lips get the opening by `opens_mm`, closed ones go `press_mm` past contact, with a
+        blend between. Near the rest closed lips press less; at rest they just touch.
 
         Parameters
         ----------
@@ -87,10 +89,10 @@ class Closure:
         Array
             (n_gaps,) mm.
         """
-        closes = min(max(1.0 - (apart_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0), 1.0)
+        closed_share = min(max(1.0 - (apart_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0), 1.0)
         opened_mm = np.maximum(self.opens_mm @ from_rest, 0.0)
-        press_mm = self.press_mm * min(math.sqrt(from_rest @ from_rest) / _RESTS_MM, 1.0)
-        return np.asarray((1.0 - closes) * opened_mm - closes * press_mm)
+        press_mm = self.press_mm * min(math.sqrt(from_rest @ from_rest) / _FULL_PRESS_MM, 1.0)
+        return np.asarray((1.0 - closed_share) * opened_mm - closed_share * press_mm)
 
     def corrected_deg(self, from_rest: Array, poses_deg: Array, low: Array, high: Array) -> Array:
         """Return poses (k, n_servos) corrected so that near lips are as far apart as wanted.
@@ -115,12 +117,14 @@ class Closure:
         poses_deg = poses_deg.copy()
         for row, x in enumerate(from_rest):
             apart_mm = math.hypot(*(self.speaker_rest_mm + self.speaker_mm @ x))
-            if apart_mm >= _CORRECTED_MM:  # most of the ticks
+            if apart_mm >= _CORRECTED_BELOW_MM:  # most of the ticks
                 continue
-            share = min((_CORRECTED_MM - apart_mm) / _FADES_MM, 1.0)
-            moved = poses_deg[row] - self.at_deg
-            open_mm = self.gaps_mm + (self.slopes + self.crossed @ moved) @ moved
-            missing_mm = share * (self.wanted_mm(x, apart_mm) - open_mm)
+            correction_share = min((_CORRECTED_BELOW_MM - apart_mm) / _FADE_OUT_MM, 1.0)
+            moved_deg = poses_deg[row] - self.at_deg
+            # The gaps of this pose, as `open_mm` computes them for several poses.
+            open_mm = self.gaps_mm + (self.slopes + self.crossed @ moved_deg) @ moved_deg
+            missing_mm = correction_share * (self.wanted_mm(x, apart_mm) - open_mm)
+            # Turn the joints by what opens the gaps by the missing millimetres.
             turned_deg = poses_deg[row] + self.turns_deg @ missing_mm
             poses_deg[row] = np.minimum(np.maximum(turned_deg, low), high)
         return poses_deg

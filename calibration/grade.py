@@ -75,18 +75,18 @@ def measure_hold_out(
         In mm and degrees.
     """
     human_gap_mm, robot_gap_mm = _gap_mm(human_mm), _gap_mm(robot_mm)
-    closed = human_gap_mm <= CLOSED_GAP_MM
+    is_closed = human_gap_mm <= CLOSED_GAP_MM
     lips = list(MARKERS_47.lips)
-    moves = min(human_gap_mm.std(), robot_gap_mm.std()) > 0.0
+    both_move = min(human_gap_mm.std(), robot_gap_mm.std()) > 0.0
     return HoldOutErrors(
         n_frames=len(human_mm),
         marker_rms_mm=_rms(np.linalg.norm(robot_mm - human_mm, axis=2)),
         lip_rms_mm=_rms(np.linalg.norm((robot_mm - human_mm)[:, lips], axis=2)),
         nearest_lip_rms_mm=_rms(np.linalg.norm((nearest_mm - human_mm)[:, lips], axis=2)),
         gap_rms_mm=_rms(robot_gap_mm - human_gap_mm),
-        gap_correlation=float(np.corrcoef(human_gap_mm, robot_gap_mm)[0, 1]) if moves else 0.0,
-        n_closures=int(closed.sum()),
-        closed_gap_mm=float(np.quantile(robot_gap_mm[closed], 0.95)) if closed.any() else 0.0,
+        gap_correlation=float(np.corrcoef(human_gap_mm, robot_gap_mm)[0, 1]) if both_move else 0.0,
+        n_closures=int(is_closed.sum()),
+        closed_gap_mm=float(np.quantile(robot_gap_mm[is_closed], 0.95)) if is_closed.any() else 0.0,
         clipped_share=float(clipped.mean()),
         joint_rms_deg=tuple(_rms(column) for column in joint_errors_deg.T),
         each_marker_rms_mm=each_marker_rms_mm(MARKERS_47.names, robot_mm - human_mm),
@@ -228,9 +228,10 @@ class Grade:
 def lips_off_mm(grade: Grade, lips: LearntLips | None) -> float:
     """Return the lips' rms distance from the shapes of speech, in mm.
 
-    The grade's error and the doubt about the wanted shapes, from `lips`, are added as squares.
-    Without the doubt it would be a fifth too little (elastic robots of seeds 100 to 117, whose true
-    shapes no calibration knows). lips None: the grade's error alone.
+    It is the root of the summed squares of the grade's error, of the likely error of the wanted
+    shapes themselves (`doubt_mm` of `lips`), and of `held_back_mm`. Without the doubt the result is
+    a fifth too low (elastic robots of seeds 100 to 117, whose true shapes no calibration knows).
+    lips None: the grade's error alone.
     """
     if lips is None:
         return grade.lip_rms_mm
@@ -279,9 +280,9 @@ def gap_figures(
     known = np.isfinite(made_mm)
     weights = np.ones(len(made_mm)) if shares is None else shares
     wanted, made, human = wanted_mm[known], made_mm[known], human_gap_mm[known]
-    closed, small = human <= CLOSED_GAP_MM, is_small(human)
-    is_known = len(wanted) > 2 and float(np.ptp(wanted)) > _LEAST_SPREAD_MM
-    slope = np.polyfit(wanted, made, 1, w=np.sqrt(weights[known]))[0] if is_known else None
+    closed, small = human <= CLOSED_GAP_MM, is_slightly_open(human)
+    has_spread = len(wanted) > 2 and float(np.ptp(wanted)) > _LEAST_SPREAD_MM
+    slope = np.polyfit(wanted, made, 1, w=np.sqrt(weights[known]))[0] if has_spread else None
     kept = made[small] >= _HALF_MADE * wanted[small]
     return GapFigures(
         slope=None if slope is None else float(slope),
@@ -290,7 +291,7 @@ def gap_figures(
     )
 
 
-def is_small(human_gap_mm: Array) -> NDArray[np.bool_]:
+def is_slightly_open(human_gap_mm: Array) -> NDArray[np.bool_]:
     """Return whether the speaker's lips are a little open, by 2 to 4 mm.
 
     Parameters

@@ -32,7 +32,7 @@ _SWEEP_SHARE = 0.6
 _POSES_PER_SWEEP, _FEWEST_PER_SWEEP = 2, 1
 _NEUTRAL_POSES = 2
 #: Neutral is taken again in the middle and at the end where so many poses are left for the rest.
-_LEAST_CUBE = 16
+_LEAST_TO_REPEAT = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,19 +88,20 @@ def plan_poses(
         raise CalibrationError(
             f"{n_poses} poses are too few for {len(joints)} servos; ask for {least} at least"
         )
-    low, high = _inside(joints)
-    few = n_poses < usual_poses(len(joints))
-    single, single_side = _sweeps(low, high, _FEWEST_PER_SWEEP if few else _POSES_PER_SWEEP)
-    n_cube = n_poses - len(single)
+    low, high = _range_with_lead_in(joints)
+    is_short = n_poses < usual_poses(len(joints))
+    sweeps_deg, sweep_side = _sweeps(low, high, _FEWEST_PER_SWEEP if is_short else _POSES_PER_SWEEP)
+    n_random = n_poses - len(sweeps_deg)
     rng = np.random.default_rng(seed)
-    cube = qmc.LatinHypercube(len(joints), rng=rng).random(n_cube)
-    goals_deg = np.concatenate([single, low + cube * (high - low)])
-    side = np.concatenate([single_side, rng.choice([-1.0, 1.0], (n_cube, len(joints)))])
-    if n_cube >= _LEAST_CUBE:
+    # Each pose a point of the unit cube, one axis per joint.
+    unit_poses = qmc.LatinHypercube(len(joints), rng=rng).random(n_random)
+    goals_deg = np.concatenate([sweeps_deg, low + unit_poses * (high - low)])
+    side = np.concatenate([sweep_side, rng.choice([-1.0, 1.0], (n_random, len(joints)))])
+    if n_random >= _LEAST_TO_REPEAT:
         # The same pose again: what drifted, slipped or was moved meanwhile shows.
-        for repeat in (len(single) + n_cube // 2, len(goals_deg) - 1):
+        for repeat in (len(sweeps_deg) + n_random // 2, len(goals_deg) - 1):
             goals_deg[repeat], side[repeat] = 0.0, 1.0
-    return reached_from(joints, goals_deg, side, rules)
+    return plan_of_poses(joints, goals_deg, side, rules)
 
 
 def plan_around(
@@ -129,7 +130,7 @@ def plan_around(
     side = np.ones_like(goals_deg)
     if seed is not None:
         side = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], goals_deg.shape)
-    return reached_from(joints, goals_deg, side, rules)
+    return plan_of_poses(joints, goals_deg, side, rules)
 
 
 def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
@@ -148,7 +149,7 @@ def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
         (2, n_servos) degrees, the lower end first.
     """
     ends_deg = np.zeros((2, len(joints)))
-    ends_deg[:, joint] = [end[joint] for end in _inside(joints)]
+    ends_deg[:, joint] = [end[joint] for end in _range_with_lead_in(joints)]
     return ends_deg
 
 
@@ -168,10 +169,10 @@ def _arrays(plan: PosePlan) -> tuple[Any, ...]:
     return plan.goals_deg, plan.from_below, plan.start_deg, ladders_of(plan)
 
 
-def reached_from(
+def plan_of_poses(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
-    """Return a plan of poses within limits and rules, with a start up to 3 degrees before each.
+    """Return a plan of poses within limits and rules, each with a start up to 3 degrees before it.
 
     Parameters
     ----------
@@ -180,7 +181,7 @@ def reached_from(
     goals_deg : Array
         (n, n_servos) degrees.
     side : Array
-        (n, n_servos): 1 from below, -1 from above.
+        (n, n_servos): the side that a joint comes from, 1 below, -1 above.
 
     Returns
     -------
@@ -194,7 +195,7 @@ def reached_from(
     return PosePlan(tuple(j.name for j in joints), goals_deg, side, start_deg)
 
 
-def _inside(joints: Sequence[JointRange]) -> tuple[Array, Array]:
+def _range_with_lead_in(joints: Sequence[JointRange]) -> tuple[Array, Array]:
     """Return least and most angles, (n_servos,) each, that leave room for a last step to a pose."""
     low, high = limits_of(joints)
     room = np.minimum(LEAD_IN_DEG, (high - low) / 4)
@@ -211,11 +212,12 @@ def _sweeps(low: Array, high: Array, per_sweep: int) -> tuple[Array, Array]:
     wider = np.where(high >= -low, high, low)
     goals = np.zeros((_NEUTRAL_POSES + per_sweep * n_servos, n_servos))
     side = np.ones_like(goals)
+    # Neutral twice: once from below, once from above.
     side[1] = -1.0
     for joint in range(n_servos):
-        up = _NEUTRAL_POSES + per_sweep * joint
-        goals[up : up + per_sweep, joint] = _SWEEP_SHARE * wider[joint]
-        side[up + 1 : up + per_sweep, joint] = -1.0
+        row = _NEUTRAL_POSES + per_sweep * joint
+        goals[row : row + per_sweep, joint] = _SWEEP_SHARE * wider[joint]
+        side[row + 1 : row + per_sweep, joint] = -1.0
     return goals, side
 
 
@@ -263,14 +265,14 @@ def ladders_of(poses: PosePlan | Capture) -> Indices:
 
 def outside_ladders(capture: Capture) -> Capture:
     """Return the capture without the poses of ladders, which close the lips step by step."""
-    free = ladders_of(capture) == 0
+    is_outside = ladders_of(capture) == 0
     return replace(
         capture,
-        goals_deg=capture.goals_deg[free],
-        from_below=capture.from_below[free],
-        markers_mm=capture.markers_mm[free],
-        rows=tuple(np.array(capture.rows)[free].tolist()) if capture.rows else (),
-        ladders=ladders_of(capture)[free],
+        goals_deg=capture.goals_deg[is_outside],
+        from_below=capture.from_below[is_outside],
+        markers_mm=capture.markers_mm[is_outside],
+        rows=tuple(np.array(capture.rows)[is_outside].tolist()) if capture.rows else (),
+        ladders=ladders_of(capture)[is_outside],
     )
 
 
@@ -308,15 +310,15 @@ class KeptPoses:
         file, or one of another plan.
         """
         poses: dict[int, CapturedPose] = {}
-        for number, line in self._lines():
+        for number, content in self._lines():
             try:
-                index = int(str(line["pose"])) - self.first
+                index = int(str(content["pose"])) - self.first
                 if index >= len(plan):
                     break
                 if index >= 0:
-                    poses[index] = _pose(line, index, plan, marker_names)
+                    poses[index] = _parse_pose(content, index, plan, marker_names)
             except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-                raise self._foreign(number) from error
+                raise self._not_a_pose_error(number) from error
         return list(poses.values())
 
     def add(self, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]) -> None:
@@ -344,15 +346,15 @@ class KeptPoses:
             raise CalibrationError(f"{self.path}: cannot be written: {error.strerror}") from error
 
     def after(self, n_planned: int, plan: PosePlan) -> "KeptPoses":
-        """Return the place in the file for a plan whose poses are taken after `n_planned` others.
+        """Return the file for a plan whose poses are numbered after `n_planned` others.
 
-        Poses of another plan that the file already has there are kept; the place is then after
-        them.
+        Numbers under which the file has poses with other goals are passed over, a whole plan at a
+        time, so that poses of an earlier plan are kept.
         """
-        taken = {int(line["pose"]): line for _, line in self._lines()}
+        stored = {int(line["pose"]): line for _, line in self._lines()}
         first = n_planned
         while not all(
-            row + first not in taken or _has_goals(taken[row + first], plan.goals_deg[row])
+            row + first not in stored or _has_goals(stored[row + first], plan.goals_deg[row])
             for row in range(len(plan))
         ):
             first += len(plan)
@@ -369,11 +371,15 @@ class KeptPoses:
                 places = (np.array(place, dtype=np.float64) for place in line["markers_mm"])
                 found[int(line["pose"])] = dict(zip(line["markers"], places, strict=True))
             except (ValueError, KeyError, TypeError) as error:
-                raise self._foreign(number) from error
+                raise self._not_a_pose_error(number) from error
         return found
 
     def _lines(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield number and content of each line, after an unfinished last one was removed."""
+        """Yield the number, from 1, and parsed content of each line of the file, if there is one.
+
+        An unfinished last line is removed from the file first. Raises CalibrationError for a file
+        of anything else.
+        """
         if self.path is None or not self.path.exists():
             return
         try:
@@ -384,17 +390,17 @@ class KeptPoses:
             ) from error
         if lines[-1]:  # cut short while writing, or a file of somebody else's
             if not lines[-1].startswith(_LINE_HEAD[: len(lines[-1])]):
-                raise self._foreign(len(lines))
+                raise self._not_a_pose_error(len(lines))
             write_whole(self.path, "".join(line + "\n" for line in lines[:-1]))
         for number, line in enumerate(lines[:-1], start=1):
             try:
                 content = json.loads(line)
                 int(str(content["pose"]))
             except (ValueError, KeyError, TypeError, RecursionError) as error:
-                raise self._foreign(number) from error
+                raise self._not_a_pose_error(number) from error
             yield number, content
 
-    def _foreign(self, number: int) -> CalibrationError:
+    def _not_a_pose_error(self, number: int) -> CalibrationError:
         return CalibrationError(
             f"{self.path}, line {number}: not a pose of this face and plan; name another file or "
             "delete this one"
@@ -402,11 +408,11 @@ class KeptPoses:
 
 
 def _has_goals(line: Mapping[str, Any], goals_deg: Array) -> bool:
-    kept_deg = np.array(line["goals_deg"], dtype=np.float64)
-    return kept_deg.shape == goals_deg.shape and np.allclose(kept_deg, goals_deg, atol=_SAME_DEG)
+    file_deg = np.array(line["goals_deg"], dtype=np.float64)
+    return file_deg.shape == goals_deg.shape and np.allclose(file_deg, goals_deg, atol=_SAME_DEG)
 
 
-def _pose(
+def _parse_pose(
     line: Mapping[str, Any], index: int, plan: PosePlan, marker_names: tuple[str, ...]
 ) -> CapturedPose:
     """Return the captured pose that one parsed JSON line of the file holds.
@@ -447,8 +453,8 @@ def capture_poses(
     """
     kept = KeptPoses(keep)
     poses = kept.read(plan, marker_names)
-    on = Robot(move, measure, arrived, progress)
-    return gather(plan, marker_names, take_poses(plan, marker_names, on, poses, kept))
+    robot = Robot(move, measure, arrived, progress)
+    return gather(plan, marker_names, take_poses(plan, marker_names, robot, poses, kept))
 
 
 @dataclass(frozen=True, slots=True)
@@ -471,12 +477,12 @@ class Robot:
 def take_poses(
     plan: PosePlan,
     marker_names: tuple[str, ...],
-    on: Robot,
+    robot: Robot,
     poses: list[CapturedPose],
     kept: KeptPoses = NOT_KEPT,
     pressing: Collection[int] = (),
 ) -> list[CapturedPose]:
-    """Return `poses` and those of the plan missing from `poses`, which robot `on` moves to now.
+    """Return `poses` and those of the plan missing from `poses`, which the robot moves to now.
 
     The robot is at neutral afterwards. kept: the file to which each new pose is added. pressing:
     rows of poses that close the lips farther and farther; once a servo is strained in one of these,
@@ -484,27 +490,27 @@ def take_poses(
     """
     poses = list(poses)
     done = {pose.index for pose in poses}
-    left_out: set[int] = set()
+    skipped: set[int] = set()
     try:
         for index in range(len(plan)):
-            if index not in done and index not in left_out:
-                poses.append(take_pose(plan, index, on))
+            if index not in done and index not in skipped:
+                poses.append(take_pose(plan, index, robot))
                 kept.add(poses[-1], plan, marker_names)
-                if index in pressing and on.strained() is not None:
-                    left_out = set(pressing)
-            on.progress(len(poses))
+                if index in pressing and robot.strained() is not None:
+                    skipped = set(pressing)
+            robot.progress(len(poses))
     finally:
-        on.move(np.zeros(len(plan.servo_names)))
+        robot.move(np.zeros(len(plan.servo_names)))
     return poses
 
 
-def take_pose(plan: PosePlan, index: int, on: Robot) -> CapturedPose:
-    """Move robot `on` to row `index` of the plan, by the row's start; return the measured pose."""
-    on.move(plan.start_deg[index])
-    reached_deg = on.move(plan.goals_deg[index])
-    on.arrived(index, reached_deg)
-    # As exact as they are kept: a capture that goes on from a file is the same.
-    return CapturedPose(index, np.round(reached_deg, 4), np.round(on.measure(), 4))
+def take_pose(plan: PosePlan, index: int, robot: Robot) -> CapturedPose:
+    """Move the robot to row `index` of the plan, by the row's start; return the measured pose."""
+    robot.move(plan.start_deg[index])
+    reached_deg = robot.move(plan.goals_deg[index])
+    robot.arrived(index, reached_deg)
+    # Rounded as in the file, so that a capture resumed from a file is the same.
+    return CapturedPose(index, np.round(reached_deg, 4), np.round(robot.measure(), 4))
 
 
 def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPose]) -> Capture:
@@ -515,11 +521,11 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
     stalled: list[str] = []
     good: list[CapturedPose] = []
     for pose in sorted(poses, key=lambda p: p.index):
-        off_deg = np.abs(pose.reached_deg - plan.goals_deg[pose.index])
-        if off_deg.max() <= STALL_DEG:
+        missed_deg = np.abs(pose.reached_deg - plan.goals_deg[pose.index])
+        if missed_deg.max() <= STALL_DEG:
             good.append(pose)
             continue
-        joint = int(off_deg.argmax())
+        joint = int(missed_deg.argmax())
         stalled.append(
             f"pose {pose.index + 1}: {plan.servo_names[joint]} stopped at "
             f"{pose.reached_deg[joint]:.1f} of {plan.goals_deg[pose.index, joint]:.1f} deg"

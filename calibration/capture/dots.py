@@ -70,10 +70,10 @@ PROTRUSION_IS_UNSEEN = (
 _SMALLEST, _LARGEST = 0.35, 2.6
 _TWO_DOTS, _TWO_DOTS_LONG = 1.4, 1.35
 #: A disc at 60 degrees to the camera is twice as long as wide.
-_LONGEST = 2.2
+_MOST_LENGTH = 2.2
 #: What an ellipse of the same spread would cover, a spot covers at least so much of: an
 #: irregular one, or one with holes, covers less.
-_LEAST_FILLED = 0.8
+_LEAST_FILL = 0.8
 
 
 #: Blue: least hue (OpenCV's, 0..179), saturation and brightness, and the most of them.
@@ -108,7 +108,7 @@ class _Spot:
     @property
     def is_round(self) -> bool:
         """Whether the spot is shaped like one dot: not too long, and an ellipse without gaps."""
-        return self.length <= _LONGEST and self.filled >= _LEAST_FILLED
+        return self.length <= _MOST_LENGTH and self.filled >= _LEAST_FILL
 
 
 def find_dots(picture: Path, *, least_area_px: int = 12) -> FoundDots:
@@ -122,6 +122,7 @@ def find_dots(picture: Path, *, least_area_px: int = 12) -> FoundDots:
     pixels = cv2.imread(str(picture))
     if pixels is None:
         raise CalibrationError(f"{picture}: not readable as a picture")
+    # Pixels of the dots' colour, in connected spots.
     hsv = cv2.cvtColor(pixels, cv2.COLOR_BGR2HSV)
     mask = cv2.inRange(hsv, np.array(_LEAST_HSV), np.array(_MOST_HSV))
     n_spots, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
@@ -132,55 +133,57 @@ def find_dots(picture: Path, *, least_area_px: int = 12) -> FoundDots:
             inside = labels[top : top + height, left : left + width] == label
             rows, columns = np.nonzero(inside)
             places = np.column_stack((columns + left, rows + top)).astype(np.float64)
-            spots.append(_spot(places))
-    return _dots_among(spots, pixels.shape[:2])
+            spots.append(_measure_spot(places))
+    return _select_dots(spots, pixels.shape[:2])
 
 
-def _spot(pixels: Array) -> _Spot:
+def _measure_spot(pixels: Array) -> _Spot:
     """Return the spot that `pixels`, (n, 2) columns and rows, form, with its measures of shape."""
-    # A pixel is a square: it spreads by a twelfth of itself.
-    spread = np.linalg.eigvalsh(np.cov(pixels.T, bias=True)) + 1.0 / 12.0
+    # Variances along both axes of the spot; a pixel is a square, which adds a twelfth.
+    variances = np.linalg.eigvalsh(np.cov(pixels.T, bias=True)) + 1.0 / 12.0
     area_px = float(len(pixels))
-    ellipse_px = 4.0 * np.pi * float(np.sqrt(spread.prod()))
-    return _Spot(pixels, area_px, float(np.sqrt(spread[1] / spread[0])), area_px / ellipse_px)
+    ellipse_px = 4.0 * np.pi * float(np.sqrt(variances.prod()))
+    return _Spot(pixels, area_px, float(np.sqrt(variances[1] / variances[0])), area_px / ellipse_px)
 
 
-def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
+def _select_dots(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
     """Return the dots among the spots of the dots' colour in a picture.
 
     size_px: the picture's height and width. Dots are about as large as the usual one; a spot of two
     touching dots becomes two dots, and any other spot is left out.
     """
-    usual_px, usual_length = _usual(spots)
-    middles: list[Array] = []
+    usual_area_px, usual_length = _usual_size(spots)
+    middles_px: list[Array] = []
     n_merged = 0
     for spot in spots:
-        size = spot.area_px / usual_px
-        # Of dots that are seen at an angle all are long, and two of them may be less so.
-        unlike = max(spot.length / usual_length, usual_length / spot.length)
-        if _TWO_DOTS <= size <= _LARGEST and unlike >= _TWO_DOTS_LONG:
-            middles.extend(_two_dots(spot.pixels))
+        size_ratio = spot.area_px / usual_area_px
+        # Dots seen at an angle are all long, and two that touch may then be rounder than the usual
+        # one.
+        length_ratio = max(spot.length / usual_length, usual_length / spot.length)
+        if _TWO_DOTS <= size_ratio <= _LARGEST and length_ratio >= _TWO_DOTS_LONG:
+            middles_px.extend(_two_dots(spot.pixels))
             n_merged += 1
-        elif spot.is_round and _SMALLEST <= size <= _LARGEST:
-            middles.append(spot.pixels.mean(axis=0))
-    places = np.array(middles, dtype=np.float64).reshape(-1, 2)
+        elif spot.is_round and _SMALLEST <= size_ratio <= _LARGEST:
+            middles_px.append(spot.pixels.mean(axis=0))
+    places = np.array(middles_px, dtype=np.float64).reshape(-1, 2)
     return FoundDots(places, size_px, n_merged)
 
 
-def _usual(spots: list[_Spot]) -> tuple[float, float]:
+def _usual_size(spots: list[_Spot]) -> tuple[float, float]:
     """Return a usual dot's area in pixels and its ratio of long to short axis.
 
     Both are medians over round spots of the most frequent size; 1 and 1 without round spots.
     """
-    alone = [spot for spot in spots if spot.is_round]
-    if not alone:
+    round_spots = [spot for spot in spots if spot.is_round]
+    if not round_spots:
         return 1.0, 1.0
-    areas = np.array([spot.area_px for spot in alone])
-    near = np.abs(np.log(areas[:, None] / areas)) < np.log(_TWO_DOTS)
-    most = near.sum(axis=1) == near.sum(axis=1).max()
-    usual = near[most].any(axis=0)
-    lengths = np.array([spot.length for spot in alone])
-    return float(np.median(areas[usual])), float(np.median(lengths[usual]))
+    areas = np.array([spot.area_px for spot in round_spots])
+    # Which spots are of nearly one size; the sizes with the most alike spots are the usual ones.
+    is_alike = np.abs(np.log(areas[:, None] / areas)) < np.log(_TWO_DOTS)
+    is_frequent = is_alike.sum(axis=1) == is_alike.sum(axis=1).max()
+    is_usual = is_alike[is_frequent].any(axis=0)
+    lengths = np.array([spot.length for spot in round_spots])
+    return float(np.median(areas[is_usual])), float(np.median(lengths[is_usual]))
 
 
 def _two_dots(pixels: Array) -> Array:
@@ -188,10 +191,11 @@ def _two_dots(pixels: Array) -> Array:
 
     The variance along the line between two discs d apart is d^2 / 4 greater than across it.
     """
-    spread, axes = np.linalg.eigh(np.cov(pixels.T))
-    half = np.sqrt(max(0.0, spread[1] - spread[0])) * axes[:, 1]
+    variances, axes = np.linalg.eigh(np.cov(pixels.T))
+    # Half the distance of the discs, along the axis of greatest variance.
+    half_apart = np.sqrt(max(0.0, variances[1] - variances[0])) * axes[:, 1]
     middle = pixels.mean(axis=0)
-    return np.array([middle - half, middle + half])
+    return np.array([middle - half_apart, middle + half_apart])
 
 
 def name_dots(
@@ -218,21 +222,21 @@ def name_dots(
         (2,) pixels by name, NaN where not found.
     """
     names = list(expected_px)
-    places = {name: np.full(2, np.nan) for name in names}
+    places_px = {name: np.full(2, np.nan) for name in names}
     if not len(dots_px):
-        return places
+        return places_px
     expected = np.array([expected_px[name] for name in names])
-    apart_px = np.linalg.norm(expected[:, None] - dots_px, axis=2)
-    # What is too far apart is no match at all, and costs the same however far it is.
+    distances_px = np.linalg.norm(expected[:, None] - dots_px, axis=2)
+    # Beyond the furthest distance every pair costs the same: it is no match.
     for row, column in zip(
-        *linear_sum_assignment(np.minimum(apart_px, furthest_px) ** 2), strict=True
+        *linear_sum_assignment(np.minimum(distances_px, furthest_px) ** 2), strict=True
     ):
-        if apart_px[row, column] <= furthest_px:
-            places[names[row]] = dots_px[column]
-    moved_px = [np.linalg.norm(places[name] - expected_px[name]) for name in names]
+        if distances_px[row, column] <= furthest_px:
+            places_px[names[row]] = dots_px[column]
+    moved_px = [np.linalg.norm(places_px[name] - expected_px[name]) for name in names]
     if np.isnan(moved_px).any() and np.nanmax(moved_px, initial=0.0) > sure_px:
         return {name: np.full(2, np.nan) for name in names}
-    return places
+    return places_px
 
 
 def dots_mm(places_px: Mapping[str, Array], origin_px: Array, mm_per_px: float) -> dict[str, Array]:
@@ -290,8 +294,8 @@ class DotsFolder:
         """
         self._folder, self._tell = folder, tell
         self._names = read_names(folder / NAMES_FILE)
-        self._first: tuple[str, tuple[int, int]] | None = None
-        self._warned: set[str] = set()
+        self._first_picture: tuple[str, tuple[int, int]] | None = None
+        self._reported: set[str] = set()
 
     def readings(self, pose: int | None = None) -> list[Reading]:
         """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in one pose.
@@ -303,24 +307,24 @@ class DotsFolder:
         return [
             each
             for number, path in pose_pictures(self._folder, pose)
-            for each in self._look(number, path)
+            for each in self._read_picture(number, path)
         ]
 
-    def _look(self, pose: int, picture: Path) -> list[Reading]:
+    def _read_picture(self, pose: int, picture: Path) -> list[Reading]:
         """Find the dots in a picture; return a reading for each named dot, NaN for a hidden one.
 
         Raises CalibrationError for an unreadable picture, or one not as large as the first.
         """
         names = self._names
-        found = find_dots(picture)
-        self._check_size(picture.name, found.size_px)
+        dots = find_dots(picture)
+        self._check_size(picture.name, dots.size_px)
         places_px = name_dots(
-            found.middles_px,
+            dots.middles_px,
             names.first_px,
             furthest_px=_FURTHEST_MM / names.mm_per_px,
             sure_px=_SURE_MM / names.mm_per_px,
         )
-        self._tell_of(picture.name, found, places_px)
+        self._report_dots(picture.name, dots, places_px)
         origin_px = np.mean(list(names.first_px.values()), axis=0)
         places_mm = dots_mm(places_px, origin_px, names.mm_per_px)
         return [(pose, name, place_mm) for name, place_mm in places_mm.items()]
@@ -330,34 +334,34 @@ class DotsFolder:
 
         name: the picture's file name; size_px: height and width.
         """
-        self._first = self._first or (name, size_px)
-        first, wanted = self._first
-        if size_px != wanted:
+        self._first_picture = self._first_picture or (name, size_px)
+        first_name, ref_px = self._first_picture
+        if size_px != ref_px:
             raise CalibrationError(
-                f"{self._folder}: {name} has {size_px[1]} x {size_px[0]} pixels, but {first} "
-                f"{wanted[1]} x {wanted[0]}; take all pictures with one camera that stands still"
+                f"{self._folder}: {name} has {size_px[1]} x {size_px[0]} pixels, but {first_name} "
+                f"{ref_px[1]} x {ref_px[0]}; take all pictures with one camera that stands still"
             )
 
-    def _tell_of(self, picture: str, found: FoundDots, places_px: Mapping[str, Array]) -> None:
-        """Tell the user of a picture's touching and hidden dots, once per remark and picture.
+    def _report_dots(self, picture: str, dots: FoundDots, places_px: Mapping[str, Array]) -> None:
+        """Report a picture's touching and hidden dots to the user, each remark on a picture once.
 
-        places_px: (2,) pixels of each named dot, NaN where hidden.
+        picture: the file's name; places_px: (2,) pixels of each named dot, NaN where hidden.
         """
         n_lost = sum(bool(np.isnan(place).any()) for place in places_px.values())
         remarks = []
-        if found.n_merged:
-            remarks.append(f"dots that touch, separated by shape: {2 * found.n_merged}")
+        if dots.n_merged:
+            remarks.append(f"dots that touch, separated by shape: {2 * dots.n_merged}")
         if n_lost == len(places_px):
             remarks.append(
-                f"left out: {len(found.middles_px)} dots are seen of {n_lost}, and names would be "
+                f"left out: {len(dots.middles_px)} dots are seen of {n_lost}, and names would be "
                 "a guess"
             )
         elif n_lost:
             remarks.append(f"{n_lost} dots are not seen")
         for remark in remarks:
             line = f"{picture}: {remark}"
-            if line not in self._warned:
-                self._warned.add(line)
+            if line not in self._reported:
+                self._reported.add(line)
                 self._tell(line)
 
 

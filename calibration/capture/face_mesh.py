@@ -28,7 +28,7 @@ PROTRUSION_IS_GUESSED: Final = (
 NO_FACE: Final = "no face is found"
 _TWO_FACES: Final = "two faces are seen; leave only the robot's in the picture"
 #: A face narrower than this share of the widest one is somebody in the background.
-_BACKGROUND: Final = 0.5
+_BACKGROUND_SHARE: Final = 0.5
 #: Points that no servo of a mouth moves: nose, corners of the eyes, forehead, temples.
 _RIGID: Final = (
     168, 6, 197, 195, 33, 133, 362, 263, 10, 151, 9, 8,
@@ -64,7 +64,7 @@ def one_face(tracker: FaceTracker, picture: Picture) -> Array:
     if not faces:
         raise NoFaceError(NO_FACE)
     widths = [float(np.ptp(face[:, 0])) for face in faces]
-    if len(faces) > 1 and widths[1] >= _BACKGROUND * widths[0]:
+    if len(faces) > 1 and widths[1] >= _BACKGROUND_SHARE * widths[0]:
         raise NoFaceError(_TWO_FACES)
     return faces[0]
 
@@ -128,9 +128,9 @@ class MeshFolder:
         self._eye_distance_mm = eye_distance_mm
         self._tell = tell
         self._frame: MeshFrame | None = None
-        self._doubtful: dict[Path, tuple[int, int]] = {}
+        self._unreadable: dict[Path, tuple[int, int]] = {}
         #: By file: its size and time of change, and its markers (47, 3), or why it has none.
-        self._seen: dict[Path, tuple[tuple[int, int], Array | str]] = {}
+        self._read_results: dict[Path, tuple[tuple[int, int], Array | str]] = {}
 
     def readings(self, pose: int) -> list[Reading]:
         """Return pose, marker and position (3,) in mm, from all usable photographs of one pose."""
@@ -153,19 +153,22 @@ class MeshFolder:
         return readings
 
     def _read(self, pose: int | None) -> tuple[list[Reading], list[tuple[str, str]]]:
-        """Return readings of a pose, None: of all, and the names of useless files with reasons."""
+        """Return the readings of photographs of a pose, and the names of useless ones with reasons.
+
+        pose: None: of all poses.
+        """
         readings: list[Reading] = []
         useless = []
         for number, path in pose_pictures(self._folder, pose):
-            found = self._markers(path)
-            if isinstance(found, str):
-                useless.append((path.name, found))
+            result = self._markers_of(path)
+            if isinstance(result, str):
+                useless.append((path.name, result))
             else:
-                named = zip(MARKERS_47.names, found, strict=True)
-                readings += [(number, name, np.asarray(place_mm)) for name, place_mm in named]
+                by_name = zip(MARKERS_47.names, result, strict=True)
+                readings += [(number, name, np.asarray(place_mm)) for name, place_mm in by_name]
         return readings, useless
 
-    def _markers(self, path: Path) -> Array | str:
+    def _markers_of(self, path: Path) -> Array | str:
         """Return a photograph's markers, (47, 3) mm, or the reason why it has none.
 
         A photograph is read again only after its size or time of change differs. One that is
@@ -177,22 +180,22 @@ class MeshFolder:
         except FileNotFoundError:
             return NO_FACE  # renamed while we look
         state = (status.st_size, status.st_mtime_ns)
-        before = self._seen.get(path)
-        if before is None or before[0] != state:
-            found = self._look(path)
+        stored = self._read_results.get(path)
+        if stored is None or stored[0] != state:
+            result = self._read_photograph(path)
             if (
-                isinstance(found, str)
-                and found == _UNREADABLE
-                and self._doubtful.get(path) != state
+                isinstance(result, str)
+                and result == _UNREADABLE
+                and self._unreadable.get(path) != state
             ):
-                self._doubtful[path] = state  # somebody may be writing it; looked at once more
-                return found
-            self._seen[path] = (state, found)
-            if isinstance(found, str):
-                self._tell(f"{path.name}: {found}; take it again: {_FOLDER_REMEDY}")
-        return self._seen[path][1]
+                self._unreadable[path] = state  # somebody may be writing it; looked at once more
+                return result
+            self._read_results[path] = (state, result)
+            if isinstance(result, str):
+                self._tell(f"{path.name}: {result}; take it again: {_FOLDER_REMEDY}")
+        return self._read_results[path][1]
 
-    def _look(self, path: Path) -> Array | str:
+    def _read_photograph(self, path: Path) -> Array | str:
         """Read a photograph; return its markers, (47, 3) mm, or the reason why it has none.
 
         The first photograph that shows a face defines the coordinate frame of all others.
@@ -237,7 +240,7 @@ class CameraTracker:
         eye_distance_mm: between the outer eye corners; say: called with lines for the user.
         """
         self._see, self._say = see, say
-        points_px, why = self._pictures()
+        points_px, why = self._take_pictures()
         if not points_px:
             raise CalibrationError(f"camera, pose 0 (neutral): {why}; {_CAMERA_REMEDY}")
         self._frame = MeshFrame(np.median(np.array(points_px), axis=0), eye_distance_mm)
@@ -268,7 +271,7 @@ class CameraTracker:
         CalibrationError
             After five poses without a face in a row.
         """
-        points_px, why = self._pictures()
+        points_px, why = self._take_pictures()
         if points_px:
             self._n_lost = 0
             seen_mm = [self._frame.markers_mm(each) for each in points_px]
@@ -281,18 +284,18 @@ class CameraTracker:
         self._say(f"pose {self._pose}: {why}; the pose is left out")
         return np.full((len(self.marker_names), 3), np.nan)
 
-    def _pictures(self) -> tuple[list[Array], str]:
+    def _take_pictures(self) -> tuple[list[Array], str]:
         """Return the mesh points, (478, 3) pixels, of 5 pictures; [] if fewer of 15 contain a face.
 
         The second value is the reason why the last picture without a face had none; else empty.
         """
-        found: list[Array] = []
+        meshes_px: list[Array] = []
         why = ""
         for _ in range(_MOST_PICTURES):
             try:
-                found.append(self._see())
+                meshes_px.append(self._see())
             except NoFaceError as error:
                 why = str(error)
-            if len(found) == _N_PICTURES:
+            if len(meshes_px) == _N_PICTURES:
                 break
-        return (found, why) if len(found) == _N_PICTURES else ([], why)
+        return (meshes_px, why) if len(meshes_px) == _N_PICTURES else ([], why)

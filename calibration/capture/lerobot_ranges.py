@@ -15,7 +15,7 @@ from lipsync.errors import shown
 
 #: Of Feetech; Dynamixels have one less.
 _HIGHEST_ID = 253
-_WHOLE = 0.99
+_WHOLE_SHARE = 0.99
 _KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
@@ -35,7 +35,7 @@ class RecordedRange:
 
     def is_whole(self, n_positions: int) -> bool:
         """Return whether the range is all positions of its servo: it was not recorded by hand."""
-        return self.most_tick - self.least_tick >= _WHOLE * (n_positions - 1)
+        return self.most_tick - self.least_tick >= _WHOLE_SHARE * (n_positions - 1)
 
 
 def read_ranges(path: Path) -> Mapping[str, RecordedRange]:
@@ -113,10 +113,10 @@ def check_within_recorded(
     for name, (low, high) in limits_deg.items():
         if name not in ranges:
             raise CalibrationError(f"servo {name!r} is not in the range file; record its range")
-        per_deg = ticks_per_deg[name]
-        if per_deg is None:
+        servo_ticks_per_deg = ticks_per_deg[name]
+        if servo_ticks_per_deg is None:
             raise CalibrationError(f"servo {name!r} reports no position, so it can have no range")
-        span_deg = ranges[name].span_deg(per_deg)
+        span_deg = ranges[name].span_deg(servo_ticks_per_deg)
         if high - low > span_deg:
             raise CalibrationError(
                 f"servo {name!r}: its limits span {high - low:.0f} deg, but its recorded range "

@@ -31,7 +31,7 @@ from lipsync.output_file import write_whole
 Reading = tuple[int, str, Array]
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Channels that stand beside the points and are no places (The C3D File Format, POINT:ANGLES ...).
-_NO_PLACES = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+_NOT_POINTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 #: The second byte of every C3D file.
 _C3D_KEY = b"\x50"
 _AXIS = re.compile(r"^([+-]?)([xyz])$")
@@ -55,7 +55,7 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[Reading]:
     list[Reading]
         Pose, marker and median position (3,) in mm.
     """
-    turn = _axes_matrix(axes)
+    to_face_axes = _axes_matrix(axes)
     files = sorted(folder.glob("*.c3d"))
     if not files:
         raise CalibrationError(f"{folder}: no .c3d file in this folder; each pose needs one")
@@ -65,7 +65,7 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[Reading]:
         if not numbers:
             raise CalibrationError(f"{file}: its name has no pose number; call it pose_1.c3d")
         for name, place_mm in read_c3d(file).items():
-            readings.append((int(numbers[-1]), name, turn @ place_mm))
+            readings.append((int(numbers[-1]), name, to_face_axes @ place_mm))
     return readings
 
 
@@ -97,10 +97,10 @@ def read_c3d(path: Path) -> dict[str, Array]:
 
     try:
         content = ezc3d.c3d(str(path))
-        about = content["parameters"]["POINT"]
-        labels = _c3d_texts(about, "LABELS")
-        others = {each for kind in _NO_PLACES for each in _c3d_texts(about, kind)}
-        unit = next((str(each).strip() for each in about["UNITS"]["value"]), "")
+        point_group = content["parameters"]["POINT"]
+        labels = _c3d_texts(point_group, "LABELS")
+        not_points = {each for kind in _NOT_POINTS for each in _c3d_texts(point_group, kind)}
+        unit = next((str(each).strip() for each in point_group["UNITS"]["value"]), "")
         points = np.asarray(content["data"]["points"], dtype=np.float64)[:3]
         residuals = np.asarray(content["data"]["meta_points"]["residuals"], dtype=np.float64)[0]
     except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
@@ -110,25 +110,27 @@ def read_c3d(path: Path) -> dict[str, Array]:
             f"{path}: unit {unit!r} (POINT:UNITS) is not known; export it again in one of "
             f"{', '.join(_MM_PER_UNIT)}"
         )
-    named = [(i, label) for i, label in enumerate(labels) if label and label not in others]
-    twice = [label for label, n in Counter(label for _, label in named).items() if n > 1]
-    if twice:
+    named = [(i, label) for i, label in enumerate(labels) if label and label not in not_points]
+    equal = [label for label, n in Counter(label for _, label in named).items() if n > 1]
+    if equal:
         raise CalibrationError(
-            f"{path}: several points share a label: {shown(twice[0])} ({len(twice)} such labels); "
+            f"{path}: several points share a label: {shown(equal[0])} ({len(equal)} such labels); "
             "give each point its own"
         )
+    # Lost: not finite, a negative residual, or all coordinates 0.
     lost = ~np.isfinite(points).all(axis=0) | (residuals < 0.0) | (points == 0.0).all(axis=0)
     places = {}
     for i, label in named:
+        # A label beyond the stored points is of a point that was never seen.
         seen = points[:, i, ~lost[i]] if i < points.shape[1] else points[:, :0, 0]
-        middle = np.median(seen, axis=1) if seen.size else np.full(3, np.nan)
-        places[label] = _MM_PER_UNIT[unit] * middle
+        median = np.median(seen, axis=1) if seen.size else np.full(3, np.nan)
+        places[label] = _MM_PER_UNIT[unit] * median
     return places
 
 
 def _check_is_c3d(path: Path) -> None:
     """Raise CalibrationError for a file that does not begin as C3D does: ezc3d may hang on it."""
-    if not os.path.isfile(path):  # of a name that is too long Path raises
+    if not os.path.isfile(path):  # Path's raises for too long a name
         raise CalibrationError(f"{str(path)[:200]!r}: no such file")
     try:
         with path.open("rb") as file:
@@ -139,13 +141,16 @@ def _check_is_c3d(path: Path) -> None:
         raise CalibrationError(f"{path}: not readable as C3D")
 
 
-def _c3d_texts(about: Mapping[str, Any], name: str) -> list[str]:
-    """Return a list of texts of the group POINT; that of more than 255 goes on in NAME2, NAME3."""
-    parts = (about[each]["value"] for n in range(1, 10) if (each := _part(name, n)) in about)
+def _c3d_texts(group: Mapping[str, Any], name: str) -> list[str]:
+    """Return the list of texts under `name` in a C3D file's group POINT.
+
+    A list of more than 255 texts goes on under `name` with 2, 3 ... added.
+    """
+    parts = (group[each]["value"] for n in range(1, 10) if (each := _nth_name(name, n)) in group)
     return [str(text).strip() for part in parts for text in part]
 
 
-def _part(name: str, n: int) -> str:
+def _nth_name(name: str, n: int) -> str:
     return name if n == 1 else f"{name}{n}"
 
 
@@ -251,18 +256,18 @@ def read_capture(
     if unknown:
         raise CalibrationError(f"{markers_path}: pose {unknown[0]} is not in {plan_path}")
     names = tuple(dict.fromkeys(name for _, name, _ in readings))
-    seen: dict[tuple[int, str], list[Array]] = {}
+    places_mm: dict[tuple[int, str], list[Array]] = {}
     for pose, name, place_mm in readings:
-        seen.setdefault((pose, name), []).append(place_mm)
-    recorded = {pose for pose, _ in seen}
-    used = [pose for pose in poses if pose in recorded]
-    markers_mm = np.full((len(used), len(names), 3), np.nan)
-    for row, pose in enumerate(used):
+        places_mm.setdefault((pose, name), []).append(place_mm)
+    with_markers = {pose for pose, _ in places_mm}
+    recorded_poses = [pose for pose in poses if pose in with_markers]
+    markers_mm = np.full((len(recorded_poses), len(names), 3), np.nan)
+    for row, pose in enumerate(recorded_poses):
         for column, name in enumerate(names):
-            if (pose, name) in seen:
-                markers_mm[row, column] = median_place(seen[pose, name])
-    rows = [poses.index(pose) for pose in used]
-    left_out = _left_out([pose for pose in poses if pose not in recorded], len(poses))
+            if (pose, name) in places_mm:
+                markers_mm[row, column] = median_place(places_mm[pose, name])
+    rows = [poses.index(pose) for pose in recorded_poses]
+    left_out = _missing_poses_line([pose for pose in poses if pose not in with_markers], len(poses))
     return Capture(
         servo_names,
         names,
@@ -275,7 +280,7 @@ def read_capture(
     )
 
 
-def _left_out(poses: list[int], n_poses: int) -> tuple[str, ...]:
+def _missing_poses_line(poses: list[int], n_poses: int) -> tuple[str, ...]:
     """Return one line with the numbers `poses`, of `n_poses`, that lack markers; () if none do."""
     if not poses:
         return ()
@@ -309,18 +314,18 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
     malformed file, or a pose that occurs twice.
     """
     rows = list(csv_rows(path, ("pose", *(f"{name}_deg" for name in servo_names))))
-    poses = [_whole(row["pose"], place) for place, row in rows]
+    poses = [_whole_number(row["pose"], place) for place, row in rows]
     goals = [[number_in(row[f"{n}_deg"], place) for n in servo_names] for place, row in rows]
     sides = [
         [number_in(row.get(f"{n}_from", "1"), place) for n in servo_names] for place, row in rows
     ]
     if len(set(poses)) < len(poses):
         raise CalibrationError(f"{path}: two lines have the same pose")
-    for (place, _), own in zip(rows, sides, strict=True):
-        if not set(own) <= {1.0, -1.0}:
+    for (place, _), pose_sides in zip(rows, sides, strict=True):
+        if not set(pose_sides) <= {1.0, -1.0}:
             raise CalibrationError(f"{place}: sides must be 1 (from below) or -1 (from above)")
     shape = (len(poses), len(servo_names))
-    ladders = [_whole(row.get(_LADDER, 0), place, _LADDER) for place, row in rows]
+    ladders = [_whole_number(row.get(_LADDER, 0), place, _LADDER) for place, row in rows]
     return (
         poses,
         np.array(goals).reshape(shape),
@@ -351,9 +356,9 @@ def read_readings(path: Path, axes: str = "x y z") -> list[Reading]:
     rows = _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path, _COLUMNS)
     return [
         (
-            _whole(row["pose"], place),
+            _whole_number(row["pose"], place),
             str(row["marker"]),
-            np.array([_millimetres(row[axis], place, axis) for axis in _AXES]),
+            np.array([_number_mm(row[axis], place, axis) for axis in _AXES]),
         )
         for place, row in rows
     ]
@@ -365,7 +370,7 @@ def csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[s
     Raises CalibrationError for an unreadable file, a missing column of `needed`, or a line with
     surplus values.
     """
-    reader = csv.DictReader(io.StringIO(_text(path)))
+    reader = csv.DictReader(io.StringIO(_read_text(path)))
     try:
         for column in needed:
             if column not in (reader.fieldnames or ()):
@@ -389,7 +394,7 @@ def _json_rows(path: Path) -> Iterable[tuple[str, Mapping[str, object]]]:
     or a reading without pose or marker.
     """
     try:
-        content = json.loads(_text(path))
+        content = json.loads(_read_text(path))
     except (ValueError, RecursionError) as error:
         raise CalibrationError(f"{path}: not readable as JSON") from error
     if not isinstance(content, list):
@@ -402,7 +407,7 @@ def _json_rows(path: Path) -> Iterable[tuple[str, Mapping[str, object]]]:
         yield place, dict.fromkeys(_AXES) | row
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")  # as spreadsheets write it
     except UnicodeDecodeError as error:
@@ -411,7 +416,7 @@ def _text(path: Path) -> str:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _millimetres(value: object, place: str, axis: str) -> float:
+def _number_mm(value: object, place: str, axis: str) -> float:
     """Return `value` in mm as a number, NaN if it is empty.
 
     Raises CalibrationError, which names `place` and `axis`, beyond a hundred metres.
@@ -440,7 +445,7 @@ def number_in(value: object, place: str, *, lost: bool = False) -> float:
     return number
 
 
-def _whole(value: object, place: str, what: str = "pose") -> int:
+def _whole_number(value: object, place: str, what: str = "pose") -> int:
     number = number_in(value, place)
     if number != int(number):
         raise CalibrationError(f"{place}: {what} {shown(value)} is not a whole number")

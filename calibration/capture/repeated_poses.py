@@ -26,13 +26,13 @@ _MOST_SLIPPED_DEG = 90.0
 #: So many standard errors of noise, whatever else: for a slip, which all poses show, and for what a
 #: joint does alone, where healthy robots come to 2.3. And of a marker that nothing explains.
 _SURE_ERRORS, _SURE_LOST_ERRORS, _SURE_MM = 6.0, 3.5, 1.5
-_KNOWN_ERRORS = 3.0
+_MOTION_ERRORS = 3.0
 #: What a joint does must be alike what changed by so much, to be blamed for it.
-_ALIKE = 0.7
+_LEAST_COSINE = 0.7
 #: Another joint this near to 0 does not move; two goals this near are the same.
 _STILL_DEG, _SAME_DEG = 0.1, 0.01
 #: Poses between which so much of a capture lies are early and late.
-_APART = 0.3
+_LATER_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class FaceChange:
         )
 
 
-def first_part(plan: PosePlan) -> PosePlan:
+def poses_to_repeat(plan: PosePlan) -> PosePlan:
     """Return a plan's poses to repeat: neutral and every joint alone, once from each side."""
     rows = np.flatnonzero((np.abs(plan.goals_deg) > _STILL_DEG).sum(axis=1) <= 1)
     keys = np.hstack([plan.goals_deg[rows], plan.from_below[rows]])
@@ -83,13 +83,14 @@ def repeats(capture: Capture) -> list[tuple[int, int]]:
     The two are over 0.3 of the number of poses apart.
     """
     keys = np.hstack([np.rint(capture.goals_deg / _SAME_DEG), capture.from_below])
-    alike = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
-    pairs = []
-    for pose in np.unique(alike):
-        rows = np.flatnonzero(alike == pose)
-        if rows[-1] - rows[0] > _APART * len(capture):
-            pairs.append((int(rows[0]), int(rows[-1])))
-    return sorted(pairs)
+    # Captured poses with equal goals and sides get one number.
+    pose_numbers = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    early_and_late = []
+    for pose in np.unique(pose_numbers):
+        rows = np.flatnonzero(pose_numbers == pose)
+        if rows[-1] - rows[0] > _LATER_SHARE * len(capture):
+            early_and_late.append((int(rows[0]), int(rows[-1])))
+    return sorted(early_and_late)
 
 
 def is_repeated(capture: Capture) -> bool:
@@ -153,45 +154,53 @@ class ChangedPoses:
 
 
 def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None:
-    """Return the changes over repeated poses; None unless every joint was captured alone twice.
+    """Return the changes over repeated poses, or None.
 
-    lines: the fitted lines of this capture.
+    None unless neutral, and every joint moved alone, were captured both early and late. lines: the
+    fitted lines of this capture.
     """
     if not is_repeated(capture):
         return None
     pairs = repeats(capture)
+    # Rows of the capture: the first and the last reading of each repeated pose.
     early, late = (np.array([pair[i] for pair in pairs]) for i in (0, 1))
     goals_deg = capture.goals_deg[early]
-    moved = np.abs(goals_deg) > _STILL_DEG
-    neutral = np.flatnonzero(~moved.any(axis=1))
-    alone = [_farthest_alone(moved, goals_deg, joint) for joint in range(moved.shape[1])]
-    turned_deg = np.array([goals_deg[rows[0], joint] for joint, rows in enumerate(alone)])
+    is_moved = np.abs(goals_deg) > _STILL_DEG
+    neutral = np.flatnonzero(~is_moved.any(axis=1))
+    rows_alone = [_farthest_alone(is_moved, goals_deg, joint) for joint in range(is_moved.shape[1])]
+    turned_deg = np.array([goals_deg[rows[0], joint] for joint, rows in enumerate(rows_alone)])
     seen_mm = np.where(lines.far[..., None], np.nan, capture.markers_mm)
-    off_mm = _filled(seen_mm[late] - seen_mm[early])
+    off_mm = _zero_where_lost(seen_mm[late] - seen_mm[early])
     common_mm = np.median(off_mm, axis=0)
-    # Most markers in most poses are where they were: what is left of them is noise.
+    # Most markers in most poses are where they were: what is left of them is noise. 1.4826 times a
+    # median deviation estimates a standard deviation, and the standard error of a median is 1.25
+    # times that of a mean.
     noise_mm = max(1.4826 * float(np.median(np.abs(off_mm - common_mm))), 1e-6)
     n = len(pairs)
-    # Lines through all poses know the way of a joint better than two readings do.
-    ways = lines.slopes_mm * np.sign(turned_deg)[:, None, None]
-    ways = ways / np.maximum(np.linalg.norm(ways, axis=(1, 2), keepdims=True), 1e-9)
+    # The direction in which each joint, turned as in these poses, moves all markers: a unit vector
+    # from the fitted lines, which know it better than two readings do.
+    headings = lines.slopes_mm * np.sign(turned_deg)[:, None, None]
+    headings = headings / np.maximum(np.linalg.norm(headings, axis=(1, 2), keepdims=True), 1e-9)
 
-    def alone_mm(of: NDArray[np.int64]) -> Array:
-        still_mm = _middle(seen_mm[of[neutral]])
-        seen_alone_mm = np.array([_middle(seen_mm[of[rows]]) for rows in alone])
-        return np.asarray(np.sum(ways * _filled(seen_alone_mm - still_mm), axis=(1, 2)))
+    def alone_mm(readings: NDArray[np.int64]) -> Array:
+        # The motion from neutral along that direction, (n_servos,), in the early or late readings.
+        still_mm = _mean_seen_mm(seen_mm[readings[neutral]])
+        moved_mm = np.array([_mean_seen_mm(seen_mm[readings[rows]]) for rows in rows_alone])
+        return np.asarray(np.sum(headings * _zero_where_lost(moved_mm - still_mm), axis=(1, 2)))
 
     did_mm, does_mm = alone_mm(early), alone_mm(late)
-    variances = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
-    slid_mm = np.sum(ways * common_mm, axis=(1, 2))
+    # Of a difference of two means, in units of the noise's variance.
+    variances = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in rows_alone])
+    slid_mm = np.sum(headings * common_mm, axis=(1, 2))
     error_mm2 = common_mm.size * (1.25 * noise_mm) ** 2 / n
-    # A pose whose markers are all off together, as where they are counted from a noisy nose; but
-    # not by what the joint itself does no more.
-    along_mm = np.einsum("smk,nmk->sn", ways, off_mm)
-    still_mm = np.where(moved.T, np.nan, along_mm)
-    spread_mm = np.nanmedian(np.abs(still_mm - np.nanmedian(still_mm, axis=1)[:, None]), axis=1)
+    # The scatter of whole poses along each direction, without the poses in which the joint itself
+    # moves: markers counted from a noisy nose are off together.
+    along_mm = np.einsum("smk,nmk->sn", headings, off_mm)
+    others_mm = np.where(is_moved.T, np.nan, along_mm)
+    spread_mm = np.nanmedian(np.abs(others_mm - np.nanmedian(others_mm, axis=1)[:, None]), axis=1)
     along_noise_mm = np.maximum(noise_mm, 1.4826 * spread_mm)
-    size_mm = math.sqrt(max(float(np.sum(common_mm**2)) - error_mm2, error_mm2 / n))
+    # The length of the common shift, without what noise adds to it.
+    common_size_mm = math.sqrt(max(float(np.sum(common_mm**2)) - error_mm2, error_mm2 / n))
     return ChangedPoses(
         did_mm=np.maximum(did_mm, 1e-6),
         does_mm=does_mm,
@@ -199,7 +208,7 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
         slid_error_mm=1.25 * along_noise_mm / math.sqrt(n),
         turned_deg=turned_deg,
         slid_mm=slid_mm,
-        alike=np.abs(slid_mm) / size_mm,
+        alike=np.abs(slid_mm) / common_size_mm,
         common_mm=common_mm,
         noise_mm=noise_mm,
         n=n,
@@ -218,12 +227,12 @@ def _farthest_alone(moved: NDArray[np.bool_], goals_deg: Array, joint: int) -> N
     return np.asarray(rows[np.abs(goals_deg[rows, joint] - most_deg) < _STILL_DEG])
 
 
-def _middle(seen_mm: Array) -> Array:
+def _mean_seen_mm(seen_mm: Array) -> Array:
     """Return the mean of seen_mm, (n, n_markers, 3), over its n poses; NaN where never seen."""
     return np.asarray(np.ma.filled(np.ma.masked_invalid(seen_mm).mean(axis=0), np.nan))
 
 
-def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
+def confirms(changed: ChangedPoses, fault: JointFault) -> bool:
     """Return whether repeated poses, `changed`, confirm a fault that `joint_fault` has found."""
     if fault.joint < 0:
         return False
@@ -235,37 +244,38 @@ def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
 def face_change(changed: ChangedPoses) -> FaceChange | None:
     """Return the one change of the face that explains most of the differences in `changed`.
 
-    None if no change is beyond doubt.
+    None if no change is beyond doubt. Joints that stopped or slipped come before a shift of the
+    whole face.
     """
     where = changed.first, changed.last
     slip_errors = np.abs(changed.slid_mm) / changed.slid_error_mm
     lost_mm = changed.did_mm - changed.does_mm
     lost_errors = lost_mm / changed.lost_error_mm
-    found = []
+    candidates = []
     for joint, (slip_deg, lost) in enumerate(zip(changed.slipped_deg, changed.lost, strict=True)):
-        slips, loses = float(slip_errors[joint]), float(lost_errors[joint])
-        stops = lost > _LOST_SHARE and loses > _SURE_LOST_ERRORS
-        if stops:
+        slip_in_errors, loss_in_errors = float(slip_errors[joint]), float(lost_errors[joint])
+        is_stop = lost > _LOST_SHARE and loss_in_errors > _SURE_LOST_ERRORS
+        if is_stop:
             fault = FaceChange("stopped", joint, min(float(lost), 1.0), *where)
-            found.append((lost_mm[joint], fault))
-        # A joint that stands still somewhere is off in all poses, too; a horn that slipped moves.
-        moves = not stops or lost < _ALL_LOST
-        # Nor is a joint blamed that alone took the face no farther than noise does.
-        is_known = changed.did_mm[joint] > _KNOWN_ERRORS * changed.lost_error_mm[joint]
-        alike = is_known and changed.alike[joint] > _ALIKE
+            candidates.append((lost_mm[joint], fault))
+        # A joint that stopped far from 0 shifts all poses, too; a horn that slipped still moves.
+        may_slip = not is_stop or lost < _ALL_LOST
+        # Nor is a joint to blame whose motion alone, early, was no more than noise.
+        moved_visibly = changed.did_mm[joint] > _MOTION_ERRORS * changed.lost_error_mm[joint]
+        fits_direction = moved_visibly and changed.alike[joint] > _LEAST_COSINE
         is_slip = _SLIPPED_DEG < abs(slip_deg) < _MOST_SLIPPED_DEG
-        if moves and alike and is_slip and slips > _SURE_ERRORS:
+        if may_slip and fits_direction and is_slip and slip_in_errors > _SURE_ERRORS:
             fault = FaceChange("slipped", joint, float(slip_deg), *where)
-            found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
-    if found:
-        return max(found, key=lambda each: float(each[0]))[1]
+            candidates.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
+    if candidates:
+        return max(candidates, key=lambda each: float(each[0]))[1]
     most_mm = float(np.sort(np.linalg.norm(changed.common_mm, axis=1))[-3:].mean())
     if most_mm > max(_SURE_MM, _SURE_ERRORS * changed.common_error_mm):
         return FaceChange("shifted", -1, most_mm, *where)
     return None
 
 
-def _filled(off_mm: Array) -> Array:
+def _zero_where_lost(off_mm: Array) -> Array:
     """Return `off_mm`, late less early markers, with 0 where a point was lost."""
     seen: NDArray[np.bool_] = np.isfinite(off_mm)
     return np.where(seen, off_mm, 0.0)

@@ -18,12 +18,12 @@ from calibration.capture.joint_health import (
     SUSPECTED,
     WEAK,
     JointFault,
-    alive,
     is_dead,
     joint_fault,
+    joint_signal,
     moved_alone_mm,
 )
-from calibration.capture.repeated_poses import FaceChange, bears_out, changed_poses, face_change
+from calibration.capture.repeated_poses import FaceChange, changed_poses, confirms, face_change
 from calibration.capture.straight_lines import (
     StraightLines,
     in_head_frame,
@@ -58,13 +58,13 @@ class Finding:
 #: With fewer markers several ways round look alike.
 _LEAST_MARKERS = 8
 #: Another way round must be so much more like a face, and a face it must be.
-_BETTER, _A_FACE = 0.1, 0.85
+_LEAD, _LEAST_LIKENESS = 0.1, 0.85
 #: Faces of robots are from three fifths to one and a half times a person's; others are units.
 _SIZES = (0.62, 1.6)
 #: Nothing is seen along an axis on which the markers are as flat as this.
 _FLAT_MM = 1e-6
 _AXES = ("x", "y", "z")
-_NAMES: dict[tuple[int, ...], str] = {
+_REVERSALS: dict[tuple[int, ...], str] = {
     (-1, 1, 1): "are mirrored: x should grow to the robot's own left",
     (1, -1, 1): "are upside down: y should grow upwards",
     (1, 1, -1): "are turned back to front: z should grow forwards",
@@ -103,34 +103,36 @@ def frame_faults(
     flat = bool(np.ptp(robot[:, 2]) < _FLAT_MM)
     n = 2 if flat else 3
     robot, human = robot[:, :n], human[:, :n]
-    upright = _likeness(robot, human)
+    # Without depth, x and y alone. The best of all exchanges and reversals of the person's axes is
+    # compared with the axes as they are.
+    as_given = _likeness(robot, human)
     best, order, signs = max(
         (_likeness(robot, human[:, order] * signs), order, signs)
         for order in permutations(range(n))
         for signs in product((1, -1), repeat=n)
     )
-    size = float(np.linalg.norm(robot) / np.linalg.norm(human))
-    axes = None
-    if best > upright + _BETTER and best > _A_FACE:
-        full = (*signs, 1)[:3]
-        if size > _SIZES[1] and order[:2] == (0, 1) and full[:2] == (1, -1):
-            axes = (
+    ratio = float(np.linalg.norm(robot) / np.linalg.norm(human))
+    fault = None
+    if best > as_given + _LEAD and best > _LEAST_LIKENESS:
+        all_signs = (*signs, 1)[:3]
+        if ratio > _SIZES[1] and order[:2] == (0, 1) and all_signs[:2] == (1, -1):
+            fault = (
                 "the markers look like pixels of a picture (y grows downwards, the mouth is "
-                f"{size:.1f} times a person's): give millimetres, y upwards"
+                f"{ratio:.1f} times a person's): give millimetres, y upwards"
             )
         elif order == tuple(range(n)):
-            axes = f"the markers {_NAMES.get(full, 'are turned round on all three axes')}"
+            fault = f"the markers {_REVERSALS.get(all_signs, 'are turned round on all three axes')}"
         else:
             given = ", ".join(
                 f"{_AXES[k]} is {'-' if signs[k] < 0 else ''}{_AXES[order[k]]}" for k in range(n)
             )
-            axes = f"the markers' axes are exchanged ({given}): x left, y up, z forward"
-    elif flat and size > _SIZES[1]:
-        axes = f"the markers look like pixels of a picture ({size:.1f} times a person's face)"
-    if axes is not None or _SIZES[0] <= size <= _SIZES[1]:
-        return axes, None
+            fault = f"the markers' axes are exchanged ({given}): x left, y up, z forward"
+    elif flat and ratio > _SIZES[1]:
+        fault = f"the markers look like pixels of a picture ({ratio:.1f} times a person's face)"
+    if fault is not None or _SIZES[0] <= ratio <= _SIZES[1]:
+        return fault, None
     return None, (
-        f"the scale is odd: the face is {size:.2f} times as large as a person's; are the markers "
+        f"the scale is odd: the face is {ratio:.2f} times as large as a person's; are the markers "
         "in millimetres?"
     )
 
@@ -167,7 +169,7 @@ def check_frame(
     CalibrationError
         Wrong axes, or an odd size that is not accepted.
     """
-    return _settled(_frame_findings(marker_names, usual_mm, model), accept=accept)
+    return _warnings_of(_frame_findings(marker_names, usual_mm, model), accept=accept)
 
 
 def _frame_findings(
@@ -255,25 +257,25 @@ def check_capture(
     positive: what a positive angle of each joint does, from the face's YAML; empty: reversed joints
     are not found. accept: doubts about size, swaps and joints become warnings.
     """
-    warnings = _settled(found for check in _FIRST_CHECKS for found in check(capture))
+    warnings = _warnings_of(finding for check in _FIRST_CHECKS for finding in check(capture))
     usual_mm = np.nanmedian(capture.markers_mm, axis=0)
     warnings += check_frame(capture.marker_names, usual_mm, model, accept=accept)
     record = _Record(capture, model, positive, capture, straight_lines(capture))
     for check in _CHECKS:
-        warnings += _settled(check(record), accept=accept)
+        warnings += _warnings_of(check(record), accept=accept)
     return CheckedCapture(record.capture, warnings, tuple(record.still))
 
 
-def _settled(findings: Iterable[Finding], *, accept: bool = False) -> tuple[str, ...]:
-    """Return the warnings of findings. Raises CalibrationError for the first that refuses.
+def _warnings_of(findings: Iterable[Finding], *, accept: bool = False) -> tuple[str, ...]:
+    """Return the warning of each finding. Raises CalibrationError for the first that refuses.
 
-    accept: findings that are judgement only warn.
+    accept: findings that are a judgement warn instead of refusing.
     """
     warnings = []
-    for found in findings:
-        if found.refusal and not (accept and found.is_judgement):
-            raise CalibrationError(found.refusal)
-        warnings.append(found.warning)
+    for finding in findings:
+        if finding.refusal and not (accept and finding.is_judgement):
+            raise CalibrationError(finding.refusal)
+        warnings.append(finding.warning)
     return tuple(warnings)
 
 
@@ -310,8 +312,8 @@ def _lost_points(capture: Capture) -> Iterator[Finding]:
         yield Finding(f"{n_lost} points were lost by the tracker, {often}")
 
 
-def _doubles(capture: Capture) -> Iterator[Finding]:
-    """Find two markers at one position in every pose: one dot with two names."""
+def _same_points(capture: Capture) -> Iterator[Finding]:
+    """Yield a refusal for two markers at one position in every pose: one dot with two names."""
     names = capture.marker_names
     for a, b in combinations(range(len(names)), 2):
         apart_mm = np.linalg.norm(capture.markers_mm[:, a] - capture.markers_mm[:, b], axis=1)
@@ -352,59 +354,64 @@ def _far_points(record: _Record) -> Iterator[Finding]:
 def _faulty_joints(record: _Record) -> Iterator[Finding]:
     """Yield findings on joints that stopped, slipped, are dead, reversed or weak; refusals first.
 
-    Poses that were captured twice are preferred as evidence of what happened during the capture.
-    Dead joints are added to `record.still`.
+    Refusals are judgements, of which `--accept` makes warnings. Dead joints are added to
+    `record.still`. After a fault during the capture single joints are not examined.
     """
-    # Lips that press each other are no fault of a joint.
+    # Without the poses that press lips together, which is no fault of a joint.
     capture, positive = outside_ladders(record.capture), record.positive
     lines = straight_lines(capture)
-    fault = _change_on_the_way(capture, lines)
-    found = []
+    fault = _fault_during_capture(capture, lines)
+    remarks = []
     if fault is not None:
-        found.append((fault.description(capture.servo_names), fault.joint >= 0))
+        remarks.append((fault.description(capture.servo_names), fault.joint >= 0))
     n_servos = len(capture.servo_names)
     record.still += [joint for joint in range(n_servos) if is_dead(capture, lines, joint)]
-    # Where something happened on the way, what joints seem to do is not what they do.
+    # After a fault during the capture the fitted effects of joints are not to be trusted.
     for joint, name in enumerate(capture.servo_names if fault is None else ()):
         word = positive[joint] if positive else ""
         if joint in record.still and positive and not word:
-            found.append(("moves the lips forward, which is not seen here: it stays at 0", False))
+            remarks.append(("moves the lips forward, which is not seen here: it stays at 0", False))
         elif joint in record.still:
             dead = (
                 "moves no marker by more than chance, so speech would not move it; check its horn, "
                 "linkage and limits, look again (`plan --refine`), or give it `part: other`"
             )
-            found.append((dead, True))
-        elif word and _is_reversed(capture, lines, joint, _usual_word(name, word)):
+            remarks.append((dead, True))
+        elif word and _is_reversed(capture, lines, joint, _known_word(name, word)):
             turned = (
-                f"is reversed: a positive angle should {_bare(word)}, and does the opposite; "
+                f"is reversed: a positive angle should {_without_s(word)}, and does the opposite; "
                 "change its `sign` in the face YAML"
             )
-            found.append((turned, True))
-        elif alive(lines, joint) < WEAK:
-            found.append(("is weak or dead: it moves the markers little above chance", False))
+            remarks.append((turned, True))
+        elif joint_signal(lines, joint) < WEAK:
+            remarks.append(("is weak or dead: it moves the markers little above chance", False))
         else:
             continue
-        found[-1] = (f"servo {name!r} {found[-1][0]}", found[-1][1])
-    for text, refuses in sorted(found, key=lambda each: not each[1]):
+        # Each finding begins with the servo's name.
+        remarks[-1] = (f"servo {name!r} {remarks[-1][0]}", remarks[-1][1])
+    for text, refuses in sorted(remarks, key=lambda each: not each[1]):
         refusal = f"{text}. If it is as it should be, add --accept" if refuses else ""
         yield Finding(text, refusal, is_judgement=True)
 
 
-def _change_on_the_way(capture: Capture, lines: StraightLines) -> JointFault | FaceChange | None:
-    """Return what happened to a joint, or to the face, between the first pose and the last."""
-    changed = changed_poses(capture, lines)
-    if changed is None:
+def _fault_during_capture(capture: Capture, lines: StraightLines) -> JointFault | FaceChange | None:
+    """Return the fault of a joint, or of the whole face, that arose during the capture, or None.
+
+    Poses that were captured early and again late are preferred as evidence; where there are none,
+    the whole capture is fitted with and without a fault.
+    """
+    changes = changed_poses(capture, lines)
+    if changes is None:
         return joint_fault(capture, lines)
-    fault, suspected = face_change(changed), joint_fault(capture, lines, SUSPECTED)
-    if suspected is None or not bears_out(changed, suspected):
-        return fault
-    # It knows at which pose, and a joint that stands still from one that slipped.
-    return suspected if fault is None or fault.joint == suspected.joint else fault
+    change, suspected = face_change(changes), joint_fault(capture, lines, SUSPECTED)
+    if suspected is None or not confirms(changes, suspected):
+        return change
+    # A confirmed fit says more: at which pose it was, and whether the joint stopped or slipped.
+    return suspected if change is None or change.joint == suspected.joint else change
 
 
 #: Every check in its order: of the capture as it was given, then of one that they correct.
-_FIRST_CHECKS = (_too_few, _never_moved, _stalled, _lost_points, _doubles)
+_FIRST_CHECKS = (_too_few, _never_moved, _stalled, _lost_points, _same_points)
 _CHECKS = (_moved_head, _exchanged_names, _far_points, _faulty_joints)
 
 
@@ -415,20 +422,21 @@ def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) 
     captured alone, its motion then: lines of many joints are not quite straight.
     """
     slope_mm = lines.slopes_mm[joint]
-    wanted = _wanted_direction(capture.marker_names, slope_mm, word)
-    if wanted is None:
+    direction = _wanted_direction(capture.marker_names, slope_mm, word)
+    if direction is None:
         return False
-    spoken_of = np.flatnonzero(np.abs(wanted).sum(axis=1))
-    if not len(spoken_of):
+    directed = np.flatnonzero(np.abs(direction).sum(axis=1))
+    if not len(directed):
         return False
-    sizes = np.linalg.norm(slope_mm[spoken_of], axis=1)
-    most = spoken_of[np.argsort(sizes)[-_MOVED_MOST:]]
-    along_mm = float((slope_mm[most] * wanted[most]).sum())
-    all_mm = float(np.linalg.norm(slope_mm[most], axis=1).sum())
-    if np.nansum(moved_alone_mm(capture, joint)[most] * wanted[most]) > 0.0:
+    sizes_mm = np.linalg.norm(slope_mm[directed], axis=1)
+    moved_most = directed[np.argsort(sizes_mm)[-_MOVED_MOST:]]
+    # Motion in the direction of the word, and all motion, of the markers that the joint moves most.
+    along_mm = float((slope_mm[moved_most] * direction[moved_most]).sum())
+    total_mm = float(np.linalg.norm(slope_mm[moved_most], axis=1).sum())
+    if np.nansum(moved_alone_mm(capture, joint)[moved_most] * direction[moved_most]) > 0.0:
         return False
-    error_mm = float(lines.chance_mm[joint] * np.sqrt(len(most)))
-    return along_mm < -_REVERSED_SHARE * all_mm and along_mm < -_REVERSED_ERRORS * error_mm
+    error_mm = float(lines.chance_mm[joint] * np.sqrt(len(moved_most)))
+    return along_mm < -_REVERSED_SHARE * total_mm and along_mm < -_REVERSED_ERRORS * error_mm
 
 
 def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Array | None:
@@ -438,23 +446,24 @@ def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Arr
     moves get a direction, because words such as `widens` name no side.
     """
     lips = [i for i, name in enumerate(names) if name in MARKERS_47.names and "lip" in name]
-    rides = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]
+    on_jaw = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]
     corners = [(names.index(n), side) for n, side in ((_LEFT, 1.0), (_RIGHT, -1.0)) if n in names]
     moved_mm = {corner: float(np.linalg.norm(slope_mm[corner])) for corner, _ in corners}
-    wanted = np.zeros((len(names), 3))
-    for onwards, back, which, axis in (
-        ("closes", "opens", rides, 1),
+    direction = np.zeros((len(names), 3))
+    # Words, the markers that they move, and the axis, along which the first word is positive.
+    for forward, backward, marker_rows, axis in (
+        ("closes", "opens", on_jaw, 1),
         ("raises", "lowers", lips, 1),
         ("protrudes", "retracts", lips, 2),
         ("widens", "narrows", [], 0),
     ):
-        if word in (onwards, back):
-            sign = 1.0 if word == onwards else -1.0
-            wanted[which, axis] = sign
+        if word in (forward, backward):
+            sign = 1.0 if word == forward else -1.0
+            direction[marker_rows, axis] = sign
             for corner, side in corners if axis == 0 else ():
                 if moved_mm[corner] > 0.5 * max(moved_mm.values()):
-                    wanted[corner, 0] = sign * side
-            return wanted
+                    direction[corner, 0] = sign * side
+            return direction
     return None
 
 
@@ -469,10 +478,10 @@ _WORDS: Mapping[Channel, tuple[str, str]] = {
 }
 
 
-def _usual_word(name: str, word: str) -> str:
-    """Return `word` as one of the known verbs, by the joint's name: `opens` for a jaw that `drops`.
+def _known_word(name: str, word: str) -> str:
+    """Return the known verb for `word`, by the joint's name: `opens` for a jaw that `drops`.
 
-    A word that the name does not explain is returned unchanged.
+    A word that is known, or that the name does not explain, is returned unchanged.
     """
     if any(word in pair for pair in _WORDS.values()):
         return word
@@ -480,6 +489,6 @@ def _usual_word(name: str, word: str) -> str:
     return word if motion is None else _WORDS[motion.channel][0 if motion.sign > 0 else 1]
 
 
-def _bare(word: str) -> str:
+def _without_s(word: str) -> str:
     """Return the verb `word` without its s, for messages: `opens` to `open`."""
     return word[:-1] if word.endswith("s") else word

@@ -72,14 +72,14 @@ def swaps_refused(swaps: Sequence[Swap]) -> str:
 
 
 def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
-    """Return the markers of a capture with the names in `swaps` corrected.
+    """Return the markers of a capture with the names in `swaps` exchanged back.
 
     Parameters
     ----------
     capture : Capture
         Capture of n poses.
     swaps : Sequence[Swap]
-        Pose and two names each.
+        Pairs of markers, each in one pose, not in every pose.
 
     Returns
     -------
@@ -96,24 +96,25 @@ def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
 def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
     """Return pairs of markers whose names are exchanged in every pose.
 
-    Corrected, the usual positions are more like the speaker's rest, after moving and scaling each
-    axis. If no such pair is found, inner lips are examined by how they move.
+    A pair counts if the usual positions with its names exchanged are more like the speaker's rest,
+    after each axis is moved and scaled. If there is none, inner lips are examined by how they move.
     """
     human_mm = model.markers_mm(model.rest[None])[0]
     known = [i for i, name in enumerate(capture.marker_names) if name in MARKERS_47.names]
     human_mm = human_mm[[MARKERS_47.names.index(capture.marker_names[i]) for i in known]]
     robot_mm = np.nanmedian(capture.markers_mm, axis=0)[known]
 
-    def like(points_mm: Array) -> Array:
+    def standardised(points_mm: Array) -> Array:
         """Return points (n, 3) less their median, each axis over its median distance from that."""
         centred = points_mm - np.median(points_mm, axis=0)
         return np.asarray(centred / np.maximum(np.median(np.abs(centred), axis=0), 1e-6))
 
-    apart = like(robot_mm) - like(human_mm)
+    # The robot's usual shape less the speaker's, and that difference in the robot's mm.
+    differences = standardised(robot_mm) - standardised(human_mm)
     size_mm = np.median(np.abs(robot_mm - np.median(robot_mm, axis=0)), axis=0)
     names = [capture.marker_names[i] for i in known]
-    whole = list(_pairs(names, apart * size_mm, robot_mm))
-    return whole or _swapped_lips(capture)
+    found = list(_exchanged_pairs(names, differences * size_mm, robot_mm))
+    return found or _swapped_lips(capture)
 
 
 def _swapped_lips(capture: Capture) -> list[Swap]:
@@ -121,14 +122,15 @@ def _swapped_lips(capture: Capture) -> list[Swap]:
     found: list[Swap] = []
     if _OUTER_LIPS[0] not in capture.marker_names or _OUTER_LIPS[1] not in capture.marker_names:
         return found
-    at = [capture.marker_names.index(name) for name in (_OUTER_LIPS[0], _OUTER_LIPS[1])]
-    outer_mm = capture.markers_mm[:, at[0], 1] - capture.markers_mm[:, at[1], 1]
+    pair = [capture.marker_names.index(name) for name in (_OUTER_LIPS[0], _OUTER_LIPS[1])]
+    # Heights of the upper above the lower dot: outer lips, then inner lips.
+    outer_mm = capture.markers_mm[:, pair[0], 1] - capture.markers_mm[:, pair[1], 1]
     for upper, lower in _INNER_LIPS:
         if upper in capture.marker_names and lower in capture.marker_names:
-            at = [capture.marker_names.index(name) for name in (upper, lower)]
-            heights_mm = capture.markers_mm[:, at[0], 1] - capture.markers_mm[:, at[1], 1]
-            known = np.isfinite(heights_mm) & np.isfinite(outer_mm)
-            if known.sum() > 2 and np.corrcoef(heights_mm[known], outer_mm[known])[0, 1] < _OPPOSED:
+            pair = [capture.marker_names.index(name) for name in (upper, lower)]
+            inner_mm = capture.markers_mm[:, pair[0], 1] - capture.markers_mm[:, pair[1], 1]
+            known = np.isfinite(inner_mm) & np.isfinite(outer_mm)
+            if known.sum() > 2 and np.corrcoef(inner_mm[known], outer_mm[known])[0, 1] < _OPPOSED:
                 found.append(Swap(upper, lower))
     return found
 
@@ -153,12 +155,12 @@ def swapped_in_poses(capture: Capture, expected_mm: Array | None = None) -> list
     names, found = capture.marker_names, []
     for pose, (seen_mm, wanted_mm) in enumerate(zip(capture.markers_mm, expected_mm, strict=True)):
         filled_mm = np.where(np.isfinite(seen_mm), seen_mm, wanted_mm)
-        pairs = _pairs(names, filled_mm - wanted_mm, filled_mm, pose, near_mm=_SWAP_MM)
+        pairs = _exchanged_pairs(names, filled_mm - wanted_mm, filled_mm, pose, near_mm=_SWAP_MM)
         found += list(pairs)
     return found
 
 
-def _pairs(
+def _exchanged_pairs(
     names: Sequence[str],
     off_mm: Array,
     points_mm: Array,
@@ -172,18 +174,20 @@ def _pairs(
     position; pose: the number stored in the swaps, None: in every pose; near_mm: how near each
     marker must be to the other's expected position.
     """
-    sizes_mm = np.linalg.norm(off_mm, axis=1)
+    error_mm = np.linalg.norm(off_mm, axis=1)
     pairs = []
-    for a, b in combinations(np.flatnonzero(sizes_mm > _SWAP_MM).tolist(), 2):
-        as_named = sizes_mm[a] ** 2 + sizes_mm[b] ** 2
-        change_mm = points_mm[b] - points_mm[a]
-        a_mm = np.linalg.norm(off_mm[a] + change_mm)
-        b_mm = np.linalg.norm(off_mm[b] - change_mm)
-        swapped = a_mm**2 + b_mm**2
-        # Two wild readings in one pose are no exchange: each must come near the other's place.
-        both = a_mm < 0.6 * sizes_mm[b] and b_mm < 0.6 * sizes_mm[a] and max(a_mm, b_mm) < near_mm
-        if both and swapped < (1.0 - _SWAP_SHARE) * as_named:
-            pairs.append((swapped / as_named, a, b))
+    for a, b in combinations(np.flatnonzero(error_mm > _SWAP_MM).tolist(), 2):
+        # Errors of the two as they are named, then with their names exchanged; sums of squares.
+        named_mm2 = error_mm[a] ** 2 + error_mm[b] ** 2
+        between_mm = points_mm[b] - points_mm[a]
+        a_mm = np.linalg.norm(off_mm[a] + between_mm)
+        b_mm = np.linalg.norm(off_mm[b] - between_mm)
+        swapped_mm2 = a_mm**2 + b_mm**2
+        # Two wild readings in one pose are no exchange: each must come near the other's expected
+        # place.
+        both = a_mm < 0.6 * error_mm[b] and b_mm < 0.6 * error_mm[a] and max(a_mm, b_mm) < near_mm
+        if both and swapped_mm2 < (1.0 - _SWAP_SHARE) * named_mm2:
+            pairs.append((swapped_mm2 / named_mm2, a, b))
     used: set[int] = set()
     for _, a, b in sorted(pairs):
         if not used & {a, b}:
@@ -192,13 +196,13 @@ def _pairs(
 
 
 #: Readings that must agree before names are exchanged.
-_LOOKS = 3
+_N_LOOKS = 3
 
 
-def put_right(
+def retake_swaps(
     plan: PosePlan,
     marker_names: tuple[str, ...],
-    on: Robot,
+    robot: Robot,
     poses: list[CapturedPose],
     kept: KeptPoses = NOT_KEPT,
     report: Callable[[str], None] = lambda _: None,
@@ -210,7 +214,7 @@ def put_right(
 
     Parameters
     ----------
-    plan,marker_names,on : PosePlan
+    plan,marker_names,robot : PosePlan
         The capture's plan, its markers' names, and the robot to move.
     poses : list[CapturedPose]
         All captured poses.
@@ -228,29 +232,30 @@ def put_right(
     """
     seen = gather(plan, marker_names, poses)
     rows = seen.rows
-    wanted_mm = straight_lines(seen).expected_mm if expected_mm is None else expected_mm[list(rows)]
-    found = swapped_in_poses(seen, wanted_mm)
-    again = {pose.index: pose for pose in poses}
+    usual_mm = straight_lines(seen).expected_mm if expected_mm is None else expected_mm[list(rows)]
+    found = swapped_in_poses(seen, usual_mm)
+    pose_of_row = {pose.index: pose for pose in poses}
     for row in sorted({swap.pose for swap in found if swap.pose is not None}):
         index, names = rows[row], [swap.names for swap in found if swap.pose == row]
         pairs = " and ".join(f"{one!r} with {other!r}" for one, other in names)
-        for _ in range(_LOOKS - 1):
-            pose = take_pose(plan, index, on)
+        for _ in range(_N_LOOKS - 1):
+            pose = take_pose(plan, index, robot)
+            # A capture of this reading alone, to look for exchanged names in it.
             one = replace(
                 seen,
                 goals_deg=plan.goals_deg[[index]],
                 from_below=plan.from_below[[index]],
                 markers_mm=pose.markers_mm[None],
             )
-            swaps = swapped_in_poses(one, wanted_mm[[row]])
+            swaps = swapped_in_poses(one, usual_mm[[row]])
             if [swap.names for swap in swaps] != names:
                 report(f"pose {index + 1}: the tracker exchanged {pairs}: taken again")
                 break
         else:
             pose = replace(pose, markers_mm=exchanged(one, swaps)[0])
-            report(f"pose {index + 1}: the tracker exchanged {pairs} {_LOOKS} times: named anew")
-        again[index] = pose
+            report(f"pose {index + 1}: the tracker exchanged {pairs} {_N_LOOKS} times: named anew")
+        pose_of_row[index] = pose
         kept.add(pose, plan, marker_names)
     if found:
-        on.move(np.zeros(len(plan.servo_names)))
-    return list(again.values())
+        robot.move(np.zeros(len(plan.servo_names)))
+    return list(pose_of_row.values())

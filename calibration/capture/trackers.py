@@ -35,7 +35,7 @@ PATIENCE_S = 300.0
 POSE_FILE = "pose.json"
 #: A pose that was read twice is the same within the digits in which it is kept; a tracker's noise
 #: is ten times as much.
-_SAME_MM = 0.05
+_SAME_POSE_MM = 0.05
 _NOTHING_KEPT: Mapping[int, Mapping[str, Array]] = MappingProxyType({})
 
 
@@ -103,10 +103,10 @@ class FileTracker:
         self._pose = 0
         self._requested = {number + 1 for number in kept}
         try:
-            self._check_of_this_capture(kept)
-            if not self._readings(0):
-                self._announce(0, np.zeros(len(servo_names)))
-            self._names = tuple(self._wait_for(0))
+            self._check_same_capture(kept)
+            if not self._read_medians(0):
+                self._announce_pose(0, np.zeros(len(servo_names)))
+            self._names = tuple(self._wait_for_pose(0))
         except BaseException:  # nobody can close what was never made
             self.close()
             raise
@@ -134,11 +134,11 @@ class FileTracker:
             self._pose = pose + 1
             return
         self._requested.add(pose + 1)
-        if not self._readings(pose + 1):
-            self._announce(pose + 1, reached_deg)
+        if not self._read_medians(pose + 1):
+            self._announce_pose(pose + 1, reached_deg)
             return
-        if self._readings(pose + 2):
-            raise self._of_another_capture(f"it already has pose {pose + 1}")
+        if self._read_medians(pose + 2):
+            raise self._other_capture_error(f"it already has pose {pose + 1}")
         self._pose = pose + 1
         self._say(f"pose {pose + 1} is in {self._path} already, and is read from there")
 
@@ -150,29 +150,34 @@ class FileTracker:
         Array
             (n_markers, 3) mm, NaN for lost points.
         """
-        found = self._wait_for(self._pose)
-        return np.array([found.get(name, np.full(3, np.nan)) for name in self._names])
+        markers = self._wait_for_pose(self._pose)
+        return np.array([markers.get(name, np.full(3, np.nan)) for name in self._names])
 
     def close(self) -> None:
         """Delete `pose.json`, which contains the pose that the robot holds."""
         self._pose_file.unlink(missing_ok=True)
 
-    def _check_of_this_capture(self, kept: Mapping[int, Mapping[str, Array]]) -> None:
-        """Raise CalibrationError if the last kept pose is recorded otherwise in the file."""
+    def _check_same_capture(self, kept: Mapping[int, Mapping[str, Array]]) -> None:
+        """Raise CalibrationError if the last kept pose differs from that pose in the recorded file.
+
+        kept: markers (3,) mm by pose number, from 0, and by name. The median distance of the
+        markers is compared, so two exchanged names do no harm.
+        """
         if not kept:
             return
         last = max(kept)
-        recorded = self._readings(last + 1)
+        recorded = self._read_medians(last + 1)
         apart_mm = [
             float(np.linalg.norm(recorded[name] - place_mm))
             for name, place_mm in kept[last].items()
             if name in recorded and np.isfinite(place_mm).all()
         ]
-        # Two names may have been put right since, and what was read anew has another median.
-        if apart_mm and np.median(apart_mm) > _SAME_MM:
-            raise self._of_another_capture(f"its pose {last + 1} differs from the captured one")
+        # A median: two names may have been exchanged since, and a marker read anew has another
+        # median.
+        if apart_mm and np.median(apart_mm) > _SAME_POSE_MM:
+            raise self._other_capture_error(f"its pose {last + 1} differs from the captured one")
 
-    def _of_another_capture(self, why: str) -> CalibrationError:
+    def _other_capture_error(self, why: str) -> CalibrationError:
         return CalibrationError(
             f"{self._path}: {why}, so it is of another capture; name a new file, or continue that "
             "capture with its --keep and -o"
@@ -184,26 +189,27 @@ class FileTracker:
             return self._path / POSE_FILE
         return self._path.with_name(f"{self._path.name}.{POSE_FILE}")
 
-    def _announce(self, pose: int, reached_deg: Array) -> None:
+    def _announce_pose(self, pose: int, reached_deg: Array) -> None:
+        """Write a pose's number (0: neutral) and angles to `pose.json`; ask for its recording."""
         self._pose = pose
-        stands = dict(zip(self._servo_names, np.round(reached_deg, 3).tolist(), strict=True))
-        write_whole(self._pose_file, json.dumps({"pose": pose, "servos_deg": stands}))
+        angles_deg = dict(zip(self._servo_names, np.round(reached_deg, 3).tolist(), strict=True))
+        write_whole(self._pose_file, json.dumps({"pose": pose, "servos_deg": angles_deg}))
         self._say(f"pose {pose} stands: record it in {self._path}")
 
-    def _wait_for(self, pose: int) -> Mapping[str, Array]:
+    def _wait_for_pose(self, pose: int) -> Mapping[str, Array]:
         """Wait until a pose is recorded; return the median place, (3,) mm, of each of its markers.
 
         pose: from 1; 0 is neutral. A pose is complete once it has all markers of neutral, or some
         and no new one for 0.5 s. Raises CalibrationError after 300 s.
         """
-        before: Mapping[str, Array] = {}
+        markers_before: Mapping[str, Array] = {}
         waited_s = quiet_s = 0.0
         while waited_s < PATIENCE_S:
-            found = self._readings(pose)
-            quiet_s = quiet_s + _LOOK_EVERY_S if found.keys() == before.keys() else 0.0
-            if found and (quiet_s >= _QUIET_S or set(self._names) == set(found)):
-                return found
-            before = found
+            markers = self._read_medians(pose)
+            quiet_s = quiet_s + _LOOK_EVERY_S if markers.keys() == markers_before.keys() else 0.0
+            if markers and (quiet_s >= _QUIET_S or set(self._names) == set(markers)):
+                return markers
+            markers_before = markers
             self._wait(_LOOK_EVERY_S)
             waited_s += _LOOK_EVERY_S
         raise CalibrationError(
@@ -211,8 +217,12 @@ class FileTracker:
             "running? Earlier poses are kept in the --keep file"
         )
 
-    def _readings(self, pose: int) -> Mapping[str, Array]:
-        """Return the median of each marker in a pose; {} if none is recorded and complete."""
+    def _read_medians(self, pose: int) -> Mapping[str, Array]:
+        """Return the median place, (3,) mm, of each marker in a pose, by name.
+
+        Empty if the pose is not recorded, or the file or folder is still being written. Raises
+        CalibrationError for a malformed CSV file.
+        """
         if not self._path.exists() or self._is_in_mid_line():
             return {}
         try:
@@ -224,11 +234,11 @@ class FileTracker:
             if self._path.suffix.lower() == ".csv":
                 raise
             return {}  # a folder or a JSON value of which a part is there
-        places: dict[str, list[Array]] = {}
+        places_mm: dict[str, list[Array]] = {}
         for number, name, place_mm in readings:
             if number == pose:
-                places.setdefault(name, []).append(place_mm)
-        return {name: median_place(seen) for name, seen in places.items()}
+                places_mm.setdefault(name, []).append(place_mm)
+        return {name: median_place(seen) for name, seen in places_mm.items()}
 
     def _is_in_mid_line(self) -> bool:
         """Return whether the file is CSV and its last line is still being written."""

@@ -79,19 +79,23 @@ class Place:
             raise CalibrationError(f"key {path} is missing")
         return Place(self._value[key], path)
 
-    def _checked(self, expected: str, *, is_right: bool) -> Any:
+    def _value_if(self, expected: str, *, is_right: bool) -> Any:
+        """Return the value if `is_right`; else raise CalibrationError, which names its keys.
+
+        expected: what the value should be, for the message.
+        """
         if not is_right:
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected {expected}")
         return self._value
 
     def text(self) -> str:
         """Return the value, which must be text; CalibrationError names its keys otherwise."""
-        return str(self._checked("text in quotes", is_right=isinstance(self._value, str)))
+        return str(self._value_if("text in quotes", is_right=isinstance(self._value, str)))
 
     def number(self) -> float:
         """Return the value, which must be a finite number; CalibrationError otherwise."""
         is_number = type(self._value) in (int, float) and abs(self._value) <= _MAX
-        return float(self._checked("a finite number", is_right=is_number))
+        return float(self._value_if("a finite number", is_right=is_number))
 
     def has(self, key: str) -> bool:
         """Return whether this mapping contains `key`. Raises CalibrationError for no mapping."""
@@ -100,15 +104,15 @@ class Place:
     def count(self) -> int:
         """Return the value, which must be a whole number >= 0; CalibrationError otherwise."""
         is_count = type(self._value) is int and self._value >= 0
-        return int(self._checked("a whole number >= 0", is_right=is_count))
+        return int(self._value_if("a whole number >= 0", is_right=is_count))
 
     def flag(self) -> bool:
         """Return the value, which must be true or false; CalibrationError otherwise."""
-        return bool(self._checked("true or false", is_right=isinstance(self._value, bool)))
+        return bool(self._value_if("true or false", is_right=isinstance(self._value, bool)))
 
     def whole(self) -> int:
         """Return the value, which must be a whole number; CalibrationError otherwise."""
-        return int(self._checked("a whole number", is_right=type(self._value) is int))
+        return int(self._value_if("a whole number", is_right=type(self._value) is int))
 
     def rows(self, n: int) -> Array:
         """Return this list of lists of `n` numbers, at least one; CalibrationError otherwise.
@@ -246,32 +250,32 @@ def _parse(file: Place) -> Calibration:
         weights=weights,
         quadratic_weights=quadratic_weights,
         rest=rest,
-        rest_deg=_each(servos, "rest_deg"),
+        rest_deg=_number_of_each(servos, "rest_deg"),
         x_range=x_range,
-        min_deg=_each(servos, "min_deg"),
-        max_deg=_each(servos, "max_deg"),
+        min_deg=_number_of_each(servos, "min_deg"),
+        max_deg=_number_of_each(servos, "max_deg"),
         errors=_parse_errors(file.at("hold_out"), servos),
         model_checksum=file.at("model_checksum").text(),
         face_checksum=file.at("face_checksum").text(),
         origin=_parse_origin(file, servos),
         following=_parse_following(servos),
-        touch=_part(file, "touch", lambda touch: _parse_touch(touch, names)),
-        coverage=_mapping(file, "coverage", lambda reach: _record(reach, VisemeReach)),
+        touch=_parse_part(file, "touch", lambda touch: _parse_touch(touch, names)),
+        coverage=_parse_mapping(file, "coverage", lambda reach: _parse_record(reach, VisemeReach)),
         trim=_parse_trim(file, names),
         centres=centres,
         centre_weights=centre_weights,
-        grade=_part(file, "grade", lambda grade: _record(grade, Grade)),
-        learnt_lips=_part(file, "learnt_lips", lambda lips: _record(lips, LearntLips)),
-        hand_poses=_mapping(file, "hand_poses", lambda pose: pose.by_name(names)),
-        closure=_part(file, "closure", lambda it: _parse_closure(it, len(names), len(rest))),
-        closing=_part(file, "closing", _parse_closing),
+        grade=_parse_part(file, "grade", lambda grade: _parse_record(grade, Grade)),
+        learnt_lips=_parse_part(file, "learnt_lips", lambda lips: _parse_record(lips, LearntLips)),
+        hand_poses=_parse_mapping(file, "hand_poses", lambda pose: pose.by_name(names)),
+        closure=_parse_part(file, "closure", lambda it: _parse_closure(it, len(names), len(rest))),
+        closing=_parse_part(file, "closing", _parse_closing),
     )
 
 
 Part = TypeVar("Part")
 Kind = TypeVar("Kind", bound=Record)
 #: How a field of a record is read, by its type.
-_READ: Mapping[object, Callable[[Place], object]] = {
+_READER_OF_TYPE: Mapping[object, Callable[[Place], object]] = {
     str: Place.text, float: Place.number, float | None: Place.number, int: Place.count,
     bool: Place.flag,
 }  # fmt: skip
@@ -279,7 +283,7 @@ _READ: Mapping[object, Callable[[Place], object]] = {
 _MAY_LACK = ("held_back_mm", "n_measured", "not_measured")
 
 
-def _record(place: Place, kind: type[Kind], **others: Any) -> Kind:
+def _parse_record(place: Place, kind: type[Kind], **others: Any) -> Kind:
     """Return the record, of dataclass `kind`, that a mapping holds under its fields' names.
 
     others: fields that are read otherwise. Raises CalibrationError for a missing or malformed one.
@@ -287,23 +291,23 @@ def _record(place: Place, kind: type[Kind], **others: Any) -> Kind:
     for field in fields(kind):
         may_lack = field.default is None or field.name in _MAY_LACK
         if field.name not in others and (place.has(field.name) or not may_lack):
-            others[field.name] = _READ[field.type](place.at(field.name))
+            others[field.name] = _READER_OF_TYPE[field.type](place.at(field.name))
     return kind(**others)
 
 
-def _part(file: Place, key: str, read: Callable[[Place], Part]) -> Part | None:
+def _parse_part(file: Place, key: str, read: Callable[[Place], Part]) -> Part | None:
     """Return what `read` makes of the value under `key`; None if the file has none."""
     return read(file.at(key)) if file.has(key) else None
 
 
-def _mapping(file: Place, key: str, read: Callable[[Place], Part]) -> dict[str, Part]:
+def _parse_mapping(file: Place, key: str, read: Callable[[Place], Part]) -> dict[str, Part]:
     """Return what `read` makes of each value of the mapping under `key`; {} if there is none."""
     if not file.has(key):
         return {}
     return {name: read(file.at(key).at(name)) for name in file.at(key).names}
 
 
-def _each(servos: list[Place], key: str, unknown: float | None = None) -> Array:
+def _number_of_each(servos: list[Place], key: str, unknown: float | None = None) -> Array:
     """Return each servo's number under `key`, (n_servos,), `unknown` where it may be missing."""
     return np.concatenate([servo.by_name([key], unknown) for servo in servos])
 
@@ -341,7 +345,7 @@ def _parse_closing(closing: Place) -> Closing:
     if evidence not in (CONTACT, PASSED, LIMITS):
         known = ", ".join((CONTACT, PASSED, LIMITS))
         raise CalibrationError(f"{closing.path}.evidence is {shown(evidence)}, expected {known}")
-    return _record(closing, Closing) if evidence == LIMITS else Closing(evidence)
+    return _parse_record(closing, Closing) if evidence == LIMITS else Closing(evidence)
 
 
 def _parse_origin(file: Place, servos: list[Place]) -> Origin:
@@ -350,14 +354,14 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
     servos: the mapping of each servo. Servo models and memories are () if no servo has any;
     CalibrationError if only some have them.
     """
-    named = any(servo.has("model") for servo in servos)
-    remembered = any(servo.has("memory") for servo in servos)
+    has_models = any(servo.has("model") for servo in servos)
+    has_memories = any(servo.has("memory") for servo in servos)
     keys = [field.name for field in fields(ServoMemory)]
-    memories = [s.at("memory") for s in servos] if remembered else []
-    return _record(
+    memories = [s.at("memory") for s in servos] if has_memories else []
+    return _parse_record(
         file,
         Origin,
-        servo_models=tuple(s.at("model").text() for s in servos) if named else (),
+        servo_models=tuple(s.at("model").text() for s in servos) if has_models else (),
         servo_memories=tuple(ServoMemory(*(m.at(key).whole() for key in keys)) for m in memories),
     )
 
@@ -367,10 +371,10 @@ def _parse_following(servos: list[Place]) -> Following | None:
     if not any(servo.has("lag_s") for servo in servos):
         return None
     return Following(
-        lag_s=_each(servos, "lag_s"),
-        backlash_deg=_each(servos, "backlash_deg"),
-        top_speed_deg_s=_each(servos, "top_speed_deg_s", np.inf),
-        bandwidth_hz=_each(servos, "bandwidth_hz", np.inf),
+        lag_s=_number_of_each(servos, "lag_s"),
+        backlash_deg=_number_of_each(servos, "backlash_deg"),
+        top_speed_deg_s=_number_of_each(servos, "top_speed_deg_s", np.inf),
+        bandwidth_hz=_number_of_each(servos, "bandwidth_hz", np.inf),
     )
 
 
@@ -381,7 +385,7 @@ def _parse_touch(touch: Place, names: tuple[str, ...]) -> Touch:
 def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
     """Return the trims by viseme class; names are checked, because people write trims by hand."""
     classes = [viseme[0] for viseme in VISEME_CLASSES]
-    trims = _mapping(file, "trim", lambda trim: trim)
+    trims = _parse_mapping(file, "trim", lambda trim: trim)
     for viseme, trim in trims.items():
         if viseme not in classes:
             raise CalibrationError(f"trim.{viseme}: unknown viseme; use one of {' '.join(classes)}")
@@ -391,18 +395,18 @@ def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
     return {viseme: trim.by_name(names, missing=0.0) for viseme, trim in trims.items()}
 
 
-def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
+def _parse_errors(place: Place, servos: list[Place]) -> HoldOutErrors:
     """Return the errors on held-out motion, from the mapping `hold_out` and those of all servos.
 
-    Raises CalibrationError unless `each_marker_rms_mm` has `n_markers` values.
+    place: that mapping. Raises CalibrationError unless `each_marker_rms_mm` has `n_markers` values.
     """
-    n_markers = hold_out.at("n_markers").count()
-    each: dict[str, float] = {}
+    n_markers = place.at("n_markers").count()
+    rms: dict[str, float] = {}
     if n_markers:
-        each = _mapping(hold_out, "each_marker_rms_mm", Place.number)
-        if len(each) != n_markers:
+        rms = _parse_mapping(place, "each_marker_rms_mm", Place.number)
+        if len(rms) != n_markers:
             raise CalibrationError(
-                f"hold_out.each_marker_rms_mm has {len(each)} values for {n_markers} markers"
+                f"hold_out.each_marker_rms_mm has {len(rms)} values for {n_markers} markers"
             )
-    joint_rms_deg = tuple(_each(servos, "hold_out_rms_deg").tolist())
-    return _record(hold_out, HoldOutErrors, joint_rms_deg=joint_rms_deg, each_marker_rms_mm=each)
+    joint_rms_deg = tuple(_number_of_each(servos, "hold_out_rms_deg").tolist())
+    return _parse_record(place, HoldOutErrors, joint_rms_deg=joint_rms_deg, each_marker_rms_mm=rms)

@@ -28,15 +28,15 @@ class Record(Protocol):
 
 #: libyaml's reader where PyYAML has it: ten times as fast.
 SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_KEY: Final = "checksum"
+_SUM_KEY: Final = "checksum"
 #: What a hand may change.
-_NOT_COUNTED: Final = (_KEY, "trim")
+_NOT_COUNTED: Final = (_SUM_KEY, "trim")
 
 
 def with_checksum(text: str) -> str:
     """Return the file's text with a last line added that contains its checksum."""
     checksum = _checksum(yaml.load(text, Loader=SAFE_LOADER))
-    return f'{text}{_KEY}: "{checksum}"  # over all but trims, which may be changed by hand\n'
+    return f'{text}{_SUM_KEY}: "{checksum}"  # over all but trims, which may be changed by hand\n'
 
 
 def check_checksum(content: object, source: str) -> None:
@@ -45,13 +45,13 @@ def check_checksum(content: object, source: str) -> None:
     content: the parsed YAML; source: names the file in the error. A file without a checksum, as
     older ones are, passes.
     """
-    if not isinstance(content, dict) or _KEY not in content:
+    if not isinstance(content, dict) or _SUM_KEY not in content:
         return
-    if content[_KEY] != _checksum(content):
+    if content[_SUM_KEY] != _checksum(content):
         raise CalibrationError(
             f"{source}: was edited outside its trims since it was written (its checksum differs). "
             "Go back to a copy, or calibrate again; to use an edit that you meant, delete the "
-            f"line `{_KEY}:`"
+            f"line `{_SUM_KEY}:`"
         )
 
 
@@ -84,7 +84,7 @@ _HOLD_OUT_NOTES = {
     "closed_gap_mm": "the robot's gap in 95 % of them, at most",
 }
 #: One for each servo, and written there; one for each marker.
-_WRITTEN_APART = ("joint_rms_deg", "each_marker_rms_mm")
+_WRITTEN_ELSEWHERE = ("joint_rms_deg", "each_marker_rms_mm")
 
 
 def calibration_text(calibration: Calibration) -> str:
@@ -98,16 +98,16 @@ def calibration_text(calibration: Calibration) -> str:
         *([f"not_measured: {origin.not_measured}"] if origin.not_measured else []),
         f'model_checksum: "{calibration.model_checksum}"',
         f'face_checksum: "{calibration.face_checksum}"',
-        f"rest: {_list(calibration.rest, _exact)}",
+        f"rest: {_yaml_list(calibration.rest, _exact)}",
     ]
     if np.isfinite(calibration.x_range).all():
         lines += [
-            f"x_least: {_list(calibration.x_range[0], _six)}",
-            f"x_most: {_list(calibration.x_range[1], _six)}",
+            f"x_least: {_yaml_list(calibration.x_range[0], _six)}",
+            f"x_most: {_yaml_list(calibration.x_range[1], _six)}",
         ]
     if len(calibration.centres):
         lines.append("centres:")
-        lines += [f"- {_list(centre, _six)}" for centre in calibration.centres]
+        lines += [f"- {_yaml_list(centre, _six)}" for centre in calibration.centres]
     lines.append("servos:")
     for i in range(len(names)):
         lines += _servo_lines(calibration, i)
@@ -119,15 +119,15 @@ def calibration_text(calibration: Calibration) -> str:
         ]
     lines += _hold_out_lines(calibration.errors)
     if calibration.learnt_lips is not None:
-        lines.append(f"learnt_lips: {_inline(_known(calibration.learnt_lips))}")
+        lines.append(f"learnt_lips: {_yaml_mapping(_known_fields(calibration.learnt_lips))}")
     if (closing := calibration.closing) is not None:
-        apart = {} if closing.closes else _known(closing) | {"joint": f'"{closing.joint}"'}
-        known = {"evidence": closing.evidence, **apart}
-        lines.append(f"closing: {_inline(known)}")
+        details = {} if closing.closes else _known_fields(closing) | {"joint": f'"{closing.joint}"'}
+        known = {"evidence": closing.evidence, **details}
+        lines.append(f"closing: {_yaml_mapping(known)}")
     lines += _closure_lines(calibration.closure)
     if calibration.grade is not None:
         lines.append("grade:  # measured on the robot, at poses of speech that were never fitted")
-        lines += [f"  {name}: {value}" for name, value in _known(calibration.grade).items()]
+        lines += [f"  {name}: {value}" for name, value in _known_fields(calibration.grade).items()]
     lines += _coverage_lines(calibration.coverage)
     trims = {
         viseme: {name: deg for name, deg in zip(names, degrees, strict=True) if deg != 0.0}
@@ -159,17 +159,17 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
     lines = [f"  {calibration.servo_names[i]}:"]
     lines += [f"    model: {model}"] if model else []
     if origin.servo_memories:
-        lines.append(f"    memory: {_inline(asdict(origin.servo_memories[i]))}")
+        lines.append(f"    memory: {_yaml_mapping(asdict(origin.servo_memories[i]))}")
     lines += [
         f"    min_deg: {_exact(calibration.min_deg[i])}",
         f"    max_deg: {_exact(calibration.max_deg[i])}",
         f"    rest_deg: {_six(calibration.rest_deg[i])}",
-        f"    weights: {_list(calibration.weights[i], _six)}",
+        f"    weights: {_yaml_list(calibration.weights[i], _six)}",
     ]
     if calibration.quadratic_weights.shape[1]:
-        lines.append(f"    quadratic_weights: {_list(calibration.quadratic_weights[i], _six)}")
+        lines.append(f"    quadratic_weights: {_yaml_list(calibration.quadratic_weights[i], _six)}")
     if len(calibration.centres):
-        lines.append(f"    centre_weights: {_list(calibration.centre_weights[i], _six)}")
+        lines.append(f"    centre_weights: {_yaml_list(calibration.centre_weights[i], _six)}")
     for field in () if following is None else fields(following):
         value = getattr(following, field.name)[i]
         lines += [f"    {field.name}: {_four(value)}"] if np.isfinite(value) else []
@@ -189,9 +189,9 @@ def _closure_lines(closure: Closure | None) -> list[str]:
             continue
         value = getattr(closure, field.name)
         if np.ndim(value) == 2:
-            lines += [f"  {field.name}: ", *(f"  - {_list(row, _six)}" for row in value)]
+            lines += [f"  {field.name}: ", *(f"  - {_yaml_list(row, _six)}" for row in value)]
         else:
-            text = _list(value, _six) if np.ndim(value) else _six(value)
+            text = _yaml_list(value, _six) if np.ndim(value) else _six(value)
             lines.append(f"  {field.name}: {text}")
     return lines
 
@@ -199,13 +199,13 @@ def _closure_lines(closure: Closure | None) -> list[str]:
 def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
     """Return the YAML lines of the errors on held-out motion, except each joint's own error."""
     lines = ["hold_out:"]
-    for name, value in _known(errors).items():
+    for name, value in _known_fields(errors).items():
         note = _HOLD_OUT_NOTES.get(name)
         lines.append(f"  {name}: {value}" + (f"  # {note}" if note else ""))
-    each = errors.each_marker_rms_mm
-    lines.append(f"  n_markers: {len(each)}")
-    lines += ["  each_marker_rms_mm:"] if each else []
-    return lines + [f"    {name}: {_four(rms_mm)}" for name, rms_mm in each.items()]
+    rms_of_marker = errors.each_marker_rms_mm
+    lines.append(f"  n_markers: {len(rms_of_marker)}")
+    lines += ["  each_marker_rms_mm:"] if rms_of_marker else []
+    return lines + [f"    {name}: {_four(rms_mm)}" for name, rms_mm in rms_of_marker.items()]
 
 
 def _coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
@@ -214,39 +214,39 @@ def _coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
     head = "coverage:  # of each viseme class, on the face as learnt; measured_mm on the robot"
     lines = [head] if coverage else []
     for viseme, reach in coverage.items():
-        known = _known(reach)
+        known = _known_fields(reach)
         if not reach.n_measured:
             del known["n_measured"]
-        lines.append(f"  {viseme}: {_inline(known)}  # {phonemes.get(viseme, '')}")
+        lines.append(f"  {viseme}: {_yaml_mapping(known)}  # {phonemes.get(viseme, '')}")
     return lines
 
 
-def _known(part: Record) -> dict[str, str]:
+def _known_fields(part: Record) -> dict[str, str]:
     """Return a record's fields that are not None, as YAML text by their names."""
     values = {field.name: getattr(part, field.name) for field in fields(part)}
     return {
-        name: _shown(value)
+        name: _yaml_value(value)
         for name, value in values.items()
-        if value is not None and name not in _WRITTEN_APART
+        if value is not None and name not in _WRITTEN_ELSEWHERE
     }
 
 
-def _shown(value: str | float) -> str:
+def _yaml_value(value: str | float) -> str:
     """Return a value as YAML text, numbers that are not whole with 4 significant digits."""
     if isinstance(value, bool):
         return str(value).lower()
     return str(value) if isinstance(value, int | str) else _four(value)
 
 
-def _inline(parts: Mapping[str, object]) -> str:
+def _yaml_mapping(parts: Mapping[str, object]) -> str:
     return f"{{{', '.join(f'{name}: {value}' for name, value in parts.items())}}}"
 
 
 def _by_servo(names: Iterable[str], degrees: Iterable[float], text: Callable[[float], str]) -> str:
-    return _inline({name: text(deg) for name, deg in zip(names, degrees, strict=True)})
+    return _yaml_mapping({name: text(deg) for name, deg in zip(names, degrees, strict=True)})
 
 
-def _list(values: Array, shown: Callable[[float], str]) -> str:
+def _yaml_list(values: Array, shown: Callable[[float], str]) -> str:
     return f"[{', '.join(shown(v) for v in values)}]"
 
 

@@ -73,9 +73,9 @@ def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> li
     """
     n_shapes = min(N_SHAPES, len(np.unique(from_rest, axis=0)))
     shapes = KMeans(n_shapes, n_init=2, random_state=0).fit(from_rest).cluster_centers_
-    begin_mm = float(retargeting.closed_mm[0]) + _BEGIN_MM
+    open_gap_mm = float(retargeting.closed_mm[0]) + _BEGIN_MM
     return [
-        _ladder(retargeting, retargeting.at_gap(shape[None], begin_mm)[0], n_steps)
+        _ladder(retargeting, retargeting.at_gap(shape[None], open_gap_mm)[0], n_steps)
         for shape in shapes
     ]
 
@@ -83,20 +83,23 @@ def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> li
 def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
     """Return the ladder of up to `n_steps` steps from the open pose `base_deg`, (n_servos,).
 
-    Each step closes all gaps of the learnt mouth's lips by an equal amount; the ladder ends where
-    limits of joints prevent that.
+    Each step closes all gaps of the learnt mouth's lips by an equal amount; the ladder ends before
+    the first step that closes the middle gap by less than 0.12 mm, as joints are at their limits.
     """
     mouth = retargeting.mouth
-    slopes = pair_slopes(mouth.markers_of, base_deg, mouth.names.shape_features.gaps)
-    bends = slopes.T @ slopes + _TURN_MM_PER_DEG**2 * np.eye(len(base_deg))
-    pulls = -_STEP_MM * np.arange(n_steps)[:, None] * slopes.sum(axis=0)
-    low, high = (limit - base_deg for limit in mouth.limits_deg)
-    moved_deg = bounded_minimum(np.repeat(bends[None], n_steps, axis=0), pulls, low, high)
-    goals_deg = mouth.kept_deg(base_deg + moved_deg)
-    short = np.flatnonzero(np.diff(-goals_deg @ slopes[0]) < _LEAST_STEP_MM)
-    n_reached = int(short[0]) + 1 if len(short) else n_steps
-    ahead = np.sign(goals_deg[n_reached - 1] - base_deg)
-    return Ladder(goals_deg[:n_reached], np.where(ahead == 0.0, 1.0, ahead))
+    gap_slopes = pair_slopes(mouth.markers_of, base_deg, mouth.names.shape_features.gaps)
+    # Least squares: every gap falls by 0.4 mm a step, and turning costs a little, within the
+    # limits.
+    cost = gap_slopes.T @ gap_slopes + _TURN_MM_PER_DEG**2 * np.eye(len(base_deg))
+    gains = -_STEP_MM * np.arange(n_steps)[:, None] * gap_slopes.sum(axis=0)
+    least_deg, most_deg = (limit - base_deg for limit in mouth.limits_deg)
+    turned_deg = bounded_minimum(np.repeat(cost[None], n_steps, axis=0), gains, least_deg, most_deg)
+    goals_deg = mouth.limited_deg(base_deg + turned_deg)
+    # Steps that hardly close the middle gap, by its slopes.
+    stuck = np.flatnonzero(np.diff(-goals_deg @ gap_slopes[0]) < _LEAST_STEP_MM)
+    n_kept = int(stuck[0]) + 1 if len(stuck) else n_steps
+    direction = np.sign(goals_deg[n_kept - 1] - base_deg)
+    return Ladder(goals_deg[:n_kept], np.where(direction == 0.0, 1.0, direction))
 
 
 def pair_slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[int, int]]) -> Array:
@@ -126,9 +129,9 @@ def pair_slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[i
 _SLOPE_SD = 0.25
 #: A kink of all ladders together must explain so much, in square standard errors, and leave so
 #: little of the slope, by two standard errors; noise alone explains 5 a ladder.
-_SURE, _STALLED = 22.0, 0.7
+_SURE_EVIDENCE, _MOST_SLOPE_LEFT = 22.0, 0.7
 #: A ladder of fewer steps tells nothing; in so many first ones lips are open.
-_FEWEST, _OPEN_STEPS = 5, 3
+_FEWEST_STEPS, _OPEN_STEPS = 5, 3
 #: Dots that are so far past each other belong to lips that meet.
 _PASSED_MM = 0.8
 
@@ -150,7 +153,7 @@ class Kink:
     @property
     def is_contact(self) -> bool:
         """Whether the kink is beyond doubt and the slope after it small, so that lips touch."""
-        return self.explained > _SURE and self.left + 2.0 * self.left_sd < _STALLED
+        return self.explained > _SURE_EVIDENCE and self.left + 2.0 * self.left_sd < _MOST_SLOPE_LEFT
 
 
 def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_mm: float) -> Kink:
@@ -172,33 +175,35 @@ def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_m
     Kink
         Its position on each ladder, in mm, with the evidence.
     """
-    found = [_kink(x, y / noise_mm, noise_mm) for x, y in zip(closes_mm, apertures_mm, strict=True)]
-    weights = np.array([each[3] for each in found])
-    lefts = np.array([each[2] for each in found])
-    total = max(float(weights.sum()), 1e-9)
+    kinks = [_kink(x, y / noise_mm, noise_mm) for x, y in zip(closes_mm, apertures_mm, strict=True)]
+    # Slopes beyond the kinks are averaged by the inverse of their variance.
+    weights = np.array([kink[3] for kink in kinks])
+    slopes_left = np.array([kink[2] for kink in kinks])
+    total_weight = max(float(weights.sum()), 1e-9)
     return Kink(
-        at_mm=tuple(each[0] for each in found),
-        left=float((weights * lefts).sum() / total),
-        left_sd=1.0 / np.sqrt(total),
-        explained=float(sum(each[1] for each in found)),
+        at_mm=tuple(kink[0] for kink in kinks),
+        left=float((weights * slopes_left).sum() / total_weight),
+        left_sd=1.0 / np.sqrt(total_weight),
+        explained=float(sum(kink[1] for kink in kinks)),
     )
 
 
 def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, float]:
     """Return one ladder's kink: position in mm, evidence, slope beyond it, and 1 / slope variance.
 
-    x: predicted closing in mm; y: apertures in standard errors, each of noise_mm. The evidence is
-    by how much the kink reduces the squared residuals of a straight line; the slope is given as a
-    share of the slope before the kink.
+    x: (n,), predicted closing in mm; y: (n,), apertures in standard errors, each of noise_mm. The
+    evidence is by how much the kink reduces the squared residuals of a straight line, 0 at least;
+    the slope is given as a share of the slope before the kink.
     """
-    straight = _line_fit(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
+    straight_cost = _line_fit(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
     best = (float(x[-1]), 0.0, 1.0, 0.0)
-    for at in np.arange(x[0] + 0.3, x[-1] - 0.3, 0.1):
-        cost, slopes, variance = bent_line(x, y, float(at), noise_mm)
-        if straight - cost > best[1]:
-            left = slopes[2] / max(slopes[1], 0.2)
-            known = slopes[1] ** 2 / max(variance[2, 2] + left**2 * variance[1, 1], 1e-9)
-            best = (float(at), straight - cost, float(left), float(known))
+    for kink_mm in np.arange(x[0] + 0.3, x[-1] - 0.3, 0.1):
+        cost, slopes, variance = bent_line(x, y, float(kink_mm), noise_mm)
+        if straight_cost - cost > best[1]:
+            slope_left = slopes[2] / max(slopes[1], 0.2)
+            # 1 / variance of the ratio of both slopes, by their own variances.
+            weight = slopes[1] ** 2 / max(variance[2, 2] + slope_left**2 * variance[1, 1], 1e-9)
+            best = (float(kink_mm), straight_cost - cost, float(slope_left), float(weight))
     return best
 
 
@@ -234,11 +239,11 @@ def _line_fit(inputs: Array, y: Array) -> tuple[float, Array, Array]:
     """
     prior = np.zeros((1, inputs.shape[1]))
     prior[0, 1] = 1.0 / _SLOPE_SD
-    a = np.vstack([inputs, prior])
-    b = np.append(y, 1.0 / _SLOPE_SD)
-    normal = np.linalg.pinv(a.T @ a)
-    solved = normal @ a.T @ b
-    return float(np.sum((a @ solved - b) ** 2)), solved, normal
+    all_inputs = np.vstack([inputs, prior])
+    all_y = np.append(y, 1.0 / _SLOPE_SD)
+    covariance = np.linalg.pinv(all_inputs.T @ all_inputs)
+    parameters = covariance @ all_inputs.T @ all_y
+    return float(np.sum((all_inputs @ parameters - all_y) ** 2)), parameters, covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +265,7 @@ class SeenLadders:
         return self.passed or self.kink.is_contact
 
 
-def begins(capture: Capture) -> NDArray[np.bool_]:
+def lips_are_open(capture: Capture) -> NDArray[np.bool_]:
     """Return which poses belong to no ladder or to the first steps of one, so that lips are open.
 
     A ladder is a series of poses that close the lips step by step.
@@ -275,9 +280,9 @@ def begins(capture: Capture) -> NDArray[np.bool_]:
     NDArray[np.bool_]
         (n,).
     """
-    of = ladders_of(capture)
-    earlier = np.array([(of[:row] == ladder).sum() for row, ladder in enumerate(of)])
-    return np.asarray((of == 0) | (earlier < _OPEN_STEPS))
+    ladders = ladders_of(capture)
+    n_earlier = np.array([(ladders[:row] == ladder).sum() for row, ladder in enumerate(ladders)])
+    return np.asarray((ladders == 0) | (n_earlier < _OPEN_STEPS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,44 +302,45 @@ class Apertures:
     last_mm: float
 
 
-def apertures_of(capture: Capture) -> Apertures | None:
+def ladder_apertures(capture: Capture) -> Apertures | None:
     """Return the lips' apertures in a capture's ladders, poses that close the lips in steps.
 
     None without ladders or without dots on both lips.
     """
-    of, names = ladders_of(capture), capture.marker_names
+    ladders, names = ladders_of(capture), capture.marker_names
     pairs = tuple((names.index(a), names.index(b)) for a, b in _OPPOSITE if {a, b} <= set(names))
-    rows = [np.flatnonzero(of == ladder) for ladder in np.unique(of[of > 0])]
-    rows = [own for own in rows if len(own) >= _FEWEST]
+    rows = [np.flatnonzero(ladders == ladder) for ladder in np.unique(ladders[ladders > 0])]
+    rows = [steps for steps in rows if len(steps) >= _FEWEST_STEPS]
     if not rows or not pairs:
         return None
-    apertures, last_mm = [], []
-    for own in rows:
-        heights_mm = gap_heights_mm(capture.markers_mm[own], pairs)
+    apertures_mm, last_mm = [], []
+    for steps in rows:
+        heights_mm = gap_heights_mm(capture.markers_mm[steps], pairs)
         # A dot that is lost in one step must not shift the mean of the others.
         usual_mm = np.nanmedian(heights_mm, axis=0)
-        apertures.append(np.nan_to_num(np.nanmean(heights_mm - usual_mm, axis=1)))
+        apertures_mm.append(np.nan_to_num(np.nanmean(heights_mm - usual_mm, axis=1)))
         last_mm.append(heights_mm[-2:, 0])
     share = float(np.sqrt(2.0 / len(pairs)))
-    return Apertures(tuple(rows), tuple(apertures), pairs, share, float(np.nanmean(last_mm)))
+    return Apertures(tuple(rows), tuple(apertures_mm), pairs, share, float(np.nanmean(last_mm)))
 
 
-def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
+def read_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
     """Return what a capture's ladders, poses that close the lips in steps, show of contact.
 
     None without ladders or without dots on both lips. markers_of: the face learnt so far, from
     poses (k, n_servos) degrees to markers in mm; noise_mm: of a marker in one axis.
     """
-    seen = apertures_of(capture)
+    seen = ladder_apertures(capture)
     if seen is None:
         return None
-    closes = []
-    for own in seen.rows:
-        by_deg = pair_slopes(markers_of, capture.goals_deg[own[0]], seen.pairs).mean(axis=0)
-        closes.append(-(capture.goals_deg[own] - capture.goals_deg[own[0]]) @ by_deg)
-    kink = find_kink(closes, seen.mm, seen.share * noise_mm)
+    closes_mm = []
+    for steps in seen.rows:
+        mm_per_deg = pair_slopes(markers_of, capture.goals_deg[steps[0]], seen.pairs).mean(axis=0)
+        # How far each step should close the lips, by a straight line from the ladder's first pose.
+        closes_mm.append(-(capture.goals_deg[steps] - capture.goals_deg[steps[0]]) @ mm_per_deg)
+    kink = find_kink(closes_mm, seen.mm, seen.share * noise_mm)
     touching = np.zeros(len(capture), dtype=bool)
     if kink.is_contact:
-        for own, x, at in zip(seen.rows, closes, kink.at_mm, strict=True):
-            touching[own[x > at]] = True
+        for steps, closing_mm, kink_mm in zip(seen.rows, closes_mm, kink.at_mm, strict=True):
+            touching[steps[closing_mm > kink_mm]] = True
     return SeenLadders(seen.rows, kink, touching, passed=seen.last_mm < -_PASSED_MM)

@@ -38,32 +38,32 @@ class LandmarkPose:
     coefficients: Array
 
 
-def _at(landmark: int) -> int:
+def _marker_row(landmark: int) -> int:
     return MARKERS_47.landmarks.index(landmark)
 
 
 def _opening(mm: Array) -> Array:
-    return np.asarray(mm[:, _at(13), 1] - mm[:, _at(14), 1])
+    return np.asarray(mm[:, _marker_row(13), 1] - mm[:, _marker_row(14), 1])
 
 
 def _width(mm: Array) -> Array:
-    return np.asarray(mm[:, _at(291), 0] - mm[:, _at(61), 0])
+    return np.asarray(mm[:, _marker_row(291), 0] - mm[:, _marker_row(61), 0])
 
 
 def _upper(mm: Array) -> Array:
-    return np.asarray(mm[:, _at(0), 1])
+    return np.asarray(mm[:, _marker_row(0), 1])
 
 
 def _lower(mm: Array) -> Array:
-    return np.asarray(-mm[:, _at(17), 1])
+    return np.asarray(-mm[:, _marker_row(17), 1])
 
 
 def _forward(mm: Array) -> Array:
-    return np.asarray((mm[:, _at(0), 2] + mm[:, _at(17), 2]) / 2)
+    return np.asarray((mm[:, _marker_row(0), 2] + mm[:, _marker_row(17), 2]) / 2)
 
 
 def _corners(mm: Array) -> Array:
-    return np.asarray((mm[:, _at(61), 1] + mm[:, _at(291), 1]) / 2)
+    return np.asarray((mm[:, _marker_row(61), 1] + mm[:, _marker_row(291), 1]) / 2)
 
 
 #: Name, what the person is told, what is large there (each standardised, then added up).
@@ -89,13 +89,15 @@ def landmark_poses(model: FaceWithAnimPhos) -> tuple[LandmarkPose, ...]:
     frames = model.animphos.frames
     markers_mm = model.markers_mm(frames)
     poses = [LandmarkPose(CLOSED, "close the mouth, lips just touching", model.rest)]
-    for name, instruction, parts in _POSES:
+    for name, instruction, measures in _POSES:
         score = np.zeros(len(frames))
-        for measure, sign in parts:
+        for measure, sign in measures:
             values = measure(markers_mm)
+            # Standardised, so that several measures count alike.
             score += sign * (values - values.mean()) / (values.std() + 1e-12)
-        wanted = np.quantile(score, _QUANTILE)
-        poses.append(LandmarkPose(name, instruction, frames[np.abs(score - wanted).argmin()]))
+        wanted_score = np.quantile(score, _QUANTILE)
+        # The frame nearest to the 97 % quantile: near the extreme, not an odd frame beyond it.
+        poses.append(LandmarkPose(name, instruction, frames[np.abs(score - wanted_score).argmin()]))
     return tuple(poses)
 
 
@@ -159,14 +161,14 @@ def _ridge(x: Array, turned_deg: Array) -> tuple[Array, Array]:
     """Return weights (n_servos, n_components) and each servo's leave-one-out rms in degrees.
 
     x: (n, n_components), speaker's frames less the rest; turned_deg: (n, n_servos), the angles set
-    for them.
+    for them. The error without a pose is its residual over 1 less its leverage.
     """
     ridge = RidgeCV(_STRENGTHS, fit_intercept=False).fit(x, turned_deg)
     weights = rounded(np.asarray(ridge.coef_, dtype=np.float64).reshape(turned_deg.shape[1], -1))
-    normal = x.T @ x + ridge.alpha_ * np.eye(x.shape[1])
-    leverage = np.einsum("ni,ni->n", x, np.linalg.solve(normal, x.T).T)
-    left_out = (turned_deg - x @ weights.T) / (1.0 - leverage)[:, None]
-    return weights, np.asarray(np.sqrt(np.mean(left_out**2, axis=0)))
+    regularised = x.T @ x + ridge.alpha_ * np.eye(x.shape[1])
+    leverage = np.einsum("ni,ni->n", x, np.linalg.solve(regularised, x.T).T)
+    left_out_deg = (turned_deg - x @ weights.T) / (1.0 - leverage)[:, None]
+    return weights, np.asarray(np.sqrt(np.mean(left_out_deg**2, axis=0)))
 
 
 #: Degrees of a key press: one is about the backlash of a printed gear train, five cross a
@@ -211,9 +213,9 @@ class GuidedSession:
         n_servos = len(self.joints)
         if key in ("w", "s"):
             return replace(self, servo=(self.servo + (1 if key == "s" else -1)) % n_servos)
-        steps = {"d": _SMALL_DEG, "a": -_SMALL_DEG, "D": _LARGE_DEG, "A": -_LARGE_DEG}
-        if key in steps:
-            turned_deg = float(self.positions_deg[self.servo]) + steps[key]
+        step_of_key = {"d": _SMALL_DEG, "a": -_SMALL_DEG, "D": _LARGE_DEG, "A": -_LARGE_DEG}
+        if key in step_of_key:
+            turned_deg = float(self.positions_deg[self.servo]) + step_of_key[key]
             return self.moved({self.joints[self.servo].name: turned_deg})
         if key in KEEP_KEYS:
             name = self.poses[self.pose].name
@@ -225,9 +227,9 @@ class GuidedSession:
         if key == "x":
             return replace(self, pose=self.pose + 1)
         if key == "b":
-            before = max(0, self.pose - 1)
-            made_deg = self.made_deg.get(self.poses[before].name, self.positions_deg)
-            return replace(self, pose=before, positions_deg=made_deg.copy())
+            previous = max(0, self.pose - 1)
+            made_deg = self.made_deg.get(self.poses[previous].name, self.positions_deg)
+            return replace(self, pose=previous, positions_deg=made_deg.copy())
         return replace(self, stopped=True) if key == "q" else self
 
     def moved(self, to_deg: Mapping[str, object]) -> "GuidedSession":

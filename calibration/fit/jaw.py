@@ -56,9 +56,9 @@ class JawBlend:
         Array
             (n,): 0 closed, 1 open.
         """
-        way_mm = self.open_mm - self.closed_mm
-        along = np.sum((points_mm - self.closed_mm) * way_mm, axis=(1, 2))
-        return np.asarray(along / np.sum(way_mm**2))
+        closed_to_open_mm = self.open_mm - self.closed_mm
+        along_mm2 = np.sum((points_mm - self.closed_mm) * closed_to_open_mm, axis=(1, 2))
+        return np.asarray(along_mm2 / np.sum(closed_to_open_mm**2))
 
 
 def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
@@ -67,11 +67,12 @@ def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
     Raises CalibrationError for a speaker whose jaw line hardly moves.
     """
     frames = model.animphos.frames
-    line = list(JAW_LINE)
-    markers_mm = model.markers_mm(frames)[:, line]
+    jaw = list(JAW_LINE)
+    markers_mm = model.markers_mm(frames)[:, jaw]
     height_mm = markers_mm[:, :, 1].mean(axis=1)
+    # An open jaw is low: the lowest 2 % of the frames.
     widest = height_mm <= np.quantile(height_mm, 1.0 - _OPEN_QUANTILE)
-    return jaw_blend(model.markers_mm(model.rest[None])[0, line], markers_mm[widest].mean(axis=0))
+    return jaw_blend(model.markers_mm(model.rest[None])[0, jaw], markers_mm[widest].mean(axis=0))
 
 
 def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:
@@ -159,10 +160,10 @@ def fit_jaw(
     become warnings. Raises CalibrationError for fewer than three such markers, and for a capture
     with faults.
     """
-    line = list(jaw_markers(capture.marker_names))
-    if len(line) < _LEAST_MARKERS:
+    on_jaw = list(jaw_markers(capture.marker_names))
+    if len(on_jaw) < _LEAST_MARKERS:
         raise CalibrationError(
-            f"only {len(line)} markers are on the jaw, {_LEAST_MARKERS} are needed; their names "
+            f"only {len(on_jaw)} markers are on the jaw, {_LEAST_MARKERS} are needed; their names "
             "begin with `jaw` or `chin`"
         )
     checked = check_capture(capture, model, servos.positive, accept=accept)
@@ -170,26 +171,27 @@ def fit_jaw(
     face = fit_robot_face(capture)
     (joint,) = servos.joints
     sweep_deg = np.linspace(joint.min_deg, _USED_SHARE * joint.max_deg, _SWEEP)
-    swept_mm = face.markers_mm(sweep_deg[:, None])[:, line]
-    closed_mm = face.markers_mm(np.zeros((1, 1)))[0, line]
-    robot = jaw_blend(closed_mm, swept_mm[-1])
-    alphas = steady_alphas(robot, sweep_deg, swept_mm)
-    speaker = speakers_jaw(model)
+    swept_mm = face.markers_mm(sweep_deg[:, None])[:, on_jaw]
+    closed_mm = face.markers_mm(np.zeros((1, 1)))[0, on_jaw]
+    robot_blend = jaw_blend(closed_mm, swept_mm[-1])
+    alphas = steady_alphas(robot_blend, sweep_deg, swept_mm)
+    speaker_blend = speakers_jaw(model)
 
     def wanted_alpha(frames: Array) -> Array:
-        return speaker.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+        return speaker_blend.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
 
-    fit, held_out = split_frames(model, seed)
+    fitted, held_out = split_frames(model, seed)
     limits = servos.limits_deg
     # Straight, and beyond the ends too: limits cut it off at run time, and a line fits a line.
     degrees_per_alpha = float(alphas @ sweep_deg / (alphas @ alphas))
-    weights = ridge_weights(fit - model.rest, degrees_per_alpha * wanted_alpha(fit)[:, None])
+    weights = ridge_weights(fitted - model.rest, degrees_per_alpha * wanted_alpha(fitted)[:, None])
     free_deg = (held_out - model.rest) @ weights.T
     mapped_deg = np.clip(free_deg, *limits)
     wanted_deg = np.interp(wanted_alpha(held_out), alphas, sweep_deg)[:, None]
-    off_mm = (face.markers_mm(mapped_deg) - face.markers_mm(wanted_deg))[:, line]
+    # Errors of the held-out frames, on the learnt face and along the jaw line only.
+    off_mm = (face.markers_mm(mapped_deg) - face.markers_mm(wanted_deg))[:, on_jaw]
     off_deg = mapped_deg - wanted_deg
-    names = [capture.marker_names[i] for i in line]
+    names = [capture.marker_names[i] for i in on_jaw]
     errors = HoldOutErrors(
         n_frames=len(held_out),
         marker_rms_mm=float(np.sqrt(np.mean(np.sum(off_mm**2, axis=2)))),
@@ -209,12 +211,12 @@ def fit_jaw(
 
 
 def jaw_agreement(model: FaceWithAnimPhos, calibration: Calibration, joint: int) -> float:
-    """Return the correlation over speech of a joint's angle with the speaker's jaw, -1 to 1.
+    """Return the correlation, over some of the speech, of a joint's angle with the speaker's jaw.
 
-    joint: its number. 0 where angle or jaw never changes.
+    joint: its number. From -1 to 1; 0 where angle or jaw never changes.
     """
-    some = model.animphos.samples[:: max(1, len(model.animphos) // 200)]
-    frames = some.reshape(-1, model.n_components)
+    samples = model.animphos.samples[:: max(1, len(model.animphos) // 200)]
+    frames = samples.reshape(-1, model.n_components)
     alpha = speakers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
     turned_deg = np.array([calibration.positions_deg(frame)[joint] for frame in frames])
     if turned_deg.std() == 0.0 or alpha.std() == 0.0:

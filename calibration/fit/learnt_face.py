@@ -42,7 +42,7 @@ def fit_calibration(
     2 AnimPhos.
     """
     servos = MouthServos(tuple(joints), face_checksum, rules=tuple(rules))
-    fit, held_out = split_frames(model, seed, max_animphos)
+    fitted, held_out = split_frames(model, seed, max_animphos)
     try:
         neutral_mm = model.markers_mm(model.rest[None])[0]
         face = simulated_face(neutral_mm, servos.names)
@@ -51,8 +51,8 @@ def fit_calibration(
     names = correspond(MARKERS_47.names)
     markers_of = partial(marker_positions_mm, face)
     mouth = RobotMouth(markers_of, names, servos.limits_deg, servos.rules)
-    nearest_deg = mouth.nearest_deg(names.shape_features.of(model.markers_mm(fit)))
-    weights = ridge_weights(fit - model.rest, nearest_deg)
+    nearest_deg = mouth.nearest_deg(names.shape_features.of(model.markers_mm(fitted)))
+    weights = ridge_weights(fitted - model.rest, nearest_deg)
     errors = _errors(model, mouth, weights, held_out)
     return linear_calibration(model, servos, weights, errors=errors, rules=servos.rules)
 
@@ -90,7 +90,7 @@ def _errors(
     human_mm = model.markers_mm(held_out)
     nearest_deg = mouth.nearest_deg(mouth.names.shape_features.of(human_mm))
     free_deg = (held_out - model.rest) @ weights.T
-    positions_deg = mouth.kept_deg(free_deg)
+    positions_deg = mouth.limited_deg(free_deg)
     return measure_hold_out(
         human_mm,
         mouth.markers_of(positions_deg),

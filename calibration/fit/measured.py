@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from calibration.calibration import Calibration, CalibrationError, Following, Origin, Touch
 from calibration.capture.capture import Capture, outside_ladders
-from calibration.capture.joint_health import alive
+from calibration.capture.joint_health import joint_signal
 from calibration.capture.sanity import check_capture
 from calibration.capture.straight_lines import straight_lines
 from calibration.closure import CLOSED_GAP_MM
@@ -97,6 +97,7 @@ class ShapeErrors:
         """
         right, left = self.mouth.names.corners
         poses_deg = self.retargeting.poses_deg(from_rest)
+        # The wanted gaps, and the speaker's scaled motion on the robot's neutral.
         copies_mm, gaps_mm = self.retargeting.copies_mm(from_rest)
         best_mm = self.mouth.markers_of(poses_deg)
         opening_mm = gap_heights_mm(best_mm, self.mouth.names.shape_features.gaps[:1])[:, 0]
@@ -142,78 +143,80 @@ def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Arra
     return np.asarray(np.sqrt(squares.mean(axis=1)))
 
 
-def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
+def _errors(ref: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
     """Return the errors of the live map `run` on held-out frames of speech, on the learnt face.
 
-    held_out: (n, n_components) coefficients. Markers are compared with the wanted shapes, angles
-    with the best poses.
+    ref: speaker, learnt mouth and wanted shapes; held_out: (n, n_components) coefficients.
+    Markers are compared with the wanted shapes, angles with the best poses.
     """
-    from_rest = held_out - on.model.rest
-    best_deg = on.retargeting.poses_deg(from_rest)
-    targets_mm = on.retargeting.targets_mm(from_rest)
-    poses_deg = run.poses_deg(from_rest, on.mouth)
-    robot_mm = on.mouth.seen_mm(poses_deg)
-    human_gap_mm = on.model.lip_gaps_mm(on.model.markers_mm(held_out))
-    gap_mm = _opening_mm(on, robot_mm)
-    closed = human_gap_mm <= CLOSED_GAP_MM
-    gaps = gap_figures(on.retargeting.wanted_open_mm(from_rest)[:, 0], gap_mm, human_gap_mm)
-    moves = min(human_gap_mm.std(), gap_mm.std()) > 0.0
+    from_rest = held_out - ref.model.rest
+    best_deg = ref.retargeting.poses_deg(from_rest)
+    targets_mm = ref.retargeting.targets_mm(from_rest)
+    poses_deg = run.poses_deg(from_rest, ref.mouth)
+    robot_mm = ref.mouth.seen_mm(poses_deg)
+    human_gap_mm = ref.model.lip_gaps_mm(ref.model.markers_mm(held_out))
+    gap_mm = _opening_mm(ref, robot_mm)
+    is_closed = human_gap_mm <= CLOSED_GAP_MM
+    gaps = gap_figures(ref.retargeting.wanted_open_mm(from_rest)[:, 0], gap_mm, human_gap_mm)
+    both_move = min(human_gap_mm.std(), gap_mm.std()) > 0.0
     return HoldOutErrors(
         n_frames=len(held_out),
         marker_rms_mm=_rms(np.linalg.norm(robot_mm - targets_mm, axis=2)),
-        lip_rms_mm=_rms(on.apart_mm(poses_deg, targets_mm)),
-        gap_rms_mm=_rms(gap_mm - _opening_mm(on, targets_mm)),
-        gap_correlation=float(np.corrcoef(human_gap_mm, gap_mm)[0, 1]) if moves else 0.0,
-        n_closures=int(closed.sum()),
-        closed_gap_mm=on.stay_apart_mm + (gaps.closed_mm or 0.0),
-        clipped_share=float(_at_limit(poses_deg, on.mouth).mean()),
+        lip_rms_mm=_rms(ref.apart_mm(poses_deg, targets_mm)),
+        gap_rms_mm=_rms(gap_mm - _opening_mm(ref, targets_mm)),
+        gap_correlation=float(np.corrcoef(human_gap_mm, gap_mm)[0, 1]) if both_move else 0.0,
+        n_closures=int(is_closed.sum()),
+        closed_gap_mm=ref.stay_apart_mm + (gaps.closed_mm or 0.0),
+        clipped_share=float(_is_at_limit(poses_deg, ref.mouth).mean()),
         joint_rms_deg=tuple(_rms(column) for column in (poses_deg - best_deg).T),
-        each_marker_rms_mm=each_marker_rms_mm(on.mouth.names.marker_names, robot_mm - targets_mm),
+        each_marker_rms_mm=each_marker_rms_mm(ref.mouth.names.marker_names, robot_mm - targets_mm),
         gap_slope=gaps.slope,
         small_gaps_kept=gaps.small_kept,
     )
 
 
-def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
+def _coverage(ref: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     """Return how well the map `run` reaches each viseme class, by the class's first phoneme.
 
-    on: speaker and learnt mouth; frames are those of the speaker's speech.
+    ref: speaker and learnt mouth. Compared are the middle frames of at most 30 AnimPhos (pieces
+    of recorded motion about a phoneme) of each class.
     """
-    rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
-    rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
-    from_rest = on.model.animphos.samples[np.concatenate(list(rows.values())), 2] - on.model.rest
-    reached = on.reached(from_rest)
-    targets_mm = on.retargeting.targets_mm(from_rest)
-    poses_deg = run.poses_deg(from_rest, on.mouth)
-    off_mm = on.apart_mm(poses_deg, targets_mm)
-    wanted_mm = on.retargeting.wanted_open_mm(from_rest)[:, 0]
-    made_mm = _opening_mm(on, on.mouth.seen_mm(poses_deg))
-    human_mm = on.model.lip_gaps_mm(on.model.markers_mm(from_rest + on.model.rest))
-    at_limit = _at_limit(poses_deg, on.mouth)
+    rows = {viseme[0]: _rows_of_class(ref.model, viseme) for viseme in VISEME_CLASSES}
+    rows = {viseme: class_rows for viseme, class_rows in rows.items() if len(class_rows)}
+    # The middle frame of each piece of motion (AnimPho), class after class.
+    from_rest = ref.model.animphos.samples[np.concatenate(list(rows.values())), 2] - ref.model.rest
+    reached = ref.reached(from_rest)
+    targets_mm = ref.retargeting.targets_mm(from_rest)
+    poses_deg = run.poses_deg(from_rest, ref.mouth)
+    off_mm = ref.apart_mm(poses_deg, targets_mm)
+    wanted_mm = ref.retargeting.wanted_open_mm(from_rest)[:, 0]
+    made_mm = _opening_mm(ref, ref.mouth.seen_mm(poses_deg))
+    human_mm = ref.model.lip_gaps_mm(ref.model.markers_mm(from_rest + ref.model.rest))
+    at_limit = _is_at_limit(poses_deg, ref.mouth)
     reach: dict[str, VisemeReach] = {}
     begin = 0
-    for viseme, chosen in rows.items():
-        own = slice(begin, begin + len(chosen))
-        gaps = gap_figures(wanted_mm[own], made_mm[own], human_mm[own])
+    for viseme, class_rows in rows.items():
+        part = slice(begin, begin + len(class_rows))
+        gaps = gap_figures(wanted_mm[part], made_mm[part], human_mm[part])
         reach[viseme] = VisemeReach(
-            reachable=float(reached[own].mean()),
-            off_mm=_rms(off_mm[own]),
+            reachable=float(reached[part].mean()),
+            off_mm=_rms(off_mm[part]),
             gap_slope=gaps.slope,
-            closed_gap_mm=None if gaps.closed_mm is None else on.stay_apart_mm + gaps.closed_mm,
+            closed_gap_mm=None if gaps.closed_mm is None else ref.stay_apart_mm + gaps.closed_mm,
             small_gaps_kept=gaps.small_kept,
-            at_limit=float(at_limit[own].mean()),
+            at_limit=float(at_limit[part].mean()),
         )
-        begin = own.stop
+        begin = part.stop
     return reach
 
 
-def _at_limit(poses_deg: Array, mouth: RobotMouth) -> NDArray[np.bool_]:
+def _is_at_limit(poses_deg: Array, mouth: RobotMouth) -> NDArray[np.bool_]:
     """Return whether any joint of the mouth is at a limit in each pose, (n,)."""
     low, high = mouth.limits_deg
     return np.asarray(((poses_deg <= low) | (poses_deg >= high)).any(axis=1))
 
 
-def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int64]:
+def _rows_of_class(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int64]:
     """Return row numbers of at most 30 AnimPhos, evenly over all of a viseme class.
 
     An AnimPho is a stretch of face motion about one phoneme; viseme: phonemes of the class.
@@ -221,14 +224,14 @@ def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int
     rows = np.concatenate([model.animphos.of_phoneme(phoneme) for phoneme in viseme])
     if not len(rows):
         return rows
-    some = np.linspace(0, len(rows) - 1, min(len(rows), _FRAMES_PER_CLASS)).astype(np.int64)
-    return np.asarray(rows[some], dtype=np.int64)
+    evenly = np.linspace(0, len(rows) - 1, min(len(rows), _FRAMES_PER_CLASS)).astype(np.int64)
+    return np.asarray(rows[evenly], dtype=np.int64)
 
 
-def _opening_mm(on: ShapeErrors, markers_mm: Array) -> Array:
+def _opening_mm(ref: ShapeErrors, markers_mm: Array) -> Array:
     """Return the openings of the middle of the lips, (n,) mm, beyond the robot's own closed gap."""
-    heights_mm = gap_heights_mm(markers_mm, on.mouth.names.shape_features.gaps[:1])[:, 0]
-    return np.asarray(heights_mm - on.retargeting.closed_mm[0])
+    heights_mm = gap_heights_mm(markers_mm, ref.mouth.names.shape_features.gaps[:1])[:, 0]
+    return np.asarray(heights_mm - ref.retargeting.closed_mm[0])
 
 
 def _rms(values: Array) -> float:
@@ -237,7 +240,7 @@ def _rms(values: Array) -> float:
 
 #: One joint is loose with so much play, so many times the usual, and so many times the next's: of
 #: healthy simulated robots (1 degree all) the fit says up to 1.7.
-_LOOSE_DEG, _LOOSE_TIMES, _AHEAD, _FEWEST_JOINTS = 2.0, 1.8, 1.25, 3
+_LOOSE_DEG, _LOOSE_TIMES, _AHEAD_OF_NEXT, _FEWEST_JOINTS = 2.0, 1.8, 1.25, 3
 
 
 def loose_joint(servo_names: tuple[str, ...], backlash_deg: Array) -> tuple[str, ...]:
@@ -261,9 +264,9 @@ def loose_joint(servo_names: tuple[str, ...], backlash_deg: Array) -> tuple[str,
     if len(backlash_deg) < _FEWEST_JOINTS:
         return ()
     order = np.argsort(backlash_deg)[::-1]
-    most_deg, second_deg = backlash_deg[order[:2]]
+    most_deg, next_deg = backlash_deg[order[:2]]
     usual_deg = float(np.median(backlash_deg))
-    if most_deg < max(_LOOSE_DEG, _LOOSE_TIMES * usual_deg) or most_deg < _AHEAD * second_deg:
+    if most_deg < max(_LOOSE_DEG, _LOOSE_TIMES * usual_deg) or most_deg < _AHEAD_OF_NEXT * next_deg:
         return ()
     return (
         f"servo {servo_names[order[0]]!r} is loose: it has {most_deg:.1f} deg of play or more, "
@@ -283,17 +286,17 @@ TOUCH_CURRENT_MA = 294.0
 #: of lips open that are pulled at their sides (docs/decisions/calibration.md).
 _CONTACT_PRESS_MM = 1.0
 #: What noise gives a kink of three ladders at the most, in square standard errors.
-_HINT = 15.0
+_CONTACT_HINT = 15.0
 #: Of frames left out one in so many says what all of them do.
-_SOME = 8
+_EVERY_NTH = 8
 #: A joint that is so near to its limit stands at it.
 _AT_LIMIT_DEG = 0.5
 #: A joint that does so much to the markers it moves most, in square standard errors, costs what
 #: chance gives its slope; half as much costs eight times as much, squared. Lips of elastic robots
 #: come to 75 and up, with a third of their throw to 42 and up.
-_KNOWN_WELL = 120.0
+_WELL_KNOWN_SIGNAL = 120.0
 #: One narrow reading may be noise.
-_NARROWEST = 0.05
+_NARROW_Q = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,28 +338,29 @@ def fit_measured(
         face = fit_robot_face(capture, names.shape_features)
         warnings = (*checked.warnings, *loose_joint(face.servo_names, face.backlash_deg))
         limits = servos.limits_deg
-        fit, held_out = split_frames(model, seed)
+        fitted, held_out = split_frames(model, seed)
+        # The mouth that is searched for poses; joints that move nothing visibly stay at 0.
         mouth = replace(
             mouth_of(face, names, servos.holding(checked.still)),
             doubt_mm_per_deg=_doubt_mm_per_deg(outside_ladders(capture), names),
         )
         retargeting = retargeting_of(model, mouth, face, capture)
-        run = choose_map(retargeting, fit - model.rest).without(checked.still)
+        run = choose_map(retargeting, fitted - model.rest).without(checked.still)
         closing = closing_of(face, mouth, capture)
-        apart_mm = 0.0 if closing is None else closing.apart_mm
-        on = ShapeErrors(model, mouth, retargeting, apart_mm)
+        stay_apart_mm = 0.0 if closing is None else closing.apart_mm
+        shapes = ShapeErrors(model, mouth, retargeting, stay_apart_mm)
         calibration = Calibration(
             servo_names=capture.servo_names,
             rest=model.rest,
             min_deg=limits[0],
             max_deg=limits[1],
-            errors=_errors(on, run, held_out),
+            errors=_errors(shapes, run, held_out),
             model_checksum=model.checksum,
             face_checksum=servos.face_checksum,
             origin=Origin("measured", date, len(capture), servos.models),
             following=backlash_only(face.backlash_deg),
             touch=Touch(_touch_deg(retargeting), TOUCH_CURRENT_MA),
-            coverage=_coverage(on, run),
+            coverage=_coverage(shapes, run),
             rules=servos.rules,
             closing=closing,
             **{part.name: getattr(run, part.name) for part in fields(run)},
@@ -365,7 +369,7 @@ def fit_measured(
                 noise_mm=face.noise_mm,
                 own_gap_mm=float(retargeting.closed_mm[0]),
                 stop=face.contact is not None,
-                held_back_mm=retargeting.held_back_mm((held_out - model.rest)[::_SOME]),
+                held_back_mm=retargeting.held_back_mm((held_out - model.rest)[::_EVERY_NTH]),
             ),
         )
         return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
@@ -374,15 +378,15 @@ def fit_measured(
 def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
     """Return the cost of a degree of each joint in the search of poses, (n_servos,) weighted mm.
 
-    It is the standard error of the joint's slope, raised for a weak joint: turning it is as likely
-    to do harm by that much as to help, so a weak joint turns only as far as its known effect
-    justifies. names: the markers that correspond with the speaker's.
+    It is the standard error of the joint's slope, raised for a weak joint: turning such a joint is
+    as likely to do harm as to help, so it turns only as far as its known effect justifies. names:
+    the markers that correspond with the speaker's.
     """
     lines = straight_lines(capture)
     range_deg = np.maximum(np.ptp(capture.goals_deg, axis=0), 1e-6)
     chance_mm = lines.chance_mm / range_deg * names.shape_features.of_noise(len(names.human))
-    signals = np.array([alive(lines, joint) for joint in range(len(range_deg))])
-    return np.asarray(chance_mm * (_KNOWN_WELL / np.maximum(signals, 1e-9)) ** 1.5)
+    signals = np.array([joint_signal(lines, joint) for joint in range(len(range_deg))])
+    return np.asarray(chance_mm * (_WELL_KNOWN_SIGNAL / np.maximum(signals, 1e-9)) ** 1.5)
 
 
 def split_frames(
@@ -390,25 +394,26 @@ def split_frames(
 ) -> tuple[Array, Array]:
     """Return frames to fit and frames to hold out, from different AnimPhos, drawn by `seed`.
 
-    n_animphos: a fifth of so many is held out, the others are fitted; None: as a measured fit.
-    Raises CalibrationError for a model with fewer than two AnimPhos.
+    AnimPhos are recorded pieces of motion, each about one phoneme. n_animphos: a fifth of so many
+    is held out, the others are fitted; None: 240 are fitted and 160, but at most a fifth of all,
+    are held out. Raises CalibrationError for a model with fewer than two AnimPhos.
 
     Returns
     -------
     tuple[Array, Array]
         (n, n_components) each.
     """
-    order = np.random.default_rng(seed).permutation(len(model.animphos))
-    if len(order) < 2:
+    shuffled = np.random.default_rng(seed).permutation(len(model.animphos))
+    if len(shuffled) < 2:
         raise CalibrationError("the model has fewer than 2 AnimPhos; give another with --model")
     n_held_out, n_fitted = MAX_HELD_OUT, MAX_FITTED
     if n_animphos is not None:
         n_held_out = round(HOLD_OUT_SHARE * n_animphos)
         n_fitted = n_animphos - n_held_out
-    n_held_out = min(n_held_out, max(1, round(HOLD_OUT_SHARE * len(order))))
-    held_out, fit = order[:n_held_out], order[n_held_out : n_held_out + n_fitted]
-    frames = model.animphos.samples.reshape(len(order), -1, model.n_components)
-    return np.concatenate(frames[fit]), np.concatenate(frames[held_out])
+    n_held_out = min(n_held_out, max(1, round(HOLD_OUT_SHARE * len(shuffled))))
+    held_out, fitted = shuffled[:n_held_out], shuffled[n_held_out : n_held_out + n_fitted]
+    frames = model.animphos.samples.reshape(len(shuffled), -1, model.n_components)
+    return np.concatenate(frames[fitted]), np.concatenate(frames[held_out])
 
 
 def backlash_only(backlash_deg: Array) -> Following:
@@ -445,17 +450,17 @@ def retargeting_of(
     """
     frames = model.animphos.frames
     heights_mm = gap_heights_mm(capture.markers_mm, mouth.names.shape_features.gaps)
-    parts_mm = float(np.ptp(np.nanquantile(heights_mm[:, 0], [_NARROWEST, 1.0 - _NARROWEST])))
-    if parts_mm < LEAST_OPENING_MM:
-        raise no_opening(mouth, parts_mm)
+    opening_mm = float(np.ptp(np.nanquantile(heights_mm[:, 0], [_NARROW_Q, 1.0 - _NARROW_Q])))
+    if opening_mm < LEAST_OPENING_MM:
+        raise no_opening(mouth, opening_mm)
     if face.contact is not None:
         return fit_retargeting(model, frames, mouth, face.contact.closed_mm, _CONTACT_PRESS_MM)
     if face.ladders is not None and not face.ladders.meet:
-        # As near as they come is as closed as they are, and there is nothing to press.
+        # The gaps of the nearest pose count as closed, and there is nothing to press.
         return fit_retargeting(model, frames, mouth, nearest_gaps(face, capture)[1], 0.0)
-    # Dots cannot pass each other, so lips touch at 0 at the latest; dots that never came so near
-    # lie beside the edges, and the narrowest that was seen is the best guess.
-    narrowest_mm = np.nanquantile(heights_mm, _NARROWEST, axis=0)
+    # Dots cannot pass each other, so lips touch at a gap of 0 at the latest. Where dots never came
+    # so near, they lie beside the lips' edges, and the narrowest gap seen is the best guess.
+    narrowest_mm = np.nanquantile(heights_mm, _NARROW_Q, axis=0)
     return fit_retargeting(model, frames, mouth, np.maximum(narrowest_mm, 0.0), PRESS_MM)
 
 
@@ -477,12 +482,12 @@ def nearest_gaps(face: RobotFace, capture: Capture) -> tuple[Array, Array]:
         (n_servos,) degrees and (n_gaps,) mm.
     """
     assert face.ladders is not None
-    rows = [own[-1] for own in face.ladders.rows]
+    rows = [ladder_rows[-1] for ladder_rows in face.ladders.rows]
     ends_deg = capture.goals_deg[rows]
     horns_deg = ends_deg - capture.from_below[rows] * face.backlash_deg / 2
     heights_mm = gap_heights_mm(face.free_mm(horns_deg), face.gaps)
-    nearest = int(heights_mm[:, 0].argmin())
-    return ends_deg[nearest], heights_mm[nearest]
+    nearest_row = int(heights_mm[:, 0].argmin())
+    return ends_deg[nearest_row], heights_mm[nearest_row]
 
 
 def closing_of(face: RobotFace, mouth: RobotMouth, capture: Capture) -> Closing | None:
@@ -496,17 +501,18 @@ def closing_of(face: RobotFace, mouth: RobotMouth, capture: Capture) -> Closing 
         return Closing(CONTACT)
     if face.ladders.passed:
         return Closing(PASSED)
-    if face.ladders.kink.explained > _HINT:
+    if face.ladders.kink.explained > _CONTACT_HINT:
         return None  # something stalls there, and nobody can say what
     pose_deg, gaps_mm = nearest_gaps(face, capture)
-    by_deg = pair_slopes(mouth.markers_of, pose_deg, face.gaps[:1])[0]
-    low, high = mouth.limits_deg
-    ends = np.where(by_deg > 0.0, pose_deg - low, high - pose_deg) < _AT_LIMIT_DEG
-    if not ends.any():
+    mm_per_deg = pair_slopes(mouth.markers_of, pose_deg, face.gaps[:1])[0]
+    low_deg, high_deg = mouth.limits_deg
+    # Joints that would close the lips farther but are within half a degree of their limits.
+    at_end = np.where(mm_per_deg > 0.0, pose_deg - low_deg, high_deg - pose_deg) < _AT_LIMIT_DEG
+    if not at_end.any():
         return None
-    joint = int(np.where(ends, np.abs(by_deg), 0.0).argmax())
+    joint = int(np.where(at_end, np.abs(mm_per_deg), 0.0).argmax())
     apart_mm = max(float(gaps_mm[0]), 0.0)
-    missing_deg = apart_mm / max(abs(float(by_deg[joint])), 1e-3)
+    missing_deg = apart_mm / max(abs(float(mm_per_deg[joint])), 1e-3)
     return Closing(LIMITS, apart_mm, face.servo_names[joint], missing_deg)
 
 

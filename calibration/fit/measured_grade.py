@@ -30,11 +30,11 @@ from calibration.capture.marker_files import (
     read_plan,
     write_table,
 )
-from calibration.capture.straight_lines import far_line, on_head
+from calibration.capture.straight_lines import on_head, outlier_line
 from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.measured import MeasuredFit, lips_apart_mm
 from calibration.fit.retargeting import correspond, gap_heights_mm
-from calibration.grade import Grade, gap_figures, is_small
+from calibration.grade import Grade, gap_figures, is_slightly_open
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, FaceWithAnimPhos
 from lipsync.arrays import Array
@@ -50,7 +50,7 @@ _WORST_LIPS_MM, _WORST_SLOPE = 2.0, 0.5
 _TOUCH_MM = 1.0
 #: A reading this far from where it should be, and so many times as far as its pose's other lips,
 #: is none.
-_FAR_MM, _TIMES = 8.0, 5.0
+_FAR_MM, _FAR_TIMES = 8.0, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,22 +84,23 @@ def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> Graded
     The poses' goals lead by half the backlash, so that the horns reach the poses. servos: with
     ranges and rules; seed: of the choice of poses and of the side that each joint comes from.
     """
-    rows, shares = _chosen(fit, seed)
+    rows, shares = _choose_frames(fit, seed)
     frames = fit.held_out[rows]
     positions_deg = np.array([fit.calibration.positions_deg(frame) for frame in frames])
     plan = plan_around(positions_deg, servos.joints, rules=servos.rules, seed=seed + 1)
-    led_deg = positions_deg + plan.from_below * fit.face.backlash_deg / 2
+    # Goals half the backlash beyond the pose, in the direction of the last step.
+    goals_deg = positions_deg + plan.from_below * fit.face.backlash_deg / 2
     model, retargeting = fit.retargeting.model, fit.retargeting
     assert isinstance(model, FaceWithAnimPhos)  # what was fitted has them
     from_rest = frames - model.rest
     targets_mm = retargeting.targets_mm(from_rest)
     lips = list(fit.names.shape_features.lips)
     return GradedPoses(
-        plan=replace(plan, goals_deg=np.clip(led_deg, *servos.limits_deg)),
+        plan=replace(plan, goals_deg=np.clip(goals_deg, *servos.limits_deg)),
         marker_names=fit.names.marker_names,
         targets_mm=targets_mm,
         wanted_open_mm=retargeting.wanted_open_mm(from_rest).mean(axis=1),
-        visemes=tuple(_viseme(model.animphos, frame) for frame in frames),
+        visemes=tuple(_viseme_of(model.animphos, frame) for frame in frames),
         human_gap_mm=model.lip_gaps_mm(model.markers_mm(frames)),
         shares=shares,
         expected_mm=lips_apart_mm(retargeting.mouth.seen_mm(positions_deg), targets_mm, lips),
@@ -139,43 +140,45 @@ def graded(
         )
     targets_mm, human_mm = poses.targets_mm[rows], poses.human_gap_mm[rows]
     shares = poses.shares[rows] / poses.shares[rows].sum()
-    of = correspond(poses.marker_names).shape_features
+    features = correspond(poses.marker_names).shape_features
     seen_mm, moved = on_head(seen.markers_mm, targets_mm, poses.marker_names)
-    lines = ("the tracker was moved since the fit: markers are counted from the nose",) * moved
-    seen_mm, left_out = _without_far(seen_mm, targets_mm, list(of.lips), poses.marker_names)
-    lines += left_out
-    lips_mm2 = np.sum((seen_mm - targets_mm)[:, list(of.lips)] ** 2, axis=2)
-    known = np.isfinite(lips_mm2).any(axis=1)
-    if known.sum() < len(poses) // 2:
+    remarks = ("the tracker was moved since the fit: markers are counted from the nose",) * moved
+    seen_mm, left_out = _drop_far_lips(seen_mm, targets_mm, list(features.lips), poses.marker_names)
+    remarks += left_out
+    lips_mm2 = np.sum((seen_mm - targets_mm)[:, list(features.lips)] ** 2, axis=2)
+    lips_seen = np.isfinite(lips_mm2).any(axis=1)
+    if lips_seen.sum() < len(poses) // 2:
         raise CalibrationError("lips were seen in too few poses to grade by; capture them again")
+    # Mean square distance of each pose's lips, without the tracker's noise in three axes.
     each_mm2 = np.full(len(lips_mm2), np.nan)
-    each_mm2[known] = np.nanmean(lips_mm2[known], axis=1) - 3 * poses.noise_mm**2
-    open_mm = gap_heights_mm(seen_mm, of.gaps).mean(axis=1) - poses.own_gap_mm
-    target_mm = gap_heights_mm(targets_mm, of.gaps).mean(axis=1) - poses.own_gap_mm
+    each_mm2[lips_seen] = np.nanmean(lips_mm2[lips_seen], axis=1) - 3 * poses.noise_mm**2
+    open_mm = gap_heights_mm(seen_mm, features.gaps).mean(axis=1) - poses.own_gap_mm
+    target_open_mm = gap_heights_mm(targets_mm, features.gaps).mean(axis=1) - poses.own_gap_mm
     gaps = gap_figures(poses.wanted_open_mm[rows], open_mm, human_mm, shares)
-    closed = (human_mm <= CLOSED_GAP_MM) & np.isfinite(open_mm)
+    is_closed = (human_mm <= CLOSED_GAP_MM) & np.isfinite(open_mm)
     apart_mm = 0.0 if calibration.closing is None else calibration.closing.apart_mm
-    # Ten poses are few: so what is known of all frames left out, the map's own error, and what the
-    # poses show beyond it (the difference estimator: Cochran, Sampling Techniques, 1977, 9.2A).
+    # Ten poses are few. So the error is that of the map over all held-out frames, by the learnt
+    # face, plus what the poses show beyond the learnt face's prediction for them (the difference
+    # estimator: Cochran, Sampling Techniques, 1977, 9.2A).
     beyond_mm2 = each_mm2 - poses.expected_mm[rows] ** 2
     grade = Grade(
         n_poses=len(seen),
-        lip_rms_mm=_root(calibration.errors.lip_rms_mm**2 + beyond_mm2, shares),
-        gap_rms_mm=_root((open_mm - target_mm) ** 2, shares),
-        closed_gap_mm=apart_mm + (float(np.mean(open_mm[closed])) if closed.any() else 0.0),
+        lip_rms_mm=_weighted_rms(calibration.errors.lip_rms_mm**2 + beyond_mm2, shares),
+        gap_rms_mm=_weighted_rms((open_mm - target_open_mm) ** 2, shares),
+        closed_gap_mm=apart_mm + (float(np.mean(open_mm[is_closed])) if is_closed.any() else 0.0),
         gap_slope=0.0 if gaps.slope is None else gaps.slope,
         small_gaps_kept=gaps.small_kept,
     )
     visemes = np.array(poses.visemes)[rows]
     coverage = dict(calibration.coverage)
     for viseme in sorted(set(visemes) & set(coverage)):
-        own = (visemes == viseme) & known
+        chosen = (visemes == viseme) & lips_seen
         coverage[viseme] = replace(
             coverage[viseme],
-            n_measured=int(own.sum()),
-            measured_mm=_root(each_mm2[own], shares[own]) if own.any() else None,
+            n_measured=int(chosen.sum()),
+            measured_mm=_weighted_rms(each_mm2[chosen], shares[chosen]) if chosen.any() else None,
         )
-    return replace(calibration, grade=grade, coverage=coverage), lines
+    return replace(calibration, grade=grade, coverage=coverage), remarks
 
 
 def too_bad(calibration: Calibration) -> str | None:
@@ -203,7 +206,7 @@ def too_bad(calibration: Calibration) -> str | None:
     return None
 
 
-def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
+def _choose_frames(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
     """Return rows of up to N_GRADED held-out frames, spread over speech, and the share of each.
 
     Speech is divided into parts of similar frames, whose shares add up to 1; from each part one
@@ -212,20 +215,21 @@ def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
     rng = np.random.default_rng([seed, 10])
     from_rest = fit.held_out - fit.retargeting.model.rest
     model = fit.retargeting.model
-    closes = fit.retargeting.closing(from_rest) >= 1.0
-    small = ~closes & is_small(model.lip_gaps_mm(model.markers_mm(fit.held_out)))
-    n_closed, n_small = min(_N_CLOSED, int(closes.sum())), min(_N_SMALL, int(small.sum()))
-    wanted = ((closes, n_closed), (small, n_small), (~closes & ~small, N_GRADED))
+    is_closed = fit.retargeting.closing(from_rest) >= 1.0
+    is_small_gap = ~is_closed & is_slightly_open(model.lip_gaps_mm(model.markers_mm(fit.held_out)))
+    n_closed, n_small = min(_N_CLOSED, int(is_closed.sum())), min(_N_SMALL, int(is_small_gap.sum()))
+    # Frames with closed lips, with lips a little open, and others that fill up to N_GRADED.
+    kinds = ((is_closed, n_closed), (is_small_gap, n_small), (~is_closed & ~is_small_gap, N_GRADED))
     rows: list[int] = []
     counts: list[int] = []
-    for which, n in wanted:
-        for part in _parts(fit.held_out, np.flatnonzero(which), min(n, N_GRADED - len(rows))):
+    for mask, n in kinds:
+        for part in _alike_parts(fit.held_out, np.flatnonzero(mask), min(n, N_GRADED - len(rows))):
             rows.append(int(rng.choice(part)))
             counts.append(len(part))
     return np.array(rows), np.array(counts) / sum(counts)
 
 
-def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.int64]]:
+def _alike_parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.int64]]:
     """Return row numbers `rows` of `frames` in at most `n` parts of alike frames, by k-means."""
     if len(rows) <= n or n == 0:
         return [rows[i : i + 1] for i in range(min(n, len(rows)))]
@@ -233,14 +237,17 @@ def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.in
     return [rows[labels == label] for label in range(n) if (labels == label).any()]
 
 
-def _viseme(units: AnimPhoUnits, frame: Array) -> str:
-    """Return the first phoneme of the viseme class spoken in a frame, a row of `units.frames`."""
-    at = int(np.flatnonzero((units.frames == frame).all(axis=1))[0]) // SAMPLES_PER_ANIMPHO
-    phoneme = next(p for i, p in enumerate(PHONEMES) if at in units.phoneme_table[i])
+def _viseme_of(animphos: AnimPhoUnits, frame: Array) -> str:
+    """Return the first phoneme of the viseme class spoken in a frame, a row of `animphos.frames`.
+
+    animphos: the recorded pieces of motion, each about one phoneme, joined in `frames`.
+    """
+    row = int(np.flatnonzero((animphos.frames == frame).all(axis=1))[0]) // SAMPLES_PER_ANIMPHO
+    phoneme = next(p for i, p in enumerate(PHONEMES) if row in animphos.phoneme_table[i])
     return VISEME_CLASSES[VISEME_OF[phoneme]][0]
 
 
-def _without_far(
+def _drop_far_lips(
     seen_mm: Array, targets_mm: Array, lips: Sequence[int], names: tuple[str, ...]
 ) -> tuple[Array, tuple[str, ...]]:
     """Return the markers with lip points far from their targets as NaN, and a report of how many.
@@ -251,14 +258,14 @@ def _without_far(
     """
     far = np.zeros(seen_mm.shape[:2], dtype=bool)
     off_mm = np.linalg.norm((seen_mm - targets_mm)[:, lips], axis=2)
-    for pose, own_mm in enumerate(off_mm):
-        known = own_mm[np.isfinite(own_mm)]
-        if len(known):
-            far[pose, lips] = own_mm > max(_FAR_MM, _TIMES * float(np.median(known)))
-    return np.where(far[..., None], np.nan, seen_mm), far_line(far, names)
+    for pose, lips_mm in enumerate(off_mm):
+        known_mm = lips_mm[np.isfinite(lips_mm)]
+        if len(known_mm):
+            far[pose, lips] = lips_mm > max(_FAR_MM, _FAR_TIMES * float(np.median(known_mm)))
+    return np.where(far[..., None], np.nan, seen_mm), outlier_line(far, names)
 
 
-def _root(squares: Array, shares: Array) -> float:
+def _weighted_rms(squares: Array, shares: Array) -> float:
     """Return the root of the mean of finite squares, weighted by shares; 0 if that is negative."""
     known = np.isfinite(squares)
     return float(np.sqrt(max(np.average(squares[known], weights=shares[known]), 0.0)))
@@ -279,12 +286,12 @@ def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -
     The file is written whole or not at all. Raises OutputError.
     """
     header, rows = plan_table(poses.plan)
-    places = [f"{name}_{axis}" for name in poses.marker_names for axis in _AXES]
-    columns = [np.broadcast_to(getattr(poses, each), len(poses)) for each in _NUMBERS.values()]
+    target_columns = [f"{name}_{axis}" for name in poses.marker_names for axis in _AXES]
+    figures = [np.broadcast_to(getattr(poses, field), len(poses)) for field in _NUMBERS.values()]
     for i, row in enumerate(rows):
-        row += [poses.visemes[i], *(f"{column[i]:.4f}" for column in columns)]
+        row += [poses.visemes[i], *(f"{column[i]:.4f}" for column in figures)]
         row += [map_checksum(calibration), *(f"{mm:.3f}" for mm in poses.targets_mm[i].ravel())]
-    write_table(path, [*header, _VISEME, *_NUMBERS, _MAP, *places], rows)
+    write_table(path, [*header, _VISEME, *_NUMBERS, _MAP, *target_columns], rows)
 
 
 def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:

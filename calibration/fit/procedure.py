@@ -25,9 +25,9 @@ from calibration.capture.capture import (
     gather,
     joined,
     plan_around,
+    plan_of_poses,
     plan_poses,
     plan_rows,
-    reached_from,
     take_poses,
     usual_poses,
 )
@@ -37,9 +37,9 @@ from calibration.capture.joint_health import (
     extra_poses,
     unseen_alone,
 )
-from calibration.capture.repeated_poses import first_part
+from calibration.capture.repeated_poses import poses_to_repeat
 from calibration.capture.sanity import CheckedCapture, check_capture, check_frame
-from calibration.capture.swaps import put_right
+from calibration.capture.swaps import retake_swaps
 from calibration.fit.closing import (
     FIRST_STEPS,
     MORE_STEPS,
@@ -47,7 +47,7 @@ from calibration.fit.closing import (
     N_SHAPES,
     Ladder,
     plan_ladders,
-    see_ladders,
+    read_ladders,
 )
 from calibration.fit.measured import MeasuredFit, mouth_of, retargeting_of, split_frames
 from calibration.fit.measured_grade import N_GRADED, graded, graded_poses
@@ -125,7 +125,7 @@ class Procedure:
     @property
     def n_usual_more(self) -> int:
         """How many poses usually follow the `n_poses`: closing steps, repeats, those to grade."""
-        return N_SHAPES * FIRST_STEPS + len(first_part(self.range_plan())) + N_GRADED
+        return N_SHAPES * FIRST_STEPS + len(poses_to_repeat(self.range_plan())) + N_GRADED
 
     def whole_range_plan(self) -> PosePlan:
         """Return a plan of all `n_poses` poses in the joints' ranges, for a capture by files.
@@ -133,7 +133,7 @@ class Procedure:
         The first ones are repeated at the end, except where all poses are needed for the range.
         """
         plan = plan_poses(self.joints, self.n_poses, rules=self.rules, seed=self.seed)
-        return joined(plan, first_part(plan)) if self.n_of_speech else plan
+        return joined(plan, poses_to_repeat(plan)) if self.n_of_speech else plan
 
     def further_plan(
         self, capture: Capture, positive: Sequence[str], *, accept: bool
@@ -170,27 +170,27 @@ class Procedure:
         still: numbers of joints that stay at 0. First come poses that close the lips in steps, then
         the widest opening, then centres of the speaker's other mouth shapes.
         """
-        learnt = self._learnt(capture, still)
+        learnt = self._learn_face(capture, still)
         retargeting, from_rest = learnt.retargeting, learnt.from_rest
         mouth, face = retargeting.mouth, learnt.face
         closed = retargeting.closing(from_rest) >= 1.0
         n_closed = self._n_closed(n_poses) if closed.any() else 0
-        usual = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]
-        levels_mm = _levels_mm(retargeting, face.contact is not None, n_closed)
-        # How far lips part at most is the robot's scale: learnt from seeing it, not from guessing
-        # beyond what was seen.
+        usual_closed = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]
+        heights_mm = _closing_heights_mm(retargeting, face.contact is not None, n_closed)
+        # One pose with the widest opening: the robot's scale is better learnt from seeing it than
+        # from extrapolation.
         n_widest = int(n_poses > n_closed)
         n_others = n_poses - n_closed - n_widest
         goals_deg = np.concatenate(
             [
-                *(retargeting.at_gap(usual, level) for level in levels_mm),
+                *(retargeting.at_gap(usual_closed, height_mm) for height_mm in heights_mm),
                 np.repeat(widest_pose_deg(mouth)[None], n_widest, axis=0),
-                _middles(retargeting.poses_deg(from_rest[~closed]), n_others),
+                _centre_poses(retargeting.poses_deg(from_rest[~closed]), n_others),
             ]
         )
         return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
 
-    def _learnt(self, capture: Capture, still: Sequence[int]) -> "_Learnt":
+    def _learn_face(self, capture: Capture, still: Sequence[int]) -> "_Learnt":
         """Learn the face from a capture; return it with some of the speaker's frames of speech.
 
         still: numbers of joints that stay at 0.
@@ -211,7 +211,7 @@ class Procedure:
     def capture(
         self,
         marker_names: tuple[str, ...],
-        on: Robot,
+        robot: Robot,
         *,
         kept: KeptPoses = NOT_KEPT,
         report: Callable[[str], None] = lambda _: None,
@@ -228,15 +228,18 @@ class Procedure:
         poses: list[CapturedPose] = []
 
         def take(plan: PosePlan, pressing: Sequence[int] = ()) -> Capture:
-            before = poses if kept.path is None else kept.read(plan, marker_names)
-            poses[:] = take_poses(plan, marker_names, on, before, kept, pressing)
-            poses[:] = put_right(plan, marker_names, on, poses, kept, report)
+            # Capture what `poses`, or the file, lacks of the plan; return all of it.
+            earlier = poses if kept.path is None else kept.read(plan, marker_names)
+            poses[:] = take_poses(plan, marker_names, robot, earlier, kept, pressing)
+            poses[:] = retake_swaps(plan, marker_names, robot, poses, kept, report)
             return gather(plan, marker_names, poses)
 
         plan = self.range_plan()
+        # First neutral alone: wrong axes or units show before the robot moves on.
         take(plan_rows(plan, [0]))
         check_frame(marker_names, poses[0].markers_mm, self.model, accept=self.accept)
         captured = take(plan)
+        # Joints that may be dead are captured alone, a few times at most, until that is clear.
         doubtful = doubtful_joints(captured)
         for _ in range(MOST_FRAMES):
             if not doubtful:
@@ -250,11 +253,12 @@ class Procedure:
         if not self.n_of_speech:
             return captured
         checked = check_capture(captured, self.model, self.positive, accept=self.accept)
+        # Rows of the plan that close the lips: the first of the poses of speech.
         pressing = range(len(plan), len(plan) + self._n_closed(self.n_of_speech))
         plan = joined(plan, self.speech_plan(checked, self.n_of_speech))
         captured = take(plan, pressing)
         plan = self._with_ladders(plan, captured, checked.still, take)
-        return take(joined(plan, first_part(self.range_plan())))
+        return take(joined(plan, poses_to_repeat(self.range_plan())))
 
     def _with_ladders(
         self, plan: PosePlan, captured: Capture, still: Sequence[int], take: _Take
@@ -266,27 +270,32 @@ class Procedure:
         with lips that never close.
         """
         with threadpool_limits(limits=1):
-            learnt = self._learnt(captured, still)
-            closed = learnt.retargeting.closing(learnt.from_rest) >= 1.0
-            if not closed.any():
+            learnt = self._learn_face(captured, still)
+            is_closed = learnt.retargeting.closing(learnt.from_rest) >= 1.0
+            if not is_closed.any():
                 return plan
-            ladders = plan_ladders(learnt.retargeting, learnt.from_rest[closed], MOST_STEPS)
-        n_before, done = len(plan), 0
+            ladders = plan_ladders(learnt.retargeting, learnt.from_rest[is_closed], MOST_STEPS)
+        first_row, n_done = len(plan), 0
         for until in range(FIRST_STEPS, MOST_STEPS + 1, MORE_STEPS):
             for number, ladder in enumerate(ladders):
-                if len(ladder.goals_deg) > done:
-                    plan = joined(plan, self._steps(ladder, number + 1, slice(done, until)))
-            captured = take(plan, range(n_before, len(plan)))
-            done = until
-            seen = see_ladders(captured, learnt.face.free_mm, learnt.face.noise_mm)
-            if seen is None or seen.meet or all(len(each.goals_deg) <= done for each in ladders):
+                if len(ladder.goals_deg) > n_done:
+                    plan = joined(plan, self._ladder_plan(ladder, number + 1, slice(n_done, until)))
+            # All ladders go on together, some steps at a time.
+            captured = take(plan, range(first_row, len(plan)))
+            n_done = until
+            seen = read_ladders(captured, learnt.face.free_mm, learnt.face.noise_mm)
+            if seen is None or seen.meet or all(len(each.goals_deg) <= n_done for each in ladders):
                 break
         return plan
 
-    def _steps(self, ladder: Ladder, number: int, which: slice) -> PosePlan:
-        goals_deg = ladder.goals_deg[which]
+    def _ladder_plan(self, ladder: Ladder, number: int, steps: slice) -> PosePlan:
+        """Return a plan of some steps of a ladder, all marked with its `number`, counted from 1.
+
+        steps: slice of the ladder's poses. Joints come from the ladder's own sides.
+        """
+        goals_deg = ladder.goals_deg[steps]
         sides = np.tile(ladder.from_below, (len(goals_deg), 1))
-        plan = reached_from(self.joints, goals_deg, sides, self.rules)
+        plan = plan_of_poses(self.joints, goals_deg, sides, self.rules)
         return replace(plan, ladders=np.full(len(goals_deg), number, dtype=np.int64))
 
 
@@ -294,31 +303,31 @@ def take_grade(
     fit: MeasuredFit,
     servos: MouthServos,
     marker_names: tuple[str, ...],
-    on: Robot,
+    robot: Robot,
     kept: KeptPoses = NOT_KEPT,
     n_captured: int = 0,
 ) -> MeasuredFit:
-    """Move robot `on` to ten poses of speech, measure them, and return the fit with its grade.
+    """Move the robot to ten poses of speech, measure them, and return the fit with its grade.
 
     kept: file of poses, in which these come after the `n_captured` poses of the capture; `arrived`
     of the robot gets their numbers there.
     """
-    posed = graded_poses(fit, servos)
-    plan = posed.plan
+    wanted = graded_poses(fit, servos)
+    plan = wanted.plan
     kept = kept.after(n_captured, plan)
-    before = kept.read(plan, marker_names)
-    numbered = replace(on, arrived=lambda row, deg: on.arrived(kept.first + row, deg))
-    poses = take_poses(plan, marker_names, numbered, before, kept)
-    poses = put_right(plan, marker_names, numbered, poses, kept, expected_mm=posed.targets_mm)
+    earlier = kept.read(plan, marker_names)
+    numbered = replace(robot, arrived=lambda row, deg: robot.arrived(kept.first + row, deg))
+    poses = take_poses(plan, marker_names, numbered, earlier, kept)
+    poses = retake_swaps(plan, marker_names, numbered, poses, kept, expected_mm=wanted.targets_mm)
     seen = gather(plan, marker_names, poses)
-    calibration, lines = graded(fit.calibration, posed, seen)
-    return replace(fit, calibration=calibration, warnings=(*fit.warnings, *lines))
+    calibration, remarks = graded(fit.calibration, wanted, seen)
+    return replace(fit, calibration=calibration, warnings=(*fit.warnings, *remarks))
 
 
-def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:
+def _closing_heights_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:
     """Return `n` falling heights of the middle lip gap for poses that close the lips in steps.
 
-    They lie about contact if that is `known`, else go down from neutral.
+    known: whether contact was found; then they lie about its gap, else go down from neutral's.
     """
     neutral_mm = retargeting.mouth.neutral_mm()[None]
     gaps = retargeting.mouth.names.shape_features.gaps
@@ -328,10 +337,10 @@ def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:
     ]
 
 
-def _middles(poses_deg: Array, n: int) -> Array:
-    """Return up to `n` poses, (n, n_servos), so that each of poses_deg is near one of them.
+def _centre_poses(poses_deg: Array, n: int) -> Array:
+    """Return up to `n` poses, (n, n_servos) degrees, so that each of poses_deg is near one of them.
 
-    They are new ones, the centres of k-means, or poses_deg itself if these are `n` or fewer.
+    They are the centres of k-means, or poses_deg itself if these are `n` or fewer.
     """
     if n == 0:
         return np.zeros((0, poses_deg.shape[1]))

@@ -32,9 +32,9 @@ NEUTRAL_WEIGHT_MM_PER_DEG = 0.02
 #: A millimetre for each degree by which a coupling rule is broken: more than the lips weigh.
 _RULE_WEIGHT_MM_PER_DEG = 5.0
 #: Enough for angles within 0.001 degree of where they would end, measured on grid_s1.
-_ROUNDS = 4
-_SWEEPS = 60
-_STANDS_DEG = 1e-7
+_GAUSS_NEWTON_STEPS = 4
+_MOST_SWEEPS = 60
+_SETTLED_DEG = 1e-7
 _DIFFERENCE_DEG = 0.5
 
 
@@ -143,19 +143,21 @@ def nearest_poses_deg(
     n_servos = len(limits_deg[0])
     angles_deg = np.zeros((len(wanted), n_servos))
     doubt = np.zeros(n_servos) if doubt_mm_per_deg is None else doubt_mm_per_deg
-    price = np.diag(NEUTRAL_WEIGHT_MM_PER_DEG**2 + doubt**2)
-    for _ in range(_ROUNDS):
+    turn_cost = np.diag(NEUTRAL_WEIGHT_MM_PER_DEG**2 + doubt**2)
+    for _ in range(_GAUSS_NEWTON_STEPS):
         reached = shape_features.of(markers_of(angles_deg))
         slopes = shape_slopes(markers_of, shape_features, angles_deg, reached)
-        missing = wanted - reached + (slopes @ angles_deg[..., None])[..., 0]
-        across = slopes.transpose(0, 2, 1)
-        cost = across @ slopes + price
-        pull = (across @ missing[..., None])[..., 0]
+        # Linear about the current angles: the new angles should make `slopes @ angles` this target.
+        target = wanted - reached + (slopes @ angles_deg[..., None])[..., 0]
+        transposed = slopes.transpose(0, 2, 1)
+        normal = transposed @ slopes + turn_cost
+        right = (transposed @ target[..., None])[..., 0]
         for rule in rules:
-            broken = (angles_deg @ rule.weights > rule.at_most_deg) * _RULE_WEIGHT_MM_PER_DEG**2
-            cost += broken[:, None, None] * np.outer(rule.weights, rule.weights)
-            pull += broken[:, None] * rule.weights * rule.at_most_deg
-        angles_deg = bounded_minimum(cost, pull, *limits_deg)
+            # A broken rule, at the current angles, pulls the weighted sum back to its limit.
+            penalty = (angles_deg @ rule.weights > rule.at_most_deg) * _RULE_WEIGHT_MM_PER_DEG**2
+            normal += penalty[:, None, None] * np.outer(rule.weights, rule.weights)
+            right += penalty[:, None] * rule.weights * rule.at_most_deg
+        angles_deg = bounded_minimum(normal, right, *limits_deg)
     return angles_deg
 
 
@@ -208,19 +210,19 @@ def bounded_minimum(matrices: Array, rights: Array, lower: Array, upper: Array) 
     """
     free = np.linalg.solve(matrices, rights[..., None])[..., 0]
     x = np.clip(free, lower, upper)
-    # Where no bound is in the way that was all.
-    bound = np.flatnonzero((x != free).any(axis=1))
-    matrices, rights, inside = matrices[bound], rights[bound], x[bound]
-    rows = [np.ascontiguousarray(matrices[:, i]) for i in range(len(lower))]
-    for _ in range(_SWEEPS):
-        before = inside.copy()
-        for i, row in enumerate(rows):
-            slope = (row * inside).sum(axis=1) - rights[:, i]
-            step = inside[:, i] - slope / row[:, i]
-            inside[:, i] = np.minimum(np.maximum(step, lower[i]), upper[i])
-        if np.abs(inside - before).max(initial=0.0) < _STANDS_DEG:
+    # Problems whose free minimum is within the bounds are solved; the others go on.
+    bound_rows = np.flatnonzero((x != free).any(axis=1))
+    matrices, rights, x_bound = matrices[bound_rows], rights[bound_rows], x[bound_rows]
+    columns = [np.ascontiguousarray(matrices[:, i]) for i in range(len(lower))]
+    for _ in range(_MOST_SWEEPS):
+        x_before = x_bound.copy()
+        for i, column in enumerate(columns):
+            gradient = (column * x_bound).sum(axis=1) - rights[:, i]
+            unbounded = x_bound[:, i] - gradient / column[:, i]
+            x_bound[:, i] = np.minimum(np.maximum(unbounded, lower[i]), upper[i])
+        if np.abs(x_bound - x_before).max(initial=0.0) < _SETTLED_DEG:
             break
-    x[bound] = inside
+    x[bound_rows] = x_bound
     return np.asarray(x)
 
 
@@ -335,7 +337,7 @@ class RobotMouth:
             doubt_mm_per_deg=self.doubt_mm_per_deg,
         )
 
-    def kept_deg(self, free_deg: Array) -> Array:
+    def limited_deg(self, free_deg: Array) -> Array:
         """Return poses limited to the joint ranges and coupling rules, (n, n_servos) degrees.
 
         Parameters
@@ -379,21 +381,26 @@ class Retargeting:
     def poses_deg(self, from_rest: Array) -> Array:
         """Return the nearest poses, lips closed where the speaker's are, (n, n_servos) degrees.
 
+        Where lips close, the gap aimed at is corrected by the error of the nearest pose, in three
+        rounds, as the search weighs gaps against the rest of the shape.
+
         Parameters
         ----------
         from_rest : Array
             (n, n_components) mm, coefficients less the rest.
         """
+        # The speaker's scaled motion on the robot's neutral, and the gaps wanted instead of its
+        # own.
         copies_mm, gaps_mm = self.copies_mm(from_rest)
-        of = self.mouth.names.shape_features
-        poses_deg = self.mouth.nearest_deg(of.of(copies_mm, gaps_mm))
-        closes = self.closing(from_rest) >= 1.0
-        if closes.any():
-            wanted_mm = gaps_mm[closes].copy()
+        features = self.mouth.names.shape_features
+        poses_deg = self.mouth.nearest_deg(features.of(copies_mm, gaps_mm))
+        closed = self.closing(from_rest) >= 1.0
+        if closed.any():
+            aimed_mm = gaps_mm[closed].copy()
             for _ in range(_CLOSING_ROUNDS):
-                reached_mm = gap_heights_mm(self.mouth.markers_of(poses_deg[closes]), of.gaps)
-                wanted_mm[..., 1] += gaps_mm[closes][..., 1] - reached_mm
-                poses_deg[closes] = self.mouth.nearest_deg(of.of(copies_mm[closes], wanted_mm))
+                reached_mm = gap_heights_mm(self.mouth.markers_of(poses_deg[closed]), features.gaps)
+                aimed_mm[..., 1] += gaps_mm[closed][..., 1] - reached_mm
+                poses_deg[closed] = self.mouth.nearest_deg(features.of(copies_mm[closed], aimed_mm))
         return poses_deg
 
     def targets_mm(self, from_rest: Array) -> Array:
@@ -421,9 +428,9 @@ class Retargeting:
         float
             mm, rms over frames and lips, by the learnt face.
         """
-        free = replace(self, mouth=replace(self.mouth, doubt_mm_per_deg=None))
+        without_doubt = replace(self, mouth=replace(self.mouth, doubt_mm_per_deg=None))
         lips = list(self.mouth.names.shape_features.lips)
-        behind_mm = (free.targets_mm(from_rest) - self.targets_mm(from_rest))[:, lips]
+        behind_mm = (without_doubt.targets_mm(from_rest) - self.targets_mm(from_rest))[:, lips]
         return float(np.sqrt(np.mean(np.sum(behind_mm**2, axis=2))))
 
     def at_gap(self, from_rest: Array, gap_mm: float) -> Array:
@@ -488,11 +495,12 @@ class Retargeting:
         moved_mm = self.model.markers_mm(from_rest + self.model.rest) - rest_mm
         moved_mm = self.scale * moved_mm[:, list(names.human)]
         neutral_mm = self.mouth.neutral_mm()[None]
-        of = names.shape_features
-        gaps_mm = of.gaps_mm(neutral_mm) + of.gaps_mm(moved_mm)
-        closes = self.closing(from_rest)[:, None]
-        opened_mm = np.maximum(of.gaps_mm(moved_mm)[..., 1], 0.0)
-        gaps_mm[..., 1] = self.closed_mm + (1.0 - closes) * opened_mm - closes * self.press_mm
+        features = names.shape_features
+        gaps_mm = features.gaps_mm(neutral_mm) + features.gaps_mm(moved_mm)
+        closing = self.closing(from_rest)[:, None]
+        opened_mm = np.maximum(features.gaps_mm(moved_mm)[..., 1], 0.0)
+        # Heights: open lips as far as the speaker's motion goes, closed ones past contact.
+        gaps_mm[..., 1] = self.closed_mm + (1.0 - closing) * opened_mm - closing * self.press_mm
         return neutral_mm + moved_mm, gaps_mm
 
 
@@ -524,14 +532,14 @@ def fit_retargeting(
     CalibrationError
         The corners are less than 10 mm apart, or the lips hardly part.
     """
-    widest_mm = _check_a_mouth(mouth, closed_mm)
-    speakers_mm = np.quantile(model.lip_gaps_mm(model.markers_mm(frames)), _RANGE_QUANTILE)
-    speakers_mm -= model.lip_gap_mm(model.rest)
-    scale = min(MOST_EXAGGERATION, widest_mm / max(float(speakers_mm), 1e-6))
+    widest_mm = _check_mouth(mouth, closed_mm)
+    speaker_range_mm = np.quantile(model.lip_gaps_mm(model.markers_mm(frames)), _RANGE_QUANTILE)
+    speaker_range_mm -= model.lip_gap_mm(model.rest)
+    scale = min(MOST_EXAGGERATION, widest_mm / max(float(speaker_range_mm), 1e-6))
     return Retargeting(model, mouth, scale, closed_mm, press_mm)
 
 
-def _check_a_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
+def _check_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
     """Return how many mm the lips part at most; CalibrationError if corners or lips hardly part."""
     names = mouth.names.marker_names
     right, left = mouth.names.corners
@@ -575,12 +583,13 @@ def widest_pose_deg(mouth: RobotMouth) -> Array:
     limits_deg = mouth.limits_deg
     n_servos = len(limits_deg[0])
     pose_deg = np.zeros((1, n_servos))
+    # Twice over all joints, as the best end of one may depend on another.
     for joint in (*range(n_servos), *range(n_servos)):
         tries = np.repeat(pose_deg, 3, axis=0)
         tries[:, joint] = (limits_deg[0][joint], 0.0, limits_deg[1][joint])
-        heights_mm = _middle_heights_mm(mouth, mouth.markers_of(mouth.kept_deg(tries)))
+        heights_mm = _middle_heights_mm(mouth, mouth.markers_of(mouth.limited_deg(tries)))
         pose_deg = tries[heights_mm.argmax()][None]
-    return np.asarray(mouth.kept_deg(pose_deg)[0])
+    return np.asarray(mouth.limited_deg(pose_deg)[0])
 
 
 def _middle_heights_mm(mouth: RobotMouth, markers_mm: Array) -> Array:

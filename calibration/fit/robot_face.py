@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sklearn.model_selection import KFold
 
 from calibration.capture.capture import Capture
-from calibration.fit.closing import SeenLadders, begins, see_ladders
+from calibration.fit.closing import SeenLadders, lips_are_open, read_ladders
 from calibration.fit.retargeting import ShapeFeatures, gap_heights_mm
 from calibration.fit.skin_process import (
     Hyperparameters,
@@ -26,12 +26,12 @@ from calibration.fit.skin_process import (
 from lipsync.arrays import Array
 
 #: A pose this much beyond contact, and so many of them, are evidence; fewer say nothing.
-_SURE_MM, _LEAST_POSES = 0.4, 3
+_BEYOND_MM, _LEAST_POSES = 0.4, 3
 #: Touching must explain the gaps of those poses this much better than going on does.
-_BETTER = 0.6
-_MOST_SOFT = 0.5
+_BETTER_SHARE = 0.6
+_MOST_YIELD = 0.5
 #: Lips that overlap by so much touch and are not pressed flat.
-_TOUCHES_MM = (0.1, 2.5)
+_LIGHT_OVERLAP_MM = (0.1, 2.5)
 #: What touching does is nearly the same everywhere; a millimetre squared of doubt.
 _RIDGE_MM2 = 2.0
 
@@ -53,7 +53,7 @@ class LipContact:
         Parameters
         ----------
         free_gaps_mm : Array
-            (n, n_gaps) mm, heights of the gaps in the free face.
+            (n, n_gaps) mm, gaps if lips did not stop each other (the free face).
         """
         return np.maximum(self.closed_mm - free_gaps_mm, 0.0)
 
@@ -65,7 +65,7 @@ class LipContact:
         free_mm : Array
             (n, n_markers, 3) mm, markers of the free face.
         free_gaps_mm : Array
-            (n, n_gaps) mm, heights of the gaps in the free face.
+            (n, n_gaps) mm, gaps if lips did not stop each other (the free face).
         """
         pushed = np.tensordot(self.overlap_mm(free_gaps_mm), self.pushed, axes=1)
         return np.asarray(free_mm + pushed)
@@ -77,7 +77,7 @@ def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]
     Parameters
     ----------
     free_gaps_mm : Array
-        (n, n_gaps) mm, heights of the gaps in the free face.
+        (n, n_gaps) mm, gaps if lips did not stop each other (the free face).
     closed_mm : Array
         (n_gaps,) mm, gaps of closed lips.
     """
@@ -97,8 +97,8 @@ def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
         (n,): poses in contact.
     """
     is_seen = np.isfinite(seen_gaps_mm[contact]).any(axis=0)
-    closing_mm = np.where(is_seen, seen_gaps_mm[contact], np.nanmin(seen_gaps_mm, axis=0))
-    return np.asarray(np.nanmedian(closing_mm, axis=0))
+    contact_gaps_mm = np.where(is_seen, seen_gaps_mm[contact], np.nanmin(seen_gaps_mm, axis=0))
+    return np.asarray(np.nanmedian(contact_gaps_mm, axis=0))
 
 
 def closed_gaps_mm(
@@ -112,24 +112,26 @@ def closed_gaps_mm(
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps) mm: captured, and of the free face.
+        (n, n_gaps) mm: captured, and if lips did not stop each other.
     contact : NDArray[np.bool_]
         (n,): poses in contact.
     closed_mm : Array
         (n_gaps,) mm, a first estimate.
     """
-    overlap = np.maximum(closed_mm[0] - free_gaps_mm[contact, 0], 0.0)
-    begins = np.empty(seen_gaps_mm.shape[1])
+    overlap_mm = np.maximum(closed_mm[0] - free_gaps_mm[contact, 0], 0.0)
+    touch_mm = np.empty(seen_gaps_mm.shape[1])
     for gap, seen in enumerate(seen_gaps_mm[contact].T):
         known = np.isfinite(seen)
         if not known.any():
-            # Dots that closed lips hide: as closed as they were believed to be.
-            begins[gap] = closed_mm[gap]
+            # Dots that closed lips hide: the first estimate stays.
+            touch_mm[gap] = closed_mm[gap]
             continue
-        o, g = overlap[known], seen[known]
-        falls = -np.sum((o - o.mean()) * (g - g.mean())) / (np.sum((o - o.mean()) ** 2) + 1.0)
-        begins[gap] = np.median(g + np.clip(falls, 0.0, _MOST_SOFT) * o)
-    return begins
+        # Overlap and captured gap in the poses in which this gap is seen.
+        o, g = overlap_mm[known], seen[known]
+        # By how much the gap falls per mm of overlap; 1.0 in the denominator draws it to 0.
+        yields = -np.sum((o - o.mean()) * (g - g.mean())) / (np.sum((o - o.mean()) ** 2) + 1.0)
+        touch_mm[gap] = np.median(g + np.clip(yields, 0.0, _MOST_YIELD) * o)
+    return touch_mm
 
 
 def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> Array:
@@ -138,7 +140,7 @@ def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array)
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps) mm: captured, and of the free face.
+        (n, n_gaps) mm: captured, and if lips did not stop each other.
     closed_mm : Array
         (n_gaps,) mm, an estimate, kept where fewer than 3 poses touch.
 
@@ -148,7 +150,7 @@ def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array)
         (n_gaps,) mm.
     """
     overlap_mm = closed_mm - free_gaps_mm
-    lightly = (overlap_mm > _TOUCHES_MM[0]) & (overlap_mm < _TOUCHES_MM[1])
+    lightly = (overlap_mm > _LIGHT_OVERLAP_MM[0]) & (overlap_mm < _LIGHT_OVERLAP_MM[1])
     seen_mm = np.where(lightly, seen_gaps_mm, np.nan)
     counts = np.isfinite(seen_mm).sum(axis=0)
     means = np.nansum(seen_mm, axis=0) / np.maximum(counts, 1)
@@ -163,18 +165,18 @@ def is_stopped(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> bo
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps) mm: captured, and of the free face.
+        (n, n_gaps) mm: captured, and if lips did not stop each other.
     closed_mm : Array
         (n_gaps,) mm, gaps of closed lips.
     """
-    beyond = free_gaps_mm[:, 0] < closed_mm[0] - _SURE_MM
+    beyond = free_gaps_mm[:, 0] < closed_mm[0] - _BEYOND_MM
     seen, free = seen_gaps_mm[beyond, 0], free_gaps_mm[beyond, 0]
     known = np.isfinite(seen)
     if known.sum() < _LEAST_POSES:
         return False
-    stays = np.sum((seen - closed_mm[0])[known] ** 2)
-    goes_on = np.sum((seen - free)[known] ** 2)
-    return bool(stays < _BETTER * goes_on)
+    stopped_cost = np.sum((seen - closed_mm[0])[known] ** 2)
+    free_cost = np.sum((seen - free)[known] ** 2)
+    return bool(stopped_cost < _BETTER_SHARE * free_cost)
 
 
 def fit_contact(
@@ -188,9 +190,9 @@ def fit_contact(
     Parameters
     ----------
     missed_mm : Array
-        (n, n_markers, 3) mm, captured less free, NaN where lost.
+        (n, n_markers, 3) mm, captured less those of free lips, NaN where lost.
     free_gaps_mm : Array
-        (n, n_gaps) mm, of the free face.
+        (n, n_gaps) mm, gaps if lips did not stop each other.
     closed_mm : Array
         (n_gaps,) mm, gaps of closed lips.
     gaps : tuple[tuple[int, int], ...]
@@ -201,31 +203,32 @@ def fit_contact(
     LipContact
         Closed gaps, and motion of markers per mm of overlap.
     """
-    overlap = np.maximum(closed_mm - free_gaps_mm, 0.0)
-    touched = overlap[:, 0] > 0.0
-    o, r = overlap[touched], np.nan_to_num(missed_mm[touched])
-    mean = o.mean(axis=1, keepdims=True)
-    # First by the mean of the gaps, then what each gap adds of its own, which is little.
-    by_mean = (mean.T @ r.reshape(len(r), -1)) / (mean.T @ mean + _RIDGE_MM2)
-    pushed = np.repeat(by_mean, o.shape[1], axis=0) / o.shape[1]
-    shaped = pushed.reshape(o.shape[1], *missed_mm.shape[1:]).copy()
+    overlap_mm = np.maximum(closed_mm - free_gaps_mm, 0.0)
+    touched = overlap_mm[:, 0] > 0.0
+    over_mm, missed = overlap_mm[touched], np.nan_to_num(missed_mm[touched])
+    mean_mm = over_mm.mean(axis=1, keepdims=True)
+    # Ridge regression on the mean overlap of all gaps, shared evenly among the gaps.
+    by_mean = (mean_mm.T @ missed.reshape(len(missed), -1)) / (mean_mm.T @ mean_mm + _RIDGE_MM2)
+    evenly = np.repeat(by_mean, over_mm.shape[1], axis=0) / over_mm.shape[1]
+    by_gap = evenly.reshape(over_mm.shape[1], *missed_mm.shape[1:]).copy()
     for gap, (upper, lower) in enumerate(gaps):
-        # Between them the two dots give way by all of their own overlap, and by no other.
+        # The two dots of a gap part by all of its own overlap, and by no other gap's; what is
+        # missing is shared by both.
         for other in range(len(gaps)):
-            total = 1.0 if other == gap else 0.0
-            short = total - (shaped[other, upper, 1] - shaped[other, lower, 1])
-            shaped[other, upper, 1] += short / 2
-            shaped[other, lower, 1] -= short / 2
-    return LipContact(closed_mm, shaped)
+            wanted = 1.0 if other == gap else 0.0
+            missing = wanted - (by_gap[other, upper, 1] - by_gap[other, lower, 1])
+            by_gap[other, upper, 1] += missing / 2
+            by_gap[other, lower, 1] -= missing / 2
+    return LipContact(closed_mm, by_gap)
 
 
 _FOLDS = 6
 #: Rounds of filling in, the hyperparameters as they are.
 _FILLING_ROUNDS = 12
 #: The narrowest gaps are taken for closed first; by turns the poses sort themselves.
-_FIRST_SHARE, _CONTACT_ROUNDS, _LEAST_IN_CONTACT = 0.12, 4, 3
+_FIRST_CONTACT_SHARE, _CONTACT_ROUNDS, _LEAST_IN_CONTACT = 0.12, 4, 3
 #: Rounds between hyperparameters and lost points.
-_ROUNDS = 2
+_FIT_ROUNDS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +260,7 @@ class RobotFace:
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos) degrees, in the middle of the backlash.
+            (n, n_servos) degrees of the horns, without backlash.
 
         Returns
         -------
@@ -273,7 +276,7 @@ class RobotFace:
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos) degrees, in the middle of the backlash.
+            (n, n_servos) degrees of the horns, without backlash.
 
         Returns
         -------
@@ -292,46 +295,49 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     Backlash is estimated from the side that each pose was reached from, together with the face.
     mouth: features with the lip gaps, for finding whether lips stop each other; None: not examined.
     """
-    low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
-    half_range_deg = np.maximum((high - low) / 2, 1e-6)
+    low_deg, high_deg = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
+    half_range_deg = np.maximum((high_deg - low_deg) / 2, 1e-6)
     side = np.asarray(capture.from_below, dtype=np.float64)
-    poses = Poses(capture.goals_deg, side, (high + low) / 2, half_range_deg)
+    poses = Poses(capture.goals_deg, side, (high_deg + low_deg) / 2, half_range_deg)
     centre_mm = np.nanmean(capture.markers_mm, axis=0)
     seen_mm = capture.markers_mm - centre_mm
     apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
-    opened = begins(capture)
-    learning = _Learning(poses, apart_mm2, opened)
+    is_open = lips_are_open(capture)
+    fit = _FaceFit(poses, apart_mm2, is_open)
     known = np.isfinite(seen_mm)
-    filled = learning.filled(seen_mm, known)
-    assert learning.hyperparameters is not None
-    noise_mm = float(np.sqrt(learning.hyperparameters.noise_mm2))
+    filled = fit.fill_lost_points(seen_mm, known)
+    assert fit.hyperparameters is not None
+    noise_mm = float(np.sqrt(fit.hyperparameters.noise_mm2))
     closed_mm: Array | None = None
     gaps = () if mouth is None else mouth.gaps
     ladders = None
     if mouth is not None:
-        ladders = see_ladders(capture, lambda deg: centre_mm + learning.at(filled, deg), noise_mm)
+        # Contact, if ladders (poses that close the lips in steps) show it; without ladders it is
+        # looked for in all poses.
+        ladders = read_ladders(capture, lambda deg: centre_mm + fit.predict(filled, deg), noise_mm)
         if ladders is None or ladders.kink.is_contact:
             touching = None if ladders is None else ladders.touching
-            found = _free_of_contact(learning, seen_mm, known, filled, centre_mm, mouth, touching)
-            if found is not None:
-                filled, known, closed_mm = found
-    inputs = poses.inputs(learning.hyperparameters.backlash_deg)
-    learnt = learning.learnt(inputs, filled)
-    missed_mm = filled - learnt.predict(inputs)
+            freed = _without_contact(fit, seen_mm, known, filled, centre_mm, mouth, touching)
+            if freed is not None:
+                filled, known, closed_mm = freed
+    inputs = poses.inputs(fit.hyperparameters.backlash_deg)
+    process = fit.process_at(inputs, filled)
+    missed_mm = filled - process.predict(inputs)
+    # How lips in contact push the markers, from what the captured ones differ from the free face.
     contact = None
     if closed_mm is not None:
-        free_mm = centre_mm + learnt.predict(inputs)
+        free_mm = centre_mm + process.predict(inputs)
         free_gaps_mm = gap_heights_mm(free_mm, gaps)
         contact = fit_contact(capture.markers_mm - free_mm, free_gaps_mm, closed_mm, gaps)
     return RobotFace(
         servo_names=capture.servo_names,
         marker_names=capture.marker_names,
-        process=learnt,
+        process=process,
         centre_mm=centre_mm,
         middle_deg=poses.middle_deg,
         half_range_deg=half_range_deg,
-        backlash_deg=learning.hyperparameters.backlash_deg,
-        left_out_rms_mm=_left_out_rms_mm(learning, inputs, filled, known),
+        backlash_deg=fit.hyperparameters.backlash_deg,
+        left_out_rms_mm=_left_out_rms_mm(fit, inputs, filled, known),
         noise_mm=float(np.sqrt(np.mean(missed_mm[known] ** 2))),
         contact=contact,
         gaps=gaps,
@@ -339,57 +345,64 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     )
 
 
-class _Learning:
+class _FaceFit:
     """A Gaussian process fitted in alternation with the filling in of lost points.
 
-    hyperparameters: None before the first call of `filled`. opened: (n,), poses in which no ladder
-    presses the lips, from which the hyperparameters are found.
+    hyperparameters: None before the first call of `fill_lost_points`. opened: (n,), poses in which
+    no ladder presses the lips, from which the hyperparameters are found.
     """
 
     def __init__(self, poses: Poses, apart_mm2: Array, opened: NDArray[np.bool_]) -> None:
         self._poses = poses
-        self._free = poses.of(opened)
-        self._opened = opened
+        self._open_poses = poses.of(opened)
+        self._is_open = opened
         self._apart_mm2 = apart_mm2
         self.hyperparameters: Hyperparameters | None = None
 
-    def filled(self, seen_mm: Array, known: NDArray[np.bool_]) -> Array:
-        """Fit the Gaussian process; return seen_mm with points that are not `known` predicted."""
-        filled = np.where(known, seen_mm, 0.0)
-        for _ in range(1 if known.all() else _ROUNDS):
-            free_mm = filled[self._opened]
-            self.hyperparameters = fit_hyperparameters(self._free, free_mm, self._apart_mm2)
-            for _ in range(1 if known.all() else _FILLING_ROUNDS):
-                filled = np.where(known, filled, self.expected(filled))
-        return filled
+    def fill_lost_points(self, seen_mm: Array, known: NDArray[np.bool_]) -> Array:
+        """Fit the Gaussian process; return seen_mm with points that are not `known` predicted.
 
-    def learnt(self, inputs: Array, from_centre_mm: Array) -> SkinProcess:
+        seen_mm, known: (n, n_markers, 3), mm from each marker's mean. With lost points, fits of the
+        hyperparameters and predictions of these points alternate.
+        """
+        filled_mm = np.where(known, seen_mm, 0.0)
+        for _ in range(1 if known.all() else _FIT_ROUNDS):
+            open_mm = filled_mm[self._is_open]
+            self.hyperparameters = fit_hyperparameters(self._open_poses, open_mm, self._apart_mm2)
+            for _ in range(1 if known.all() else _FILLING_ROUNDS):
+                filled_mm = np.where(known, filled_mm, self.predict_captured(filled_mm))
+        return filled_mm
+
+    def process_at(self, inputs: Array, from_centre_mm: Array) -> SkinProcess:
         """Return the process fitted at `inputs` (n, n_servos) to markers (n, n_markers, 3) mm."""
         assert self.hyperparameters is not None
         return fit_process(self.hyperparameters, inputs, from_centre_mm, self._apart_mm2)
 
-    def at(self, filled: Array, goals_deg: Array) -> Array:
+    def predict(self, filled_mm: Array, goals_deg: Array) -> Array:
         """Predict markers at goals (m, n_servos) in degrees; return (m, n_markers, 3) mm.
 
-        Positions are, as in `filled`, relative to each marker's mean over all captured poses.
-        filled: (n, n_markers, 3) mm, the captured markers, lost ones filled in; of these only the
-        poses in which lips are not pressed together (`opened`) are learnt from.
+        Markers are relative to each marker's mean over all captured poses. filled_mm: (n,
+        n_markers, 3), the captured markers, lost ones filled in; only the poses in which lips are
+        not pressed together are learnt from.
         """
         assert self.hyperparameters is not None
-        of = self._poses
-        inputs = self._free.inputs(self.hyperparameters.backlash_deg)
-        process = self.learnt(inputs, filled[self._opened])
-        return process.predict((goals_deg - of.middle_deg) / of.half_range_deg)
+        poses = self._poses
+        inputs = self._open_poses.inputs(self.hyperparameters.backlash_deg)
+        process = self.process_at(inputs, filled_mm[self._is_open])
+        return process.predict((goals_deg - poses.middle_deg) / poses.half_range_deg)
 
-    def expected(self, filled: Array) -> Array:
-        """Return markers, (n, n_markers, 3), at all captured poses, learnt from all of `filled`."""
+    def predict_captured(self, filled_mm: Array) -> Array:
+        """Return markers, (n, n_markers, 3) mm, predicted at all captured poses from filled_mm.
+
+        filled_mm: (n, n_markers, 3), the captured markers, lost ones filled in; all count.
+        """
         assert self.hyperparameters is not None
         inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
-        return self.learnt(inputs, filled).predict(inputs)
+        return self.process_at(inputs, filled_mm).predict(inputs)
 
 
-def _free_of_contact(
-    learning: _Learning,
+def _without_contact(
+    fit: _FaceFit,
     seen_mm: Array,
     known: NDArray[np.bool_],
     filled: Array,
@@ -399,28 +412,31 @@ def _free_of_contact(
 ) -> tuple[Array, NDArray[np.bool_], Array] | None:
     """Return markers as if lips did not stop each other, which are measured, and closed gaps in mm.
 
-    seen_mm, known, filled: captured markers from their centres centre_mm, which of them are known,
-    and the markers with lost ones predicted, (n, n_markers, 3) each. touching: (n,), poses in which
-    ladders, which close the lips in steps, showed contact; None: there are no ladders. Returns None
-    without evidence that lips stop each other.
+    None without evidence that lips stop each other. seen_mm, known, filled: captured markers from
+    their centres centre_mm, which of them are known, and the markers with lost ones predicted, (n,
+    n_markers, 3) each. touching: (n,), poses in which ladders, which close the lips in steps,
+    showed contact; None: there are no ladders.
     """
     gaps = mouth.gaps
     seen_gaps_mm = gap_heights_mm(np.where(known, seen_mm, np.nan) + centre_mm, gaps)
     contact = touching
+    # Without ladders the poses with the narrowest gaps are taken for contact at first.
     if contact is None:
-        contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_SHARE)
+        contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_CONTACT_SHARE)
     if contact.sum() < _LEAST_IN_CONTACT:
         return None
     if not np.isfinite(seen_gaps_mm).any(axis=0).all():
         return None
+    # In turns: predict the lips of poses in contact, sort the poses by it, estimate the gaps anew.
     closed_mm = first_closed_mm(seen_gaps_mm, contact)
     for _ in range(_CONTACT_ROUNDS):
-        open_known = known.copy()
-        open_known[np.ix_(np.flatnonzero(contact), np.array(mouth.lips), np.array([1]))] = False
+        # Heights of lips in contact are treated as lost, and predicted from all other poses.
+        kept_known = known.copy()
+        kept_known[np.ix_(np.flatnonzero(contact), np.array(mouth.lips), np.array([1]))] = False
         for _ in range(_FILLING_ROUNDS):
-            filled = np.where(open_known, seen_mm, learning.expected(filled))
+            filled = np.where(kept_known, seen_mm, fit.predict_captured(filled))
         free_gaps_mm = gap_heights_mm(filled + centre_mm, gaps)
-        expected_mm = gap_heights_mm(learning.expected(filled) + centre_mm, gaps)
+        expected_mm = gap_heights_mm(fit.predict_captured(filled) + centre_mm, gaps)
         free_gaps_mm = np.where(contact[:, None], free_gaps_mm, expected_mm)
         contact = (
             poses_in_contact(free_gaps_mm, closed_mm)
@@ -436,16 +452,16 @@ def _free_of_contact(
         )
     if touching is None and not is_stopped(seen_gaps_mm, free_gaps_mm, closed_mm):
         return None
-    return filled, open_known, closed_mm
+    return filled, kept_known, closed_mm
 
 
 def _left_out_rms_mm(
-    learning: _Learning, inputs: Array, from_centre_mm: Array, seen: NDArray[np.bool_]
+    fit: _FaceFit, inputs: Array, from_centre_mm: Array, seen: NDArray[np.bool_]
 ) -> float:
     """Return the cross-validated rms error in each axis, in mm, of the points that were `seen`."""
     off_mm = np.full_like(from_centre_mm, np.nan)
     folds = KFold(min(_FOLDS, len(inputs)), shuffle=True, random_state=0)
     for rows, left_out in folds.split(inputs):
-        learnt = learning.learnt(inputs[rows], from_centre_mm[rows])
-        off_mm[left_out] = learnt.predict(inputs[left_out]) - from_centre_mm[left_out]
+        process = fit.process_at(inputs[rows], from_centre_mm[rows])
+        off_mm[left_out] = process.predict(inputs[left_out]) - from_centre_mm[left_out]
     return float(np.sqrt(np.mean(off_mm[seen] ** 2)))

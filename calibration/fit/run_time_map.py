@@ -26,9 +26,9 @@ from lipsync.arrays import Array
 
 #: Poses are noisy by a few tenths of a degree where the face hardly shows a joint; this keeps the
 #: quadratic terms from following that. In degrees per unit of a standardised feature, squared.
-_STRENGTH = 3.0
+_RIDGE = 3.0
 #: With centres the features are many and alike: a weaker ridge, as strong on what is smooth.
-_CENTRE_STRENGTH = 0.1
+_RIDGE_WITH_CENTRES = 0.1
 #: Degrees that count as much as a weighted millimetre: also joints that show little stay tame.
 _ANGLE_WEIGHT_MM_PER_DEG = 0.05
 #: The file keeps this many digits, so the fit does as well and its errors are those of the file.
@@ -68,7 +68,7 @@ class RunTimeMap:
         if self.closure is not None:
             x = np.clip(from_rest, *self.x_range)
             poses_deg = self.closure.corrected_deg(x, poses_deg, *mouth.limits_deg)
-        return mouth.kept_deg(poses_deg)
+        return mouth.limited_deg(poses_deg)
 
     def without(self, still: Sequence[int]) -> "RunTimeMap":
         """Return a map whose joints numbered in `still` are at 0 degrees for every wanted face."""
@@ -118,10 +118,10 @@ def fit_run_time_map(
 ) -> RunTimeMap:
     """Return the live map fitted to poses by generalised least squares.
 
-    The metric of angle errors is the mean of J'J over the poses, J the slope of the shape features.
-    With one metric for all frames and one ridge for all features the solution does not depend on
-    the metric but for the ridge, so each principal direction of the metric is regressed on its own,
-    with a ridge in inverse proportion to how much it shows.
+    The cost of angle errors (metric) is the mean of J'J over the poses, J the slopes of the shape
+    features. With one metric for all frames the solution depends on it only by the ridge, so each
+    principal direction of the metric is regressed on its own, with a ridge in inverse proportion
+    to how much that direction shows.
 
     Parameters
     ----------
@@ -144,36 +144,40 @@ def fit_run_time_map(
         Map rounded to the digits of the calibration file.
     """
     first, second = pairs(from_rest.shape[1])
-    n = from_rest.shape[1]
-    centres = np.zeros((0, n)) if centres is None else rounded(centres)
+    n_components = from_rest.shape[1]
+    centres = np.zeros((0, n_components)) if centres is None else rounded(centres)
     x_range = rounded(np.array([from_rest.min(axis=0), from_rest.max(axis=0)]))
     products = from_rest[:, first] * from_rest[:, second]
+    # Inputs: coefficients, their products and distances from the centres, standardised, less their
+    # weighted mean.
     features = np.hstack([from_rest, products, distances(from_rest, centres)])
-    centre, spread = features.mean(axis=0), features.std(axis=0) + 1e-12
-    inputs = (features - centre) / spread
+    feature_mean, feature_sd = features.mean(axis=0), features.std(axis=0) + 1e-12
+    inputs = (features - feature_mean) / feature_sd
     counts = np.ones(len(inputs)) if counts is None else counts / counts.mean()
-    middle_input = np.average(inputs, axis=0, weights=counts)
-    inputs, weighed = inputs - middle_input, (inputs - middle_input) * counts[:, None]
-    strength = _STRENGTH if not len(centres) else _CENTRE_STRENGTH
-    metric = _metric(poses_deg, markers_of, shape_features)
-    shows, directions = np.linalg.eigh(metric)
+    mean_input = np.average(inputs, axis=0, weights=counts)
+    inputs, weighted = inputs - mean_input, (inputs - mean_input) * counts[:, None]
+    ridge_strength = _RIDGE if not len(centres) else _RIDGE_WITH_CENTRES
+    metric = _angle_metric(poses_deg, markers_of, shape_features)
+    sizes, directions = np.linalg.eigh(metric)
+    # Angles in the coordinates of the metric's principal directions.
     outputs = poses_deg @ directions
-    middle = np.average(outputs, axis=0, weights=counts)
+    mean_output = np.average(outputs, axis=0, weights=counts)
     solved = np.empty((inputs.shape[1], outputs.shape[1]))
-    for k, shown in enumerate(shows):
-        ridge = strength * max(1.0, shows[-1] / shown / 100.0)
-        normal = weighed.T @ inputs + ridge * np.eye(inputs.shape[1])
-        solved[:, k] = np.linalg.solve(normal, weighed.T @ (outputs[:, k] - middle[k]))
-    slopes = (solved / spread[:, None]) @ directions.T
-    rest_deg = middle @ directions.T - (centre + spread * middle_input) @ slopes
-    bends = n + len(first)
+    for k, size in enumerate(sizes):
+        ridge = ridge_strength * max(1.0, sizes[-1] / size / 100.0)
+        normal = weighted.T @ inputs + ridge * np.eye(inputs.shape[1])
+        solved[:, k] = np.linalg.solve(normal, weighted.T @ (outputs[:, k] - mean_output[k]))
+    # Back to angles per unscaled feature.
+    slopes = (solved / feature_sd[:, None]) @ directions.T
+    rest_deg = mean_output @ directions.T - (feature_mean + feature_sd * mean_input) @ slopes
+    n_quadratic = n_components + len(first)
     return RunTimeMap(
         rest_deg=rounded(rest_deg),
-        weights=rounded(slopes[:n].T),
-        quadratic_weights=rounded(slopes[n:bends].T),
+        weights=rounded(slopes[:n_components].T),
+        quadratic_weights=rounded(slopes[n_components:n_quadratic].T),
         x_range=x_range,
         centres=centres,
-        centre_weights=rounded(slopes[bends:].T),
+        centre_weights=rounded(slopes[n_quadratic:].T),
     )
 
 
@@ -194,20 +198,20 @@ def rounded(values: Array) -> Array:
     return np.array(kept).reshape(values.shape)
 
 
-def _metric(poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatures) -> Array:
+def _angle_metric(poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatures) -> Array:
     """Return the mean cost of angle errors, (n_servos, n_servos) weighted mm^2 per deg^2.
 
     It is the effect of angles on the shape features, averaged over poses_deg.
     """
     n_servos = poses_deg.shape[1]
-    at = shape_features.of(markers_of(poses_deg))
-    slopes = shape_slopes(markers_of, shape_features, poses_deg, at)
-    cost = np.einsum("nks,nkt->st", slopes, slopes) / len(poses_deg)
-    return np.asarray(cost + _ANGLE_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos))
+    features = shape_features.of(markers_of(poses_deg))
+    slopes = shape_slopes(markers_of, shape_features, poses_deg, features)
+    metric = np.einsum("nks,nkt->st", slopes, slopes) / len(poses_deg)
+    return np.asarray(metric + _ANGLE_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos))
 
 
 #: A map with bends around so many of the speaker's mouths, or a quadratic one.
-_CENTRES = 40
+_N_CENTRES = 40
 _LEARN_SHARE = 0.8
 #: A frame in which the speaker closes counts as so many others: a closure that is missed shows.
 _CLOSURE_COUNTS = 6.0
@@ -236,15 +240,15 @@ def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
     """
     poses_deg = retargeting.poses_deg(from_rest)
     closure = fit_closure(retargeting, from_rest, poses_deg)
-    n_learnt = round(_LEARN_SHARE * len(from_rest))
-    kinds = [None, _centres(from_rest)]
-    missed = []
-    for centres in kinds:
-        run = _fitted(retargeting, from_rest[:n_learnt], poses_deg[:n_learnt], centres)
+    n_fitted = round(_LEARN_SHARE * len(from_rest))
+    centres_tried = [None, _bend_centres(from_rest)]
+    losses = []
+    for centres in centres_tried:
+        run = _fit_map(retargeting, from_rest[:n_fitted], poses_deg[:n_fitted], centres)
         run = replace(run, closure=closure)
-        missed.append(_missed(retargeting, run, from_rest[n_learnt:], poses_deg[n_learnt:]))
-    centres = kinds[int(np.argmin(missed))]
-    return replace(_fitted(retargeting, from_rest, poses_deg, centres), closure=closure)
+        losses.append(_loss(retargeting, run, from_rest[n_fitted:], poses_deg[n_fitted:]))
+    centres = centres_tried[int(np.argmin(losses))]
+    return replace(_fit_map(retargeting, from_rest, poses_deg, centres), closure=closure)
 
 
 def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) -> Closure | None:
@@ -264,32 +268,35 @@ def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) ->
     Closure | None
         None where the speaker's lips never close.
     """
-    closes = retargeting.closing(from_rest) >= 1.0
-    if not closes.any():
+    is_closed = retargeting.closing(from_rest) >= 1.0
+    if not is_closed.any():
         return None
     model, mouth = retargeting.model, retargeting.mouth
-    of = mouth.names.shape_features
+    shape = mouth.names.shape_features
     n_components = from_rest.shape[1]
     rest_mm = model.markers_mm(model.rest[None])
     moved_mm = model.markers_mm(model.rest + np.eye(n_components)) - rest_mm
+    # The speaker's vector between the lips at rest, and after one mm of each coefficient.
     between_mm = model.layout.gap_vectors_mm(np.concatenate([rest_mm, rest_mm + moved_mm]))
     if not model.layout.has_inner_lips:
         between_mm = between_mm - model.lips_touching_mm
-    opens_mm = gap_heights_mm(retargeting.scale * moved_mm[:, list(mouth.names.human)], of.gaps)
-    at_deg = poses_deg[closes].mean(axis=0)
+    opens_mm = gap_heights_mm(retargeting.scale * moved_mm[:, list(mouth.names.human)], shape.gaps)
+    at_deg = poses_deg[is_closed].mean(axis=0)
 
     def open_mm(moved_deg: Array) -> Array:
-        return gap_heights_mm(mouth.markers_of(at_deg + moved_deg), of.gaps)
+        return gap_heights_mm(mouth.markers_of(at_deg + moved_deg), shape.gaps)
 
-    n = len(at_deg)
-    first, second = pairs(n)
-    one = np.eye(n)
-    here, more, less = open_mm(np.zeros((1, n))), open_mm(one), open_mm(-one)
-    both = open_mm(one[first] + one[second])
-    crossed = both - more[first] - more[second] + here
-    squares = (more + less) / 2 - here
-    bends = np.where((first == second)[:, None], squares[first], crossed)
+    n_servos = len(at_deg)
+    first, second = pairs(n_servos)
+    one_deg = np.eye(n_servos)
+    gaps_closed, more, less = open_mm(np.zeros((1, n_servos))), open_mm(one_deg), open_mm(-one_deg)
+    # Slopes, squares and products of the joints by differences of one degree about the closed pose.
+    both = open_mm(one_deg[first] + one_deg[second])
+    cross_terms = both - more[first] - more[second] + gaps_closed
+    square_terms = (more + less) / 2 - gaps_closed
+    bends = np.where((first == second)[:, None], square_terms[first], cross_terms)
     slopes = (more - less).T / 2
+    # Turns that open one gap at the least cost: the regularised inverse of the slopes.
     turns_deg = slopes.T @ np.linalg.inv(
         slopes @ slopes.T + _TURN_MM_PER_DEG**2 * np.eye(len(slopes))
     )
@@ -298,7 +305,7 @@ def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) ->
         speaker_rest_mm=rounded(between_mm[0]),
         opens_mm=rounded(opens_mm.T),
         at_deg=rounded(at_deg),
-        gaps_mm=rounded(here[0] - retargeting.closed_mm),
+        gaps_mm=rounded(gaps_closed[0] - retargeting.closed_mm),
         slopes=rounded(slopes),
         bends=rounded(bends.T),
         turns_deg=rounded(turns_deg),
@@ -306,14 +313,15 @@ def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) ->
     )
 
 
-def _centres(from_rest: Array) -> Array | None:
-    if len(np.unique(from_rest, axis=0)) < 4 * _CENTRES:
+def _bend_centres(from_rest: Array) -> Array | None:
+    """Return the centres of clusters of frames, (_N_CENTRES, n_components); None for few frames."""
+    if len(np.unique(from_rest, axis=0)) < 4 * _N_CENTRES:
         return None
-    found = KMeans(_CENTRES, n_init=1, random_state=0).fit(from_rest)
-    return np.asarray(found.cluster_centers_, dtype=np.float64)
+    clusters = KMeans(_N_CENTRES, n_init=1, random_state=0).fit(from_rest)
+    return np.asarray(clusters.cluster_centers_, dtype=np.float64)
 
 
-def _fitted(
+def _fit_map(
     retargeting: Retargeting, from_rest: Array, poses_deg: Array, centres: Array | None
 ) -> RunTimeMap:
     """Return the live map fitted to poses; frames with closed lips count up to six times.
@@ -328,12 +336,12 @@ def _fitted(
     )
 
 
-def _missed(retargeting: Retargeting, run: RunTimeMap, from_rest: Array, poses_deg: Array) -> float:
+def _loss(retargeting: Retargeting, run: RunTimeMap, from_rest: Array, poses_deg: Array) -> float:
     """Return the mean squared difference of shape features between best poses and those of a map.
 
     poses_deg: the best poses for the frames from_rest; run: the map.
     """
     mouth = retargeting.mouth
-    of = mouth.names.shape_features
-    shown = of.of(mouth.seen_mm(run.poses_deg(from_rest, mouth)))
-    return float(np.mean((shown - of.of(mouth.seen_mm(poses_deg))) ** 2))
+    features = mouth.names.shape_features
+    made = features.of(mouth.seen_mm(run.poses_deg(from_rest, mouth)))
+    return float(np.mean((made - features.of(mouth.seen_mm(poses_deg))) ** 2))

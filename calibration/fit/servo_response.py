@@ -20,7 +20,7 @@ _CHIRP_HZ, _CHIRP_S = (0.5, CHIRP_END_HZ), 10.0
 _SPEECH_HZ = 6.0
 #: As far as lips go in speech, and no more than a third of what the joint may do.
 _CHIRP_DEG, _STEP_DEG = 5.0, 25.0
-_REST_S, _STEP_S = 0.5, 1.0
+_PAUSE_S, _STEP_S = 0.5, 1.0
 _LONGEST_LAG_S = 0.3
 #: Half power, by which bandwidths are given.
 _HALF_POWER = 10 ** (-3 / 20)
@@ -46,7 +46,7 @@ def chirp_deg(amplitude_deg: float, rate_hz: float = RATE_HZ) -> Array:
     times_s = np.arange(0.0, _CHIRP_S, 1.0 / rate_hz)
     low, high = _CHIRP_HZ
     phase_turns = low * times_s + (high - low) * times_s**2 / (2 * _CHIRP_S)
-    rest = np.zeros(round(_REST_S * rate_hz))
+    rest = np.zeros(round(_PAUSE_S * rate_hz))
     return np.concatenate([rest, amplitude_deg * np.sin(2 * np.pi * phase_turns), rest])
 
 
@@ -88,11 +88,11 @@ def identify(
     CalibrationError
         A joint's encoder does not follow.
     """
-    found = []
+    figures = []
     for joint in range(len(joints)):
-        found.append(_identify_joint(drive, joints, joint, rate_hz))
+        figures.append(_identify_joint(drive, joints, joint, rate_hz))
         progress(joint + 1)
-    lag_s, bandwidth_hz, top_speed_deg_s = np.array(found).T
+    lag_s, bandwidth_hz, top_speed_deg_s = np.array(figures).T
     return Following(lag_s, backlash_deg, top_speed_deg_s, bandwidth_hz)
 
 
@@ -107,20 +107,21 @@ def _identify_joint(
     limits = joints[joint]
     middle_deg = (limits.min_deg + limits.max_deg) / 2
     chirp = chirp_deg(chirp_amplitude_deg(limits), rate_hz)
-    seen = _drive_one(drive, middle_deg + chirp, joint, len(joints), rate_hz) - middle_deg
-    lag_s = lag_between_s(chirp, seen, rate_hz, until=_chirp_index(_SPEECH_HZ, rate_hz))
-    if np.std(seen) < 0.1 * np.std(chirp):
+    encoder_deg = _drive_one(drive, middle_deg + chirp, joint, len(joints), rate_hz) - middle_deg
+    lag_s = lag_between_s(chirp, encoder_deg, rate_hz, until=_chirp_index(_SPEECH_HZ, rate_hz))
+    if np.std(encoder_deg) < 0.1 * np.std(chirp):
         raise CalibrationError(
             f"servo {limits.name!r} does not follow its goal; is torque on, is it stuck?"
         )
     far_deg = min(_STEP_DEG, limits.max_deg - limits.min_deg) / 2
-    n = round(_STEP_S * rate_hz)
-    step = middle_deg + np.repeat([-far_deg, far_deg, -far_deg], n)
-    moved = np.diff(_drive_one(drive, step, joint, len(joints), rate_hz)) * rate_hz
-    return lag_s, _bandwidth_hz(chirp, seen, rate_hz), float(np.abs(moved).max())
+    n_samples = round(_STEP_S * rate_hz)
+    steps_deg = middle_deg + np.repeat([-far_deg, far_deg, -far_deg], n_samples)
+    speeds_deg_s = np.diff(_drive_one(drive, steps_deg, joint, len(joints), rate_hz)) * rate_hz
+    return lag_s, _bandwidth_hz(chirp, encoder_deg, rate_hz), float(np.abs(speeds_deg_s).max())
 
 
 def _drive_one(drive: Drive, goals_deg: Array, joint: int, n_servos: int, rate_hz: float) -> Array:
+    """Send goals_deg, (n,), to one joint and 0 to the others; return its encoder's angles, (n,)."""
     goals = np.zeros((len(goals_deg), n_servos))
     goals[:, joint] = goals_deg
     return drive(goals, rate_hz)[:, joint]
@@ -146,26 +147,28 @@ def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None
         Seconds, positive where `seen` is later.
     """
     longest = min(round(_LONGEST_LAG_S * rate_hz), len(goal) // 2)
-    n = min(until or len(goal), len(goal) - longest)
-    wanted = goal[longest:n] - goal[longest:n].mean()
+    end = min(until or len(goal), len(goal) - longest)
+    template = goal[longest:end] - goal[longest:end].mean()
     shifts = np.arange(-longest, longest + 1)
     scores = np.empty(len(shifts))
+    # Correlation of the goal with the other signal, shifted by so many samples.
     for i, shift in enumerate(shifts):
-        window = seen[longest + shift : n + shift]
+        window = seen[longest + shift : end + shift]
         window = window - window.mean()
-        scores[i] = wanted @ window / (np.linalg.norm(window) * np.linalg.norm(wanted) + 1e-12)
-    best = int(scores[1:-1].argmax()) + 1
-    before, at, after = scores[best - 1 : best + 2]
-    bend = before - 2 * at + after
-    between = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float((shifts[best] + between) / rate_hz)
+        scores[i] = template @ window / (np.linalg.norm(window) * np.linalg.norm(template) + 1e-12)
+    best_index = int(scores[1:-1].argmax()) + 1
+    before, peak, after = scores[best_index - 1 : best_index + 2]
+    # The peak of the parabola through the best score and its two neighbours.
+    curvature = before - 2 * peak + after
+    fraction = 0.5 * (before - after) / curvature if curvature < 0 else 0.0
+    return float((shifts[best_index] + fraction) / rate_hz)
 
 
 def _chirp_index(frequency_hz: float, rate_hz: float) -> int:
     """Return the index of the sample of `chirp_deg` at which its sine reaches frequency_hz."""
     low, high = _CHIRP_HZ
     share = (frequency_hz - low) / (high - low)
-    return round((_REST_S + share * _CHIRP_S) * rate_hz)
+    return round((_PAUSE_S + share * _CHIRP_S) * rate_hz)
 
 
 def _bandwidth_hz(chirp: Array, seen: Array, rate_hz: float) -> float:
@@ -173,11 +176,11 @@ def _bandwidth_hz(chirp: Array, seen: Array, rate_hz: float) -> float:
 
     The chirp's highest frequency if there is none. rate_hz: samples per second.
     """
-    high = _CHIRP_HZ[1]
-    for frequency_hz in np.arange(1.0, high, 0.25):
-        middle = _chirp_index(frequency_hz, rate_hz)
-        half = round(_PERIODS / 2 / frequency_hz * rate_hz)
-        window = slice(max(0, middle - half), middle + half)
+    highest_hz = _CHIRP_HZ[1]
+    for frequency_hz in np.arange(1.0, highest_hz, 0.25):
+        centre = _chirp_index(frequency_hz, rate_hz)
+        half_width = round(_PERIODS / 2 / frequency_hz * rate_hz)
+        window = slice(max(0, centre - half_width), centre + half_width)
         if np.std(seen[window]) < _HALF_POWER * np.std(chirp[window]):
             return float(frequency_hz)
-    return high
+    return highest_hz

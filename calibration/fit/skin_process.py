@@ -29,10 +29,10 @@ _FIRST_BACKLASH_DEG = 0.5
 #: Play of all joints together, and of one alone, is believed from so many standard errors on; less
 #: than a quarter of a degree, or half of one in one joint, lips do not show.
 _LEAST_DEG = 0.25
-_EVIDENT, _EVIDENT_ALONE, _MOST_BELOW_DEG, _STEP_DEG = 3.0, 4.0, 2.0, 0.05
+_EVIDENT_ERRORS, _EVIDENT_ALONE_ERRORS, _MOST_BELOW_DEG, _STEP_DEG = 3.0, 4.0, 2.0, 0.05
 #: Where the search for the hyperparameters begins: reach in mm^2 of a half range, curvature per
 #: mm^2, noise in mm^2, width in mm, own part. It ends at the same place from half or twice these.
-_FIRST = (3.0, 0.02, 0.3, 14.0, 0.05)
+_START = (3.0, 0.02, 0.3, 14.0, 0.05)
 _MOST_STEPS = 200
 
 _UPPER_LIP = (39, 37, 0, 267, 269, 82, 13, 312)
@@ -55,7 +55,7 @@ class Poses:
     half_range_deg: Array
 
     def inputs(self, backlash_deg: Array) -> Array:
-        """Return the positions of the horns, behind the backlash, from -1 to 1 of the range.
+        """Return the horns' angles, scaled to -1..1; they lag behind goals by half the backlash.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class Hyperparameters:
     width_mm: float
     own: float
 
-    def joints(self, one: Array, other: Array) -> Array:
+    def pose_covariance(self, one: Array, other: Array) -> Array:
         """Return the covariance K of two sets of poses.
 
         Parameters
@@ -119,7 +119,7 @@ class Hyperparameters:
         straight = (one * self.reach_mm2) @ other.T
         return np.asarray(_CONSTANT_MM2 + straight + self.curvature * straight**2)
 
-    def skin(self, apart_mm2: Array) -> Array:
+    def skin_covariance(self, apart_mm2: Array) -> Array:
         """Return the covariance S of markers.
 
         Parameters
@@ -160,12 +160,15 @@ class SkinProcess:
         Array
             (m, n_markers, 3) mm from each marker's mean position.
         """
-        weights = self.hyperparameters.joints(inputs, self.inputs)
+        weights = self.hyperparameters.pose_covariance(inputs, self.inputs)
         return np.asarray(np.tensordot(weights, self.solved, axes=1))
 
 
 def squared_distances_mm2(marker_names: Sequence[str], rest_mm: Array) -> Array:
     """Return squared distances of markers along the skin, which is slit at the mouth.
+
+    A fourth dimension sets the upper lip's markers 15 mm off to one side, the lower lip's to the
+    other, so that closed lips are not near each other.
 
     Parameters
     ----------
@@ -215,47 +218,50 @@ def fit_hyperparameters(
     """
     n_servos = poses.goals_deg.shape[1]
     likelihood = _NegativeLogLikelihood(poses, from_centre_mm, apart_mm2)
-    first = np.concatenate(
+    start = np.concatenate(
         [
             np.full(n_servos, _FIRST_BACKLASH_DEG),
-            np.log(np.concatenate([np.full(n_servos, _FIRST[0]), _FIRST[1:]])),
+            np.log(np.concatenate([np.full(n_servos, _START[0]), _START[1:]])),
         ]
     )
-    # Below nothing too: what noise gives a gear without play is as often less as more.
+    # Backlash may be negative here: what noise gives a gear without play is as often less as more.
     bounds: list[tuple[float, float | None]] = [(-_MOST_BELOW_DEG, None)] * n_servos
     bounds += [(-20.0, 20.0)] * (n_servos + 4)
-    found = minimize(
+    solution = minimize(
         likelihood,
-        first,
+        start,
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
         options={"maxiter": _MOST_STEPS},
     )
-    found.x[:n_servos] = _believed_deg(found.x, likelihood, n_servos)
-    return _unpacked(found.x, n_servos)
+    solution.x[:n_servos] = _evident_deg(solution.x, likelihood, n_servos)
+    return _hyperparameters_of(solution.x, n_servos)
 
 
-def _believed_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_servos: int) -> Array:
+def _evident_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_servos: int) -> Array:
     """Return the backlash that the capture makes evident, (n_servos,) degrees; else 0.
 
-    parameters: those of greatest likelihood, backlash first. A joint's backlash is kept where that
-    of all joints together is beyond doubt, or its own.
+    parameters: those of greatest likelihood, backlash first. A joint's backlash is kept where the
+    mean backlash of all joints is beyond doubt, or its own is.
     """
-    sharpness = np.empty(n_servos)
+    precision = np.empty(n_servos)
     for joint in range(n_servos):
         ends = [parameters.copy(), parameters.copy()]
         for end, step_deg in zip(ends, (-_STEP_DEG, _STEP_DEG), strict=True):
             end[joint] += step_deg
-        less, more = (likelihood(end)[1][joint] for end in ends)
-        sharpness[joint] = max((more - less) / (2 * _STEP_DEG), 1e-9)
+        slope_below, slope_above = (likelihood(end)[1][joint] for end in ends)
+        # The second derivative of the cost by the joint's backlash is the precision of its
+        # estimate.
+        precision[joint] = max((slope_above - slope_below) / (2 * _STEP_DEG), 1e-9)
     found_deg = parameters[:n_servos]
-    known = np.maximum(sharpness - 1.0 / _BACKLASH_SD_DEG**2, 1e-9)
-    mean_deg = float((known * found_deg).sum() / known.sum())
-    if mean_deg > _LEAST_DEG and mean_deg * np.sqrt(known.sum()) > _EVIDENT:
+    # What the capture alone tells, without the prior that the backlashes are alike.
+    information = np.maximum(precision - 1.0 / _BACKLASH_SD_DEG**2, 1e-9)
+    mean_deg = float((information * found_deg).sum() / information.sum())
+    if mean_deg > _LEAST_DEG and mean_deg * np.sqrt(information.sum()) > _EVIDENT_ERRORS:
         return np.maximum(found_deg, 0.0)
-    alone = found_deg > np.maximum(_EVIDENT_ALONE / np.sqrt(sharpness), 2 * _LEAST_DEG)
-    return np.where(alone, np.maximum(found_deg, 0.0), 0.0)
+    is_evident = found_deg > np.maximum(_EVIDENT_ALONE_ERRORS / np.sqrt(precision), 2 * _LEAST_DEG)
+    return np.where(is_evident, np.maximum(found_deg, 0.0), 0.0)
 
 
 def fit_process(
@@ -279,40 +285,45 @@ def fit_process(
     SkinProcess
         Predicts markers in mm.
     """
-    on = _Solution(
-        hyperparameters.joints(inputs, inputs),
-        hyperparameters.skin(apart_mm2),
+    eig = _KroneckerEigen(
+        hyperparameters.pose_covariance(inputs, inputs),
+        hyperparameters.skin_covariance(apart_mm2),
         hyperparameters.noise_mm2,
     )
-    weighed = on.rotated(from_centre_mm) / on.spread[:, :, None]
-    by_point = (hyperparameters.skin(apart_mm2) @ on.points) @ weighed
-    solved = (on.poses @ by_point.reshape(len(inputs), -1)).reshape(by_point.shape)
+    # Inverse of the covariance times the markers, then times the covariance of the skin.
+    weighted = eig.rotated(from_centre_mm) / eig.variance[:, :, None]
+    by_marker = (hyperparameters.skin_covariance(apart_mm2) @ eig.skin_vectors) @ weighted
+    solved = (eig.pose_vectors @ by_marker.reshape(len(inputs), -1)).reshape(by_marker.shape)
     return SkinProcess(hyperparameters, inputs, solved)
 
 
-def _unpacked(parameters: Array, n_servos: int) -> Hyperparameters:
+def _hyperparameters_of(parameters: Array, n_servos: int) -> Hyperparameters:
+    """Return the hyperparameters in a vector: backlashes in degrees, then logarithms of all others.
+
+    parameters: (2 n_servos + 4,): backlash, reach, curvature, noise, width and own part.
+    """
     reach = np.exp(parameters[n_servos : 2 * n_servos])
     curvature, noise, width, own = np.exp(parameters[2 * n_servos :]).tolist()
     return Hyperparameters(parameters[:n_servos], reach, curvature, noise, width, own)
 
 
-class _Solution:
+class _KroneckerEigen:
     """Eigendecompositions of the covariances of poses and of skin, for solving with both at once.
 
-    spread: (n, n_markers), variance of each pair of eigenvectors, noise included.
+    variance: (n, n_markers), of each pair of a pose's and a skin's eigenvector, with noise.
     """
 
     def __init__(self, joints: Array, skin: Array, noise_mm2: float) -> None:
-        self.pose_sizes, self.poses = np.linalg.eigh(joints)
-        self.point_sizes, self.points = np.linalg.eigh(skin)
-        sizes = np.outer(self.pose_sizes, self.point_sizes)
-        self.spread = np.maximum(sizes, 0.0) + noise_mm2
+        self.pose_values, self.pose_vectors = np.linalg.eigh(joints)
+        self.skin_values, self.skin_vectors = np.linalg.eigh(skin)
+        sizes = np.outer(self.pose_values, self.skin_values)
+        self.variance = np.maximum(sizes, 0.0) + noise_mm2
 
     def rotated(self, values: Array) -> Array:
         """Return values (n, n_markers, 3) in the coordinates of both sets of eigenvectors."""
         n, m, axes = values.shape
-        by_pose = (self.poses.T @ values.reshape(n, -1)).reshape(n, m, axes)
-        return np.asarray(self.points.T @ by_pose)
+        by_pose = (self.pose_vectors.T @ values.reshape(n, -1)).reshape(n, m, axes)
+        return np.asarray(self.skin_vectors.T @ by_pose)
 
 
 class _NegativeLogLikelihood:
@@ -329,49 +340,53 @@ class _NegativeLogLikelihood:
     def __call__(self, parameters: Array) -> tuple[float, Array]:
         """Return the negative log likelihood, up to a constant, and its gradient by `parameters`.
 
-        parameters: (2 n_servos + 4,), in the order of `_unpacked`. Included is the prior that the
-        backlashes of one robot are alike.
+        parameters: (2 n_servos + 4,), in the order of `_hyperparameters_of`. Included is the prior
+        that the backlashes of one robot are alike. Names with d_ are derivatives of the cost
+        (Rasmussen and Williams, equation 5.9).
         """
         n_servos = self._poses.goals_deg.shape[1]
-        hyperparameters = _unpacked(parameters, n_servos)
+        hyperparameters = _hyperparameters_of(parameters, n_servos)
         x = self._poses.inputs(hyperparameters.backlash_deg)
-        on = _Solution(
-            hyperparameters.joints(x, x),
-            hyperparameters.skin(self._apart),
+        eig = _KroneckerEigen(
+            hyperparameters.pose_covariance(x, x),
+            hyperparameters.skin_covariance(self._apart),
             hyperparameters.noise_mm2,
         )
-        rotated = on.rotated(self._values)
-        weighed = rotated / on.spread[:, :, None]
+        turned = eig.rotated(self._values)
+        # The inverse of the covariance times the markers, in the eigenvectors' coordinates.
+        solved = turned / eig.variance[:, :, None]
         axes = self._values.shape[2]
-        cost = 0.5 * float((rotated * weighed).sum()) + 0.5 * axes * float(np.log(on.spread).sum())
+        cost = 0.5 * float((turned * solved).sum()) + 0.5 * axes * float(np.log(eig.variance).sum())
 
-        n, m = on.spread.shape
-        by_size = weighed * on.point_sizes[:, None]
-        by_pose = -(weighed.reshape(n, -1) @ by_size.reshape(n, -1).T)
-        by_pose += np.diag(axes * (on.point_sizes / on.spread).sum(axis=1))
-        by_joints = 0.5 * on.poses @ by_pose @ on.poses.T
-        across = weighed.transpose(1, 0, 2)
-        by_size = across * on.pose_sizes[:, None]
-        by_point = -(across.reshape(m, -1) @ by_size.reshape(m, -1).T)
-        by_point += np.diag(axes * (on.pose_sizes[:, None] / on.spread).sum(axis=0))
-        by_skin = 0.5 * on.points @ by_point @ on.points.T
-        by_noise = 0.5 * (axes * (1.0 / on.spread).sum() - (weighed**2).sum())
+        n_poses, n_markers = eig.variance.shape
+        scaled = solved * eig.skin_values[:, None]
+        d_pose = -(solved.reshape(n_poses, -1) @ scaled.reshape(n_poses, -1).T)
+        d_pose += np.diag(axes * (eig.skin_values / eig.variance).sum(axis=1))
+        d_joints = 0.5 * eig.pose_vectors @ d_pose @ eig.pose_vectors.T
+        by_marker = solved.transpose(1, 0, 2)
+        scaled = by_marker * eig.pose_values[:, None]
+        d_point = -(by_marker.reshape(n_markers, -1) @ scaled.reshape(n_markers, -1).T)
+        d_point += np.diag(axes * (eig.pose_values[:, None] / eig.variance).sum(axis=0))
+        d_skin = 0.5 * eig.skin_vectors @ d_point @ eig.skin_vectors.T
+        d_noise = 0.5 * (axes * (1.0 / eig.variance).sum() - (solved**2).sum())
 
         straight = (x * hyperparameters.reach_mm2) @ x.T
-        by_straight = by_joints * (1.0 + 2.0 * hyperparameters.curvature * straight)
-        by_input = 2.0 * by_straight @ (x * hyperparameters.reach_mm2)
-        by_backlash = (by_input * -self._poses.from_below / 2 / self._poses.half_range_deg).sum(
+        # From the covariance of poses on to the angles and their hyperparameters.
+        d_straight = d_joints * (1.0 + 2.0 * hyperparameters.curvature * straight)
+        d_input = 2.0 * d_straight @ (x * hyperparameters.reach_mm2)
+        d_backlash = (d_input * -self._poses.from_below / 2 / self._poses.half_range_deg).sum(
             axis=0
         )
-        unlike = hyperparameters.backlash_deg - hyperparameters.backlash_deg.mean()
-        cost += 0.5 * float((unlike**2).sum()) / _BACKLASH_SD_DEG**2
-        by_backlash += unlike / _BACKLASH_SD_DEG**2
-        by_reach = (x * (by_straight @ x)).sum(axis=0)
+        from_mean = hyperparameters.backlash_deg - hyperparameters.backlash_deg.mean()
+        cost += 0.5 * float((from_mean**2).sum()) / _BACKLASH_SD_DEG**2
+        d_backlash += from_mean / _BACKLASH_SD_DEG**2
+        d_reach = (x * (d_straight @ x)).sum(axis=0)
         alike = np.exp(-0.5 * self._apart / hyperparameters.width_mm**2)
-        slopes = [
-            hyperparameters.curvature * (by_joints * straight**2).sum(),
-            hyperparameters.noise_mm2 * by_noise,
-            (by_skin * alike * self._apart).sum() / hyperparameters.width_mm**2,
-            hyperparameters.own * np.trace(by_skin),
+        # By the logarithms: each derivative times its hyperparameter.
+        d_others = [
+            hyperparameters.curvature * (d_joints * straight**2).sum(),
+            hyperparameters.noise_mm2 * d_noise,
+            (d_skin * alike * self._apart).sum() / hyperparameters.width_mm**2,
+            hyperparameters.own * np.trace(d_skin),
         ]
-        return cost, np.concatenate([by_backlash, hyperparameters.reach_mm2 * by_reach, slopes])
+        return cost, np.concatenate([d_backlash, hyperparameters.reach_mm2 * d_reach, d_others])

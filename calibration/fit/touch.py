@@ -13,22 +13,22 @@ import numpy as np
 from sklearn.cluster import KMeans
 
 from calibration.calibration import Calibration, CalibrationError
-from calibration.capture.capture import Capture, PosePlan, ladders_of, reached_from
+from calibration.capture.capture import Capture, PosePlan, ladders_of, plan_of_poses
 from calibration.closure import CLOSED_GAP_MM, Closure
-from calibration.fit.closing import apertures_of, bent_line, find_kink
+from calibration.fit.closing import bent_line, find_kink, ladder_apertures
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array, Indices
 
 #: Shapes, and openings of their ladders beyond contact as the map believes it to be.
 _N_SHAPES, _LEVELS_MM = 3, np.linspace(2.0, -2.2, 15)
-_ROUNDS = 4
+_SOLVER_ROUNDS = 4
 #: Contact may have moved by so much; farther, and the face must be measured anew.
-_MOST_OFF_MM, _STEP_MM = 1.2, 0.05
+_MOST_OFFSET_MM, _STEP_MM = 1.2, 0.05
 #: A person sees the lips of all shapes meet within so much: two steps of a ladder, and a half.
-_AGREE_MM = 1.0
+_AGREEMENT_MM = 1.0
 #: That there is contact is known; where it is must explain so much, in square standard errors.
-_SURE_AGAIN = 15.0
+_SURE_KINK = 15.0
 #: A rise of the current must explain so much more than a straight line (an F value).
 _SURE_RISE = 8.0
 
@@ -36,8 +36,9 @@ _SURE_RISE = 8.0
 def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthServos) -> PosePlan:
     """Return a plan of poses that close the lips in steps, from 2 mm open to 2.2 mm past contact.
 
-    Raises CalibrationError for a calibration without a model of how its robot's lips close, or a
-    speaker whose lips never close.
+    There is one ladder of steps for each of three usual closed mouth shapes. Raises
+    CalibrationError for a calibration without a model of how its robot's lips close, or a speaker
+    whose lips never close.
     """
     closure = _closure_of(calibration)
     frames = model.animphos.frames
@@ -48,15 +49,16 @@ def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthS
     shapes = KMeans(n_shapes, n_init=2, random_state=0).fit(frames).cluster_centers_
     goals, sides, ladders = [], [], []
     for number, pose_deg in enumerate(calibration.poses_deg(shapes)):
-        own = np.tile(pose_deg, (len(_LEVELS_MM), 1))
-        for _ in range(_ROUNDS):
-            missing_mm = _LEVELS_MM[:, None] - closure.open_mm(own)
-            own = np.clip(own + missing_mm @ closure.turns_deg.T, *servos.limits_deg)
-        ahead = np.sign(own[-1] - own[0])
-        goals.append(own)
-        sides.append(np.tile(np.where(ahead == 0.0, 1.0, ahead), (len(own), 1)))
-        ladders.append(np.full(len(own), number + 1))
-    plan = reached_from(servos.joints, np.concatenate(goals), np.concatenate(sides), servos.rules)
+        poses_deg = np.tile(pose_deg, (len(_LEVELS_MM), 1))
+        # Turn joints until the predicted gaps are those of the steps.
+        for _ in range(_SOLVER_ROUNDS):
+            missing_mm = _LEVELS_MM[:, None] - closure.open_mm(poses_deg)
+            poses_deg = np.clip(poses_deg + missing_mm @ closure.turns_deg.T, *servos.limits_deg)
+        direction = np.sign(poses_deg[-1] - poses_deg[0])
+        goals.append(poses_deg)
+        sides.append(np.tile(np.where(direction == 0.0, 1.0, direction), (len(poses_deg), 1)))
+        ladders.append(np.full(len(poses_deg), number + 1))
+    plan = plan_of_poses(servos.joints, np.concatenate(goals), np.concatenate(sides), servos.rules)
     return replace(plan, ladders=np.concatenate(ladders))
 
 
@@ -67,27 +69,28 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
     than before until they meet. Raises CalibrationError where no contact is found.
     """
     closure, lips = _closure_of(calibration), calibration.learnt_lips
-    apertures = apertures_of(seen)
+    apertures = ladder_apertures(seen)
     if apertures is None or lips is None:
         raise CalibrationError("contact needs markers on both lips, one above the other; add them")
     noise_mm = apertures.share * lips.noise_mm
-    closes = [_closes_mm(calibration, seen, rows) for rows in apertures.rows]
-    # Contact is believed to be at 0; a ladder for the kink begins there.
-    kink = find_kink([x - x[0] for x in closes], apertures.mm, noise_mm)
-    if kink.explained < _SURE_AGAIN:
+    closing_mm = [_predicted_closing_mm(calibration, seen, rows) for rows in apertures.rows]
+    # Closing is 0 where the map predicts contact; `find_kink` needs it to begin with 0.
+    kink = find_kink([closing - closing[0] for closing in closing_mm], apertures.mm, noise_mm)
+    if kink.explained < _SURE_KINK:
         raise CalibrationError(
             "no contact of the lips was seen within 2 mm of where the calibration has it; measure "
             "the face anew with `lipservo calibrate measure`"
         )
-    offs = np.arange(-_MOST_OFF_MM, _MOST_OFF_MM + 1e-9, _STEP_MM)
+    offsets_mm = np.arange(-_MOST_OFFSET_MM, _MOST_OFFSET_MM + 1e-9, _STEP_MM)
+    # How well each move of contact explains all ladders: a line that bends there.
     costs = [
         sum(
-            bent_line(x, y / noise_mm, float(off), noise_mm)[0]
-            for x, y in zip(closes, apertures.mm, strict=True)
+            bent_line(closing, apertures_mm / noise_mm, float(offset_mm), noise_mm)[0]
+            for closing, apertures_mm in zip(closing_mm, apertures.mm, strict=True)
         )
-        for off in offs
+        for offset_mm in offsets_mm
     ]
-    return _moved(calibration, closure, _inside(offs, int(np.argmin(costs))))
+    return _move_contact(calibration, closure, _best_offset_mm(offsets_mm, int(np.argmin(costs))))
 
 
 def touched_by_current(
@@ -116,17 +119,19 @@ def touched_by_current(
     """
     closure = _closure_of(calibration)
     total = np.abs(efforts).sum(axis=1)
-    of = ladders_of(plan)
-    ladders = [np.flatnonzero(of == number) for number in np.unique(of)]
-    offs = np.arange(-_MOST_OFF_MM, _MOST_OFF_MM + 1e-9, _STEP_MM)
-    straight, bent = 0.0, np.zeros(len(offs))
+    ladder_numbers = ladders_of(plan)
+    ladders = [np.flatnonzero(ladder_numbers == number) for number in np.unique(ladder_numbers)]
+    offsets_mm = np.arange(-_MOST_OFFSET_MM, _MOST_OFFSET_MM + 1e-9, _STEP_MM)
+    # Squared residuals of the current over the closing: a straight line per ladder, and one that
+    # bends where contact would be, for each offset tried.
+    straight, bent = 0.0, np.zeros(len(offsets_mm))
     for rows in ladders:
         x = -closure.open_mm(plan.goals_deg[rows])[:, 0]
         straight += _line_fit(x[:, None], total[rows])[0]
-        for n, off in enumerate(offs):
-            cost, slopes = _line_fit(np.column_stack([x, np.maximum(x - off, 0.0)]), total[rows])
-            # A current that falls where lips meet is none of theirs.
-            bent[n] += cost if slopes[2] > 0.0 else _line_fit(x[:, None], total[rows])[0]
+        for i, off in enumerate(offsets_mm):
+            cost, fit = _line_fit(np.column_stack([x, np.maximum(x - off, 0.0)]), total[rows])
+            # A current that falls past the bend is no contact: the straight line counts.
+            bent[i] += cost if fit[2] > 0.0 else _line_fit(x[:, None], total[rows])[0]
     best = int(bent.argmin())
     freedom = max(len(total) - 3 * len(ladders) - 1, 1)
     if (straight - bent[best]) / max(bent[best] / freedom, 1e-12) < _SURE_RISE * len(ladders):
@@ -134,7 +139,7 @@ def touched_by_current(
             "the servos' current does not rise where the lips close; give --tracker, or measure "
             "the face anew with `lipservo calibrate measure`"
         )
-    return _moved(calibration, closure, _inside(offs, best))
+    return _move_contact(calibration, closure, _best_offset_mm(offsets_mm, best))
 
 
 def touched_by_eye(
@@ -161,32 +166,35 @@ def touched_by_eye(
     CalibrationError
         The ladders disagree by more than a millimetre, or contact is too far from where it was.
     """
-    closure, of = _closure_of(calibration), ladders_of(plan)
+    closure, ladder_numbers = _closure_of(calibration), ladders_of(plan)
     open_mm = closure.open_mm(plan.goals_deg)[:, 0]
     later_mm = []
     for row in touching_rows:
-        # They met between this step and the one before.
-        before = row - 1 if row and of[row - 1] == of[row] else row
-        later_mm.append(-float(open_mm[row] + open_mm[before]) / 2)
-    if np.ptp(later_mm) > _AGREE_MM:
+        # Lips met between this step and the previous one of the ladder.
+        previous = row - 1 if row and ladder_numbers[row - 1] == ladder_numbers[row] else row
+        later_mm.append(-float(open_mm[row] + open_mm[previous]) / 2)
+    if np.ptp(later_mm) > _AGREEMENT_MM:
         raise CalibrationError(
             f"between {len(touching_rows)} shapes, the lips were seen to meet at points "
             f"{np.ptp(later_mm):.1f} mm apart; look again, from the side, at the middle of the lips"
         )
     found_mm = float(np.median(later_mm))
-    if abs(found_mm) > _MOST_OFF_MM:
-        raise _too_far(found_mm)
-    return _moved(calibration, closure, found_mm)
+    if abs(found_mm) > _MOST_OFFSET_MM:
+        raise _too_far_error(found_mm)
+    return _move_contact(calibration, closure, found_mm)
 
 
-def _inside(offs_mm: Array, best: int) -> float:
-    """Return the best of offsets that were tried; CalibrationError for the first and the last."""
+def _best_offset_mm(offs_mm: Array, best: int) -> float:
+    """Return the offset in mm at index `best`; CalibrationError if it is the first or last tried.
+
+    Then contact may lie beyond the offsets.
+    """
     if best in (0, len(offs_mm) - 1):
-        raise _too_far(float(offs_mm[best]))
+        raise _too_far_error(float(offs_mm[best]))
     return float(offs_mm[best])
 
 
-def _too_far(off_mm: float) -> CalibrationError:
+def _too_far_error(off_mm: float) -> CalibrationError:
     how = "later" if off_mm > 0.0 else "earlier"
     return CalibrationError(
         f"the lips meet at least {abs(off_mm):.1f} mm {how} than the calibration says, too far to "
@@ -195,26 +203,30 @@ def _too_far(off_mm: float) -> CalibrationError:
     )
 
 
-def _closes_mm(calibration: Calibration, seen: Capture, rows: Indices) -> Array:
+def _predicted_closing_mm(calibration: Calibration, seen: Capture, rows: Indices) -> Array:
     """Return the closing past contact, (n,) mm, that the map predicts for `rows` of the capture."""
     following = calibration.following
-    half_deg: Array | float = 0.0 if following is None else following.backlash_deg / 2
-    horns_deg = seen.goals_deg[rows] - seen.from_below[rows] * half_deg
+    half_backlash_deg: Array | float = 0.0 if following is None else following.backlash_deg / 2
+    horns_deg = seen.goals_deg[rows] - seen.from_below[rows] * half_backlash_deg
     return -_closure_of(calibration).open_mm(horns_deg)[:, 0]
 
 
-def _moved(
+def _move_contact(
     calibration: Calibration, closure: Closure, later_mm: float
 ) -> tuple[Calibration, float]:
+    """Return the calibration whose lips meet after closing later_mm farther, and later_mm."""
     moved = replace(closure, gaps_mm=closure.gaps_mm + later_mm)
     return replace(calibration, closure=moved), later_mm
 
 
 def _line_fit(inputs: Array, y: Array) -> tuple[float, Array]:
-    """Return the least-squares fit of `y` by a constant and `inputs`: cost, parameters."""
+    """Return the squared residuals and parameters of a least-squares fit of `y`.
+
+    The fit is by a constant and the columns of `inputs`.
+    """
     inputs = np.column_stack([np.ones(len(y)), inputs])
-    slopes = np.asarray(np.linalg.lstsq(inputs, y, rcond=None)[0], dtype=np.float64)
-    return float(((inputs @ slopes - y) ** 2).sum()), slopes
+    parameters = np.asarray(np.linalg.lstsq(inputs, y, rcond=None)[0], dtype=np.float64)
+    return float(((inputs @ parameters - y) ** 2).sum()), parameters
 
 
 def _closure_of(calibration: Calibration) -> Closure:

@@ -25,8 +25,9 @@ class BacklashCompensation:
 
     def __init__(self, backlash_deg: Array) -> None:
         """Store half of backlash_deg, (n_servos,), the whole width of each joint's backlash."""
-        self._half_deg = backlash_deg / 2
-        self._any = bool(backlash_deg.any())
+        self._half_backlash_deg = backlash_deg / 2
+        self._has_backlash = bool(backlash_deg.any())
+        #: The direction of each joint's last motion, 1 or -1, and the furthest it went that way.
         self._side = np.ones(len(backlash_deg))
         self._furthest_deg: Array | None = None
 
@@ -45,20 +46,21 @@ class BacklashCompensation:
         Array
             (k, n_servos) degrees.
         """
-        if not self._any:
+        if not self._has_backlash:
             return poses_deg
         side = self._side
         furthest_deg = poses_deg[0] if self._furthest_deg is None else self._furthest_deg
         sides = np.empty_like(poses_deg)
         for n, pose_deg in enumerate(poses_deg):
             beyond_deg = (pose_deg - furthest_deg) * side
-            turned = beyond_deg < -_TURN_DEG
-            side = np.where(turned, -side, side)
-            furthest_deg = np.where(turned | (beyond_deg > 0), pose_deg, furthest_deg)
+            # A joint has reversed once it is back from its furthest angle by more than rounding.
+            reversed_ = beyond_deg < -_TURN_DEG
+            side = np.where(reversed_, -side, side)
+            furthest_deg = np.where(reversed_ | (beyond_deg > 0), pose_deg, furthest_deg)
             sides[n] = side
             if n == 0:
                 self._side, self._furthest_deg = side, furthest_deg
-        return np.asarray(poses_deg + sides * self._half_deg)
+        return np.asarray(poses_deg + sides * self._half_backlash_deg)
 
 
 class LagCompensation:
@@ -73,12 +75,13 @@ class LagCompensation:
 
         period_s: time between calls of `feed`; look_ahead_s: how far ahead poses are known.
         """
-        early_s = np.minimum(np.maximum(lag_s, 0.0), look_ahead_s)
-        self.advance_s = float(early_s.max(initial=0.0))
-        wait = (self.advance_s - early_s) / period_s
-        self._whole = np.floor(wait + 1e-9).astype(np.int64)
-        self._part = np.maximum(wait - self._whole, 0.0)
-        self._length = int(self._whole.max(initial=0)) + 2
+        ahead_s = np.minimum(np.maximum(lag_s, 0.0), look_ahead_s)
+        self.advance_s = float(ahead_s.max(initial=0.0))
+        # The delay of each joint here, in periods: whole ones, and the part of one that is left.
+        wait_periods = (self.advance_s - ahead_s) / period_s
+        self._n_whole = np.floor(wait_periods + 1e-9).astype(np.int64)
+        self._part = np.maximum(wait_periods - self._n_whole, 0.0)
+        self._n_stored = int(self._n_whole.max(initial=0)) + 2
         self._joints = np.arange(len(lag_s))
         self._recent: Array | None = None
         self._newest = 0
@@ -97,12 +100,13 @@ class LagCompensation:
             (n_servos,) degrees.
         """
         if self._recent is None:
-            self._recent = np.tile(positions_deg, (self._length, 1))
-        self._newest = (self._newest + 1) % self._length
+            self._recent = np.tile(positions_deg, (self._n_stored, 1))
+        self._newest = (self._newest + 1) % self._n_stored
         self._recent[self._newest] = positions_deg
-        later = self._recent[(self._newest - self._whole) % self._length, self._joints]
-        earlier = self._recent[(self._newest - self._whole - 1) % self._length, self._joints]
-        return np.asarray(later + self._part * (earlier - later))
+        # Each joint's goal lies between two stored poses, by the part of a period.
+        newer_deg = self._recent[(self._newest - self._n_whole) % self._n_stored, self._joints]
+        older_deg = self._recent[(self._newest - self._n_whole - 1) % self._n_stored, self._joints]
+        return np.asarray(newer_deg + self._part * (older_deg - newer_deg))
 
 
 #: Trims come and go with this time constant: within a phone of 80 ms, without a step that the
@@ -121,14 +125,14 @@ def trimmed(calibration: Calibration, phoneme: str, joint: str, degrees: float) 
     if joint not in calibration.servo_names:
         known = ", ".join(calibration.servo_names)
         raise CalibrationError(f"this calibration has no joint {joint!r}; it has {known}")
-    index = calibration.servo_names.index(joint)
-    span_deg = float(calibration.max_deg[index] - calibration.min_deg[index])
+    joint_number = calibration.servo_names.index(joint)
+    span_deg = float(calibration.max_deg[joint_number] - calibration.min_deg[joint_number])
     if not abs(degrees) <= span_deg:
         raise CalibrationError(f"{joint} turns {span_deg:g} deg in all, not {degrees:g}")
     viseme = VISEME_CLASSES[VISEME_OF[phoneme]][0]
-    row = calibration.trim.get(viseme, np.zeros(len(calibration.servo_names))).copy()
-    row[index] = degrees
-    return replace(calibration, trim={**calibration.trim, viseme: row})
+    added_deg = calibration.trim.get(viseme, np.zeros(len(calibration.servo_names))).copy()
+    added_deg[joint_number] = degrees
+    return replace(calibration, trim={**calibration.trim, viseme: added_deg})
 
 
 class VisemeTrim:
@@ -139,11 +143,12 @@ class VisemeTrim:
 
         period_s: time between calls of `feed`.
         """
-        self._nothing = np.zeros(n_servos)
-        self._wanted = [trim.get(viseme[0], self._nothing) for viseme in VISEME_CLASSES]
-        self._share = 1.0 - np.exp(-period_s / _BLEND_S)
+        self._zeros_deg = np.zeros(n_servos)
+        self._trims_deg = [trim.get(viseme[0], self._zeros_deg) for viseme in VISEME_CLASSES]
+        # How much of the way to the wanted trim is gone in one period.
+        self._step_share = 1.0 - np.exp(-period_s / _BLEND_S)
         self._idle = not trim
-        self._added_deg = self._nothing
+        self._added_deg = self._zeros_deg
 
     def feed(self, phoneme: str) -> Array:
         """Return the degrees to add to the pose in this period.
@@ -159,6 +164,6 @@ class VisemeTrim:
             (n_servos,) degrees.
         """
         if not self._idle:
-            wanted = self._wanted[VISEME_OF[phoneme]]
-            self._added_deg = self._added_deg + self._share * (wanted - self._added_deg)
+            wanted_deg = self._trims_deg[VISEME_OF[phoneme]]
+            self._added_deg = self._added_deg + self._step_share * (wanted_deg - self._added_deg)
         return self._added_deg

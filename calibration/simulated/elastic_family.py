@@ -63,7 +63,7 @@ KINDS: Mapping[str, PullKind] = {
 }
 
 #: By side: left, right, middle, both.
-_OF_CHANNEL: Mapping[Channel, tuple[str, str, str, str]] = {
+_KIND_OF_CHANNEL: Mapping[Channel, tuple[str, str, str, str]] = {
     "jaw": ("jaw", "jaw", "jaw", "jaw"),
     "upper_lip": ("upper_l", "upper_r", "upper_m", "upper"),
     "lower_lip": ("lower_l", "lower_r", "lower_m", "lower"),
@@ -73,14 +73,14 @@ _OF_CHANNEL: Mapping[Channel, tuple[str, str, str, str]] = {
 }
 _SIDES = ("left", "right", "middle", "both")
 #: Several of one channel whose names tell no side share these out.
-_SHARED: Mapping[Channel, tuple[str, ...]] = {
+_KINDS_TO_SHARE: Mapping[Channel, tuple[str, ...]] = {
     "upper_lip": ("upper_l", "upper_r", "up_l", "up_r", "upper_m"),
     "lower_lip": ("lower_l", "lower_r", "lower_m"),
     "corner_out": ("out_l", "out_r"),
     "corner_up": ("up_l", "up_r"),
 }
 #: For joints of which nothing is known.
-_ANY = ("upper", "lower", "corners", "pucker", "smile")
+_GUESSED_KINDS = ("upper", "lower", "corners", "pucker", "smile")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,19 +103,20 @@ def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
     pull at one landmark.
     """
     positives = positive or [""] * len(names)
-    known = [joint_motion(name, word) for name, word in zip(names, positives, strict=True)]
-    read = [motion or _by_word(word) for motion, word in zip(known, positives, strict=True)]
-    taken: list[str] = []
+    # The motion by name and word; else by the word alone, a guess.
+    by_name = [joint_motion(name, word) for name, word in zip(names, positives, strict=True)]
+    motions = [motion or _lip_motion(word) for motion, word in zip(by_name, positives, strict=True)]
+    kinds_taken: list[str] = []
     pulls = []
-    for motion, was_known in zip(read, known, strict=True):
-        kind = _kind_of(motion, read, taken)
-        taken.append(kind)
+    for motion, named_motion in zip(motions, by_name, strict=True):
+        kind = _kind_of(motion, motions, kinds_taken)
+        kinds_taken.append(kind)
         sign = 1 if motion is None else motion.sign
-        pulls.append(Pull(kind, sign, was_known is None))
+        pulls.append(Pull(kind, sign, named_motion is None))
     return tuple(pulls)
 
 
-def _by_word(word: str) -> JointMotion | None:
+def _lip_motion(word: str) -> JointMotion | None:
     """Return the lip motion for a word of direction: upper for up, lower for down; else None."""
     word_parts = words(word)
     if bool(word_parts & UP) == bool(word_parts & (DOWN | CLOSE)):
@@ -124,24 +125,24 @@ def _by_word(word: str) -> JointMotion | None:
 
 
 def _kind_of(
-    motion: JointMotion | None, all_read: Sequence[JointMotion | None], taken: list[str]
+    motion: JointMotion | None, all_motions: Sequence[JointMotion | None], taken: list[str]
 ) -> str:
     """Return the kind of pull, a key of `KINDS`, for a joint's motion; None: not known.
 
-    all_read: the motions of all joints; taken: kinds given to the joints before. A kind not taken
-    is guessed for an unknown motion, and where several joints of one channel name no side.
+    all_motions: of all joints; taken: kinds given to the joints before. A kind not taken is guessed
+    for an unknown motion, and where several joints of one channel name no side.
     """
     if motion is None:
-        free = [kind for kind in _ANY if kind not in taken]
-        return free[0] if free else _ANY[len(taken) % len(_ANY)]
+        free_kinds = [kind for kind in _GUESSED_KINDS if kind not in taken]
+        return free_kinds[0] if free_kinds else _GUESSED_KINDS[len(taken) % len(_GUESSED_KINDS)]
     if motion.channel == "jaw" and "jaw" in taken:
         return "lower"
-    if motion.side == "both" and motion.channel in _SHARED:
-        alike = [each for each in all_read if each and each.channel == motion.channel]
-        free = [kind for kind in _SHARED[motion.channel] if kind not in taken]
-        if len(alike) > 1 and free:
-            return free[0]
-    return _OF_CHANNEL[motion.channel][_SIDES.index(motion.side)]
+    if motion.side == "both" and motion.channel in _KINDS_TO_SHARE:
+        same_channel = [each for each in all_motions if each and each.channel == motion.channel]
+        free_kinds = [kind for kind in _KINDS_TO_SHARE[motion.channel] if kind not in taken]
+        if len(same_channel) > 1 and free_kinds:
+            return free_kinds[0]
+    return _KIND_OF_CHANNEL[motion.channel][_SIDES.index(motion.side)]
 
 
 _WEAK_LEFT = 0.7
@@ -208,15 +209,17 @@ def robot_of_kinds(
     """
     middle_mm = rest_mm.mean(axis=0)
     rest_mm = middle_mm + (rest_mm - middle_mm) * rng.uniform(*_SIZE, size=3)
-    bow = np.sin(np.linspace(0.0, np.pi, N_PAIRS + 2)[1:-1])
+    # The gap between open lips is widest in the middle and 0 at the corners.
+    arch = np.sin(np.linspace(0.0, np.pi, N_PAIRS + 2)[1:-1])
     off_edge_mm = np.maximum(rng.uniform(*_DOTS_MM) + rng.normal(0.0, 0.15, 6), 0.0)
-    skin = elastic_skin(rest_mm, rng.uniform(*_NEUTRAL_GAP_MM) * bow, off_edge_mm)
+    skin = elastic_skin(rest_mm, rng.uniform(*_NEUTRAL_GAP_MM) * arch, off_edge_mm)
     seam_mm = (rest_mm[MARKERS_47.upper_lip] + rest_mm[MARKERS_47.lower_lip]) / 2
+    # The jaw's hinge lies behind and above the middle between the lips.
     axis_mm = seam_mm + np.array([0.0, _ABOVE_MM, -_BEHIND_MM]) + rng.normal(0.0, 5.0, 3)
     rods = tuple(
-        rod for joint, kind in enumerate(kinds) for rod in _rods(joint, kind, rest_mm, skin, rng)
+        rod for joint, kind in enumerate(kinds) for rod in _rods_of(joint, kind, rest_mm, skin, rng)
     )
-    n = len(kinds)
+    n_servos = len(kinds)
     limits_deg = np.array(
         [np.round(np.array(KINDS[kind].limits_deg) * rng.uniform(0.85, 1.1)) for kind in kinds]
     )
@@ -226,52 +229,54 @@ def robot_of_kinds(
         skin=skin,
         rods=rods,
         jaw=int(is_jaw.argmax()) if is_jaw.any() else -1,
-        four_bar=_four_bar(rng),
+        four_bar=_draw_four_bar(rng),
         axis_mm=axis_mm,
         sag_deg=float(rng.uniform(*_SAG_DEG)),
         jaw_rad_per_nmm=float(np.deg2rad(1.0) / rng.uniform(*_JAW_NMM_PER_DEG)),
-        signs=np.ones(n),
+        signs=np.ones(n_servos),
         zero_deg=rng.normal(0.0, np.where(is_jaw, _ZERO_DEG / 4, _ZERO_DEG)),
-        play_deg=rng.uniform(*_PLAY_DEG, size=n),
+        play_deg=rng.uniform(*_PLAY_DEG, size=n_servos),
         drift_deg=rng.normal(0.0, np.where(is_jaw, _DRIFT_DEG / 3, _DRIFT_DEG)),
     )
     return draw, limits_deg
 
 
-def _rods(
+def _rods_of(
     joint: int, kind: str, rest_mm: Array, skin: ElasticSkin, rng: np.random.Generator
 ) -> list[Rod]:
     """Return a rod for each landmark that the joint pulls at; rods on the left are weak.
 
     joint: its number; kind: a key of `KINDS`; stiffness and directions are drawn from `rng`.
     """
-    of = KINDS[kind]
+    pull_kind = KINDS[kind]
     arm_mm = rng.uniform(*_ARM_MM) * (0.6 if kind == "pucker" else 1.0)
-    stiff, bend = rng.uniform(*_ROD_N_PER_MM), np.tan(np.deg2rad(8.0)) * rng.normal(size=3)
+    n_per_mm, tilt = rng.uniform(*_ROD_N_PER_MM), np.tan(np.deg2rad(8.0)) * rng.normal(size=3)
     rods = []
-    for landmark, direction in of.pulls:
+    for landmark, direction in pull_kind.pulls:
         place_mm = rest_mm[MARKERS_47.landmarks.index(landmark)]
-        along = np.array(direction) + bend
+        # The direction of the pull, tilted a little; `across` is perpendicular, towards the skull
+        # or down.
+        along = np.array(direction) + tilt
         along /= np.linalg.norm(along)
-        over = np.array([0.0, 0.0, -1.0]) if abs(along[2]) < 0.8 else np.array([0.0, -1.0, 0.0])
-        over = over - (over @ along) * along
+        across = np.array([0.0, 0.0, -1.0]) if abs(along[2]) < 0.8 else np.array([0.0, -1.0, 0.0])
+        across = across - (across @ along) * along
         weak = _WEAK_LEFT if place_mm[0] > rest_mm[MARKERS_47.landmarks.index(0), 0] + 5.0 else 1.0
         rods.append(
             Rod(
                 joint=joint,
-                patch=skin.patch(place_mm, None if of.lip == 0 else of.lip < 0),
+                patch=skin.patch(place_mm, None if pull_kind.lip == 0 else pull_kind.lip < 0),
                 place_mm=place_mm,
                 along=along,
-                over=over / np.linalg.norm(over),
+                over=across / np.linalg.norm(across),
                 arm_mm=weak * arm_mm,
-                n_per_mm=stiff,
-                rides={-1: 1.0, 0: 0.5, 1: 0.0}[of.lip],
+                n_per_mm=n_per_mm,
+                rides={-1: 1.0, 0: 0.5, 1: 0.0}[pull_kind.lip],
             )
         )
     return rods
 
 
-def _four_bar(rng: np.random.Generator) -> FourBar:
+def _draw_four_bar(rng: np.random.Generator) -> FourBar:
     """Return a linkage of random lengths from servo to jaw.
 
     Degrees of the jaw per degree of the servo: about 1 in the middle, 0.2 to several at the ends.

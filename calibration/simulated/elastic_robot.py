@@ -67,21 +67,22 @@ class FourBar:
             True where they do, and the rocker turns steadily.
         """
         most, least = float(servo_deg.max()), float(servo_deg.min())
-        between = np.linspace(least, most, max(2, round(most - least)))
-        reach = self._reach_mm(between)[2]
+        angles_deg = np.linspace(least, most, max(2, round(most - least)))
+        reach = self._reach_mm(angles_deg)[2]
         longest, shortest = self.rocker_mm + self.rod_mm, abs(self.rocker_mm - self.rod_mm)
-        turned = np.diff(self._rocker_deg(between))
-        return bool((reach < longest).all() and (reach > shortest).all() and (turned > 0.0).all())
+        steps = np.diff(self._rocker_deg(angles_deg))
+        return bool((reach < longest).all() and (reach > shortest).all() and (steps > 0.0).all())
 
     def _rocker_deg(self, servo_deg: Array) -> Array:
+        """Return the rocker's angle to the ground, (n,) degrees, by the law of cosines."""
         x, y, reach = self._reach_mm(servo_deg)
         # The triangle of rod, rocker and the line from the crank's end to the rocker's axis.
         cosine = (self.rocker_mm**2 + reach**2 - self.rod_mm**2) / (2 * self.rocker_mm * reach)
-        inner = np.arccos(np.clip(cosine, -1.0, 1.0))
-        return np.asarray(np.rad2deg(np.arctan2(-y, -x) - inner))
+        inner_rad = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return np.asarray(np.rad2deg(np.arctan2(-y, -x) - inner_rad))
 
     def _reach_mm(self, servo_deg: Array) -> tuple[Array, Array, Array]:
-        """Return the vector from the rocker's axis to the crank's end, x and y, and its length."""
+        """Return x, y and length in mm of the vector from the crank's end to the rocker's axis."""
         crank = np.deg2rad(self.start_deg + servo_deg)
         x, y = self.ground_mm - self.crank_mm * np.cos(crank), -self.crank_mm * np.sin(crank)
         return x, y, np.hypot(x, y)
@@ -102,11 +103,11 @@ _SLIT_MM = 0.75
 #: Pairs of opposite points along the lips' edges, without the corners.
 N_PAIRS = 9
 _ROD_PATCH_MM = 7.0
-_UPPER_INNER, _LOWER_INNER, _INNER_CORNERS = (82, 13, 312), (87, 14, 317), (78, 308)
+_UPPER_INNER, _LOWER_INNER, _CORNERS = (82, 13, 312), (87, 14, 317), (78, 308)
 _LANDMARKS = MARKERS_47.landmarks
 
 
-def _at(landmark: int) -> int:
+def _row(landmark: int) -> int:
     return _LANDMARKS.index(landmark)
 
 
@@ -169,42 +170,48 @@ def elastic_skin(rest_mm: Array, gaps_mm: Array, off_edge_mm: Array) -> ElasticS
     ElasticSkin
         Skin with nodes in mm and stiffness.
     """
-    seam = rest_mm[[_at(_INNER_CORNERS[0]), *map(_at, _UPPER_INNER), _at(_INNER_CORNERS[1])]].copy()
-    seam[1:4] = (seam[1:4] + rest_mm[[_at(n) for n in _LOWER_INNER]]) / 2
-    along = np.linspace(0.0, 1.0, N_PAIRS + 2)[1:-1]
-    steps = (seam[:, 0] - seam[0, 0]) / (seam[-1, 0] - seam[0, 0])
-    edge_mm = np.stack([np.interp(along, steps, seam[:, k]) for k in range(3)], axis=1)
-    half = np.zeros((N_PAIRS, 3))
-    half[:, 1] = gaps_mm / 2
-    outer = [i for i, n in enumerate(_LANDMARKS) if n not in (*_UPPER_INNER, *_LOWER_INNER)]
-    known_mm = np.concatenate([edge_mm + half, edge_mm - half, rest_mm[outer]])
-    flat = np.concatenate([edge_mm, edge_mm, rest_mm[outer]])[:, :2].copy()
-    flat[:N_PAIRS, 1] += _SLIT_MM
-    flat[N_PAIRS : 2 * N_PAIRS, 1] -= _SLIT_MM
-    further = _background(flat)
-    places_mm = np.concatenate([known_mm, _raised(further, known_mm)])
-    flat = np.concatenate([flat, further])
-    mesh = Delaunay(flat)
-    across = _across_slit(mesh.simplices)
-    triangles = mesh.simplices[~across]
-    from_slit_mm = np.linalg.norm(flat[:, None] - edge_mm[None, :, :2], axis=2).min(axis=1)
-    thick = 1.0 + (_LIP_THICKNESS - 1.0) * np.exp(-0.5 * (2.0 * from_slit_mm / _LIP_MM) ** 2)
-    area, stiffness = _assembled(flat, triangles, thick)
-    foam = FOAM_N_PER_MM3 * area * np.clip(from_slit_mm / _LIP_MM, _LIP_FOAM, 1.0)
+    # The line where the lips meet, from corner to corner, and N_PAIRS points along it: the lips'
+    # edges.
+    seam = rest_mm[[_row(_CORNERS[0]), *map(_row, _UPPER_INNER), _row(_CORNERS[1])]].copy()
+    seam[1:4] = (seam[1:4] + rest_mm[[_row(n) for n in _LOWER_INNER]]) / 2
+    edge_shares = np.linspace(0.0, 1.0, N_PAIRS + 2)[1:-1]
+    seam_shares = (seam[:, 0] - seam[0, 0]) / (seam[-1, 0] - seam[0, 0])
+    edge_mm = np.stack([np.interp(edge_shares, seam_shares, seam[:, k]) for k in range(3)], axis=1)
+    half_gap_mm = np.zeros((N_PAIRS, 3))
+    half_gap_mm[:, 1] = gaps_mm / 2
+    other_rows = [i for i, n in enumerate(_LANDMARKS) if n not in (*_UPPER_INNER, *_LOWER_INNER)]
+    # Nodes in space: both edges, all dots but the inner lips', then a grid around them. In the
+    # plane of the mesh the edges lie apart, so that triangles know their lip.
+    fixed_mm = np.concatenate([edge_mm + half_gap_mm, edge_mm - half_gap_mm, rest_mm[other_rows]])
+    plane_mm = np.concatenate([edge_mm, edge_mm, rest_mm[other_rows]])[:, :2].copy()
+    plane_mm[:N_PAIRS, 1] += _SLIT_MM
+    plane_mm[N_PAIRS : 2 * N_PAIRS, 1] -= _SLIT_MM
+    grid_mm = _background_nodes(plane_mm)
+    places_mm = np.concatenate([fixed_mm, _with_depth(grid_mm, fixed_mm)])
+    plane_mm = np.concatenate([plane_mm, grid_mm])
+    mesh = Delaunay(plane_mm)
+    is_in_slit = _across_slit(mesh.simplices)
+    triangles = mesh.simplices[~is_in_slit]
+    # Lips are thicker than the skin around them, with less foam behind; the mesh's rim is held
+    # stiffly.
+    from_slit_mm = np.linalg.norm(plane_mm[:, None] - edge_mm[None, :, :2], axis=2).min(axis=1)
+    thickness = 1.0 + (_LIP_THICKNESS - 1.0) * np.exp(-0.5 * (2.0 * from_slit_mm / _LIP_MM) ** 2)
+    area_mm2, stiffness = _assemble(plane_mm, triangles, thickness)
+    foam = FOAM_N_PER_MM3 * area_mm2 * np.clip(from_slit_mm / _LIP_MM, _LIP_FOAM, 1.0)
     foam[np.unique(mesh.convex_hull)] *= 50.0
-    dots_flat, dots_mm = _dots(rest_mm, edge_mm, along, steps, gaps_mm, off_edge_mm)
+    dots_2d, dots_mm = _place_dots(rest_mm, edge_mm, edge_shares, seam_shares, gaps_mm, off_edge_mm)
     return ElasticSkin(
         places_mm=places_mm,
         stiffness=stiffness + np.diag(np.tile(foam, 3)),
         foam=foam,
-        jaw_share=_jaw_share(flat, edge_mm),
-        dots=_interpolation(mesh, across, flat, dots_flat),
+        jaw_share=_jaw_share(plane_mm, edge_mm),
+        dots=_interpolation(mesh, is_in_slit, plane_mm, dots_2d),
         dots_mm=dots_mm,
         off_edge_mm=off_edge_mm,
     )
 
 
-def _background(flat: Array) -> Array:
+def _background_nodes(flat: Array) -> Array:
     """Return points of a grid, (m, 2), over the extent of the points `flat` but not near any."""
     low, high = flat.min(axis=0) - _GRID_MM, flat.max(axis=0) + _GRID_MM
     x, y = (np.arange(low[k], high[k] + _GRID_MM, _GRID_MM) for k in (0, 1))
@@ -213,47 +220,56 @@ def _background(flat: Array) -> Array:
     return np.asarray(grid[apart > _CLEAR_MM])
 
 
-def _raised(flat: Array, known_mm: Array) -> Array:
+def _with_depth(flat: Array, known_mm: Array) -> Array:
     """Return the points `flat` (m, 2) with a depth interpolated between points known_mm (k, 3)."""
-    inside = LinearNDInterpolator(known_mm[:, :2], known_mm[:, 2])(flat)
-    beyond = NearestNDInterpolator(known_mm[:, :2], known_mm[:, 2])(flat)
-    return np.column_stack([flat, np.where(np.isnan(inside), beyond, inside)])
+    interpolated = LinearNDInterpolator(known_mm[:, :2], known_mm[:, 2])(flat)
+    nearest = NearestNDInterpolator(known_mm[:, :2], known_mm[:, 2])(flat)
+    return np.column_stack([flat, np.where(np.isnan(interpolated), nearest, interpolated)])
 
 
 def _across_slit(simplices: NDArray[np.int_]) -> NDArray[np.bool_]:
+    """Return which triangles span the slit of the mouth: those with nodes of both lips' edges.
+
+    simplices: (m, 3), node numbers of each triangle.
+    """
     upper = (simplices < N_PAIRS).any(axis=1)
     lower = ((simplices >= N_PAIRS) & (simplices < 2 * N_PAIRS)).any(axis=1)
     return np.asarray(upper & lower)
 
 
-def _assembled(flat: Array, triangles: NDArray[np.int_], thick: Array) -> tuple[Array, Array]:
-    """Return the area of each node, (n,), and the stiffness (3 n, 3 n) of sheet and membrane.
+def _assemble(flat: Array, triangles: NDArray[np.int_], thick: Array) -> tuple[Array, Array]:
+    """Return the area of each node, (n,) mm^2, and the stiffness (3 n, 3 n) of sheet and membrane.
 
-    flat: (n, 2) mm, the nodes; triangles: (m, 3), their numbers; thick: (n,), relative thickness.
+    flat: (n, 2) mm, the nodes; triangles: (m, 3), their numbers; thick: (n,), relative.
+    Constant-strain triangles in plane stress, and a membrane under tension out of the plane
+    (Zienkiewicz and Taylor, The Finite Element Method, 2000, chapters 4 and 7).
     """
     n = len(flat)
-    area, stiffness = np.zeros(n), np.zeros((3 * n, 3 * n))
+    node_area, stiffness = np.zeros(n), np.zeros((3 * n, 3 * n))
     plane = np.array([[1, POISSON, 0], [POISSON, 1, 0], [0, 0, (1 - POISSON) / 2]])
     plane *= SHEET_N_PER_MM / (1 - POISSON**2)
     for nodes in triangles:
         (x1, y1), (x2, y2), (x3, y3) = flat[nodes]
-        b, c = np.array([y2 - y3, y3 - y1, y1 - y2]), np.array([x3 - x2, x1 - x3, x2 - x1])
+        dy, dx = np.array([y2 - y3, y3 - y1, y1 - y2]), np.array([x3 - x2, x1 - x3, x2 - x1])
+        # Twice the area of the triangle.
         twice = abs((x2 - x1) * (y3 - y1) - (x3 - x1) * (y2 - y1))
         if twice < 1e-6:
             continue
+        # Strains xx, yy and xy by the nodes' displacements along x, then along y.
         strain = np.zeros((3, 6))
-        strain[0, :3], strain[1, 3:] = b, c
-        strain[2, :3], strain[2, 3:] = c, b
+        strain[0, :3], strain[1, 3:] = dy, dx
+        strain[2, :3], strain[2, 3:] = dx, dy
         strain /= twice
-        at = np.concatenate([nodes, nodes + n])
-        stiffness[np.ix_(at, at)] += strain.T @ plane @ strain * twice / 2 * thick[nodes].mean()
-        slopes = np.stack([b, c]) / twice
-        deep = nodes + 2 * n
-        stiffness[np.ix_(deep, deep)] += (
+        xy = np.concatenate([nodes, nodes + n])
+        stiffness[np.ix_(xy, xy)] += strain.T @ plane @ strain * twice / 2 * thick[nodes].mean()
+        # Slopes of the displacement along z by the nodes' displacements.
+        slopes = np.stack([dy, dx]) / twice
+        z = nodes + 2 * n
+        stiffness[np.ix_(z, z)] += (
             TENSION_N_PER_MM * slopes.T @ slopes * twice / 2 * thick[nodes].mean()
         )
-        area[nodes] += twice / 6
-    return area, stiffness
+        node_area[nodes] += twice / 6
+    return node_area, stiffness
 
 
 def _jaw_share(flat: Array, edge_mm: Array) -> Array:
@@ -262,57 +278,60 @@ def _jaw_share(flat: Array, edge_mm: Array) -> Array:
     It changes sharply at the lips and broadly at the ears. flat: (n, 2) mm, the nodes; edge_mm:
     (N_PAIRS, 3), where the lips meet.
     """
-    middle = edge_mm[:, :2].mean(axis=0)
-    width_mm = np.maximum(0.45 * np.abs(flat[:, 0] - middle[0]), 1.0)
+    middle_xy = edge_mm[:, :2].mean(axis=0)
+    # The blend from head to jaw widens from the middle, as `JAW_BLEND_WIDTH_PER_MM` in face.py.
+    width_mm = np.maximum(0.45 * np.abs(flat[:, 0] - middle_xy[0]), 1.0)
     height_mm = flat[:, 1] - np.interp(flat[:, 0], edge_mm[:, 0], edge_mm[:, 1])
     share = 1.0 / (1.0 + np.exp(np.clip(height_mm / width_mm, -50.0, 50.0)))
     share[:N_PAIRS], share[N_PAIRS : 2 * N_PAIRS] = 0.0, 1.0
     return np.asarray(share)
 
 
-def _dots(
-    rest_mm: Array, edge_mm: Array, along: Array, steps: Array, gaps_mm: Array, off_mm: Array
+def _place_dots(
+    rest_mm: Array, edge_mm: Array, edge_at: Array, seam_at: Array, gaps_mm: Array, off_mm: Array
 ) -> tuple[Array, Array]:
     """Return the 47 dots in the mesh's plane, (47, 2), and in space, (47, 3), in mm.
 
-    Inner-lip dots lie off_mm, (6,), beside the lips' edges. along: position of each point of
-    edge_mm from corner to corner, 0 to 1; steps: positions of the inner-lip landmarks, likewise.
+    Inner-lip dots lie off_mm, (6,), beside the lips' edges. edge_at: position of each point of
+    edge_mm from corner to corner, 0 to 1; seam_at: positions of the inner-lip landmarks,
+    likewise.
     """
     flat, places_mm = rest_mm[:, :2].copy(), rest_mm.copy()
     for side, landmarks in ((1.0, _UPPER_INNER), (-1.0, _LOWER_INNER)):
         for k, landmark in enumerate(landmarks):
-            at = _at(landmark)
-            centre = np.array([np.interp(steps[k + 1], along, edge_mm[:, i]) for i in range(3)])
+            row = _row(landmark)
+            centre = np.array([np.interp(seam_at[k + 1], edge_at, edge_mm[:, i]) for i in range(3)])
             off = side * off_mm[k if side > 0 else 3 + k]
-            flat[at] = centre[:2] + np.array([0.0, side * _SLIT_MM + off])
-            places_mm[at] = centre
-            places_mm[at, 1] += side * np.interp(steps[k + 1], along, gaps_mm) / 2 + off
+            flat[row] = centre[:2] + np.array([0.0, side * _SLIT_MM + off])
+            places_mm[row] = centre
+            places_mm[row, 1] += side * np.interp(seam_at[k + 1], edge_at, gaps_mm) / 2 + off
     return flat, places_mm
 
 
 def _interpolation(mesh: Delaunay, across: NDArray[np.bool_], flat: Array, points: Array) -> Array:
     """Return each point's barycentric node weights, (n_points, n).
 
-    flat: (n, 2), nodes of the mesh; across: which triangles lie in the slit of the mouth; there, as
-    outside the mesh, a point has the nearest node's motion.
+    flat: (n, 2), nodes of the mesh; across: which triangles lie in the slit of the mouth. Points in
+    these, or outside the mesh, get the motion of the nearest node.
     """
     weights = np.zeros((len(points), len(flat)))
     for row, (point, triangle) in enumerate(zip(points, mesh.find_simplex(points), strict=True)):
         if triangle < 0 or across[triangle]:
             weights[row, np.linalg.norm(flat - point, axis=1).argmin()] = 1.0
             continue
-        to_local = mesh.transform[triangle]
-        local = to_local[:2] @ (point - to_local[2])
-        weights[row, mesh.simplices[triangle]] = [*local, 1.0 - local.sum()]
+        transform = mesh.transform[triangle]
+        # SciPy's transform of a triangle gives two of the three barycentric weights.
+        first_two = transform[:2] @ (point - transform[2])
+        weights[row, mesh.simplices[triangle]] = [*first_two, 1.0 - first_two.sum()]
     return weights
 
 
 #: Lips are soft themselves: a pair gives way by so much.
 _LIP_MM_PER_N = 0.1
 #: Robots of seeds 2000 to 2011 need 4.
-_ROUNDS = 30
-#: Moves after which two thirds of the warming is done.
-_WARMING_MOVES = 30.0
+_ACTIVE_SET_ROUNDS = 30
+#: Poses, of two moves each, after which two thirds of the warming is done.
+_WARMING_POSES = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,6 +392,11 @@ class ElasticFace:
     """A drawn robot with its skin solved, for markers, lip gaps and forces by servo angles."""
 
     def __init__(self, draw: ElasticDraw) -> None:
+        """Solve the skin for the pull of each rod, the jaw's turn and the forces between the lips.
+
+        The outputs of each are the motions of all dots (x of all, then y, then z) and of the gaps
+        between the lips' edges.
+        """
         self.draw = draw
         self.backlash_deg = draw.play_deg
         self.noise_stream: tuple[int, ...] = (7,)
@@ -380,29 +404,29 @@ class ElasticFace:
         n = len(skin.places_mm)
         stiffness = skin.stiffness.copy()
         for rod in draw.rods:
-            held = rod.n_per_mm * np.outer(rod.patch, rod.patch)
+            rod_stiffness = rod.n_per_mm * np.outer(rod.patch, rod.patch)
             for k in range(3):
-                stiffness[k * n : (k + 1) * n, k * n : (k + 1) * n] += held
+                stiffness[k * n : (k + 1) * n, k * n : (k + 1) * n] += rod_stiffness
         inverse = np.linalg.inv(stiffness)
         upper, lower = np.arange(N_PAIRS) + n, np.arange(N_PAIRS, 2 * N_PAIRS) + n
-        pushes = inverse[:, upper] - inverse[:, lower]
-        seen = np.kron(np.eye(3), skin.dots)
-        self._seen = np.concatenate([seen, _rows(3 * n, upper) - _rows(3 * n, lower)])
-        self._rod_answers = [
-            self._seen @ (inverse @ np.kron(np.eye(3), (rod.n_per_mm * rod.patch)[:, None]))
+        pushed = inverse[:, upper] - inverse[:, lower]
+        dots = np.kron(np.eye(3), skin.dots)
+        self._outputs = np.concatenate([dots, _unit_rows(3 * n, upper) - _unit_rows(3 * n, lower)])
+        self._by_rod_pull = [
+            self._outputs @ (inverse @ np.kron(np.eye(3), (rod.n_per_mm * rod.patch)[:, None]))
             for rod in draw.rods
         ]
         # What hangs on the jaw goes by (cos - 1) and sin of its turn, each times a constant.
-        foam_answer = self._seen @ (inverse * np.tile(skin.foam, 3))
-        ways = (
-            _turned(skin.places_mm - draw.axis_mm, np.array([np.pi, np.pi / 2]))
+        by_foam = self._outputs @ (inverse * np.tile(skin.foam, 3))
+        carried = (
+            _moved_by_turn(skin.places_mm - draw.axis_mm, np.array([np.pi, np.pi / 2]))
             * (skin.jaw_share[:, None])
         )
-        level, aside = ways.transpose(0, 2, 1).reshape(2, -1) @ foam_answer.T
-        self._jaw_answers = np.stack([-level / 2, aside - level / 2])
+        by_pi, by_half_pi = carried.transpose(0, 2, 1).reshape(2, -1) @ by_foam.T
+        self._by_jaw_turn = np.stack([-by_pi / 2, by_half_pi - by_pi / 2])
         self._gap_mm = skin.places_mm[:N_PAIRS, 1] - skin.places_mm[N_PAIRS : 2 * N_PAIRS, 1]
-        self._push_answer = self._seen @ pushes + self._jaw_yields()
-        self._compliance = self._push_answer[-N_PAIRS:] + _LIP_MM_PER_N * np.eye(N_PAIRS)
+        self._by_lip_force = self._outputs @ pushed + self._jaw_compliance()
+        self._compliance = self._by_lip_force[-N_PAIRS:] + _LIP_MM_PER_N * np.eye(N_PAIRS)
 
     def state(self, output_deg: Array, warmth: float = 1.0) -> LipState:
         """Return markers, lip gaps and closing force of poses.
@@ -410,7 +434,7 @@ class ElasticFace:
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos) degrees, behind the backlash.
+            (n, n_servos) degrees of the horns, backlash included.
         warmth : float
             0 cold to 1 warm.
 
@@ -421,13 +445,13 @@ class ElasticFace:
         """
         draw = self.draw
         horns_deg = draw.signs * output_deg + draw.zero_deg + warmth * draw.drift_deg
-        values = self._free(horns_deg, self._jaw_rad(horns_deg))
-        free_gaps_mm = self._gap_mm + values[:, -N_PAIRS:]
+        outputs = self._free_displacements(horns_deg, self._jaw_rad(horns_deg))
+        free_gaps_mm = self._gap_mm + outputs[:, -N_PAIRS:]
         force_n = self._lip_forces_n(free_gaps_mm)
-        values = values + force_n @ self._push_answer.T
-        moved = values[:, :-N_PAIRS].reshape(len(values), 3, -1).transpose(0, 2, 1)
+        outputs = outputs + force_n @ self._by_lip_force.T
+        moved_mm = outputs[:, :-N_PAIRS].reshape(len(outputs), 3, -1).transpose(0, 2, 1)
         gaps_mm = free_gaps_mm + force_n @ (self._compliance - _LIP_MM_PER_N * np.eye(N_PAIRS)).T
-        return LipState(draw.skin.dots_mm + moved, np.maximum(gaps_mm, 0.0), force_n.sum(axis=1))
+        return LipState(draw.skin.dots_mm + moved_mm, np.maximum(gaps_mm, 0.0), force_n.sum(axis=1))
 
     def markers_mm(self, output_deg: Array) -> Array:
         """Return the markers of the warm robot in poses.
@@ -435,7 +459,7 @@ class ElasticFace:
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos) degrees, behind the backlash.
+            (n, n_servos) degrees of the horns, backlash included.
 
         Returns
         -------
@@ -450,7 +474,7 @@ class ElasticFace:
         Parameters
         ----------
         output_deg : Array
-            (n_servos,) degrees, behind the backlash.
+            (n_servos,) degrees of the horns, backlash included.
         n_moves : int
             Number of moves since the robot was cold.
 
@@ -459,7 +483,8 @@ class ElasticFace:
         Array
             (47, 3) mm.
         """
-        warmth = 1.0 - np.exp(-n_moves / (2 * _WARMING_MOVES))
+        # A pose takes two moves: one to its start, one to its goal.
+        warmth = 1.0 - np.exp(-n_moves / (2 * _WARMING_POSES))
         return np.asarray(self.state(output_deg[None], warmth).markers_mm[0])
 
     def closing_force_n(self, overlap_mm: float) -> float:
@@ -473,28 +498,30 @@ class ElasticFace:
         turned_deg = draw.four_bar.jaw_deg(horns_deg[:, draw.jaw])
         return np.deg2rad(turned_deg + draw.sag_deg * np.cos(np.deg2rad(turned_deg)))
 
-    def _free(self, horns_deg: Array, jaw_rad: Array) -> Array:
-        """Return displacements of dots and gaps, (n, n_seen) mm, with lips not stopping each other.
+    def _free_displacements(self, horns_deg: Array, jaw_rad: Array) -> Array:
+        """Return motions of dots and gaps, (n, n_outputs) mm, with lips not stopping each other.
 
         horns_deg: (n, n_servos); jaw_rad: (n,), the jaw's angle.
         """
         rotations = np.stack([np.cos(jaw_rad) - 1.0, np.sin(jaw_rad)], axis=1)
-        values = rotations @ self._jaw_answers
-        for rod, answer in zip(self.draw.rods, self._rod_answers, strict=True):
+        outputs = rotations @ self._by_jaw_turn
+        for rod, by_pull in zip(self.draw.rods, self._by_rod_pull, strict=True):
             angle = np.deg2rad(horns_deg[:, rod.joint])[:, None]
-            pulled = rod.arm_mm * (np.sin(angle) * rod.along + (1.0 - np.cos(angle)) * rod.over)
+            # Motion of the horn's end; part of the jaw's turn is added where its servo rides on the
+            # jaw.
+            horn_mm = rod.arm_mm * (np.sin(angle) * rod.along + (1.0 - np.cos(angle)) * rod.over)
             if rod.rides:
-                from_axis = rod.place_mm + pulled - self.draw.axis_mm
-                pulled = pulled + rod.rides * _turned(from_axis[:, None], jaw_rad)[:, 0]
-            values = values + pulled @ answer.T
-        return np.asarray(values)
+                from_axis = rod.place_mm + horn_mm - self.draw.axis_mm
+                horn_mm = horn_mm + rod.rides * _moved_by_turn(from_axis[:, None], jaw_rad)[:, 0]
+            outputs = outputs + horn_mm @ by_pull.T
+        return np.asarray(outputs)
 
-    def _jaw_yields(self) -> Array:
-        """Return motion of dots and gaps by lip forces on the jaw, (n_seen, N_PAIRS) mm/N."""
-        rest = np.zeros((2, len(self.draw.signs)))
-        seen = self._free(rest, np.array([0.0, 0.01]))
-        by_rad = (seen[1] - seen[0]) / 0.01
-        return np.asarray(self.draw.jaw_rad_per_nmm * np.outer(by_rad, by_rad[-N_PAIRS:]))
+    def _jaw_compliance(self) -> Array:
+        """Return motions of dots and gaps as lip forces turn the jaw, (n_outputs, N_PAIRS) mm/N."""
+        zero_deg = np.zeros((2, len(self.draw.signs)))
+        outputs = self._free_displacements(zero_deg, np.array([0.0, 0.01]))
+        per_rad = (outputs[1] - outputs[0]) / 0.01
+        return np.asarray(self.draw.jaw_rad_per_nmm * np.outer(per_rad, per_rad[-N_PAIRS:]))
 
     def _lip_forces_n(self, free_gaps_mm: Array) -> Array:
         """Return forces (n, N_PAIRS) >= 0 such that no gap is below 0 and only lips that meet push.
@@ -506,24 +533,25 @@ class ElasticFace:
         rows = np.flatnonzero((free_gaps_mm < 0.0).any(axis=1))
         free_mm = free_gaps_mm[rows]
         meet = free_mm < 0.0
-        for _ in range(_ROUNDS):
-            both = meet[:, :, None] & meet[:, None]
-            pushes = np.where(both, self._compliance, np.eye(N_PAIRS))
-            force_n[rows] = np.linalg.solve(pushes, np.where(meet, -free_mm, 0.0)[..., None])[
+        for _ in range(_ACTIVE_SET_ROUNDS):
+            both_meet = meet[:, :, None] & meet[:, None]
+            # Linear equations of the pairs that meet; all others get force 0.
+            matrix = np.where(both_meet, self._compliance, np.eye(N_PAIRS))
+            force_n[rows] = np.linalg.solve(matrix, np.where(meet, -free_mm, 0.0)[..., None])[
                 ..., 0
             ]
             gaps_mm = free_mm + force_n[rows] @ self._compliance
-            before, meet = meet, np.where(meet, force_n[rows] > 0.0, gaps_mm < 0.0)
-            if (meet == before).all():
+            meet_before, meet = meet, np.where(meet, force_n[rows] > 0.0, gaps_mm < 0.0)
+            if (meet == meet_before).all():
                 break
         return np.maximum(force_n, 0.0)
 
 
-def _rows(n: int, at: NDArray[np.int_]) -> Array:
+def _unit_rows(n: int, at: NDArray[np.int_]) -> Array:
     return np.asarray(np.eye(n)[at])
 
 
-def _turned(from_axis_mm: Array, angle_rad: Array) -> Array:
+def _moved_by_turn(from_axis_mm: Array, angle_rad: Array) -> Array:
     """Return the displacement, (n, m, 3), of points by n turns of angle_rad about x.
 
     from_axis_mm: (m, 3) or (n, m, 3), the points less a point of the axis.

@@ -143,7 +143,7 @@ def simulated_face(neutral_mm: Array, servo_names: Sequence[str]) -> SimulatedFa
     return SimulatedFace(
         servo_names=tuple(servo_names),
         neutral_mm=neutral_mm,
-        pulls=np.array([_pull(name, neutral_mm) for name in servo_names]).reshape(-1, 47, 3),
+        pulls=np.array([_pull_per_mm(name, neutral_mm) for name in servo_names]).reshape(-1, 47, 3),
         jaw_share=_jaw_share(neutral_mm, seam_mm),
         jaw_axis_mm=seam_mm + np.array([0.0, JAW_AXIS_ABOVE_LIPS_MM, -JAW_AXIS_BEHIND_LIPS_MM]),
     )
@@ -178,12 +178,12 @@ def marker_positions_mm(face: SimulatedFace, positions_deg: Array) -> Array:
     return np.asarray(skin_mm + face.jaw_share[:, None] * (turned_mm - from_axis_mm))
 
 
-def _pull(name: str, neutral_mm: Array) -> Array:
+def _pull_per_mm(name: str, neutral_mm: Array) -> Array:
     """Return the motion of markers, (47, 3), for 1 mm of travel of the horn of the servo `name`."""
     if name == JAW:
         return np.zeros_like(neutral_mm)
     if name == PROTRUSION:
-        return _protrusion(neutral_mm)
+        return _protrusion_per_mm(neutral_mm)
     horn = _HORNS[name]
     attached_mm = neutral_mm[MARKERS_47.landmarks.index(horn.landmark)]
     weight = _gaussian(np.linalg.norm(neutral_mm - attached_mm, axis=1))
@@ -193,7 +193,7 @@ def _pull(name: str, neutral_mm: Array) -> Array:
     return np.asarray(weight[:, None] * horn.direction)
 
 
-def _protrusion(neutral_mm: Array) -> Array:
+def _protrusion_per_mm(neutral_mm: Array) -> Array:
     """Return the motion of protrusion, (47, 3): lips forward as one piece, corners inwards."""
     lips_mm = neutral_mm[list(MARKERS_47.lips)]
     distance_mm = np.linalg.norm(neutral_mm[:, None] - lips_mm, axis=2).min(axis=1)

@@ -49,7 +49,7 @@ class RobotDraw:
         Parameters
         ----------
         output_deg : Array
-            (n_servos,) degrees, behind the backlash.
+            (n_servos,) degrees of the horns, backlash included.
         _n_moves : int
             Not used.
 
@@ -91,7 +91,7 @@ def draw_robot(rest_mm: Array, servo_names: Sequence[str], seed: int) -> RobotDr
     is_jaw = np.array([name == JAW for name in servo_names])
     drawn = replace(
         face,
-        pulls=np.array([_other_pull(pull, rng) for pull in face.pulls]).reshape(-1, 47, 3),
+        pulls=np.array([_altered_pull(pull, rng) for pull in face.pulls]).reshape(-1, 47, 3),
         jaw_share=face.jaw_share ** rng.uniform(*_SKIN),
         jaw_axis_mm=face.jaw_axis_mm + rng.normal(0.0, _AXIS_MM, 3),
     )
@@ -102,14 +102,14 @@ def draw_robot(rest_mm: Array, servo_names: Sequence[str], seed: int) -> RobotDr
     )
 
 
-def _other_pull(pull: Array, rng: np.random.Generator) -> Array:
+def _altered_pull(pull: Array, rng: np.random.Generator) -> Array:
     """Return a horn's pull, (47, 3), with strength, skin width and direction altered by `rng`."""
     weight = np.linalg.norm(pull, axis=1, keepdims=True)
     direction = pull / np.maximum(weight, 1e-12)
-    bend = np.tan(np.deg2rad(_DIRECTION_DEG)) * rng.normal(size=3)
-    turned = direction + bend * (weight > 0.0)
-    turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
-    return np.asarray(rng.uniform(*_STRENGTH) * weight ** rng.uniform(*_SKIN) * turned)
+    tilt = np.tan(np.deg2rad(_DIRECTION_DEG)) * rng.normal(size=3)
+    new_direction = direction + tilt * (weight > 0.0)
+    new_direction /= np.maximum(np.linalg.norm(new_direction, axis=1, keepdims=True), 1e-12)
+    return np.asarray(rng.uniform(*_STRENGTH) * weight ** rng.uniform(*_SKIN) * new_direction)
 
 
 class Skin(Protocol):
@@ -135,7 +135,7 @@ class Skin(Protocol):
         Parameters
         ----------
         output_deg : Array
-            (n_servos,) degrees, behind the backlash.
+            (n_servos,) degrees of the horns, backlash included.
         n_moves : int
             Number of moves since the robot was cold.
 
@@ -189,7 +189,7 @@ class SimulatedRobot:
 
     @property
     def output_deg(self) -> Array:
-        """The angles of the horns, behind the backlash, for tests.
+        """The angles of the horns, backlash included, for tests.
 
         Returns
         -------
@@ -227,7 +227,7 @@ def true_markers_mm(draw: RobotDraw, output_deg: Array) -> Array:
     draw : RobotDraw
         The drawn robot.
     output_deg : Array
-        (n, n_servos) degrees, behind the backlash.
+        (n, n_servos) degrees of the horns, backlash included.
 
     Returns
     -------

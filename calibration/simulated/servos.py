@@ -56,17 +56,18 @@ class SimulatedServos:
             (n, n_servos) degrees.
         """
         step_s = 1.0 / rate_hz / _SUBSTEPS
-        late = self._delayed(goals_deg, rate_hz)
+        delayed_deg = self._delayed_goals(goals_deg, rate_hz)
+        # A critically damped system of frequency omega is 2 / omega late in slow motion.
         omega = 2.0 / (self.lag_s - self.dead_time_s)
-        position, speed = late[0].copy(), np.zeros(len(omega))
-        shafts = np.empty_like(goals_deg)
-        for n, goal in enumerate(late):
-            shafts[n] = position
+        position, speed_deg_s = delayed_deg[0].copy(), np.zeros(len(omega))
+        shafts_deg = np.empty_like(goals_deg)
+        for n, goal in enumerate(delayed_deg):
+            shafts_deg[n] = position
             for _ in range(_SUBSTEPS):
-                speed += step_s * (omega**2 * (goal - position) - 2.0 * omega * speed)
-                speed = np.clip(speed, -self.top_speed_deg_s, self.top_speed_deg_s)
-                position = position + step_s * speed
-        return shafts
+                speed_deg_s += step_s * (omega**2 * (goal - position) - 2.0 * omega * speed_deg_s)
+                speed_deg_s = np.clip(speed_deg_s, -self.top_speed_deg_s, self.top_speed_deg_s)
+                position = position + step_s * speed_deg_s
+        return shafts_deg
 
     def encoders_deg(self, goals_deg: Array, rate_hz: float) -> Array:
         """Return the angles of the shafts at the instants of goals, rounded to encoder steps.
@@ -86,7 +87,11 @@ class SimulatedServos:
         steps = np.rint(self.shafts_deg(goals_deg, rate_hz) / _ENCODER_STEP_DEG)
         return np.asarray(steps * _ENCODER_STEP_DEG)
 
-    def _delayed(self, goals_deg: Array, rate_hz: float) -> Array:
+    def _delayed_goals(self, goals_deg: Array, rate_hz: float) -> Array:
+        """Return goals (n, n_servos), those of each joint later by its dead time.
+
+        Between samples they are interpolated.
+        """
         times_s = np.arange(len(goals_deg)) / rate_hz
         columns = [
             np.interp(times_s - dead_s, times_s, column)

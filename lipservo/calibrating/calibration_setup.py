@@ -71,13 +71,16 @@ class CalibrationSetup:
 
     @property
     def servos(self) -> MouthServos:
-        """The mouth's servos in the form that the fits of a calibration need."""
+        """The mouth's servos in the form that the fits of a calibration need.
+
+        A joint's word for its positive angle is empty if the tracker cannot see that motion.
+        """
         mouth = self.settings.mouth_servos
         return MouthServos(
             joints=tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()),
             face_checksum=self.settings.checksum,
             models=tuple(servo.make or "" for servo in mouth.values()),
-            positive=tuple(self._word(servo.positive) for servo in mouth.values()),
+            positive=tuple(self._visible_word(servo.positive) for servo in mouth.values()),
             rules=mouth_rules(self.settings),
         )
 
@@ -86,18 +89,18 @@ class CalibrationSetup:
         return replace(self, n_poses=machine_poses(self.n_poses, len(self.servos.joints)))
 
     @property
-    def reckoned_poses(self) -> int:
+    def estimated_poses(self) -> int:
         """How many poses `measure` takes if no joint is in doubt and lips meet early."""
         return self.n_poses + self.procedure().n_usual_more
 
     @property
-    def reckoned_s(self) -> float:
+    def estimated_s(self) -> float:
         """Seconds that the servos need for these poses, and for chirps, without the tracker's."""
         plan = self.procedure().range_plan()
-        ways_deg = np.abs(np.diff(plan.goals_deg, axis=0)).max(axis=1)
-        pose_s = (float(ways_deg.mean()) + LEAD_IN_DEG) / self.speed_deg_s + 2 * _SETTLES_S
+        turns_deg = np.abs(np.diff(plan.goals_deg, axis=0)).max(axis=1)
+        pose_s = (float(turns_deg.mean()) + LEAD_IN_DEG) / self.speed_deg_s + 2 * _SETTLES_S
         chirps_s = CHIRPS_S * len(self.servos.joints) if self.lags and self.has_place else 0.0
-        return pose_s * self.reckoned_poses + chirps_s
+        return pose_s * self.estimated_poses + chirps_s
 
     @property
     def has_place(self) -> bool:
@@ -114,14 +117,14 @@ class CalibrationSetup:
         alone = self.settings.alone.values()
         return [one.capabilities for one in alone if one.mouth_servos]
 
-    def _word(self, positive: str) -> str:
+    def _visible_word(self, positive: str) -> str:
         """Return `positive`, what a positive angle does; empty if the tracker cannot see that."""
         return positive if self.sees_forward or positive not in _FORWARD_WORDS else ""
 
     def procedure(self, seed: int = 0) -> Procedure:
         """Return the capture procedure for this face; `seed` draws its poses."""
-        of, n = self.servos, self.n_poses
-        return Procedure(self.model, of.joints, n, of.rules, seed, of.positive, self.accept)
+        face, n = self.servos, self.n_poses
+        return Procedure(self.model, face.joints, n, face.rules, seed, face.positive, self.accept)
 
 
 def today() -> str:

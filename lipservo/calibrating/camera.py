@@ -25,7 +25,7 @@ GENERATED = "lavfi:"
 #: A time stamp that is older than this when its picture arrives is of another clock.
 _OLDEST_S = 2.0
 #: The least delay of so many frames tells where another clock's zero lies: five seconds.
-_REMEMBERED = 150
+_N_DELAYS = 150
 #: A camera that has given nothing for so long has failed, in microseconds for FFmpeg.
 _PATIENCE_S = 5.0
 
@@ -47,8 +47,8 @@ class AvCamera:
     """A camera, or a video file or generator in its place, read by PyAV.
 
     wanted: number or path of a device; `lavfi:GRAPH` or a video file replaces a camera. mode:
-    picture format to request; None: the default. Raises UserError if PyAV is missing, and
-    CameraError from `__enter__` if it cannot be opened.
+    picture format to request; None: the default. Raises UserError without the extra
+    `video`, and CameraError from `__enter__` if it cannot be opened.
     """
 
     def __init__(
@@ -59,10 +59,15 @@ class AvCamera:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        """Store what to open; nothing is opened yet. Raises UserError without the extra `video`.
+
+        wanted: number or path of a device, `lavfi:GRAPH` or a video file; mode: picture format,
+        None: the default; clock, sleep: of the monotonic time, in seconds.
+        """
         check_extra("ai_edge_litert", "recording a camera")
         self._wanted, self._mode = wanted, mode or CameraMode()
         self._clock, self._sleep = clock, sleep
-        self._stands_in = wanted.startswith(GENERATED) or Path(wanted).is_file()
+        self._replaces_camera = wanted.startswith(GENERATED) or Path(wanted).is_file()
 
     @property
     def name(self) -> str:
@@ -79,7 +84,7 @@ class AvCamera:
         import av
 
         reason = ""
-        for source, settings in self._ways():
+        for source, settings in self._sources_to_try():
             try:
                 self._container = av.open(source, timeout=_PATIENCE_S, **settings)
                 self._stream = self._container.streams.video[0]
@@ -99,17 +104,17 @@ class AvCamera:
         """Yield (monotonic s, picture) until a file ends; raise CameraError if the camera fails."""
         import av
 
-        place = self._at_its_pace if self._stands_in else StampClock().time_s
+        picture_time_s = self._wait_until_due if self._replaces_camera else StampClock().time_s
         try:
             for frame in self._container.decode(self._stream):
                 if frame.time is not None:
-                    yield place(float(frame.time), self._clock()), frame
+                    yield picture_time_s(float(frame.time), self._clock()), frame
         except av.FFmpegError as error:
             raise CameraError(
                 f"camera {self.name!r} has failed ({error.strerror}); plug it in again"
             ) from error
 
-    def _at_its_pace(self, stamp_s: float, now_s: float) -> float:
+    def _wait_until_due(self, stamp_s: float, now_s: float) -> float:
         """Wait until the picture of a file at `stamp_s` is due; return that monotonic time.
 
         The first picture is due at once.
@@ -119,12 +124,12 @@ class AvCamera:
         self._sleep(max(0.0, due_s - now_s))
         return due_s
 
-    def _ways(self) -> Iterator[tuple[str, dict[str, Any]]]:
+    def _sources_to_try(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield the sources and options of `av.open` to try in order, the best first."""
         if self._wanted.startswith(GENERATED):
             yield self._wanted.removeprefix(GENERATED), {"format": "lavfi"}
             return
-        if self._stands_in:
+        if self._replaces_camera:
             yield self._wanted, {}
             return
         size = {"video_size": f"{self._mode.width}x{self._mode.height}"}
@@ -142,21 +147,23 @@ class StampClock:
     """A converter of a camera's time stamps to the monotonic clock."""
 
     def __init__(self) -> None:
-        self._ahead_s: deque[float] = deque(maxlen=_REMEMBERED)
+        self._delays_s: deque[float] = deque(maxlen=_N_DELAYS)
 
     def time_s(self, stamp_s: float, now_s: float) -> float:
         """Return the monotonic time at which a picture was taken.
 
-        stamp_s: its time stamp; now_s: the monotonic time of its arrival.
+        stamp_s: its time stamp, which is used as it is if it lies up to two seconds before `now_s`;
+        else it is of another clock, and shifted by the least delay of recent pictures. now_s: the
+        monotonic time of the picture's arrival.
         """
         if 0.0 <= now_s - stamp_s < _OLDEST_S:
             return stamp_s
-        self._ahead_s.append(now_s - stamp_s)
-        return stamp_s + min(self._ahead_s, default=math.nan)
+        self._delays_s.append(now_s - stamp_s)
+        return stamp_s + min(self._delays_s, default=math.nan)
 
 
 #: Pictures that wait to be taken, four seconds of them; the oldest are dropped.
-_WAITING = 120
+_MOST_WAITING = 120
 
 
 class CameraFeed:
@@ -164,7 +171,7 @@ class CameraFeed:
 
     def __init__(self, camera: AvCamera) -> None:
         self.camera = camera
-        self._waiting: deque[Frame] = deque(maxlen=_WAITING)
+        self._waiting: deque[Frame] = deque(maxlen=_MOST_WAITING)
         self._stopping = threading.Event()
         self._failure: CameraError | None = None
         self._thread = threading.Thread(target=self._read, name="camera", daemon=True)
@@ -194,7 +201,7 @@ class CameraFeed:
             self.camera.__exit__(*exc)
 
     def _read(self) -> None:
-        """Store the camera's pictures until the block ends or the camera fails.
+        """Store the camera's pictures until the `with` block ends or the camera fails.
 
         Runs in thread `camera`. The failure, or the end of a file, is stored for `take_frames` to
         raise.

@@ -36,11 +36,11 @@ from lipsync.video.face_detection import Picture
 from lipsync.video.face_tracker import FaceTracker
 
 CAMERA: Final = "camera"
-_SECOND: Final = 2
+_WARN_AT_READING: Final = 2
 _LOOK_EVERY_S: Final = 0.01
 _PATIENCE_S: Final = 10.0
 #: Pictures that a device keeps for whoever is late.
-_MOST_HELD_BACK: Final = 4
+_MOST_OLD_PICTURES: Final = 4
 MakeTracker = Callable[[HeldFace], Tracker]
 #: The readings of all poses: pose, marker, place (3,) in mm.
 ReadAll = Callable[[], list[Reading]]
@@ -93,7 +93,7 @@ def mesh_folder(folder: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Mes
     return MeshFolder(folder, mesh.open_tracker(), eye_distance_mm, say)
 
 
-def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> ReadAll | None:
+def picture_reader(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> ReadAll | None:
     """Return a function that reads all pictures in the folder `markers`.
 
     None if it is a file or folder of marker positions, not of pictures. mesh: options for pictures
@@ -106,16 +106,16 @@ def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Read
     return None
 
 
-def read_seen(
+def read_recorded(
     setup: CalibrationSetup, plan: Path, markers: Path, axes: str, mesh: MeshOptions
 ) -> tuple[CalibrationSetup, Capture]:
     """Return the capture of a plan's file and recorded markers, and the setup for what saw them.
 
     axes: of C3D files; mesh: options for pictures without dots. Raises UserError.
     """
-    read = reader_of(markers, setup, mesh)
-    seen = replace(setup, sees_forward=not is_seen_from_the_front(markers, mesh))
-    return seen, read_capture(plan, markers, setup.servos.names, axes=axes, read=read)
+    read = picture_reader(markers, setup, mesh)
+    new_setup = replace(setup, sees_forward=not is_seen_from_the_front(markers, mesh))
+    return new_setup, read_capture(plan, markers, setup.servos.names, axes=axes, read=read)
 
 
 @contextmanager
@@ -147,9 +147,9 @@ def tracker_source(
             yield camera
         return
     if is_mesh_folder(folder, mesh):
-        yield _pictures(folder, setup.servos.names, mesh_folder(folder, setup, mesh).readings)
+        yield _tracker_of(folder, setup.servos.names, mesh_folder(folder, setup, mesh).readings)
     elif folder.is_dir() and is_dots_folder(folder):
-        yield _pictures(folder, setup.servos.names, _warned_once(dots_folder(folder).readings))
+        yield _tracker_of(folder, setup.servos.names, _skip_faulty(dots_folder(folder).readings))
     else:
         if not folder.is_dir() and folder.suffix.lower() not in (".csv", ".json"):
             raise CalibrationError(f"--tracker {source} must be a .csv or .json file, or a folder")
@@ -167,9 +167,9 @@ def calibrate_seen(
     """
     if source is None:
         return calibrate_on_servos(setup, lambda _: computed_tracker(setup), save=save)
-    seen = replace(setup, sees_forward=not is_seen_from_the_front(Path(source), mesh))
-    with tracker_source(seen, source, axes, mesh) as make_tracker:
-        return calibrate_on_servos(seen, make_tracker, save=save)
+    new_setup = replace(setup, sees_forward=not is_seen_from_the_front(Path(source), mesh))
+    with tracker_source(new_setup, source, axes, mesh) as make_tracker:
+        return calibrate_on_servos(new_setup, make_tracker, save=save)
 
 
 def dots_folder(folder: Path) -> DotsFolder:
@@ -181,7 +181,7 @@ def dots_folder(folder: Path) -> DotsFolder:
     return DotsFolder(folder, say)
 
 
-def _pictures(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTracker:
+def _tracker_of(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTracker:
     """Return a function that makes a tracker of the pictures in `folder`, one picture a pose.
 
     names: of the servos. read: returns the readings of a pose; runs in a thread, while the held
@@ -189,7 +189,7 @@ def _pictures(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTrack
     """
 
     def tracker(face: HeldFace) -> Tracker:
-        # Looking at a picture takes longer than servos may be without a word.
+        # Reading a picture takes longer than servos may go without goals.
         return FileTracker(
             folder, names, face.hold, say, read=lambda pose: face.hold_while(lambda: read(pose))
         )
@@ -197,20 +197,20 @@ def _pictures(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTrack
     return tracker
 
 
-def _warned_once(read: ReadPose) -> ReadPose:
+def _skip_faulty(read: ReadPose) -> ReadPose:
     """Return `read` changed so that a faulty picture gives no markers instead of an error.
 
     The error is printed once, at the second reading: at the first the file may be half written.
     """
-    seen: Counter[str] = Counter()
+    n_errors: Counter[str] = Counter()
 
     def readings(pose: int) -> list[Reading]:
         """Return the readings of a pose; [] for a faulty picture."""
         try:
             return read(pose)
         except CalibrationError as error:
-            seen[str(error)] += 1
-            if seen[str(error)] == _SECOND:
+            n_errors[str(error)] += 1
+            if n_errors[str(error)] == _WARN_AT_READING:
                 say(str(error))
             return []
 
@@ -223,13 +223,14 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
     Up to four pictures with older time stamps are skipped; the fifth counts in any case. Raises
     CameraError if the camera fails, and UserError after ten seconds without a picture.
     """
+    # Pictures taken before this call are dropped.
     feed.take_frames()
     requested_s = clock.now()
     n_arrived = 0
     while clock.now() < requested_s + _PATIENCE_S:
         for time_s, frame in feed.take_frames():
             n_arrived += 1
-            if time_s >= requested_s or n_arrived > _MOST_HELD_BACK:
+            if time_s >= requested_s or n_arrived > _MOST_OLD_PICTURES:
                 picture: Picture = frame.to_ndarray(format="rgb24")
                 return picture
         clock.sleep_until(clock.now() + _LOOK_EVERY_S)

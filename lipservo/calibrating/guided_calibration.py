@@ -56,9 +56,9 @@ def hand_poses_by_keys(setup: CalibrationSetup) -> dict[str, Array]:
     Returns (n_servos,) degrees of each pose made, by its name.
     """
     model = setup.model
-    frames = {pose.name: pose.coefficients for pose in landmark_poses(model)}
-    shown = {WIDEST: frames["open"], ROUNDED: frames["narrow"]}
-    poses = [replace(p, coefficients=shown.get(p.name, model.rest)) for p in HAND_POSES]
+    speaker_frames = {pose.name: pose.coefficients for pose in landmark_poses(model)}
+    frame_of_pose = {WIDEST: speaker_frames["open"], ROUNDED: speaker_frames["narrow"]}
+    poses = [replace(p, coefficients=frame_of_pose.get(p.name, model.rest)) for p in HAND_POSES]
     with held_servos(setup) as robot:
         front = KeysFront(model, lambda: robot.hold_while(read_key), MESSAGES)
         return make_poses(setup.servos.joints, poses, front, robot.lead, setup.keep)
@@ -77,28 +77,33 @@ class KeysFront:
         console: Console,
         drawn: Drawn | None = None,
     ) -> None:
+        """Store where to draw mouths and from where keys come.
+
+        model: of the speaker, whose mouth is drawn; drawn: from joint degrees (n_servos,) to the
+        robot's markers (47, 3) in mm, None: its mouth is not drawn.
+        """
         self._model, self._read_key = model, read_key
-        self._console, self._drawn = console, drawn
+        self._console, self._robot_markers_of = console, drawn
 
     def show(self, session: GuidedSession) -> None:
         """Print the speaker's mouth, the robot's if it can be drawn, the joints and the keys."""
         ascii_only, pose = self._console.options.ascii_only, session.poses[session.pose]
         mouths = Table.grid(padding=(0, 3))
         row = [self._mouth(self._model.markers_mm(pose.coefficients[None])[0], "yellow")]
-        if self._drawn is not None:
-            row.append(self._mouth(self._drawn(session.positions_deg), "red"))
+        if self._robot_markers_of is not None:
+            row.append(self._mouth(self._robot_markers_of(session.positions_deg), "red"))
         mouths.add_row(*row)
-        mark = ">" if ascii_only else "\u25b6"
+        cursor = ">" if ascii_only else "\u25b6"
         joints = [
             (
-                mark if n == session.servo else " ",
+                cursor if n == session.servo else " ",
                 joint.name,
                 f"{session.positions_deg[n]:6.1f} deg",
             )
             for n, joint in enumerate(session.joints)
         ]
         keys = Text("   ".join(f"{key}: {what}" for key, what in KEYS.items()), style="dim")
-        self._console.print(_screen(session, mouths, joints, keys))
+        self._console.print(_pose_screen(session, mouths, joints, keys))
 
     def after_order(self, session: GuidedSession) -> GuidedSession:
         """Return the session after the next key."""
@@ -112,7 +117,7 @@ class KeysFront:
 
 
 _LIMP_KEYS = "space or Enter: keep   x: leave this pose out   b: back   q: stop"
-_BAR = 31
+_BAR_LENGTH = 31
 
 
 class LimpFront:
@@ -130,6 +135,11 @@ class LimpFront:
         live: Live,
         undivided: Callable[[], AbstractContextManager[object]],
     ) -> None:
+        """Store the limp servos, and how their poses are shown and kept.
+
+        mouth: the joints of the servos; keys: what the person presses; live: shows the joints;
+        undivided: a context in which no signal interrupts.
+        """
         self._servos, self._mouth, self._keys = servos, mouth, keys
         self._live, self._undivided = live, undivided
         self._note = ""
@@ -137,16 +147,16 @@ class LimpFront:
     def show(self, session: GuidedSession) -> None:
         """Show where the joints are, and why the last pose was not kept."""
         with self._undivided():
-            seen = self._servos.read_pose()
-        outside = beyond_limits(self._mouth, seen.positions_deg)
+            read = self._servos.read_pose()
+        outside = beyond_limits(self._mouth, read.positions_deg)
         rows = []
         for n, joint in enumerate(self._mouth.joints):
-            here_deg, off = float(seen.positions_deg[n]), joint.name in outside
-            why = seen.obstacles.get(joint.name, "outside its limits" if off else "")
-            bar = _bar(here_deg, joint.min_deg, joint.max_deg)
-            rows.append((joint.name, f"{here_deg:7.1f} deg", bar, Text(why, style="bold yellow")))
+            angle_deg, is_outside = float(read.positions_deg[n]), joint.name in outside
+            why = read.obstacles.get(joint.name, "outside its limits" if is_outside else "")
+            bar = _position_bar(angle_deg, joint.min_deg, joint.max_deg)
+            rows.append((joint.name, f"{angle_deg:7.1f} deg", bar, Text(why, style="bold yellow")))
         note, keys = Text(self._note, style="yellow"), Text(_LIMP_KEYS, "dim")
-        self._live.update(_screen(session, None, rows, note, keys), refresh=True)
+        self._live.update(_pose_screen(session, None, rows, note, keys), refresh=True)
 
     def after_order(self, session: GuidedSession) -> GuidedSession:
         """Return the session after the next key, with the steady pose of the servos if kept.
@@ -159,37 +169,40 @@ class LimpFront:
         self._note = ""
         if key in KEEP_KEYS:
             with self._undivided():
-                held = self._servos.steady_pose()
-            obstacles = held.obstacles | beyond_limits(self._mouth, held.positions_deg)
+                steady = self._servos.steady_pose()
+            obstacles = steady.obstacles | beyond_limits(self._mouth, steady.positions_deg)
             if obstacles:
                 name = session.poses[session.pose].name
                 self._note = f"{name} is not kept: {named_by_reason(obstacles)}"
                 self._live.console.print(self._note, soft_wrap=True, highlight=False)
                 return session
-            session = replace(session, positions_deg=held.positions_deg)
+            session = replace(session, positions_deg=steady.positions_deg)
         return session.press(key)
 
 
-def _screen(
+def _pose_screen(
     session: GuidedSession,
     mouths: RenderableType | None,
     joints: Iterable[Sequence[RenderableType]],
-    *below: Text,
+    *last_lines: Text,
 ) -> Group:
-    """Return the pose to make, mouths, a row for each joint, and what is below."""
+    """Return the pose to make, pictures of mouths, a row for each joint, and the last lines.
+
+    mouths: None: no pictures. joints: cells of each row.
+    """
     pose = session.poses[session.pose]
     table = Table.grid(padding=(0, 2))
     for row in joints:
         table.add_row(*row)
     title = f"{session.pose + 1} of {len(session.poses)}, {pose.name}: {pose.instruction}"
-    drawn = () if mouths is None else (mouths,)
-    return Group(Text(title, style="bold"), *drawn, table, *below)
+    pictures = () if mouths is None else (mouths,)
+    return Group(Text(title, style="bold"), *pictures, table, *last_lines)
 
 
-def _bar(here_deg: float, min_deg: float, max_deg: float) -> str:
+def _position_bar(angle_deg: float, min_deg: float, max_deg: float) -> str:
     """Return an ASCII bar from `min_deg` to `max_deg` with a mark at `here_deg`; NaN: no mark."""
-    if not np.isfinite(here_deg) or max_deg <= min_deg:
-        return "." * _BAR
-    share = (here_deg - min_deg) / (max_deg - min_deg)
-    place = round(float(np.clip(share, 0.0, 1.0)) * (_BAR - 1))
-    return "." * place + "o" + "." * (_BAR - 1 - place)
+    if not np.isfinite(angle_deg) or max_deg <= min_deg:
+        return "." * _BAR_LENGTH
+    share = (angle_deg - min_deg) / (max_deg - min_deg)
+    position = round(float(np.clip(share, 0.0, 1.0)) * (_BAR_LENGTH - 1))
+    return "." * position + "o" + "." * (_BAR_LENGTH - 1 - position)

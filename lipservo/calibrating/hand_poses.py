@@ -23,9 +23,9 @@ CLOSED, WIDEST, ROUNDED, TOUCHED = "closed", "widest", "rounded", "touched"
 #: Encoders and horns are as exact as this; a pose so far beyond a limit counts as at it.
 _AT_LIMIT_DEG: Final = 1.0
 #: A joint that a pose takes less far than this has not been meant by it, and keeps its limit.
-_MEANT_DEG: Final = 2.0
+_LEAST_TURN_DEG: Final = 2.0
 #: Pose, what a positive angle of the joint does, and whether that way is the pose's.
-_BOUNDED: Final = (
+_LIMITING_POSES: Final = (
     (WIDEST, "opens", True),
     (WIDEST, "closes", False),
     (ROUNDED, "narrows", True),
@@ -64,10 +64,10 @@ def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
     off_deg = np.maximum(low_deg - positions_deg, positions_deg - high_deg)
     return {
         joint.name: (
-            f"{here:.1f} deg is outside its limits, {joint.min_deg:g}..{joint.max_deg:g}; "
+            f"{angle_deg:.1f} deg is outside its limits, {joint.min_deg:g}..{joint.max_deg:g}; "
             "turn it back, or change min_deg or max_deg in the face's YAML"
         )
-        for joint, here, off in zip(servos.joints, positions_deg, off_deg, strict=True)
+        for joint, angle_deg, off in zip(servos.joints, positions_deg, off_deg, strict=True)
         if off > _AT_LIMIT_DEG
     }
 
@@ -109,25 +109,25 @@ def with_hand_poses(
     touch = calibration.touch
     if TOUCHED in made_deg:
         touch = Touch(poses[TOUCHED], cap_ma if touch is None else touch.current_cap_ma)
-    min_deg, max_deg = _bounds(servos, poses)
+    min_deg, max_deg = _limits_from_poses(servos, poses)
     return replace(calibration, hand_poses=poses, touch=touch, min_deg=min_deg, max_deg=max_deg)
 
 
-def _bounds(servos: MouthServos, poses: Mapping[str, Array]) -> tuple[Array, Array]:
+def _limits_from_poses(servos: MouthServos, poses: Mapping[str, Array]) -> tuple[Array, Array]:
     """Return the joints' lower and upper limits, narrowed to `widest` and `rounded` of `poses`.
 
-    Both are (n_servos,) degrees.
+    Both are (n_servos,) degrees. A joint that a pose turns by 2 deg or less keeps its limit.
     """
     low_deg, high_deg = (limit.copy() for limit in servos.limits_deg)
     for n, word in enumerate(servos.positive):
-        for pose, bounded, upwards in _BOUNDED:
-            if word != bounded or pose not in poses:
+        for pose, limited_word, limits_maximum in _LIMITING_POSES:
+            if word != limited_word or pose not in poses:
                 continue
-            here_deg = poses[pose][n]
-            if upwards and here_deg > _MEANT_DEG:
-                high_deg[n] = here_deg
-            elif not upwards and here_deg < -_MEANT_DEG:
-                low_deg[n] = here_deg
+            angle_deg = poses[pose][n]
+            if limits_maximum and angle_deg > _LEAST_TURN_DEG:
+                high_deg[n] = angle_deg
+            elif not limits_maximum and angle_deg < -_LEAST_TURN_DEG:
+                low_deg[n] = angle_deg
     return low_deg, high_deg
 
 
@@ -138,10 +138,10 @@ def pose_lines(before: Calibration, after: Calibration) -> list[str]:
     """
     lines = []
     for name, positions_deg in after.hand_poses.items():
-        places = zip(after.servo_names, positions_deg, strict=True)
-        angles = ", ".join(f"{joint} {round(deg, 1) + 0.0:.1f}" for joint, deg in places)
+        angle_of_joint = zip(after.servo_names, positions_deg, strict=True)
+        angles = ", ".join(f"{joint} {round(deg, 1) + 0.0:.1f}" for joint, deg in angle_of_joint)
         lines.append(f"{name}: {angles} deg")
-        if name in (WIDEST, ROUNDED) and np.abs(positions_deg).max() < _MEANT_DEG:
+        if name in (WIDEST, ROUNDED) and np.abs(positions_deg).max() < _LEAST_TURN_DEG:
             lines.append(f"{name} is where neutral is, so no limit comes of it; was it meant?")
     if after.touch is not None and TOUCHED in after.hand_poses:
         lines.append("touched is the touch pose now")
@@ -159,7 +159,7 @@ def pose_lines(before: Calibration, after: Calibration) -> list[str]:
             f"the map's closed mouth is {abs(off_deg[worst]):.1f} deg from yours at most, at "
             f"{after.servo_names[worst]}"
         )
-        if abs(off_deg[worst]) > _MEANT_DEG:
+        if abs(off_deg[worst]) > _LEAST_TURN_DEG:
             lines.append(
                 "for yours in silence: `lipservo calibrate trim FILE SIL "
                 f"{after.servo_names[worst]} {-off_deg[worst]:.1f}`"
@@ -171,13 +171,13 @@ def pose_lines(before: Calibration, after: Calibration) -> list[str]:
 _REMEDY: Final = "set them anew with `lipservo calibrate trim`"
 
 
-def with_hand_made(
+def with_kept_hand_parts(
     fresh: Calibration, servos: MouthServos, output: Path
 ) -> tuple[Calibration, list[str]]:
     """Return `fresh` with trims, hand poses and touch pose of the file `output`, if it exists.
 
-    `output` is the file that `fresh` will replace; `servos` have the face's limits. Returned, too,
-    are lines for a person: what was kept and what was not, and why.
+    output: the file that `fresh` will replace; servos: with the face's limits. Also returned are
+    lines for a person: which of these parts were kept, which were not, and why.
     """
     if not output.exists():
         return fresh, []
@@ -186,50 +186,51 @@ def with_hand_made(
     except CalibrationError as error:
         return fresh, [f"trims and hand poses, if it had any, are not kept: {error}"]
     if set(before.servo_names) != set(fresh.servo_names):
-        had = before.trim or before.hand_poses
-        why = f"{output} was of other servos: its trims and hand poses are not kept; {_REMEDY}"
-        return fresh, [why] if had else []
-    order = [before.servo_names.index(name) for name in fresh.servo_names]
-    kept, lines = _with_trims(fresh, before, order)
+        has_parts = before.trim or before.hand_poses
+        line = f"{output} was of other servos: its trims and hand poses are not kept; {_REMEDY}"
+        return fresh, [line] if has_parts else []
+    # For each servo its number in the old file.
+    rows = [before.servo_names.index(name) for name in fresh.servo_names]
+    combined, lines = _with_kept_trims(fresh, before, rows)
     if before.touch is not None and fresh.touch is None:
-        touch = replace(before.touch, positions_deg=before.touch.positions_deg[order])
-        kept = replace(kept, touch=touch)
+        touch = replace(before.touch, positions_deg=before.touch.positions_deg[rows])
+        combined = replace(combined, touch=touch)
         lines.append("the touch pose is kept")
     if not before.hand_poses:
-        return kept, lines
-    was, now = before.origin.servo_memories, fresh.origin.servo_memories
-    if was and now and [was[n] for n in order] != list(now):
+        return combined, lines
+    old, new = before.origin.servo_memories, fresh.origin.servo_memories
+    if old and new and [old[n] for n in rows] != list(new):
         lines.append(
             "hand poses are not kept: the servos were set up anew since; `lipservo calibrate "
             "by-hand` makes them again"
         )
-        return kept, lines
-    poses = {name: deg[order] for name, deg in before.hand_poses.items()}
+        return combined, lines
+    poses = {name: deg[rows] for name, deg in before.hand_poses.items()}
     cap_ma = 0.0 if before.touch is None else before.touch.current_cap_ma
     lines.append(f"hand poses are kept: {', '.join(poses)}")
-    return with_hand_poses(kept, servos, poses, cap_ma), lines
+    return with_hand_poses(combined, servos, poses, cap_ma), lines
 
 
-def _with_trims(
-    fresh: Calibration, before: Calibration, order: list[int]
+def _with_kept_trims(
+    fresh: Calibration, before: Calibration, rows: list[int]
 ) -> tuple[Calibration, list[str]]:
     """Return `fresh` with the trims of `before`, and lines for a person on those kept and dropped.
 
-    Trims of a viseme class are dropped if one of them exceeds the whole range of its joint. order:
-    for each servo of `fresh` its index in `before`.
+    The trim of a viseme class is dropped if it exceeds the whole range of any joint. rows: for each
+    servo of `fresh` its number in `before`.
     """
     span_deg = fresh.max_deg - fresh.min_deg
     trims: dict[str, Array] = {}
-    lost: list[str] = []
+    dropped: list[str] = []
     for viseme, degrees in before.trim.items():
-        added_deg = degrees[order]
+        added_deg = degrees[rows]
         if np.all(np.abs(added_deg) <= span_deg):
             trims[viseme] = added_deg
         else:
-            lost.append(viseme)
+            dropped.append(viseme)
     lines = [f"trims are kept: {', '.join(trims)}"] if trims else []
-    if lost:
+    if dropped:
         lines.append(
-            f"trims of {', '.join(lost)} are not kept: farther than the joints turn; {_REMEDY}"
+            f"trims of {', '.join(dropped)} are not kept: farther than the joints turn; {_REMEDY}"
         )
     return replace(fresh, trim={**fresh.trim, **trims}), lines

@@ -64,9 +64,9 @@ class CalibrationResult:
     warnings: tuple[str, ...] = ()
 
     def graded_by(
-        self, setup: CalibrationSetup, on: Robot, n_captured: int = 0
+        self, setup: CalibrationSetup, robot: Robot, n_captured: int = 0
     ) -> "CalibrationResult":
-        """Return the result with a grade, measured on the robot `on` in ten poses of speech.
+        """Return the result with a grade, measured on the robot in ten poses of speech.
 
         Unchanged if `fit` is None. setup: the face's servos, and `keep`, the file of captured
         poses: poses to grade by follow in it after `n_captured` others.
@@ -75,9 +75,9 @@ class CalibrationResult:
             return self
         kept = KeptPoses(setup.keep)
         names = self.fit.face.marker_names
-        fit = take_grade(self.fit, setup.servos, names, on, kept, n_captured)
-        found = fit.calibration
-        calibration = replace(self.calibration, grade=found.grade, coverage=found.coverage)
+        fit = take_grade(self.fit, setup.servos, names, robot, kept, n_captured)
+        graded = fit.calibration
+        calibration = replace(self.calibration, grade=graded.grade, coverage=graded.coverage)
         return CalibrationResult(calibration, fit, fit.warnings)
 
     def seen_by(self, setup: CalibrationSetup) -> "CalibrationResult":
@@ -101,7 +101,10 @@ class CalibrationResult:
 
 
 def _known_following(calibration: Calibration) -> Following:
-    """Return how servos follow as far as it is known: without lags, at any speed, if nothing is."""
+    """Return how servos follow their goals, as far as it is known.
+
+    If nothing is, lags and backlash are 0, and speeds and bandwidths infinite.
+    """
     return calibration.following or backlash_only(np.zeros(len(calibration.servo_names)))
 
 
@@ -143,7 +146,7 @@ def with_lags(
     setup: CalibrationSetup, face: HeldFace, result: CalibrationResult
 ) -> CalibrationResult:
     """Measure the lags of the servos that `face` holds; return the result with them."""
-    return result.with_following(_measured_following(setup, face, result.calibration))
+    return result.with_following(_measure_following(setup, face, result.calibration))
 
 
 def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibration:
@@ -160,7 +163,7 @@ def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibrati
         check_servo_memories(calibration, servo_memories(setup.settings))
         held = held_servos(setup)
     with held as face:
-        return replace(calibration, following=_measured_following(setup, face, calibration))
+        return replace(calibration, following=_measure_following(setup, face, calibration))
 
 
 def _on_simulated_wire(setup: CalibrationSetup) -> HeldFace:
@@ -182,27 +185,27 @@ def typed_lags(
     names = list(setup.servos.names)
     check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
     following = _known_following(calibration)
-    lag_s, seen = following.lag_s.copy(), set()
-    for each in typed:
-        name, _, number = each.partition("=")
+    lag_s, names_seen = following.lag_s.copy(), set()
+    for text in typed:
+        name, _, number = text.partition("=")
         if name not in names:
             known = ", ".join(names)
-            raise CalibrationError(f"--lag-ms {each}: no such joint; use one of {known}")
-        if name in seen:
-            raise CalibrationError(f"--lag-ms {each}: {name} is given twice; give it once")
-        seen.add(name)
+            raise CalibrationError(f"--lag-ms {text}: no such joint; use one of {known}")
+        if name in names_seen:
+            raise CalibrationError(f"--lag-ms {text}: {name} is given twice; give it once")
+        names_seen.add(name)
         try:
             lag_ms = float(number)
         except ValueError:
             lag_ms = math.nan
         if not 0.0 <= lag_ms <= _MOST_LAG_MS:
             allowed = f"JOINT=MS with 0 to {_MOST_LAG_MS:g} ms, such as {name}=60"
-            raise CalibrationError(f"--lag-ms {each}: needs {allowed}")
+            raise CalibrationError(f"--lag-ms {text}: needs {allowed}")
         lag_s[names.index(name)] = lag_ms / 1e3
     return replace(calibration, following=replace(following, lag_s=lag_s))
 
 
-def _measured_following(
+def _measure_following(
     setup: CalibrationSetup, face: HeldFace, calibration: Calibration
 ) -> Following:
     """Return how the servos follow their goals: lags, top speeds and bandwidths, measured now.
@@ -211,38 +214,39 @@ def _measured_following(
     and the command to type their lags.
     """
     joints = setup.servos.joints
-    measured = np.flatnonzero(face.has_place)
-    if len(measured) < len(joints):
+    with_encoder = np.flatnonzero(face.has_place)
+    if len(with_encoder) < len(joints):
         blind = [joint.name for joint, has in zip(joints, face.has_place, strict=True) if not has]
         say(
             f"how late {', '.join(blind)} follow cannot be measured, for want of encoders; film "
             f"one and type it: `lipservo calibrate lags FILE --lag-ms {blind[0]}=60`"
         )
-    known = _known_following(calibration)
-    if not len(measured):
-        return known
+    before = _known_following(calibration)
+    if not len(with_encoder):
+        return before
 
     def drive(goals_deg: Array, rate_hz: float) -> Array:
-        whole_deg = np.zeros((len(goals_deg), len(joints)))
-        whole_deg[:, measured] = goals_deg
-        return face.drive(whole_deg, rate_hz)[:, measured]
+        all_goals_deg = np.zeros((len(goals_deg), len(joints)))
+        all_goals_deg[:, with_encoder] = goals_deg
+        return face.drive(all_goals_deg, rate_hz)[:, with_encoder]
 
-    own = [joints[index] for index in measured]
-    with progress_bar(setup, "chirps", len(own)) as done:
+    driven = [joints[index] for index in with_encoder]
+    with progress_bar(setup, "chirps", len(driven)) as done:
         found = identify(
-            drive, own, known.backlash_deg[measured], rate_hz=face.rate_hz, progress=done
+            drive, driven, before.backlash_deg[with_encoder], rate_hz=face.rate_hz, progress=done
         )
-    whole = {}
+    # Measured figures replace those of the servos with encoders.
+    figures = {}
     for field in ("lag_s", "top_speed_deg_s", "bandwidth_hz"):
-        whole[field] = getattr(known, field).copy()
-        whole[field][measured] = getattr(found, field)
-    return replace(known, **whole)
+        figures[field] = getattr(before, field).copy()
+        figures[field][with_encoder] = getattr(found, field)
+    return replace(before, **figures)
 
 
 #: Called with a calibration that is usable though not yet whole.
 Save = Callable[[CalibrationResult], object]
 #: Share of its current cap from which a servo counts as pressing: what it measures is noisy.
-_STRAINED = 0.9
+_STRAINED_SHARE = 0.9
 
 
 def calibrate_on_servos(
@@ -279,7 +283,7 @@ def calibrate_on_servos(
     with held_servos(setup) as face:
         tracker = make_tracker(face)
 
-        def taken(here: Here) -> CalibrationResult:
+        def capture_and_fit(here: Here) -> CalibrationResult:
             """Capture, fit and grade in a thread, so that a stop does not wait for a fit.
 
             here: runs a call in the thread that moves the servos, and returns its result.
@@ -302,8 +306,8 @@ def calibrate_on_servos(
             def strained() -> str | None:
                 return strained_servo(setup, here(lambda: face.effort))
 
-            on = Robot(move, measure, arrived, strained=strained)
-            capture = capture_face(setup, tracker.marker_names, on, seed=seed)
+            robot = Robot(move, measure, arrived, strained=strained)
+            capture = capture_face(setup, tracker.marker_names, robot, seed=seed)
             result = fit_capture(setup, capture).with_memories(memories)
             save(result)
             result = result.graded_by(setup, Robot(move, measure, arrived), capture.n_planned)
@@ -311,7 +315,7 @@ def calibrate_on_servos(
             return result
 
         try:
-            result = face.work(taken)
+            result = face.work(capture_and_fit)
         finally:
             if isinstance(tracker, FileTracker):
                 tracker.close()
@@ -331,9 +335,9 @@ def computed_tracker(setup: CalibrationSetup) -> Tracker:
 
 
 def capture_face(
-    setup: CalibrationSetup, marker_names: tuple[str, ...], on: Robot, *, seed: int
+    setup: CalibrationSetup, marker_names: tuple[str, ...], robot: Robot, *, seed: int
 ) -> Capture:
-    """Capture the markers `marker_names` in all poses of robot `on`; show progress.
+    """Capture the markers `marker_names` in all poses of the robot; show progress.
 
     seed: of the plan of poses.
     """
@@ -343,13 +347,13 @@ def capture_face(
     if setup.n_poses != n_wanted:
         more = f": {n_joints} joints need more than {n_wanted}"
     say(
-        f"about {setup.reckoned_poses} poses{more}; {setup.reckoned_s / 60.0:.0f} minutes and what "
-        "the tracker needs"
+        f"about {setup.estimated_poses} poses{more}; {setup.estimated_s / 60.0:.0f} minutes and "
+        "what the tracker needs"
     )
     with progress_bar(setup, "poses", setup.n_poses) as done:
         kept = KeptPoses(setup.keep)
-        on = replace(on, progress=done)
-        return setup.procedure(seed).capture(marker_names, on, kept=kept, report=say)
+        robot = replace(robot, progress=done)
+        return setup.procedure(seed).capture(marker_names, robot, kept=kept, report=say)
 
 
 def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
@@ -368,7 +372,7 @@ def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
         The name; None if no servo draws so much, or none measures it.
     """
     for (name, servo), share in zip(setup.settings.mouth_servos.items(), effort, strict=True):
-        if servo.strain(share) >= _STRAINED:
+        if servo.strain(share) >= _STRAINED_SHARE:
             say(f"{name} draws its max_current_ma: lips are closed no farther than this")
             return name
     return None
@@ -412,11 +416,11 @@ def practise_in_memory(
     family: as for `practice_robot`; save: as for `calibrate_on_servos`.
     """
     robot = _drawn_robot(setup, seed, family)
-    on = Robot(robot.move, robot.measure)
-    capture = capture_face(setup, MARKERS_47.names, on, seed=seed)
+    robot_functions = Robot(robot.move, robot.measure)
+    capture = capture_face(setup, MARKERS_47.names, robot_functions, seed=seed)
     result = fit_capture(setup, capture)
     save(result)
-    result = result.graded_by(setup, on, capture.n_planned)
+    result = result.graded_by(setup, robot_functions, capture.n_planned)
     if not setup.lags:
         return result
     joints = setup.servos.joints

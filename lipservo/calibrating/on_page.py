@@ -31,8 +31,8 @@ class PageWatch:
         self.watch = Watch(self.progress, self.arrived, self.seen)
 
     @cached_property
-    def _reckoned_poses(self) -> int:
-        return self._setup.for_machine().reckoned_poses
+    def _estimated_poses(self) -> int:
+        return self._setup.for_machine().estimated_poses
 
     def progress(self, what: str, done: int, total: int) -> None:
         """Send the page how many of the `total` poses or chirps (`what`) are done; minutes left."""
@@ -40,7 +40,7 @@ class PageWatch:
         if not done:
             self._began_s, spent_s = time.monotonic(), 0.0
         if what == "poses":
-            total = max(self._reckoned_poses, done + 1)
+            total = max(self._estimated_poses, done + 1)
             left_s = spent_s / done * (total - done) + self._chirps_s if done else None
         else:
             left_s = (total - done) * CHIRPS_S
@@ -55,7 +55,7 @@ class PageWatch:
         reached_deg : Array
             (n_servos,) degrees.
         """
-        self._page.tell("arrived", deg=_by_name(self._names, reached_deg))
+        self._page.tell("arrived", deg=_rounded_by_name(self._names, reached_deg))
 
     def seen(self, marker_names: tuple[str, ...], markers_mm: Array) -> None:
         """Send the page the markers' x and y, and the loops that they form round the lips.
@@ -71,12 +71,12 @@ class PageWatch:
             None if np.isnan(place).any() else [round(float(v), 1) for v in place]
             for place in markers_mm[:, :2]
         ]
-        loops = [_loop("outer_lip", OUTER_LIP, marker_names)]
-        loops.append(_loop("inner_lip", INNER_LIP, marker_names))
+        loops = [_lip_loop_rows("outer_lip", OUTER_LIP, marker_names)]
+        loops.append(_lip_loop_rows("inner_lip", INNER_LIP, marker_names))
         self._page.tell("seen", names=marker_names, points=points, loops=loops)
 
 
-def _loop(group: str, landmarks: Sequence[int], marker_names: Sequence[str]) -> list[int]:
+def _lip_loop_rows(group: str, landmarks: Sequence[int], marker_names: Sequence[str]) -> list[int]:
     """Return the indices of a lip's markers in `marker_names`, in order round the lip.
 
     A marker's name is `group` and one of the `landmarks`.
@@ -97,11 +97,11 @@ class PageFront:
         self._model, self._page, self._robot = setup.model, page, robot
         self._names = setup.servos.names
         self._rest_mm = self._model.markers_mm(self._model.rest[None])[0]
-        self._seen_of = markers_of_face(self._rest_mm, setup.servos) if simulated else None
+        self._markers_of = markers_of_face(self._rest_mm, setup.servos) if simulated else None
 
     def show(self, session: GuidedSession) -> None:
         """Send the page the wanted mouth, the robot's, the poses made and the servos' goals."""
-        self._robot.hold_while(lambda: self._tell(session))
+        self._robot.hold_while(lambda: self._send_pose(session))
 
     def after_order(self, session: GuidedSession) -> GuidedSession:
         """Return the session after the page's next order: a key, or joints moved.
@@ -118,14 +118,14 @@ class PageFront:
             self._page.tell("fitting")
         return session
 
-    def _tell(self, session: GuidedSession) -> None:
+    def _send_pose(self, session: GuidedSession) -> None:
         """Send the page the present pose.
 
-        That is its name, instruction, wanted mouth and servo goals in degrees, and which poses are
-        made. The robot's own mouth is sent only if it is simulated, else None.
+        Sent are its name, instruction, wanted mouth and servo goals in degrees, and the names of
+        the poses that are made. The robot's own mouth is sent only if it is simulated, else None.
         """
         pose, goals_deg = session.poses[session.pose], session.positions_deg
-        made_mm = None if self._seen_of is None else self._seen_of(goals_deg[None])[0]
+        robot_mm = None if self._markers_of is None else self._markers_of(goals_deg[None])[0]
         self._page.tell(
             "eye",
             pose=session.pose,
@@ -134,8 +134,8 @@ class PageFront:
             poses=[each.name for each in session.poses],
             made=list(session.made_deg),
             wanted=self._loops(self._model.markers_mm(pose.coefficients[None])[0]),
-            robot=None if made_mm is None else self._loops(made_mm),
-            goals_deg=_by_name(self._names, goals_deg),
+            robot=None if robot_mm is None else self._loops(robot_mm),
+            goals_deg=_rounded_by_name(self._names, goals_deg),
         )
 
     def _loops(self, markers_mm: Array) -> list[list[list[float]]]:
@@ -143,7 +143,7 @@ class PageFront:
         return [np.round(loop_mm, 2).tolist() for loop_mm in found]
 
 
-def _by_name(names: Sequence[str], deg: Array) -> dict[str, float | None]:
+def _rounded_by_name(names: Sequence[str], deg: Array) -> dict[str, float | None]:
     return {
         name: round(float(each), 1) if np.isfinite(each) else None
         for name, each in zip(names, deg, strict=True)

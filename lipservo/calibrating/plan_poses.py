@@ -34,27 +34,27 @@ def read_poses(
         if number not in numbers:
             raise CalibrationError(f"{path}: pose {number} does not exist")
     low_deg, high_deg = setup.servos.limits_deg
-    beyond = np.argwhere((plan.goals_deg < low_deg) | (plan.goals_deg > high_deg))
-    if len(beyond):
-        row, joint = beyond[0]
+    beyond_limits = np.argwhere((plan.goals_deg < low_deg) | (plan.goals_deg > high_deg))
+    if len(beyond_limits):
+        row, joint = beyond_limits[0]
         raise CalibrationError(
             f"{path}, pose {numbers[row]}: {plan.servo_names[joint]} at "
             f"{plan.goals_deg[row, joint]:g} deg is outside "
             f"{low_deg[joint]:g}..{high_deg[joint]:g} deg; is it a plan of this face?"
         )
     rows = [numbers.index(number) for number in wanted or numbers]
-    chosen = plan_rows(plan, rows)
-    chosen = replace(chosen, start_deg=np.clip(chosen.start_deg, low_deg, high_deg))
-    return tuple(numbers[row] for row in rows), chosen
+    chosen_plan = plan_rows(plan, rows)
+    chosen_plan = replace(chosen_plan, start_deg=np.clip(chosen_plan.start_deg, low_deg, high_deg))
+    return tuple(numbers[row] for row in rows), chosen_plan
 
 
 def check_plan(setup: CalibrationSetup, path: Path) -> None:
     """Raise CalibrationError if a plan exceeds the face's limits or a joint never moves in it."""
     _, plan = read_poses(setup, path, ())
-    still = (
+    never_moves = (
         np.ptp(plan.goals_deg, axis=0) == 0.0 if len(plan) > 1 else np.zeros(len(plan.servo_names))
     )
-    names = [name for name, stays in zip(plan.servo_names, still, strict=True) if stays]
+    names = [name for name, is_still in zip(plan.servo_names, never_moves, strict=True) if is_still]
     if names:
         raise CalibrationError(
             f"{path}: {', '.join(names)} never moves in it, so nothing can be learnt of it; write "
@@ -62,7 +62,7 @@ def check_plan(setup: CalibrationSetup, path: Path) -> None:
         )
 
 
-def stand_in_poses(
+def hold_plan_poses(
     setup: CalibrationSetup,
     plan: PosePlan,
     arrived: Callable[[int, Array], object],
@@ -115,11 +115,11 @@ def grade_by_files(
     """
     poses = read_check_plan(plan, calibration)
     capture = read_capture(plan, markers, calibration.servo_names, axes=axes, read=read)
-    seen = _in_order(capture, poses.marker_names, markers)
-    usual_mm = _usual_mm(capture.markers_mm)
-    sizes = check_frame(capture.marker_names, usual_mm, setup.model, accept=setup.accept)
-    calibration, lines = graded(calibration, poses, seen)
-    return calibration, (*capture.stalled, *sizes, *lines)
+    reordered = _in_marker_order(capture, poses.marker_names, markers)
+    usual_mm = _median_markers_mm(capture.markers_mm)
+    size_warnings = check_frame(capture.marker_names, usual_mm, setup.model, accept=setup.accept)
+    calibration, remarks = graded(calibration, poses, reordered)
+    return calibration, (*capture.stalled, *size_warnings, *remarks)
 
 
 def write_check_poses(
@@ -145,7 +145,7 @@ def write_check_poses(
     )
 
 
-def _in_order(capture: Capture, names: tuple[str, ...], markers: Path) -> Capture:
+def _in_marker_order(capture: Capture, names: tuple[str, ...], markers: Path) -> Capture:
     """Return the capture with the markers `names`, in that order, NaN for missing ones.
 
     Raises CalibrationError for a marker that is not in `names`; `markers`: the file to name then.
@@ -156,14 +156,14 @@ def _in_order(capture: Capture, names: tuple[str, ...], markers: Path) -> Captur
             f"{markers}: marker {unknown[0]!r} was not captured for the fit; known: "
             f"{', '.join(names)}"
         )
-    seen_mm = np.full((len(capture), len(names), 3), np.nan)
-    seen_mm[:, [names.index(name) for name in capture.marker_names]] = capture.markers_mm
-    return replace(capture, marker_names=names, markers_mm=seen_mm)
+    ordered_mm = np.full((len(capture), len(names), 3), np.nan)
+    ordered_mm[:, [names.index(name) for name in capture.marker_names]] = capture.markers_mm
+    return replace(capture, marker_names=names, markers_mm=ordered_mm)
 
 
-def _usual_mm(markers_mm: Array) -> Array:
+def _median_markers_mm(markers_mm: Array) -> Array:
     """Return each marker's median place, (n, n_markers, 3) -> (n_markers, 3); NaN if never seen."""
-    usual_mm = np.full(markers_mm.shape[1:], np.nan)
-    seen = np.asarray(np.isfinite(markers_mm).any(axis=0)).all(axis=1)
-    usual_mm[seen] = np.nanmedian(markers_mm[:, seen], axis=0)
-    return usual_mm
+    median_mm = np.full(markers_mm.shape[1:], np.nan)
+    is_seen = np.asarray(np.isfinite(markers_mm).any(axis=0)).all(axis=1)
+    median_mm[is_seen] = np.nanmedian(markers_mm[:, is_seen], axis=0)
+    return median_mm

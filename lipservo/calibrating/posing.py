@@ -68,17 +68,17 @@ def make_poses(
     dict[str, Array]
         (n_servos,) degrees of each pose, by its name.
     """
-    names = [joint.name for joint in joints]
-    session = start_session(joints, poses, kept_poses(names, keep))
+    joint_names = [joint.name for joint in joints]
+    session = start_session(joints, poses, kept_poses(joint_names, keep))
     try:
         while not session.done:
             lead(session.positions_deg)
             front.show(session)
-            after = front.after_order(session)
-            if keep is not None and after.made_deg is not session.made_deg:
+            new_session = front.after_order(session)
+            if keep is not None and new_session.made_deg is not session.made_deg:
                 with undivided():
-                    keep_poses(after.made_deg, names, keep)
-            session = after
+                    keep_poses(new_session.made_deg, joint_names, keep)
+            session = new_session
     finally:
         lead(np.zeros(len(joints)))
     return dict(session.made_deg)
@@ -86,20 +86,21 @@ def make_poses(
 
 def calibrate_by_eye(
     setup: CalibrationSetup,
-    front_on: Callable[[HeldFace], Front],
+    make_front: Callable[[HeldFace], Front],
     save: Save = lambda _: None,
 ) -> CalibrationResult:
     """Let a person match the speaker's shapes on the face's held servos; fit a calibration.
 
-    save: called with the calibration before the servos' lags are measured. Raises CalibrationError
-    for too few poses.
+    make_front: makes what shows the poses and takes orders, from the held servos. save: called
+    with the calibration before the servos' lags are measured. Raises CalibrationError for too few
+    poses.
     """
     memories = servo_memories(setup.settings)
     with held_servos(setup) as robot:
         made_deg = make_poses(
             setup.servos.joints,
             landmark_poses(setup.model),
-            front_on(robot),
+            make_front(robot),
             robot.lead,
             setup.keep,
         )

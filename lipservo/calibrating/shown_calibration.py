@@ -41,7 +41,7 @@ def report_lines(
     written: the calibration's file. fit: of a measured calibration; None: not measured, or read
     from a file. with_servos: include a line for each servo.
     """
-    lines = [f"{written}: {_summary(calibration)}"]
+    lines = [f"{written}: {_summary_text(calibration)}"]
     lips = calibration.learnt_lips
     if lips is not None:
         lines.append(
@@ -56,7 +56,7 @@ def report_lines(
             f"not measured: {calibration.origin.not_measured}, for one camera sees no depth; no "
             "figure here knows how far the lips are off forward"
         )
-    lines += _worst_markers(calibration.errors.each_marker_rms_mm)
+    lines += _worst_markers_line(calibration.errors.each_marker_rms_mm)
     if with_servos:
         lines += following_lines(calibration)
     # Hobby servos have no model here, and no current that could be limited.
@@ -89,7 +89,7 @@ def _closing_line(calibration: Calibration, lips: LearntLips) -> str:
     )
 
 
-def _summary(calibration: Calibration) -> str:
+def _summary_text(calibration: Calibration) -> str:
     """Return a sentence on a calibration's errors, in mm or degrees, for a person.
 
     The method decides which errors there are: `guided`, `jaw alone`, graded by poses that were
@@ -118,13 +118,13 @@ def _summary(calibration: Calibration) -> str:
             f"{off_mm:.2f} mm from the shapes of speech ({grade.lip_rms_mm:.2f} from those asked "
             f"for, which may be {doubt_mm:.2f} off themselves), the lip gap "
             f"{grade.gap_rms_mm:.2f} mm (noise included); {max(grade.gap_slope, 0.0):.0%} of an "
-            f"opening is made{_kept_text(grade.small_gaps_kept)}, closed lips are "
+            f"opening is made{_small_openings_text(grade.small_gaps_kept)}, closed lips are "
             f"{max(grade.closed_gap_mm, 0.0):.1f} mm apart; {errors.clipped_share:.0%} of the "
             "frames reach a limit"
         )
     if origin.method == "measured":
-        kept, slope = _kept_text(errors.small_gaps_kept), errors.gap_slope
-        made = "" if slope is None else f"{max(slope, 0.0):.0%} of an opening is made{kept}, "
+        small, slope = _small_openings_text(errors.small_gaps_kept), errors.gap_slope
+        made = "" if slope is None else f"{max(slope, 0.0):.0%} of an opening is made{small}, "
         return (
             f"estimated, not measured: on {errors.n_frames} frames left out the map is "
             f"{errors.lip_rms_mm:.2f} mm from the wanted shapes, on the face as it was learnt; "
@@ -138,13 +138,14 @@ def _summary(calibration: Calibration) -> str:
     )
 
 
-def _kept_text(small_gaps_kept: float | None) -> str:
+def _small_openings_text(small_gaps_kept: float | None) -> str:
     if small_gaps_kept is None:
         return ""
     return f", {small_gaps_kept:.0%} of small openings stay open"
 
 
 def _reach_lines(calibration: Calibration) -> list[str]:
+    """Return a line on the viseme classes of which over a tenth of the shapes are out of reach."""
     phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
     poor = {v: r for v, r in calibration.coverage.items() if r.reachable < _WELL_REACHED}
     if not poor:
@@ -173,7 +174,7 @@ def following_lines(calibration: Calibration) -> list[str]:
     return lines
 
 
-def _worst_markers(each_rms_mm: Mapping[str, float]) -> list[str]:
+def _worst_markers_line(each_rms_mm: Mapping[str, float]) -> list[str]:
     """Return a line about the three markers with the largest errors; no line without markers."""
     worst = sorted(each_rms_mm.items(), key=lambda item: -item[1])[:3]
     listed = ", ".join(f"{name} {rms_mm:.2f} mm" for name, rms_mm in worst)
@@ -217,7 +218,7 @@ def following_values(calibration: Calibration) -> dict[str, dict[str, float | No
     )
     return {
         name: {
-            key: _known(columns[key][i]) if columns else None
+            key: _finite_or_none(columns[key][i]) if columns else None
             for key in ("lag_ms", "backlash_deg", "top_speed_deg_s", "bandwidth_hz")
         }
         for i, name in enumerate(calibration.servo_names)
@@ -320,7 +321,7 @@ def trim_lines(calibration: Calibration) -> list[str]:
 def servo_table(calibration: Calibration) -> Table:
     """Return a table of range, error, lag, ..., a row for each servo, a dash if unknown."""
     rows = {
-        name: [_cell(values[key]) for key in _COLUMNS]
+        name: [_cell_text(values[key]) for key in _COLUMNS]
         for name, values in servo_values(calibration).items()
     }
     return _table("servo", _COLUMNS.values(), rows)
@@ -369,14 +370,14 @@ def coverage_table(calibration: Calibration) -> Table:
     phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
     rows = {
         phonemes[viseme]: [
-            _measured(values[key], unit) for key, (_, unit) in _VISEME_COLUMNS.items()
+            _figure_text(values[key], unit) for key, (_, unit) in _VISEME_COLUMNS.items()
         ]
         for viseme, values in coverage_values(calibration).items()
     }
     return _table("class", (title for title, _ in _VISEME_COLUMNS.values()), rows)
 
 
-def _measured(value: float | None, unit: str) -> str:
+def _figure_text(value: float | None, unit: str) -> str:
     if value is None:
         return "-"
     return f"{value:.0%}" if unit == "%" else f"{value:.2f}"
@@ -387,11 +388,11 @@ def _rule_text(factors: Mapping[str, float], above_deg: float) -> str:
     return f"{terms} <= {above_deg:g} deg"
 
 
-def _known(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _cell(value: Value) -> str:
+def _cell_text(value: Value) -> str:
     if value is None:
         return "-"
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -424,7 +425,7 @@ def draw_coverage(
 
     frames = model.animphos.frames
     frames = frames[:: max(1, len(frames) // _FRAMES)]
-    opening_mm, width_mm, off_mm = _best_off(model, fit, frames)
+    opening_mm, width_mm, off_mm = _shapes_and_errors(model, fit, frames)
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), width_ratios=(3, 2))
     points = left.scatter(
         width_mm, opening_mm, c=np.minimum(off_mm, _WORST_MM), s=9, cmap="viridis_r", vmin=0.0,
@@ -439,7 +440,7 @@ def draw_coverage(
     figure.colorbar(points, ax=left, label="best pose off in opening or width, mm")
     _draw_classes(right, calibration)
     figure.suptitle(f"What this robot can make of speech, {calibration.origin.poses} poses")
-    return _saved(figure, folder)
+    return _save_figure(figure, folder)
 
 
 def draw_reach(folder: Path, calibration: Calibration) -> Path:
@@ -456,10 +457,10 @@ def draw_reach(folder: Path, calibration: Calibration) -> Path:
 
     figure, axes = plt.subplots(figsize=(5.5, 4.6))
     _draw_classes(axes, calibration)
-    return _saved(figure, folder)
+    return _save_figure(figure, folder)
 
 
-def _saved(figure: "Figure", folder: Path) -> Path:
+def _save_figure(figure: "Figure", folder: Path) -> Path:
     from matplotlib import pyplot as plt
 
     figure.tight_layout()
@@ -482,17 +483,17 @@ def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
     axes.set_xlabel("part within reach; beside it, how far off this map is")
 
 
-def _best_off(
+def _shapes_and_errors(
     model: FaceWithAnimPhos, fit: "MeasuredFit", frames: Array
 ) -> tuple[Array, Array, Array]:
     """Return the opening and width of the speaker's `frames`, and the error of the best pose.
 
-    (n,) mm each; the best pose is the nearest that the robot can make by `fit`, and its error the
-    larger of opening and width.
+    (n,) mm each; opening: beyond the robot's closed gap. The best pose is the nearest that the
+    robot can make by `fit`, and its error the larger of those of opening and width.
     """
     from calibration.fit.measured import ShapeErrors
 
-    found = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)
-    wanted_mm, best_mm = found.openings_and_widths_mm(frames - model.rest)
+    shapes = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)
+    wanted_mm, best_mm = shapes.openings_and_widths_mm(frames - model.rest)
     off_mm = np.abs(best_mm - wanted_mm).max(axis=1)
     return wanted_mm[:, 0] - fit.retargeting.closed_mm[0], wanted_mm[:, 1], off_mm

@@ -52,11 +52,11 @@ def touch_by_markers(
     make_tracker: makes the source of markers from held servos. Returns the new calibration, and how
     many mm later its lips meet than before. Raises CalibrationError.
     """
-    plan = _plan(setup, calibration)
+    plan = _checked_touch_plan(setup, calibration)
     with held_servos(setup) as face:
         tracker = make_tracker(face)
         try:
-            poses = _taken(setup, face, plan, tracker)
+            poses = _take_pressing_poses(setup, face, plan, tracker)
         finally:
             if isinstance(tracker, FileTracker):
                 tracker.close()
@@ -71,10 +71,10 @@ def touch_by_current(
     Returns the new calibration, and how many mm later its lips meet than before. Raises
     CalibrationError for servos that measure no current, or if one reaches its `max_current_ma`.
     """
-    plan = _plan(setup, calibration)
+    plan = _checked_touch_plan(setup, calibration)
     with held_servos(setup) as face:
         efforts = _Efforts(face)
-        poses = _taken(setup, face, plan, efforts)
+        poses = _take_pressing_poses(setup, face, plan, efforts)
     if len(poses) < len(plan):
         raise CalibrationError("the lips did not close: a servo drew its max_current_ma before")
     return touched_by_current(calibration, plan, np.array(efforts.seen))
@@ -89,12 +89,12 @@ def touch_by_eye(
     calibration, and how many mm later its lips meet than before. Raises CalibrationError unless the
     lips met in every shape.
     """
-    plan = _plan(setup, calibration)
-    of, touching_rows = ladders_of(plan), []
+    plan = _checked_touch_plan(setup, calibration)
+    ladder_numbers, touching_rows = ladders_of(plan), []
     MESSAGES.print("any key: close by a step; Enter: now the lips just meet; q: give up")
     with held_servos(setup) as face:
-        for shape, number in enumerate(np.unique(of), start=1):
-            rows = np.flatnonzero(of == number)
+        for shape, number in enumerate(np.unique(ladder_numbers), start=1):
+            rows = np.flatnonzero(ladder_numbers == number)
             face.move(plan.start_deg[rows[0]])
             for row in rows.tolist():
                 face.move(plan.goals_deg[row])
@@ -113,14 +113,19 @@ def touch_by_eye(
     return touched_by_eye(calibration, plan, touching_rows)
 
 
-def _plan(setup: CalibrationSetup, calibration: Calibration) -> PosePlan:
+def _checked_touch_plan(setup: CalibrationSetup, calibration: Calibration) -> PosePlan:
+    """Return the plan of poses that close the lips in steps, from 2 mm open to past contact.
+
+    Raises CalibrationError if the calibration is of another face or has no contact of lips, or if
+    its servos were set up anew since.
+    """
     check_face(setup, calibration, "the calibration")
     if not setup.settings.capabilities.in_memory:
         check_servo_memories(calibration, servo_memories(setup.settings))
     return touch_plan(calibration, setup.model, setup.servos)
 
 
-def _taken(
+def _take_pressing_poses(
     setup: CalibrationSetup, face: HeldFace, plan: PosePlan, tracker: Tracker | _Efforts
 ) -> list[CapturedPose]:
     """Move the held face through the poses of a plan; return what the tracker measured at each.
@@ -128,11 +133,11 @@ def _taken(
     The remaining poses are left out once a servo draws 90 % of its `max_current_ma`.
     """
     with progress_bar(setup, "steps", len(plan)) as done:
-        on = Robot(
+        robot = Robot(
             face.move,
             tracker.measure,
             tracker.arrived,
             done,
             lambda: strained_servo(setup, face.effort),
         )
-        return take_poses(plan, tracker.marker_names, on, [], pressing=range(len(plan)))
+        return take_poses(plan, tracker.marker_names, robot, [], pressing=range(len(plan)))

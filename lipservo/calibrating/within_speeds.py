@@ -21,7 +21,7 @@ from lipsync.phonemes import SILENCE
 _PERIOD_S = 0.01
 #: Phones of speech last about this long (GRID and TIMIT: 80 to 100 ms on average).
 _PHONE_S = 0.09
-_N_PHONES, _PHONES_A_WALK = 220, 8
+_N_PHONES, _PHONES_PER_WALK = 220, 8
 #: What is known ahead by default, and where a window has poses.
 _WINDOW_S = np.array([0.0, 0.05, 0.1])
 _WITHIN_SHARE = 0.01
@@ -56,23 +56,24 @@ def within_speeds(
     if calibration.following is not None:
         speeds_deg_s = np.minimum(speeds_deg_s, calibration.following.top_speed_deg_s)
     faces = spoken_frames(model, np.random.default_rng([0, 3]))
-    goals_deg = _goals_deg(calibration, faces)
-    each = _beyond(calibration.poses_deg(faces), speeds_deg_s)
-    worst = int(each.mean(axis=0).argmax())
+    goals_deg = _goals_with_backlash_deg(calibration, faces)
+    exceeds = _exceeds_speeds(calibration.poses_deg(faces), speeds_deg_s)
+    worst = int(exceeds.mean(axis=0).argmax())
     return WithinSpeeds(
-        beyond=float(each.any(axis=1).mean()),
+        beyond=float(exceeds.any(axis=1).mean()),
         slowest=calibration.servo_names[worst],
-        slowest_beyond=float(each[:, worst].mean()),
+        slowest_beyond=float(exceeds[:, worst].mean()),
         reached_closures=_reached_share(model, calibration, faces, goals_deg, speeds_deg_s),
-        strength=_strength(model, calibration, faces, speeds_deg_s),
+        strength=_largest_strength(model, calibration, faces, speeds_deg_s),
     )
 
 
 def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
     """Return random speech: walks without pauses through AnimPhos that may follow each other.
 
-    AnimPhos are recorded shapes of phonemes. A walk ends after eight: some successions of AnimPhos
-    form a circle, and the lag of a motion that repeats itself cannot be measured.
+    AnimPhos are recorded pieces of motion, each about one phoneme. A walk ends after eight: some
+    successions of AnimPhos form a circle, and the lag of a motion that repeats itself cannot be
+    measured.
 
     Parameters
     ----------
@@ -91,29 +92,38 @@ def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
     frames = [model.rest[None]]
     for phone in range(_N_PHONES):
         frames.append(model.animphos.samples[animpho, 1:-1])
-        following = np.intersect1d(model.animphos.successors[animpho], speaking)
-        goes_on = len(following) > 0 and (phone + 1) % _PHONES_A_WALK > 0
-        animpho = int(rng.choice(following if goes_on else speaking))
-    keys = np.concatenate(frames)
-    key_s = np.arange(len(keys)) * _PHONE_S / 3
+        successors = np.intersect1d(model.animphos.successors[animpho], speaking)
+        may_continue = len(successors) > 0 and (phone + 1) % _PHONES_PER_WALK > 0
+        animpho = int(rng.choice(successors if may_continue else speaking))
+    key_frames = np.concatenate(frames)
+    # Three frames a phone, resampled to 100 Hz.
+    key_s = np.arange(len(key_frames)) * _PHONE_S / 3
     times_s = np.arange(0.0, key_s[-1], _PERIOD_S)
-    return np.stack([np.interp(times_s, key_s, column) for column in keys.T], axis=1)
+    return np.stack([np.interp(times_s, key_s, column) for column in key_frames.T], axis=1)
 
 
-def _goals_deg(calibration: Calibration, faces: Array) -> Array:
+def _goals_with_backlash_deg(calibration: Calibration, faces: Array) -> Array:
+    """Return the goals of faces, (n, n_servos) degrees, shifted to make up for backlash.
+
+    faces: (n, n_components) at 100 Hz.
+    """
     poses_deg = calibration.poses_deg(faces)
     following = calibration.following
     if following is None:
         return poses_deg
-    play = BacklashCompensation(following.backlash_deg)
-    return np.array([play.feed(pose_deg[None])[0] for pose_deg in poses_deg])
+    compensation = BacklashCompensation(following.backlash_deg)
+    return np.array([compensation.feed(pose_deg[None])[0] for pose_deg in poses_deg])
 
 
-def _beyond(goals_deg: Array, speeds_deg_s: Array) -> Array:
+def _exceeds_speeds(goals_deg: Array, speeds_deg_s: Array) -> Array:
+    """Return whether each step between frames is faster than a joint may turn, (n - 1, n_servos).
+
+    goals_deg: (n, n_servos) at 100 Hz; speeds_deg_s: (n_servos,).
+    """
     return np.asarray(np.abs(np.diff(goals_deg, axis=0)) / _PERIOD_S > speeds_deg_s)
 
 
-def _strength(
+def _largest_strength(
     model: FaceWithAnimPhos, calibration: Calibration, faces: Array, speeds_deg_s: Array
 ) -> float | None:
     """Return the largest motion strength at which 99 % of frames keep within the joints' speeds.
@@ -123,7 +133,7 @@ def _strength(
     """
     for strength in _STRENGTHS.tolist():
         goals_deg = calibration.poses_deg(model.rest + strength * (faces - model.rest))
-        if _beyond(goals_deg, speeds_deg_s).any(axis=1).mean() <= _WITHIN_SHARE:
+        if _exceeds_speeds(goals_deg, speeds_deg_s).any(axis=1).mean() <= _WITHIN_SHARE:
             return float(round(strength, 2))
     return None
 
@@ -143,20 +153,22 @@ def _reached_share(
     """
     if calibration.closure is None:
         return None
-    closes = model.lip_gaps_mm(model.markers_mm(faces)) <= CLOSED_GAP_MM
+    is_closed = model.lip_gaps_mm(model.markers_mm(faces)) <= CLOSED_GAP_MM
     plan = JointPlan(speeds_deg_s, np.full(len(speeds_deg_s), np.inf), _PERIOD_S)
-    ahead = np.round(_WINDOW_S / _PERIOD_S).astype(np.int64)
-    sent = []
+    ahead_frames = np.round(_WINDOW_S / _PERIOD_S).astype(np.int64)
+    sent_deg = []
+    # As in a run: each frame the plan gets goals now and up to 0.1 s ahead.
     for n in range(len(goals_deg)):
-        rows = np.minimum(n + ahead, len(goals_deg) - 1)
-        sent.append(plan.step(TargetWindow(_WINDOW_S, goals_deg[rows], closes[rows])))
-    begins = np.flatnonzero(np.diff(closes.astype(np.int64), prepend=0) == 1)
-    ends = np.flatnonzero(np.diff(closes.astype(np.int64), append=0) == -1)
+        rows = np.minimum(n + ahead_frames, len(goals_deg) - 1)
+        sent_deg.append(plan.step(TargetWindow(_WINDOW_S, goals_deg[rows], is_closed[rows])))
+    # First and last frames of each closure of the speaker's lips.
+    first_frames = np.flatnonzero(np.diff(is_closed.astype(np.int64), prepend=0) == 1)
+    last_frames = np.flatnonzero(np.diff(is_closed.astype(np.int64), append=0) == -1)
     wanted_mm = calibration.closure.open_mm(goals_deg)[:, 0]
-    shown_mm = calibration.closure.open_mm(np.array(sent))[:, 0]
+    shown_mm = calibration.closure.open_mm(np.array(sent_deg))[:, 0]
     reached = [
         shown_mm[first : last + 1].min() <= _REACHED_MM
-        for first, last in zip(begins, ends, strict=True)
+        for first, last in zip(first_frames, last_frames, strict=True)
         if wanted_mm[first : last + 1].min() <= _REACHED_MM
     ]
     return float(np.mean(reached)) if reached else None
@@ -174,13 +186,13 @@ def speed_line(found: WithinSpeeds) -> str:
         return (
             f"speeds: no more than {found.beyond:.0%} of speech asks a joint for too much{closures}"
         )
-    kept = ""
+    strength = ""
     if found.strength is not None:
-        kept = f"; a strength of {found.strength:g} keeps within"
+        strength = f"; a strength of {found.strength:g} keeps within"
     elif reached is None or reached < 1.0 - _WITHIN_SHARE:
-        # Where all closures are met the plan, which begins motions earlier, keeps within.
-        kept = "; no strength keeps within"
+        # Where the plan, which begins motions earlier, reaches all closures, it keeps within.
+        strength = "; no strength keeps within"
     return (
         f"speeds: {found.beyond:.0%} of speech asks a joint for more than its max_speed_deg_s, "
-        f"most often {found.slowest} ({found.slowest_beyond:.0%}){closures}{kept}"
+        f"most often {found.slowest} ({found.slowest_beyond:.0%}){closures}{strength}"
     )

@@ -52,11 +52,11 @@ def about_face(settings: FaceSettings) -> Report:
         },
         "buses": [
             {
-                **plain_values(one.bus),
-                "usb": usb_product(one.servo_port or ""),
-                "capabilities": one.capabilities.as_dict(),
+                **plain_values(face.bus),
+                "usb": usb_product(face.servo_port or ""),
+                "capabilities": face.capabilities.as_dict(),
             }
-            for one in settings.alone.values()
+            for face in settings.alone.values()
         ],
         "rate_hz": settings.rate_hz,
         "servos": [
@@ -97,16 +97,16 @@ def examined(
     secrets: texts to be removed. examine: yields findings; a BusError from it counts as one.
     """
     servos = dict(zip(labels(settings), settings.servos.values(), strict=True))
-    found = []
+    scrubbed_findings = []
     try:
-        for each in examine(settings.model_copy(update={"servos": servos, "prevent": ()})):
-            found.append(_finding(each, secrets))
+        for finding in examine(settings.model_copy(update={"servos": servos, "prevent": ()})):
+            scrubbed_findings.append(_scrubbed_finding(finding, secrets))
     except BusError as error:
-        found.append(_finding(Finding(Severity.BAD, str(error)), secrets))
-    return found
+        scrubbed_findings.append(_scrubbed_finding(Finding(Severity.BAD, str(error)), secrets))
+    return scrubbed_findings
 
 
-def _finding(finding: Finding, secrets: Sequence[str]) -> dict[str, str]:
+def _scrubbed_finding(finding: Finding, secrets: Sequence[str]) -> dict[str, str]:
     return {
         "severity": finding.severity.name.lower(),
         "what": scrubbed(finding.what, secrets),
@@ -120,14 +120,14 @@ def secrets_of(settings: FaceSettings, config: str) -> list[str]:
     They are names and paths. config: the face's name or YAML path.
     """
     port = settings.servo_port or ""
-    found = {port, os.path.realpath(port) if port else "", config, settings.name, platform.node()}
-    found |= {os.environ.get(name, "") for name in ("USER", "LOGNAME", "HOME", "HOSTNAME")}
-    found |= {
+    secrets = {port, os.path.realpath(port) if port else "", config, settings.name, platform.node()}
+    secrets |= {os.environ.get(name, "") for name in ("USER", "LOGNAME", "HOME", "HOSTNAME")}
+    secrets |= {
         *settings.servos,
         *settings.buses,
         *(bus.port or "" for bus in settings.buses.values()),
     }
-    return sorted((each for each in found if len(each) > 1), key=len, reverse=True)
+    return sorted((secret for secret in secrets if len(secret) > 1), key=len, reverse=True)
 
 
 def scrubbed(text: str, secrets: Sequence[str]) -> str:
@@ -149,12 +149,12 @@ def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Re
     late_ms: list[float] = []
     n_late = 0
     unanswered = np.zeros(len(goals_deg), dtype=np.int64)
-    for time_s, late in ticks(clock, rate_hz):
+    for time_s, n_missed in ticks(clock, rate_hz):
         if time_s - began_s >= seconds:
             break
         times_s = [clock.now()]
         late_ms.append(1e3 * (times_s[0] - time_s))
-        n_late += late
+        n_late += n_missed
         bus.write_positions(goals_deg)
         times_s.append(clock.now())
         feedback = bus.feedback()
@@ -183,8 +183,8 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
     """Return median (p50), 99th percentile (p99) and worst of values; None without values."""
     if not values:
         return None
-    found = np.percentile(values, [50.0, 99.0, 100.0])
-    return dict(zip(("p50", "p99", "worst"), found.round(3).tolist(), strict=True))
+    percentiles = np.percentile(values, [50.0, 99.0, 100.0])
+    return dict(zip(("p50", "p99", "worst"), percentiles.round(3).tolist(), strict=True))
 
 
 def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
@@ -203,9 +203,9 @@ def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
         (n, 1) degrees.
     """
     size_deg = min(STEP_DEG, max_deg) if max_deg >= -min_deg else max(-STEP_DEG, min_deg)
-    held = round(STEP_S * rate_hz)
-    there_and_back = np.repeat([size_deg, 0.0], held)
-    return np.concatenate([np.zeros(held), np.tile(there_and_back, N_STEPS)])[:, np.newaxis]
+    n_held = round(STEP_S * rate_hz)
+    there_and_back = np.repeat([size_deg, 0.0], n_held)
+    return np.concatenate([np.zeros(n_held), np.tile(there_and_back, N_STEPS)])[:, np.newaxis]
 
 
 def step_answers(
@@ -229,30 +229,33 @@ def step_answers(
     list[dict[str, float | None]]
         One mapping a step.
     """
-    edges = [0, *(np.flatnonzero(np.diff(goals_deg)) + 1).tolist(), len(goals_deg)]
+    step_begins = [0, *(np.flatnonzero(np.diff(goals_deg)) + 1).tolist(), len(goals_deg)]
     answers: list[dict[str, float | None]] = []
-    for first, end in pairwise(edges[1:]):
-        goal, before = goals_deg[first], goals_deg[first - 1]
-        way = goal - before
-        gone = (seen_deg[first:end] - before) / way
-        near_deg = max(_SETTLED_DEG, _SETTLED_SHARE * abs(way))
-        is_far = np.abs(seen_deg[first:end] - goal) > near_deg
-        last_far = int(np.flatnonzero(is_far)[-1]) + 1 if is_far.any() else 0
-        started = np.flatnonzero(gone >= _SETTLED_SHARE)
-        rest_deg = float(np.median(seen_deg[end - (end - first) // 4 - 1 : end]))
+    for first, end in pairwise(step_begins[1:]):
+        goal_deg, start_deg = goals_deg[first], goals_deg[first - 1]
+        step_deg = goal_deg - start_deg
+        share_gone = (seen_deg[first:end] - start_deg) / step_deg
+        near_deg = max(_SETTLED_DEG, _SETTLED_SHARE * abs(step_deg))
+        is_far = np.abs(seen_deg[first:end] - goal_deg) > near_deg
+        # Ticks up to the last one outside the tolerance.
+        unsettled = int(np.flatnonzero(is_far)[-1]) + 1 if is_far.any() else 0
+        started = np.flatnonzero(share_gone >= _SETTLED_SHARE)
+        # The last quarter of the step shows where the shaft came to rest.
+        end_deg = float(np.median(seen_deg[end - (end - first) // 4 - 1 : end]))
         answers.append(
             {
-                "step_deg": round(float(way), 2),
-                "late_ms": _ms(started[0], rate_hz) if len(started) else None,
-                "settled_ms": _ms(last_far, rate_hz) if last_far < end - first else None,
-                "beyond_deg": round(max(0.0, float(gone.max() - 1.0) * abs(way)), 2),
-                "off_deg": round(rest_deg - float(goal), 2),
+                "step_deg": round(float(step_deg), 2),
+                "late_ms": _delay_ms(started[0], rate_hz) if len(started) else None,
+                "settled_ms": _delay_ms(unsettled, rate_hz) if unsettled < end - first else None,
+                "beyond_deg": round(max(0.0, float(share_gone.max() - 1.0) * abs(step_deg)), 2),
+                "off_deg": round(end_deg - float(goal_deg), 2),
             }
         )
     return answers
 
 
-def _ms(n_ticks: int, rate_hz: float) -> float:
+def _delay_ms(n_ticks: int, rate_hz: float) -> float:
+    """Return the time in ms from a goal to the reading n_ticks later."""
     # Encoders are read half a tick after a goal was sent.
     return round(1e3 * (float(n_ticks) + 0.5) / rate_hz, 1)
 
@@ -263,29 +266,29 @@ def as_text(report: Mapping[str, Any]) -> str:
         f"{each['severity']}: {each['what']}" + (f" -> {each['remedy']}" if each["remedy"] else "")
         for each in report["findings"]
     ]
-    return "".join(f"{line}\n" for line in _lines({**report, "findings": findings}, 0))
+    return "".join(f"{line}\n" for line in _yaml_lines({**report, "findings": findings}, 0))
 
 
-def _lines(value: Mapping[str, Any], depth: int) -> Iterator[str]:
+def _yaml_lines(value: Mapping[str, Any], depth: int) -> Iterator[str]:
     """Yield a report's entries as lines of text in the form of YAML, indented `depth` levels."""
     indent = "  " * depth
     for name, each in value.items():
         if isinstance(each, Mapping):
             yield f"{indent}{name}:"
-            yield from _lines(each, depth + 1)
+            yield from _yaml_lines(each, depth + 1)
         elif isinstance(each, list) and each and isinstance(each[0], Mapping):
             yield f"{indent}{name}:"
             for entry in each:
-                pairs = ", ".join(f"{key} {_shown(one)}" for key, one in entry.items())
+                pairs = ", ".join(f"{key} {_shown_value(one)}" for key, one in entry.items())
                 yield f"{indent}  - {pairs}"
         elif isinstance(each, list) and each and isinstance(each[0], str):
             yield f"{indent}{name}:"
             yield from (f"{indent}  - {entry}" for entry in each)
         else:
-            yield f"{indent}{name}: {_shown(each)}"
+            yield f"{indent}{name}: {_shown_value(each)}"
 
 
-def _shown(value: object) -> str:
+def _shown_value(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None:

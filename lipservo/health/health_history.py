@@ -28,9 +28,9 @@ _WARMER_DEGC, _MORE_LOAD, _FEWER_V = 5.0, 0.08, 0.3
 #: A change must stand out of the scatter of the days by this factor.
 _ABOVE_SCATTER = 2.0
 #: Errors and restarts are told for so many days.
-_FRESH_DAYS = 3
+_RECENT_DAYS = 3
 #: Unanswered questions an hour that are many, and so many times those of the days before.
-_MANY_PER_HOUR, _TIMES_BEFORE = 10.0, 3.0
+_MANY_PER_HOUR, _TIMES_AS_BEFORE = 10.0, 3.0
 _PERIOD_HOURS = 10.0 / 3600.0
 
 
@@ -66,7 +66,7 @@ class History:
 
 
 @dataclass(slots=True)
-class _Column:
+class _DayReadings:
     """The readings of one servo in the course of a day."""
 
     values: dict[str, list[float]] = field(
@@ -75,35 +75,36 @@ class _Column:
     counts: Counter[str] = field(default_factory=Counter)
 
 
-class _Counted:
+class _CountRises:
     """A converter of counts since a run of the face began into counts since the previous record."""
 
     def __init__(self) -> None:
-        self._number: float = -1.0
-        self._last: dict[tuple[str, str], float] = {}
-        self._began = False
+        self._last_number: float = -1.0
+        self._last_counts: dict[tuple[str, str], float] = {}
+        self._has_record = False
 
-    def news(
+    def rises(
         self, record: Mapping[str, list[float]], names: list[str], number: float
     ) -> Counter[tuple[str, str]]:
         """Return how much each count rose since the last record, by servo and quantity.
 
-        names: of the servos. number: of the record in its run, from 0. The first record of a log
-        that begins in the middle of a run counts as no rise.
+        names: of the servos. number: of the record in its run, from 0; a number that is not higher
+        than the last begins a new run, in which counts begin at 0. The first record of a log that
+        begins in the middle of a run counts as no rise.
         """
-        now = {
+        counts = {
             (name, key): value
             for key in _COUNTS
             for name, value in zip(names, record[key], strict=True)
         }
-        fresh = number <= self._number
-        if not self._began and number > 0:
-            self._last, fresh = now, False
-        base = {} if fresh else self._last
+        is_new_run = number <= self._last_number
+        if not self._has_record and number > 0:
+            self._last_counts, is_new_run = counts, False
+        base = {} if is_new_run else self._last_counts
         news = Counter(
-            {each: max(0, int(value - base.get(each, 0))) for each, value in now.items()}
+            {each: max(0, int(value - base.get(each, 0))) for each, value in counts.items()}
         )
-        self._began, self._number, self._last = True, number, now
+        self._has_record, self._last_number, self._last_counts = True, number, counts
         return news
 
 
@@ -112,16 +113,16 @@ def day_files(folders: Iterable[Path], days: int) -> dict[date, list[Path]]:
 
     Raises OSError for a folder that cannot be read.
     """
-    found: dict[date, list[Path]] = {}
+    files_by_day: dict[date, list[Path]] = {}
     for folder in folders:
         for path in sorted(folder.iterdir()):
-            day = _day(path.name)
+            day = _day_of_file(path.name)
             if day is not None:
-                found.setdefault(day, []).append(path)
-    return {day: found[day] for day in sorted(found)[-days:]}
+                files_by_day.setdefault(day, []).append(path)
+    return {day: files_by_day[day] for day in sorted(files_by_day)[-days:]}
 
 
-def _day(name: str) -> date | None:
+def _day_of_file(name: str) -> date | None:
     try:
         return date.fromisoformat(name[:10]) if DAY_FILE.fullmatch(name) else None
     except ValueError:
@@ -136,67 +137,67 @@ def read_history(folders: Iterable[Path], days: int) -> History:
     servos: dict[str, list[ServoDay]] = {}
     n_readings = n_bad = 0
     bad_files: list[str] = []
-    counted: dict[Path, _Counted] = {}
+    count_rises: dict[Path, _CountRises] = {}
     for day, paths in day_files(folders, days).items():
-        columns: dict[str, _Column] = {}
+        readings: dict[str, _DayReadings] = {}
         for path in paths:
-            counts = counted.setdefault(path.parent, _Counted())
+            rises = count_rises.setdefault(path.parent, _CountRises())
             try:
                 lines = path.read_bytes().split(b"\n")
             except OSError as error:
                 bad_files.append(f"{path}: {error.strerror}")
                 continue
-            good, bad = _read_lines(lines, columns, counts)
+            good, bad = _read_lines(lines, readings, rises)
             n_readings, n_bad = n_readings + good, n_bad + bad
-        for servo, column in columns.items():
+        for servo, column in readings.items():
             servos.setdefault(servo, []).append(_summarize(day, column))
     return History(servos, n_readings, n_bad, tuple(bad_files))
 
 
 def _read_lines(
-    lines: Iterable[bytes], columns: dict[str, _Column], counted: _Counted
+    lines: Iterable[bytes], readings: dict[str, _DayReadings], count_rises: _CountRises
 ) -> tuple[int, int]:
-    """Add log lines to `columns`, by servo; return (lines parsed, lines not parsed).
+    """Add log lines to `readings`, by servo; return (lines parsed, lines not parsed).
 
-    counted: converts counts since the run began into those of each line.
+    count_rises: converts counts since the run began into the rise since the previous line.
     """
-    good = bad = 0
+    n_good = n_bad = 0
     for line in lines:
         if not line.strip():
             continue
         try:
-            names, number, record = _parse(line)
+            names, number, record = _parse_line(line)
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
-            bad += 1
+            n_bad += 1
             continue
-        good += 1
-        news = counted.news(record, names, number)
+        n_good += 1
+        rises = count_rises.rises(record, names, number)
         for index, name in enumerate(names):
-            column = columns.setdefault(name, _Column())
+            of_servo = readings.setdefault(name, _DayReadings())
             for key in _QUANTITIES:
-                column.values[key].append(record[key][index])
+                of_servo.values[key].append(record[key][index])
             for key in _COUNTS:
-                column.counts[key] += news[name, key]
-    return good, bad
+                of_servo.counts[key] += rises[name, key]
+    return n_good, n_bad
 
 
-def _parse(line: bytes) -> tuple[list[str], float, dict[str, list[float]]]:
+def _parse_line(line: bytes) -> tuple[list[str], float, dict[str, list[float]]]:
     """Parse a log line to (servo names, number in its run, values by quantity).
 
     Raises ValueError, TypeError, KeyError, and what damaged JSON and numbers raise.
     """
-    raw = json.loads(line)
-    names = raw["servos"]
+    content = json.loads(line)
+    names = content["servos"]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError("the servos' names are missing")
-    columns = {key: [_float(value) for value in raw[key]] for key in (*_QUANTITIES, *_COUNTS)}
+    columns = {key: [_float(value) for value in content[key]] for key in (*_QUANTITIES, *_COUNTS)}
     if any(len(column) != len(names) for column in columns.values()):
         raise ValueError("its columns differ in length")
     if not all(math.isfinite(value) for key in (*_COUNTS, "errors") for value in columns[key]):
         raise ValueError("a count is not a finite number")
     if not all(0 <= bits <= 255 for bits in columns["errors"]):
         raise ValueError("an error byte is outside 0..255")
-    return names, _float(raw["number"]), columns
+    return names, _float(content["number"]), columns
 
 
 def _float(value: object) -> float:
@@ -207,51 +208,51 @@ def _float(value: object) -> float:
     return float(value)
 
 
-def _summarize(day: date, column: _Column) -> ServoDay:
+def _summarize(day: date, readings: _DayReadings) -> ServoDay:
     """Return a servo's figures of one day; NaN for a quantity without readings.
 
     The medians (load, current, temperature) are of readings with torque on; extremes, the latest
     temperature, error bits and counts are of all.
     """
-    values = {key: np.array(list_) for key, list_ in column.values.items()}
-    on = values["torque_on"] > 0
+    values = {key: np.array(series) for key, series in readings.values.items()}
+    is_on = values["torque_on"] > 0
     warm = values["temperature_degc"]
     errors = 0
     for bits in set(values["errors"].astype(int).tolist()):
         errors |= bits
     return ServoDay(
         day=day,
-        n_readings=int(on.sum()),
-        temperature_degc=_of(np.median, warm[on]),
-        hottest_degc=_of(np.max, warm),
+        n_readings=int(is_on.sum()),
+        temperature_degc=_of_finite(np.median, warm[is_on]),
+        hottest_degc=_of_finite(np.max, warm),
         latest_degc=next((float(each) for each in warm[::-1] if math.isfinite(each)), math.nan),
-        load=_of(np.median, values["load"][on]),
-        current_ma=_of(np.median, values["current_ma"][on]),
-        least_v=_of(np.min, values["voltage_v"]),
+        load=_of_finite(np.median, values["load"][is_on]),
+        current_ma=_of_finite(np.median, values["current_ma"][is_on]),
+        least_v=_of_finite(np.min, values["voltage_v"]),
         errors=errors,
-        n_reboots=column.counts["reboots"],
-        n_unanswered=column.counts["unanswered"],
+        n_reboots=readings.counts["reboots"],
+        n_unanswered=readings.counts["unanswered"],
     )
 
 
-def _of(function: Callable[[Array], np.float64], values: Array) -> float:
+def _of_finite(function: Callable[[Array], np.float64], values: Array) -> float:
     """Return `function` applied to the finite values; NaN if there are none."""
-    heard = values[np.isfinite(values)]
-    return float(function(heard)) if len(heard) else math.nan
+    finite = values[np.isfinite(values)]
+    return float(function(finite)) if len(finite) else math.nan
 
 
 def findings(servos: Mapping[str, Sequence[ServoDay]]) -> list[str]:
     """Return a sentence with remedy for each problem of servos, given by name; urgent first."""
-    shared = _shared_warmth(servos)
-    lines = [line for name, days in servos.items() for line in _troubles(name, days)]
-    rise = _change(shared)
+    shared_degc = _shared_warmth(servos)
+    lines = [line for name, days in servos.items() for line in _failure_lines(name, days)]
+    rise = _trend(shared_degc)
     if len(servos) > 1 and rise is not None and rise[0] >= _WARMER_DEGC:
         lines.append(
             f"all servos run {rise[0]:.0f} degC warmer than {_ago(rise[1])}: a warmer room, less "
             "air around them, or a supply set too high"
         )
     for name, days in servos.items():
-        lines += _trends(name, days, shared if len(servos) > 2 else {})
+        lines += _trend_lines(name, days, shared_degc if len(servos) > 2 else {})
     return lines
 
 
@@ -277,47 +278,48 @@ def theil_sen_slope(times: NDArray[np.float64], values: NDArray[np.float64]) -> 
     return float(np.median(slopes))
 
 
-def _troubles(name: str, days: Sequence[ServoDay]) -> list[str]:
+def _failure_lines(name: str, days: Sequence[ServoDay]) -> list[str]:
     """Return a sentence each for recent errors, restarts and unanswered requests of a servo."""
-    newest = days[-_FRESH_DAYS:]
+    recent = days[-_RECENT_DAYS:]
     lines = []
     errors = 0
-    for day in newest:
+    for day in recent:
         errors |= day.errors
     if errors:
-        when = ", ".join(f"{day.day}" for day in newest if day.errors)
+        when = ", ".join(f"{day.day}" for day in recent if day.errors)
         lines.append(
             f"{name} reported {describe_errors(errors)} ({when}): feel whether it is hot, move the "
             "joint by hand while limp, look at its supply"
         )
-    reboots = sum(day.n_reboots for day in newest)
+    reboots = sum(day.n_reboots for day in recent)
     if reboots:
         lines.append(
-            f"{name} was restarted {reboots} times in its last {len(newest)} days: "
+            f"{name} was restarted {reboots} times in its last {len(recent)} days: "
             "something in it or its supply is failing"
         )
-    heard = [day for day in days if day.n_readings >= _FEWEST_READINGS]
-    silence = [day.n_unanswered / (day.n_readings * _PERIOD_HOURS) for day in heard]
-    if len(silence) > 1:
-        before = float(np.median(silence[:-1]))
-        if silence[-1] >= max(_MANY_PER_HOUR, _TIMES_BEFORE * before):
+    full_days = [day for day in days if day.n_readings >= _FEWEST_READINGS]
+    per_hour = [day.n_unanswered / (day.n_readings * _PERIOD_HOURS) for day in full_days]
+    if len(per_hour) > 1:
+        usual = float(np.median(per_hour[:-1]))
+        if per_hour[-1] >= max(_MANY_PER_HOUR, _TIMES_AS_BEFORE * usual):
             lines.append(
-                f"{name} left {silence[-1]:.0f} questions an hour unanswered, {before:.0f} before: "
+                f"{name} left {per_hour[-1]:.0f} questions an hour unanswered, {usual:.0f} before: "
                 "look at its plug and cable, and at those before it in the chain"
             )
     return lines
 
 
-def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -> list[str]:
+def _trend_lines(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -> list[str]:
     """Return a sentence each for a servo that gets warmer, pulls harder, or gets less voltage.
 
-    shared: by day, the warmth in degC that all servos have in common, which is subtracted; {}:
+    shared: by day, the temperature in degC that all servos have in common, which is subtracted; {}:
     none. Days with few readings are left out.
     """
-    counted = [day for day in days if day.n_readings >= _FEWEST_READINGS]
-    load = _change({day.day: day.load for day in counted})
-    warmth = _change({day.day: day.temperature_degc - shared.get(day.day, 0.0) for day in counted})
-    volts = _change({day.day: -day.least_v for day in counted})
+    full_days = [day for day in days if day.n_readings >= _FEWEST_READINGS]
+    # Each a change and the days that it took; None: no clear change.
+    load = _trend({day.day: day.load for day in full_days})
+    warmth = _trend({day.day: day.temperature_degc - shared.get(day.day, 0.0) for day in full_days})
+    drop = _trend({day.day: -day.least_v for day in full_days})
     works_harder = load is not None and load[0] >= _MORE_LOAD
     lines = []
     if warmth is not None and warmth[0] >= _WARMER_DEGC:
@@ -335,15 +337,15 @@ def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -
             f"{name} pulls {load[0]:.0%} of its stall torque more than {_ago(load[1])}: look for a "
             "joint that binds, and grease it"
         )
-    if volts is not None and volts[0] >= _FEWER_V:
+    if drop is not None and drop[0] >= _FEWER_V:
         lines.append(
-            f"{name} gets {volts[0]:.1f} V less at worst than {_ago(volts[1])}: look at the "
+            f"{name} gets {drop[0]:.1f} V less at worst than {_ago(drop[1])}: look at the "
             "supply, its plugs, and the cable along the chain"
         )
     return lines
 
 
-def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
+def _trend(values: Mapping[date, float]) -> tuple[float, int] | None:
     """Return (change, days from first to last) by the linear trend of a quantity by day.
 
     None if the change is within twice the scatter, and for too few days with a value.
@@ -351,13 +353,14 @@ def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
     known = sorted((day.toordinal(), v) for day, v in values.items() if math.isfinite(v))
     if len(known) < _FEWEST_DAYS:
         return None
-    times, found = np.array(known[-_MOST_DAYS:]).T
-    slope = theil_sen_slope(times, found)
-    span = times[-1] - times[0]
-    rest = found - slope * times
-    scatter = float(np.median(np.abs(rest - np.median(rest))))
-    change = slope * span
-    return (change, int(span)) if abs(change) > _ABOVE_SCATTER * scatter else None
+    days, series = np.array(known[-_MOST_DAYS:]).T
+    slope = theil_sen_slope(days, series)
+    span_days = days[-1] - days[0]
+    # The scatter of the days about the trend line.
+    residuals = series - slope * days
+    scatter = float(np.median(np.abs(residuals - np.median(residuals))))
+    change = slope * span_days
+    return (change, int(span_days)) if abs(change) > _ABOVE_SCATTER * scatter else None
 
 
 def _shared_warmth(servos: Mapping[str, Sequence[ServoDay]]) -> dict[date, float]:
@@ -367,7 +370,7 @@ def _shared_warmth(servos: Mapping[str, Sequence[ServoDay]]) -> dict[date, float
         for day in days:
             if day.n_readings >= _FEWEST_READINGS and math.isfinite(day.temperature_degc):
                 by_day.setdefault(day.day, []).append(day.temperature_degc)
-    return {day: float(np.median(list_)) for day, list_ in by_day.items()}
+    return {day: float(np.median(temperatures)) for day, temperatures in by_day.items()}
 
 
 def _ago(days: int) -> str:

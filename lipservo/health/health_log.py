@@ -42,23 +42,23 @@ def log_folder(face: str, port: str, environment: Mapping[str, str]) -> Path | N
     environment: the process's environment variables. A pseudo-terminal leads to simulated servos:
     these have a folder of their own, or a rehearsal would spoil the figures of the real ones.
     """
-    state = _own_state(environment)
-    return None if state is None else state / "health" / _name_at(face, port)
+    state = _state_folder(environment)
+    return None if state is None else state / "health" / _folder_name_at(face, port)
 
 
 def stop_record_path(face: str, port: str, environment: Mapping[str, str]) -> Path | None:
     """Return the file that keeps a person's stop of a face at a port; None: no state folder."""
-    state = _own_state(environment)
-    return None if state is None else state / "stops" / f"{_name_at(face, port)}.json"
+    state = _state_folder(environment)
+    return None if state is None else state / "stops" / f"{_folder_name_at(face, port)}.json"
 
 
 def kept_pulses_path(face: str, port: str, environment: Mapping[str, str]) -> Path | None:
     """Return the file with the last pulses of a face of hobby servos; None: no state folder."""
-    state = _own_state(environment)
-    return None if state is None else state / "pulses" / f"{_name_at(face, port)}.json"
+    state = _state_folder(environment)
+    return None if state is None else state / "pulses" / f"{_folder_name_at(face, port)}.json"
 
 
-def _name_at(face: str, port: str) -> str:
+def _folder_name_at(face: str, port: str) -> str:
     simulated = any(os.path.realpath(each).startswith("/dev/pts/") for each in ports_in(port))
     return folder_name(face) + ("-simulated" if simulated else "")
 
@@ -70,29 +70,29 @@ def folder_name(face: str) -> str:
 
 def logged_faces(environment: Mapping[str, str]) -> dict[str, list[Path]]:
     """Return the log folders of every face, by folder name: the user's own and the service's."""
-    own = _own_state(environment)
-    places = [own] if environment.get("LIPSERVO_STATE") else [own, SERVICE_STATE]
-    found: dict[str, list[Path]] = {}
+    own_state = _state_folder(environment)
+    places = [own_state] if environment.get("LIPSERVO_STATE") else [own_state, SERVICE_STATE]
+    folders_of_face: dict[str, list[Path]] = {}
     for place in [each for each in places if each is not None]:
         try:
             folders = sorted(each for each in (place / "health").iterdir() if each.is_dir())
         except OSError:
             continue
         for folder in folders:
-            found.setdefault(folder.name, []).append(folder)
-    return found
+            folders_of_face.setdefault(folder.name, []).append(folder)
+    return folders_of_face
 
 
 def places_searched(environment: Mapping[str, str]) -> str:
     """Return the folders in which logs are searched, for the message that no log was found."""
-    own = _own_state(environment)
+    own = _state_folder(environment)
     if environment.get("LIPSERVO_STATE"):
         return f"{own}/health"
     places = [own, SERVICE_STATE]
     return " and ".join(f"{each}/health" for each in places if each is not None)
 
 
-def _own_state(environment: Mapping[str, str]) -> Path | None:
+def _state_folder(environment: Mapping[str, str]) -> Path | None:
     """Return the folder of this user's state; None if no variable names one.
 
     The first of $LIPSERVO_STATE, $XDG_STATE_HOME/lipservo and $HOME/.local/state/lipservo.
@@ -119,7 +119,7 @@ class HealthLog:
         self._complained = False
         self._queue: queue.Queue[tuple[float, tuple[ServoHealth, ...]] | None]
         self._queue = queue.Queue(_QUEUE_LENGTH)
-        self._thread = threading.Thread(target=self._run, name="health log", daemon=True)
+        self._thread = threading.Thread(target=self._write_queued, name="health log", daemon=True)
         self._thread.start()
 
     def offer(self, now: tuple[ServoHealth, ...]) -> None:
@@ -143,7 +143,7 @@ class HealthLog:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def _run(self) -> None:
+    def _write_queued(self) -> None:
         """Write queued readings until the log is closed. Runs in thread `health log`.
 
         A reading that cannot be written is lost; only the first such error is logged.
@@ -163,11 +163,11 @@ class HealthLog:
 
         wall_s: seconds since 1970. Raises OSError.
         """
-        moment = datetime.fromtimestamp(wall_s, UTC)
-        path = self._folder / f"{moment:%Y-%m-%d}.jsonl"
+        time_utc = datetime.fromtimestamp(wall_s, UTC)
+        path = self._folder / f"{time_utc:%Y-%m-%d}.jsonl"
         self._folder.mkdir(parents=True, exist_ok=True)
         prune(self._folder, keep=path.name)
-        line = json_line(moment, self._number, servos)
+        line = json_line(time_utc, self._number, servos)
         _LOG.debug("servos: %s", line.decode())
         append_line(path, line)
         self._number += 1
@@ -221,15 +221,15 @@ def append_line(path: Path, line: bytes) -> None:
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK
     descriptor = os.open(path, flags, 0o644)
     try:
-        about = os.fstat(descriptor)
-        if not stat.S_ISREG(about.st_mode):
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, f"{path.name} is no plain file")
-        size = about.st_size
+        size = status.st_size
         if size > MOST_BYTES:
             raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
-        torn = size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
-        whole = b"\n" + line if torn else line
-        if os.write(descriptor, whole) != len(whole):
+        is_torn = size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
+        to_write = b"\n" + line if is_torn else line
+        if os.write(descriptor, to_write) != len(to_write):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     finally:
         os.close(descriptor)

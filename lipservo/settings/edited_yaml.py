@@ -43,7 +43,7 @@ class EditedYaml:
         Raises ChangedMeanwhileError if it was changed since it was read; SettingsError,
         OutputError.
         """
-        with _alone(self.path):
+        with _locked_folder(self.path):
             if read_face_text(self.path) != self.before:
                 raise ChangedMeanwhileError(f"{self.path.name}: was changed meanwhile; try again")
             write_whole(self.path, self.text.encode())
@@ -60,18 +60,20 @@ def read_face_text(path: Path) -> str:
 def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
     """Return the face YAML at `path` with `values` set in it, not written yet.
 
-    Raises SettingsError if the file is no face YAML or would not be one with `values`, and
-    UserError if its form leaves no safe position for them.
+    values: numbers or texts by their place, a path of keys. Raises SettingsError if the file is no
+    face YAML or would not be one with `values`, and UserError if its form leaves no safe position
+    for them.
     """
     before = read_face_text(path)
     wanted = _plain_mapping(parse_face(before, path.name))
     text: str | None = before
     for place, value in values.items():
-        if _at(wanted, place) == value:
+        if _value_at(wanted, place) == value:
             continue
-        written = _written(value)
-        text = None if text is None else _with_value(text, place, written)
-        _put(wanted, place, value if isinstance(value, str) else float(written))
+        yaml_text = _yaml_text(value)
+        text = None if text is None else _with_value(text, place, yaml_text)
+        _set_value(wanted, place, value if isinstance(value, str) else float(yaml_text))
+    # The new text must parse to the old values but for those that were set.
     if text is None or not _is_yaml(text) or _plain_mapping(parse_face(text, path.name)) != wanted:
         lines = "; ".join(lines_by_hand(*each).replace("\n", " / ") for each in values.items())
         raise UserError(f"{path.name}: cannot be edited safely; add these lines by hand: {lines}")
@@ -80,10 +82,10 @@ def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
 
 def lines_by_hand(place: Place, value: float | str) -> str:
     """Return the YAML lines that a person should add for the value at `place` (a path of keys)."""
-    return _block(list(place), _written(value), 0, "\n")
+    return _block(list(place), _yaml_text(value), 0, "\n")
 
 
-def _written(value: float | str) -> str:
+def _yaml_text(value: float | str) -> str:
     """Return a value as YAML text: words in quotes if they would parse as another type without."""
     if not isinstance(value, str):
         return f"{value:g}"
@@ -98,13 +100,15 @@ def _plain_mapping(face: FaceSettings) -> dict[str, Any]:
     return face.model_dump(exclude_none=True)
 
 
-def _at(node: Any, place: Place) -> Any:
+def _value_at(node: Any, place: Place) -> Any:
+    """Return the value at `place`, a path of keys, in nested mappings; None if a key is missing."""
     for key in place:
         node = node.get(key) if isinstance(node, dict) else None
     return node
 
 
-def _put(node: dict[str, Any], place: Place, value: float | str) -> None:
+def _set_value(node: dict[str, Any], place: Place, value: float | str) -> None:
+    """Set the value at `place`, a path of keys, in nested mappings; these are copied on the way."""
     *sections, key = place
     for each in sections:
         node[each] = dict(node.get(each) or {})
@@ -122,46 +126,49 @@ def _is_yaml(text: str) -> bool:
 def _with_value(text: str, place: Place, value: str) -> str | None:
     """Return the text with `value` at `place`, a path of keys, replaced or added.
 
-    None: the text's form leaves no safe position.
+    value: as YAML text. None: the text's form leaves no safe position.
     """
     node = yaml.compose(text, Loader=yaml.SafeLoader)
     if not isinstance(node, yaml.MappingNode) or node.flow_style:
         return None
-    end = "\r\n" if "\r\n" in text else "\n"
-    left = list(place)
-    while left and isinstance(node, yaml.MappingNode):
-        found = next((each for key, each in node.value if key.value == left[0]), None)
-        if found is None:
+    eol = "\r\n" if "\r\n" in text else "\n"
+    missing = list(place)
+    # Go down from the top as far as the keys exist; those left over are missing.
+    while missing and isinstance(node, yaml.MappingNode):
+        child = next((each for key, each in node.value if key.value == missing[0]), None)
+        if child is None:
             break
-        node, _ = found, left.pop(0)
-    if not left:
+        node, _ = child, missing.pop(0)
+    if not missing:
         if not isinstance(node, yaml.ScalarNode):
             return None
         return text[: node.start_mark.index] + value + text[node.end_mark.index :]
     if not isinstance(node, yaml.MappingNode):
         return None
-    if len(left) == len(place):
-        last = "" if text.endswith("\n") else end
-        return f"{text}{last}{end}{_block(left, value, 0, end)}{end}"
-    at = node.start_mark.index
+    # No key exists: a new block at the end of the file.
+    if len(missing) == len(place):
+        last_eol = "" if text.endswith("\n") else eol
+        return f"{text}{last_eol}{eol}{_block(missing, value, 0, eol)}{eol}"
+    start = node.start_mark.index
     if node.flow_style:
         comma = ", " if node.value else ""
-        return f"{text[: at + 1]}{_flow(left, value)}{comma}{text[at + 1 :]}"
+        return f"{text[: start + 1]}{_flow(missing, value)}{comma}{text[start + 1 :]}"
     # An anchor stands before the first key of its mapping.
-    at, column = node.value[0][0].start_mark.index, node.value[0][0].start_mark.column
-    return f"{text[:at]}{_block(left, value, column, end)}{end}{' ' * column}{text[at:]}"
+    start, column = node.value[0][0].start_mark.index, node.value[0][0].start_mark.column
+    return f"{text[:start]}{_block(missing, value, column, eol)}{eol}{' ' * column}{text[start:]}"
 
 
-def _block(keys: list[str], value: str, column: int, end: str) -> str:
-    """Return nested YAML lines for keys and a value, at indent `column`, joined by `end`.
+def _block(keys: list[str], value: str, column: int, eol: str) -> str:
+    """Return nested YAML lines for keys and a value, at indent `column`, joined by `eol`.
 
     The first line has no indent.
     """
     lines = [f"{' ' * (column + 2 * n)}{_key(each)}:" for n, each in enumerate(keys)]
-    return f"{end.join(lines).lstrip(' ')} {value}"
+    return f"{eol.join(lines).lstrip(' ')} {value}"
 
 
 def _flow(keys: list[str], value: str) -> str:
+    """Return nested keys and a value as one line of YAML, `a: {b: {c: value}}`."""
     return f"{''.join(f'{_key(each)}: {{' for each in keys[:-1])}{_key(keys[-1])}: {value}" + (
         "}" * (len(keys) - 1)
     )
@@ -174,7 +181,7 @@ def _key(name: str) -> str:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def _locked_folder(path: Path) -> Iterator[None]:
     """Lock the folder of `path`, so that no other program of lipservo writes a face YAML in it."""
     import fcntl
 

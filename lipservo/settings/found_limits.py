@@ -39,7 +39,7 @@ def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float)
     pulse = None if settings is None else settings.pulse
     if settings is None or pulse is None:
         raise SettingsError(f"{path.name}: no hobby servo is called {servo!r}")
-    return edited(path, _places(servo, pulse_values(pulse, limit, pulse_us)))
+    return edited(path, _places_of_servo(servo, pulse_values(pulse, limit, pulse_us)))
 
 
 def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[str, float]:
@@ -52,23 +52,23 @@ def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[
         raise SettingsError(
             f"{limit}: {pulse_us:g} us is outside {SHORTEST_FOUND_US:g}..{LONGEST_FOUND_US:g} us"
         )
-    found = {"min": pulse.min_us, "max": pulse.max_us, "neutral": pulse.neutral_us}
-    found[limit] = float(round(pulse_us))
-    if not found["min"] <= found["neutral"] <= found["max"]:
+    new = {"min": pulse.min_us, "max": pulse.max_us, "neutral": pulse.neutral_us}
+    new[limit] = float(round(pulse_us))
+    if not new["min"] <= new["neutral"] <= new["max"]:
         other = "min or max" if limit == "neutral" else "neutral"
         raise SettingsError(
             f"{limit}: {pulse_us:.0f} us would put neutral outside the limits (min "
-            f"{found['min']:g}, neutral {found['neutral']:g}, max {found['max']:g} us); set "
+            f"{new['min']:g}, neutral {new['neutral']:g}, max {new['max']:g} us); set "
             f"{other} first"
         )
-    if found["min"] == found["max"]:
+    if new["min"] == new["max"]:
         raise SettingsError(f"{limit}: {pulse_us:.0f} us makes min equal max; take another")
-    ends_deg = sorted((found[end] - found["neutral"]) / pulse.us_per_deg for end in ("min", "max"))
-    low_deg, high_deg = _inside(*ends_deg)
+    ends_deg = sorted((new[end] - new["neutral"]) / pulse.us_per_deg for end in ("min", "max"))
+    low_deg, high_deg = _rounded_inwards(*ends_deg)
     return {
-        "min_us": found["min"],
-        "max_us": found["max"],
-        "neutral_us": found["neutral"],
+        "min_us": new["min"],
+        "max_us": new["max"],
+        "neutral_us": new["neutral"],
         "min_deg": low_deg,
         "max_deg": high_deg,
     }
@@ -82,7 +82,7 @@ def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
     """
     if not most_deg - least_deg >= _LEAST_TURN_DEG:
         raise UserError("was not turned; turn it to both ends")
-    low_deg, high_deg = _inside(least_deg + INSIDE_DEG, most_deg - INSIDE_DEG)
+    low_deg, high_deg = _rounded_inwards(least_deg + INSIDE_DEG, most_deg - INSIDE_DEG)
     if not low_deg <= 0.0 <= high_deg:
         raise UserError(
             f"was turned from {least_deg:.1f} to {most_deg:.1f} deg, but its neutral, 0, must lie "
@@ -100,16 +100,16 @@ def turned_values(
     the YAML so far. Raises UserError for a joint that was not turned, or whose range does not
     include its neutral.
     """
-    found = range_values(least_deg - neutral_deg, most_deg - neutral_deg)
+    limits = range_values(least_deg - neutral_deg, most_deg - neutral_deg)
     offset_deg = round(zero_offset_deg + neutral_deg, 1)
-    return found if offset_deg == zero_offset_deg else {**found, "zero_offset_deg": offset_deg}
+    return limits if offset_deg == zero_offset_deg else {**limits, "zero_offset_deg": offset_deg}
 
 
 def with_ranges(path: Path, ranges: Mapping[str, Mapping[str, float]]) -> EditedYaml:
     """Return the face YAML with values of servos, {servo: {key: value}}, set; not written yet."""
     places: dict[Place, float] = {}
     for servo, values in ranges.items():
-        places |= _places(servo, values)
+        places |= _places_of_servo(servo, values)
     return edited(path, places)
 
 
@@ -125,21 +125,21 @@ def own_yaml(config: str) -> Path:
 
 def what_next(edit: EditedYaml) -> str:
     """Return words on when the limits in `edit` become valid, and whether to calibrate again."""
-    before, after = (parse_face(each, edit.path.name) for each in (edit.before, edit.text))
+    before, after = (parse_face(text, edit.path.name) for text in (edit.before, edit.text))
     then = "counts from the next start"
     if before.calibration is not None and before.checksum != after.checksum:
         then += f"; {before.calibration} was made for other limits: calibrate again"
     return then
 
 
-def _places(servo: str, values: Mapping[str, float]) -> dict[Place, float]:
+def _places_of_servo(servo: str, values: Mapping[str, float]) -> dict[Place, float]:
     return {("servos", servo, key): value for key, value in values.items()}
 
 
-def _inside(low_deg: float, high_deg: float) -> tuple[float, float]:
+def _rounded_inwards(low_deg: float, high_deg: float) -> tuple[float, float]:
     """Return limits rounded inwards to 0.1 deg, and cut to -180..180."""
     low_deg, high_deg = max(low_deg, -180.0), min(high_deg, 180.0)
-    slack = 1e-9  # 10.0 may be 9.999999999 of a division
-    low_deg = math.ceil(low_deg * _TENTHS - slack) / _TENTHS + 0.0
-    high_deg = math.floor(high_deg * _TENTHS + slack) / _TENTHS + 0.0
+    tolerance = 1e-9  # 10.0 may be 9.999999999 of a division
+    low_deg = math.ceil(low_deg * _TENTHS - tolerance) / _TENTHS + 0.0
+    high_deg = math.floor(high_deg * _TENTHS + tolerance) / _TENTHS + 0.0
     return low_deg, high_deg

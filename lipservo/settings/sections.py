@@ -101,7 +101,7 @@ class AccessSettings(Strict):
 
     @field_validator("origins", mode="before")
     @classmethod
-    def _a_list_will_do(cls, origins: object) -> object:
+    def _list_to_tuple(cls, origins: object) -> object:
         return tuple(origins) if isinstance(origins, list) else origins
 
 
@@ -186,7 +186,7 @@ class StaleSettings(Strict):
     limp_s: Seconds = 5.0
 
     @model_validator(mode="after")
-    def _the_times_rise(self) -> Self:
+    def _check_times_rise(self) -> Self:
         if not self.hold_s < self.neutral_s <= self.limp_s:
             raise ValueError(
                 f"needs hold_s < neutral_s <= limp_s, got {self.hold_s:g}, {self.neutral_s:g} "
@@ -227,7 +227,7 @@ class MotionSettings(Strict):
     ) = None
 
     @model_validator(mode="after")
-    def _the_strategy_has_them(self) -> Self:
+    def _check_style_of_strategy(self) -> Self:
         strategy = self.strategy or DEFAULT_STRATEGY
         given = [name for name in STYLE_NAMES if getattr(self, name) is not None]
         ignored = [name for name in given if name not in STYLES_OF[strategy]]

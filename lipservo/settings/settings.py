@@ -64,7 +64,7 @@ class ServoSettings(BusServo):
     expression: ServoExpression | None = None
 
     @model_validator(mode="after")
-    def _a_mouth_only_smiles(self) -> Self:
+    def _check_mouth_expression(self) -> Self:
         shown = None if self.expression is None else self.expression.of
         if self.part == "mouth" and shown not in (None, "smile"):
             raise ValueError(f"with `part: mouth` only `of: smile` works, not {shown}; remove it")
@@ -78,7 +78,7 @@ class _UnknownBus(BusSettings):
 
     @field_validator("kind", mode="before")
     @classmethod
-    def _is_not_known(cls, kind: object) -> object:
+    def _check_kind_text(cls, kind: object) -> object:
         if not isinstance(kind, str):
             raise ValueError(f"{shown(kind)} is not text")
         try:
@@ -119,12 +119,16 @@ class FaceSettings(Strict):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _as_its_bus_has_it(
-        cls, content: object, as_it_is: ModelWrapValidatorHandler[Self]
+    def _validate_by_bus(
+        cls, content: object, validate: ModelWrapValidatorHandler[Self]
     ) -> "FaceSettings":
+        """Validate a face YAML's content by the schema with the keys of its kinds of bus.
+
+        validate: pydantic's own validation by this class.
+        """
         if cls is FaceSettings and isinstance(content, Mapping):
             return face_schema(content).model_validate(content)
-        return as_it_is(content)
+        return validate(content)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Its class is made anew in every process.
@@ -132,11 +136,11 @@ class FaceSettings(Strict):
 
     @field_validator("prevent", mode="before")
     @classmethod
-    def _a_list_will_do(cls, rules: object) -> object:
+    def _list_to_tuple(cls, rules: object) -> object:
         return tuple(rules) if isinstance(rules, list) else rules
 
     @model_validator(mode="after")
-    def _rules_name_known_joints(self) -> Self:
+    def _check_rules(self) -> Self:
         """Raise ValueError if a rule of `prevent` names an unknown joint or forbids neutral."""
         known = set(self.servos)
         for n, rule in enumerate(self.prevent):
@@ -149,20 +153,18 @@ class FaceSettings(Strict):
 
     @field_validator("servos")
     @classmethod
-    def _every_servo_has_its_own_address(
-        cls, servos: Mapping[str, ServoSettings]
-    ) -> Mapping[str, ServoSettings]:
+    def _check_addresses(cls, servos: Mapping[str, ServoSettings]) -> Mapping[str, ServoSettings]:
         """Raise ValueError if there is no servo, or two on one bus have the same address."""
         if not servos:
             raise ValueError("at least one servo is needed")
-        first: dict[tuple[str, int], str] = {}
+        first_name: dict[tuple[str, int], str] = {}
         errors = []
         for name, servo in servos.items():
             bus = bus_of(servo)
-            before = first.setdefault((bus, servo.address), name)
-            if before != name:
+            other = first_name.setdefault((bus, servo.address), name)
+            if other != name:
                 errors.append(
-                    f"{before} and {name} both have {servo.address_key} {servo.address}"
+                    f"{other} and {name} both have {servo.address_key} {servo.address}"
                     f"{bus and f' on bus {bus}'}; every servo needs its own"
                 )
         if errors:
@@ -170,15 +172,15 @@ class FaceSettings(Strict):
         return servos
 
     @model_validator(mode="after")
-    def _every_bus_is_a_bus_of_its_own(self) -> Self:
+    def _check_buses(self) -> Self:
         """Raise ValueError for a bus without a servo, and for two with the same port and board."""
-        first: dict[tuple[str, str], str] = {}
+        first_name: dict[tuple[str, str], str] = {}
         for name, bus in self.buses.items():
             if name not in self.bus_of:
                 raise ValueError(f"buses.{name} has no servo (`bus: {name}`); remove it")
             if bus.port is None:
                 continue
-            if (other := first.setdefault((bus.port, bus.board), name)) != name:
+            if (other := first_name.setdefault((bus.port, bus.board), name)) != name:
                 raise ValueError(f"buses {other} and {name} both have port {bus.port}")
         return self
 
@@ -208,10 +210,10 @@ class FaceSettings(Strict):
         if name not in self.buses:
             known = ", ".join(self.buses) or "one, without a name"
             raise SettingsError(f"{self.name} has no bus {name:.60}; its buses: {known}")
-        servos = {key: each for key, each in self.servos.items() if bus_of(each) == name}
-        called, bus = f"{self.name} {name}", self.buses[name]
-        one = {"name": called, "bus": bus, "buses": {}, "servos": servos, "prevent": ()}
-        return self.model_copy(update=one)
+        servos = {key: servo for key, servo in self.servos.items() if bus_of(servo) == name}
+        face_name, bus = f"{self.name} {name}", self.buses[name]
+        changes = {"name": face_name, "bus": bus, "buses": {}, "servos": servos, "prevent": ()}
+        return self.model_copy(update=changes)
 
     @property
     def bus_kind(self) -> BusKind:
@@ -272,8 +274,8 @@ class FaceSettings(Strict):
         contains joint angles only.
         """
         mouth = self.mouth_servos.items()
-        matter = [(name, servo.min_deg, servo.max_deg) for name, servo in mouth]
-        return hashlib.sha256(json.dumps(matter).encode()).hexdigest()[:16]
+        relevant = [(name, servo.min_deg, servo.max_deg) for name, servo in mouth]
+        return hashlib.sha256(json.dumps(relevant).encode()).hexdigest()[:16]
 
     def joints(self) -> tuple[Joint, ...]:
         """Return a `Joint` for each servo, in the order of the YAML."""
@@ -301,36 +303,40 @@ def face_schema(content: Mapping[Any, Any]) -> type[FaceSettings]:
     """
     buses = content.get("buses")
     if isinstance(buses, Mapping) and buses:
-        return _schema_of_several(_kinds_of(buses))
+        return _schema_of_buses(_kinds_of(buses))
     bus = content.get("bus", BusSettings())
     kind = bus.get("kind", BusSettings().kind) if isinstance(bus, Mapping) else bus
-    return _schema(kind.kind if isinstance(kind, BusSettings) else kind)
+    return _schema_of_kind_name(kind.kind if isinstance(kind, BusSettings) else kind)
 
 
-def _schema(kind: object) -> type[FaceSettings]:
+def _schema_of_kind_name(kind: object) -> type[FaceSettings]:
+    """Return the schema of a face with one bus, by the name of its kind.
+
+    For an unknown kind its other keys are not checked, and servos are as on the default kind.
+    """
     try:
-        return _schema_of(bus_kind(kind if isinstance(kind, str) else ""))
+        return _schema_of_kind(bus_kind(kind if isinstance(kind, str) else ""))
     except UnknownBusError:
-        known = _schema_of(bus_kind(BusSettings().kind))
-        return create_model("FaceSettings", __base__=known, bus=(_UnknownBus, ...))
+        default_schema = _schema_of_kind(bus_kind(BusSettings().kind))
+        return create_model("FaceSettings", __base__=default_schema, bus=(_UnknownBus, ...))
 
 
 @cache
-def _schema_of(kind: BusKind) -> type[FaceSettings]:
+def _schema_of_kind(kind: BusKind) -> type[FaceSettings]:
     """Return the schema of a face with one bus of `kind`: that kind's keys of bus and servos."""
     bus = kind.settings
-    servo = _servo_of(kind)
-    needs_keys = any(field.is_required() for field in bus.model_fields.values())
+    servo = _servo_schema(kind)
+    has_required = any(field.is_required() for field in bus.model_fields.values())
     return create_model(
         "FaceSettings",
         __base__=FaceSettings,
         servos=(Mapping[JointName, servo], ...),  # type: ignore[valid-type]
-        bus=(bus, ... if needs_keys else bus()),
+        bus=(bus, ... if has_required else bus()),
     )
 
 
 @cache
-def _servo_of(kind: BusKind) -> Any:
+def _servo_schema(kind: BusKind) -> Any:
     return create_model("ServoSettings", __base__=(ServoSettings, kind.servo))
 
 
@@ -353,26 +359,26 @@ def _kinds_of(buses: Mapping[Any, Any]) -> _Kinds:
 
 
 @cache
-def _servos_of_several(kinds: _Kinds) -> Mapping[Any, type[BaseModel]]:
+def _servo_schemas(kinds: _Kinds) -> Mapping[Any, type[BaseModel]]:
     """Return the schema of a servo for each bus, by the bus's name."""
     return {
         name: _ServoOfUnknownBus
         if kind is None
-        else create_model("ServoSettings", __base__=_servo_of(kind), bus=(str, ...))
+        else create_model("ServoSettings", __base__=_servo_schema(kind), bus=(str, ...))
         for name, kind in kinds
     }
 
 
 @cache
-def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
+def _schema_of_buses(kinds: _Kinds) -> type[FaceSettings]:
     """Return the schema of a face with several buses, each checked by its kind."""
-    known = _servos_of_several(kinds)
+    servo_schemas = _servo_schemas(kinds)
 
     def servo_of(value: object) -> BaseModel:
         name = bus_of(value)
-        if isinstance(value, Mapping) and name not in known:
-            raise _no_bus(value, name, list(map(str, known)))
-        return known.get(name, ServoSettings).model_validate(value)
+        if isinstance(value, Mapping) and name not in servo_schemas:
+            raise _no_bus_error(value, name, list(map(str, servo_schemas)))
+        return servo_schemas.get(name, ServoSettings).model_validate(value)
 
     def bus_by_kind(value: object) -> BaseModel:
         return _settings_of(_kind_of(value)).model_validate(value)
@@ -392,19 +398,22 @@ def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
     )
 
 
-def _explaining(schema: type[FaceSettings], content: Mapping[Any, Any]) -> type[FaceSettings]:
-    """Return `schema` with the keys of each servo and bus in `content`, for error messages."""
+def _schema_with_keys(schema: type[FaceSettings], content: Mapping[Any, Any]) -> type[FaceSettings]:
+    """Return `schema` with the keys of each servo and bus in `content`, for error messages.
+
+    With one bus, or content of another form, it is returned unchanged.
+    """
     buses, servos = content.get("buses"), content.get("servos")
     if not isinstance(buses, Mapping) or not isinstance(servos, Mapping):
         return schema
     kinds = _kinds_of(buses)
-    known = _servos_of_several(kinds)
-    explained = create_model("FaceSettings", __base__=schema)
-    explained.by_name = {
+    known = _servo_schemas(kinds)
+    with_names = create_model("FaceSettings", __base__=schema)
+    with_names.by_name = {
         "servos": {name: known.get(bus_of(servo), ServoSettings) for name, servo in servos.items()},
         "buses": {name: _settings_of(kind) for name, kind in kinds},
     }
-    return explained
+    return with_names
 
 
 def _settings_of(kind: BusKind | None) -> type[BusSettings]:
@@ -427,20 +436,20 @@ def _kind_of(bus: object) -> BusKind | None:
         return None
 
 
-def _no_bus(servo: Mapping[Any, Any], name: str, known: Sequence[str]) -> ValidationError:
+def _no_bus_error(servo: Mapping[Any, Any], name: str, known: Sequence[str]) -> ValidationError:
     """Return the error for a servo whose `bus`, `name`, is missing or is not one of `known`."""
     buses = f"the buses of this face: {', '.join(known)}"
     bus_name = servo.get("bus")
     why = f"is missing; {buses}" if bus_name is None else f"{shown(bus_name)} is not one of {buses}"
-    line = InitErrorDetails(
+    details = InitErrorDetails(
         type="value_error", loc=("bus",), input=name, ctx={"error": ValueError(why)}
     )
-    return ValidationError.from_exception_data("ServoSettings", [line])
+    return ValidationError.from_exception_data("ServoSettings", [details])
 
 
 def load_face(path: Path) -> FaceSettings:
     """Read a face YAML. Raises SettingsError with one line for each error in it."""
-    return _load(path)
+    return _read_face(path)
 
 
 def load_shipped_face(name: str) -> FaceSettings:
@@ -449,7 +458,7 @@ def load_shipped_face(name: str) -> FaceSettings:
         raise SettingsError(
             f"no shipped face is called {name!r}; use one of {', '.join(shipped_faces())}"
         )
-    return _load(_shipped() / f"{name}.yaml")
+    return _read_face(_shipped() / f"{name}.yaml")
 
 
 def shipped_faces() -> tuple[str, ...]:
@@ -488,11 +497,11 @@ def parse_face(text: str, file_name: str) -> FaceSettings:
     try:
         return schema.model_validate(content)
     except ValidationError as error:
-        lines = explain(error, _explaining(schema, content), file_name)
+        lines = explain(error, _schema_with_keys(schema, content), file_name)
         raise SettingsError("\n".join(lines)) from error
 
 
-def _load(file: Traversable) -> FaceSettings:
+def _read_face(file: Traversable) -> FaceSettings:
     """Read and parse a face YAML. Raises SettingsError, also for a file that cannot be read."""
     try:
         text = file.read_text(encoding="utf-8")

@@ -23,8 +23,8 @@ _MOST_DIGITS = 40
 _DEEPEST = 20
 _INT = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
-_REPLACED = (_INT, _FLOAT, "tag:yaml.org,2002:timestamp")
-_WANTED = {
+_REPLACED_TAGS = (_INT, _FLOAT, "tag:yaml.org,2002:timestamp")
+_EXPECTED_KIND = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "float_type": "a number",
@@ -55,7 +55,7 @@ class _Loader(_SafeLoader):  # type: ignore[misc, valid-type]  # one of two
 
 
 _Loader.yaml_implicit_resolvers = {
-    first: [each for each in resolvers if each[0] not in _REPLACED]
+    first: [each for each in resolvers if each[0] not in _REPLACED_TAGS]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 
@@ -103,42 +103,46 @@ def read_mapping(text: str, file_name: str) -> dict[object, object]:
     except (yaml.YAMLError, ValueError) as error:
         if isinstance(error, SettingsError):
             raise
-        raise SettingsError(_explain(error, file_name)) from error
+        raise SettingsError(_yaml_error_line(error, file_name)) from error
     if not isinstance(content, dict):
-        raise SettingsError(f"{file_name}: must have `key: value` lines, found {_found(content)}")
+        raise SettingsError(f"{file_name}: must have `key: value` lines, found {_kind_of(content)}")
     return content
 
 
-def _found(content: object) -> str:
+def _kind_of(content: object) -> str:
     if content is None:
         return "nothing"
     return "a list" if isinstance(content, list) else shown(content)
 
 
-def _repeated_keys(node: yaml.Node, where: str, seen: set[int]) -> Iterator[str]:
-    """Yield a line for each key given twice at or below `node`; `seen` ends loops of aliases."""
-    if id(node) in seen:
+def _repeated_keys(node: yaml.Node, where: str, visited: set[int]) -> Iterator[str]:
+    """Yield a line of text for each key given twice at or below `node`.
+
+    where: file and keys that lead to the node. visited: ids of nodes seen, which ends loops of
+    aliases.
+    """
+    if id(node) in visited:
         return
-    seen.add(id(node))
+    visited.add(id(node))
     if isinstance(node, yaml.MappingNode):
-        lines: dict[str, int] = {}
+        line_of: dict[str, int] = {}
         for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 continue
             line = key.start_mark.line + 1
-            if key.value in lines:
+            if key.value in line_of:
                 yield (
-                    f"{where}.{key.value}: given twice, on lines {lines[key.value]} and {line}; "
+                    f"{where}.{key.value}: given twice, on lines {line_of[key.value]} and {line}; "
                     "keep one"
                 )
-            lines[key.value] = line
-            yield from _repeated_keys(value, f"{where}.{key.value}", seen)
+            line_of[key.value] = line
+            yield from _repeated_keys(value, f"{where}.{key.value}", visited)
     elif isinstance(node, yaml.SequenceNode):
         for index, item in enumerate(node.value):
-            yield from _repeated_keys(item, f"{where}.{index}", seen)
+            yield from _repeated_keys(item, f"{where}.{index}", visited)
 
 
-def _explain(error: Exception, file_name: str) -> str:
+def _yaml_error_line(error: Exception, file_name: str) -> str:
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
         line = error.problem_mark.line + 1
         return f"{file_name}: not YAML at line {line}: {error.problem or error.context}"
@@ -153,22 +157,22 @@ def explain(error: ValidationError, schema: type[BaseModel], file_name: str) -> 
     schema: the model that was validated, for the names of known keys.
     """
     lines = [
-        f"{_path(file_name, detail)}: {line}"
+        f"{_place_of_error(file_name, detail)}: {line}"
         for detail in error.errors(include_url=False)
-        for line in _lines(detail, schema)
+        for line in _lines_of_error(detail, schema)
     ]
     n_more = len(lines) - _MOST_LINES
     return lines if n_more <= 0 else [*lines[:_MOST_LINES], f"{file_name}: and {n_more} more"]
 
 
-def _path(file_name: str, detail: ErrorDetails) -> str:
+def _place_of_error(file_name: str, detail: ErrorDetails) -> str:
     """Join file and keys with dots; leave out "[key]", pydantic's mark for a bad mapping key."""
     return ".".join(
         [file_name, *(str(part)[:_LONGEST_KEY] for part in detail["loc"] if part != "[key]")]
     )
 
 
-def _lines(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
+def _lines_of_error(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
     """Yield the lines that explain one error of pydantic's to the author of a YAML.
 
     File and key are left out: `explain` adds them. schema: the model that was validated, for the
@@ -179,7 +183,7 @@ def _lines(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
         yield "is missing"
     elif kind == "extra_forbidden":
         *path, key = detail["loc"]
-        yield f"unknown setting; {_nearest(str(key), _keys_at(tuple(path), schema))}"
+        yield f"unknown setting; {_key_suggestion(str(key), _keys_at(tuple(path), schema))}"
     elif kind == "literal_error":
         allowed = detail["ctx"]["expected"].replace("'", "").replace(" or ", ", ")
         yield f"{shown(value)} is not known here; use one of {allowed}"
@@ -189,29 +193,33 @@ def _lines(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
         yield "is empty"
     elif kind == "value_error":
         yield from str(detail["ctx"]["error"]).splitlines()
-    elif kind in _WANTED:
+    elif kind in _EXPECTED_KIND:
         why = ""
         if kind == "string_type" and isinstance(value, bool):
             why = "; YAML reads on, off, yes and no as true and false: put it in quotes"
         elif kind == "string_type" and isinstance(value, int | float):
             why = "; put it in quotes"
-        yield f"{shown(value)} is not {_WANTED[kind]}{why}"
+        yield f"{shown(value)} is not {_EXPECTED_KIND[kind]}{why}"
     else:
         yield detail["msg"]
 
 
-def _nearest(key: str, known: list[str]) -> str:
+def _key_suggestion(key: str, known: list[str]) -> str:
     nearest = get_close_matches(key, known, n=1)
     return f"did you mean {nearest[0]}?" if nearest else f"known here: {', '.join(known)}"
 
 
 def _keys_at(path: tuple[int | str, ...], kind: object) -> list[str]:
-    """Return the keys known at `path` below `kind`, a model or a mapping or tuple of models."""
+    """Return the keys known at `path` below `kind`, a model or a mapping or tuple of models.
+
+    path: keys of mappings and indices of lists, as pydantic gives them for an error.
+    """
     if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+        # A mapping's or tuple's last type argument is that of its values.
         return _keys_at(path[1:], next(each for each in get_args(kind)[::-1] if each is not ...))
     if not path:
         return list(kind.model_fields)
-    by_name = getattr(kind, "by_name", {}).get(path[0])
-    if by_name is not None:  # a mapping whose values differ
-        return _keys_at(path[2:], by_name[path[1]])
+    schema_by_name = getattr(kind, "by_name", {}).get(path[0])
+    if schema_by_name is not None:  # a mapping whose values differ
+        return _keys_at(path[2:], schema_by_name[path[1]])
     return _keys_at(path[1:], kind.model_fields[str(path[0])].annotation)

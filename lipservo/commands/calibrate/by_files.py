@@ -60,25 +60,25 @@ def plan(
 
     procedure, names = setup.procedure(), setup.servos.names
     if refine is None or markers is None:
-        made = procedure.whole_range_plan()
-        then = f"--plan {file} --markers FILE -o FILE"
+        new_plan = procedure.whole_range_plan()
+        next_options = f"--plan {file} --markers FILE -o FILE"
     else:
-        from lipservo.calibrating.face_source import read_seen
+        from lipservo.calibrating.face_source import read_recorded
 
         mesh = mesh_options(landmarker, eye_distance_mm)
-        seen, capture = read_seen(setup, refine, markers, axes, mesh)
+        seen, capture = read_recorded(setup, refine, markers, axes, mesh)
         further, lines = procedure.further_plan(capture, seen.servos.positive, accept=accept)
         for line in lines:
             MESSAGES.print(line)
-        made = joined(read_plan(refine, names), further)
-        then = f"--plan {file} --markers {markers} -o FILE"
-    write_plan(made, file)
+        new_plan = joined(read_plan(refine, names), further)
+        next_options = f"--plan {file} --markers {markers} -o FILE"
+    write_plan(new_plan, file)
     if as_json:
-        print_json({"plan": str(file), "poses": len(made)})
+        print_json({"plan": str(file), "poses": len(new_plan)})
         return
     RESULTS.print(
-        f"{file}: {len(made)} poses. Reach each from the side it names (`lipservo calibrate pose "
-        f"{file}` does), record the markers, then `lipservo calibrate fit {then}`",
+        f"{file}: {len(new_plan)} poses. Reach each from the side it names (`lipservo calibrate "
+        f"pose {file}` does), record the markers, then `lipservo calibrate fit {next_options}`",
     )
 
 
@@ -133,13 +133,13 @@ def fit(
 
         result = fit_simulated_face(setup)
     else:
-        from lipservo.calibrating.face_source import read_seen
+        from lipservo.calibrating.face_source import read_recorded
         from lipservo.calibrating.measured_calibration import fit_capture
         from lipservo.calibrating.plan_poses import check_plan as check_goals
 
         check_goals(setup, plan)
         mesh = mesh_options(landmarker, eye_distance_mm)
-        setup, capture = read_seen(setup, plan, markers, axes, mesh)
+        setup, capture = read_recorded(setup, plan, markers, axes, mesh)
         with MESSAGES.status("fitting", spinner="line"):
             result = fit_capture(setup, capture)
     finish(setup, result, output, plots=plots, check_plan=check_plan, as_json=as_json)
@@ -175,7 +175,7 @@ def grade(
     check_files(file, inputs=[plan, markers])
     setup = load_setup(config, model, accept=accept)
     from calibration.fit.measured_grade import too_bad
-    from lipservo.calibrating.face_source import reader_of
+    from lipservo.calibrating.face_source import picture_reader
     from lipservo.calibrating.plan_poses import check_face, grade_by_files
     from lipservo.calibrating.shown_calibration import (
         coverage_table,
@@ -185,23 +185,23 @@ def grade(
     )
 
     check_face(setup, before, str(file))
-    read = reader_of(markers, setup, mesh_options(landmarker, eye_distance_mm))
-    found, warnings = grade_by_files(setup, before, plan, markers, axes=axes, read=read)
+    read = picture_reader(markers, setup, mesh_options(landmarker, eye_distance_mm))
+    graded, warnings = grade_by_files(setup, before, plan, markers, axes=axes, read=read)
     for line in () if as_json else warnings:
         MESSAGES.print(line)
-    bad = too_bad(found)
-    if bad is not None and not accept:
+    fault = too_bad(graded)
+    if fault is not None and not accept:
         raise UserError(
-            f"{file} stays as it is: {bad}; check the markers, calibrate anew, or save it anyway "
+            f"{file} stays as it is: {fault}; check the markers, calibrate anew, or save it anyway "
             "with --accept"
         )
-    save_calibration(found, file)
+    save_calibration(graded, file)
     if as_json:
-        grade, coverage = grade_values(found), coverage_values(found)
+        grade, coverage = grade_values(graded), coverage_values(graded)
         print_json(
             {"calibration": str(file), "grade": grade, "coverage": coverage, "warnings": warnings}
         )
         return
-    for line in report_lines(found, str(file), None, with_servos=False):
+    for line in report_lines(graded, str(file), None, with_servos=False):
         RESULTS.print(line)
-    RESULTS.print(coverage_table(found))
+    RESULTS.print(coverage_table(graded))

@@ -61,14 +61,14 @@ def by_hand(
     from lipservo.calibrating.hand_poses import pose_lines, with_hand_poses
     from lipservo.runtime.servos.assembly import servo_memories
 
-    let_go: list[StopReport] = []  # outlives whatever ends the session; the last one counts
+    releases: list[StopReport] = []  # outlives whatever ends the session; the last one counts
     status = 0
     kept_poses(setup.servos.names, keep)
     with setup_at_port(setup, port, sim, config) as at, DeferredSignals() as signals:
         check_servo_memories(before, servo_memories(at.settings))
         try:
             at = replace(at, keep=keep)
-            made_deg = _pose(at, let_go, signals) if at.has_place else hand_poses_by_keys(at)
+            made_deg = _pose_limp(at, releases, signals) if at.has_place else hand_poses_by_keys(at)
         except StopRequested as stop:
             status = 128 + stop.number
             n_kept = len(kept_poses(setup.servos.names, keep))
@@ -79,12 +79,12 @@ def by_hand(
             complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
         finally:
             with contextlib.suppress(StopRequested, OSError), signals.finish_first():
-                for report in let_go[-1:]:
-                    then = "it stays off" if report.complete else "keep your hands away"
-                    MESSAGES.print(f"{report.line()}; {then}")
-    unsure = bool(let_go) and not let_go[-1].complete
+                for report in releases[-1:]:
+                    advice = "it stays off" if report.complete else "keep your hands away"
+                    MESSAGES.print(f"{report.line()}; {advice}")
+    is_unconfirmed = bool(releases) and not releases[-1].complete
     if status:
-        raise typer.Exit(ExitStatus.UNCONFIRMED if unsure else status)
+        raise typer.Exit(ExitStatus.UNCONFIRMED if is_unconfirmed else status)
     # Trims may have been set while fingers were busy.
     after = with_hand_poses(load_calibration(file), setup.servos, made_deg, TOUCH_CURRENT_MA)
     save_calibration(after, file)
@@ -97,22 +97,24 @@ def by_hand(
             {
                 "calibration": str(file),
                 "poses": poses,
-                "torque_off": let_go[-1].as_dict() if let_go else None,
+                "torque_off": releases[-1].as_dict() if releases else None,
             }
         )
     else:
         for line in pose_lines(before, after):
             RESULTS.print(line)
-    if unsure:
+    if is_unconfirmed:
         raise typer.Exit(ExitStatus.UNCONFIRMED)
 
 
-def _pose(
-    at: "CalibrationSetup", let_go: list[StopReport], signals: "DeferredSignals"
+def _pose_limp(
+    setup: "CalibrationSetup", releases: list[StopReport], signals: "DeferredSignals"
 ) -> "Mapping[str, Array]":
     """Switch torque off if the user agrees; return hand poses, (n_servos,) degrees by name.
 
-    Torque is switched off once more at the end. Raises UserError if the user refuses.
+    releases: gets a report each time torque was switched off, which is done once more at the end.
+    signals: in whose `finish_first` no signal interrupts. Raises UserError if the user refuses, or
+    not every servo confirms.
     """
     from rich.live import Live
 
@@ -126,18 +128,18 @@ def _pose(
 
     with ExitStack() as stack:
         clock: Clock = MonotonicClock()
-        if at.settings.capabilities.in_memory:
+        if setup.settings.capabilities.in_memory:
             say_simulated()
-            simulated_bus, clock = simulated_wire(at.settings)
+            simulated_bus, clock = simulated_wire(setup.settings)
             bus: ServoBus = simulated_bus
         else:
-            bus = bus_for(at.settings, clock)
+            bus = bus_for(setup.settings, clock)
         with signals.finish_first():
             stack.enter_context(bus)
-        servos = LimpServos(at.settings, bus, clock)
+        servos = LimpServos(setup.settings, bus, clock)
         keys = stack.enter_context(PressedKeys())
         MESSAGES.print(
-            f"The servos of the mouth ({', '.join(at.servos.names)}) are let go now: what they "
+            f"The servos of the mouth ({', '.join(setup.servos.names)}) are let go now: what they "
             "hold falls. Hold the jaw with a hand. Space or Enter: let go. Any other key: leave "
             "all as it is.",
             soft_wrap=True, style="bold yellow",
@@ -149,13 +151,13 @@ def _pose(
 
         def release() -> None:
             with signals.finish_first():
-                let_go.append(servos.let_go())
+                releases.append(servos.let_go())
 
         release()
         stack.callback(release)
-        if not let_go[-1].complete:
+        if not releases[-1].complete:
             raise UserError("not every servo confirmed torque off, so nothing was kept")
         live = stack.enter_context(Live(console=MESSAGES, transient=True, auto_refresh=False))
-        front = LimpFront(servos, at.servos, keys, live, signals.finish_first)
-        joints, undivided = at.servos.joints, signals.finish_first
-        return make_poses(joints, HAND_POSES, front, lambda _: None, at.keep, undivided)
+        front = LimpFront(servos, setup.servos, keys, live, signals.finish_first)
+        joints, undivided = setup.servos.joints, signals.finish_first
+        return make_poses(joints, HAND_POSES, front, lambda _: None, setup.keep, undivided)

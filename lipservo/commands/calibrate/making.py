@@ -99,8 +99,8 @@ def load_setup(
         from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
 
         limits = {name: (s.min_deg, s.max_deg) for name, s in settings.mouth_servos.items()}
-        per_deg = {name: s.ticks_per_deg for name, s in settings.mouth_servos.items()}
-        check_within_recorded(read_ranges(ranges), limits, per_deg)
+        ticks_per_deg = {name: s.ticks_per_deg for name, s in settings.mouth_servos.items()}
+        check_within_recorded(read_ranges(ranges), limits, ticks_per_deg)
     from lipservo.calibrating.calibration_setup import CalibrationSetup
 
     return CalibrationSetup(settings, speaker, **options)
@@ -116,11 +116,11 @@ def setup_at_port(
     """
     from lipservo.runtime.servos.sim_process import servo_port
 
-    with servo_port(port, sim, config) as found:
-        if found is None:
+    with servo_port(port, sim, config) as actual_port:
+        if actual_port is None:
             yield setup
         else:
-            yield replace(setup, settings=setup.settings.at_port(found))
+            yield replace(setup, settings=setup.settings.at_port(actual_port))
 
 
 def mesh_options(
@@ -128,8 +128,8 @@ def mesh_options(
 ) -> "MeshOptions":
     """Return the options of a face tracker; its networks are opened only once it is used.
 
-    landmarker: the tracker's file; None: the default one. eye_distance_mm: between the person's
-    eyes; None: not given. camera: by number or name.
+    landmarker: the tracker's file; None: the default one. eye_distance_mm: between the outer
+    corners of the robot's eyes; None: not given. camera: its number or device, or a video file.
     """
     from lipservo.calibrating.face_source import MeshOptions
     from lipsync.video.face_tracker import open_tracker
@@ -182,31 +182,31 @@ def keep_beside(output: Path, keep: Path | None) -> Path:
 
 
 @contextmanager
-def going_on(output: Path, keep: Path | None) -> Iterator[Path]:
+def resumable_poses(output: Path, keep: Path | None) -> Iterator[Path]:
     """Yield the file of captured poses, from which the same command, if run again, continues.
 
     keep: as the user named the file; None: a file beside the calibration `output`; when the block
     ends without an error, that file is renamed to `.previous`. A CalibrationError of the block is
     raised with a hint what to do with the poses.
     """
-    kept = keep_beside(output, keep)
-    if kept.exists():
-        MESSAGES.print(f"{kept}: continues with the poses in it; delete it to begin anew")
+    poses_file = keep_beside(output, keep)
+    if poses_file.exists():
+        MESSAGES.print(f"{poses_file}: continues with the poses in it; delete it to begin anew")
     try:
-        yield kept
+        yield poses_file
     except CalibrationError as error:
-        if not kept.exists():
+        if not poses_file.exists():
             raise
         raise CalibrationError(
-            f"{error}; the poses are kept in {kept}: run the same command again to continue, or "
-            "delete that file to begin anew"
+            f"{error}; the poses are kept in {poses_file}: run the same command again to continue, "
+            "or delete that file to begin anew"
         ) from error
-    if keep is None and kept.exists():
-        kept.replace(kept.with_name(f"{kept.name}.previous"))
+    if keep is None and poses_file.exists():
+        poses_file.replace(poses_file.with_name(f"{poses_file.name}.previous"))
 
 
 @contextmanager
-def making(
+def resumable_setup(
     setup: "CalibrationSetup",
     output: Path,
     keep: Path | None,
@@ -216,12 +216,12 @@ def making(
 ) -> Iterator["tuple[CalibrationSetup, Callable[[CalibrationResult], None]]"]:
     """Yield the setup at its servos' port, and a function that saves an unfinished calibration.
 
-    keep, output: as for `going_on`, whose file the setup continues; port, sim, config: as for
-    `setup_at_port`.
+    keep, output: as for `resumable_poses`, whose file the setup continues; port, sim, config: as
+    for `setup_at_port`.
     """
-    with going_on(output, keep) as kept, setup_at_port(setup, port, sim, config) as at:
-        at = replace(at, keep=kept)
-        yield at, lambda so_far: save_so_far(at, so_far, output)
+    with resumable_poses(output, keep) as kept, setup_at_port(setup, port, sim, config) as at_port:
+        at_port = replace(at_port, keep=kept)
+        yield at_port, lambda so_far: save_so_far(at_port, so_far, output)
 
 
 def saved(
@@ -230,24 +230,25 @@ def saved(
     """Save a calibration to `output`, with the hand-made parts of the file that it replaces.
 
     Returns the calibration as saved, and notes on the parts kept. Raises UserError for a grade that
-    is too bad, unless `setup.accept`; the file is as it was before the calibration then.
+    is too bad, unless `setup.accept`; an unfinished form of this calibration in `output` is then
+    replaced by the file that was there before, or removed.
     """
     from calibration.files.calibration_file import PREVIOUS_SUFFIX
 
-    calibration, kept, bad = _made(setup, result, output)
-    if bad is not None:
+    calibration, notes, fault = _with_kept_parts(setup, result, output)
+    if fault is not None:
         if calibration.grade is not None and _is_unfinished(calibration, output):
-            before = output.with_name(output.name + PREVIOUS_SUFFIX)
-            if before.exists():
-                before.replace(output)
+            previous = output.with_name(output.name + PREVIOUS_SUFFIX)
+            if previous.exists():
+                previous.replace(output)
             else:
                 output.unlink()
         raise UserError(
-            f"{output} is not written: {bad}; read the warnings, capture again, or save it anyway "
-            "with --accept"
+            f"{output} is not written: {fault}; read the warnings, capture again, or save it "
+            "anyway with --accept"
         )
     _save(calibration, output)
-    return calibration, kept
+    return calibration, notes
 
 
 def save_so_far(setup: "CalibrationSetup", result: "CalibrationResult", output: Path) -> None:
@@ -255,25 +256,25 @@ def save_so_far(setup: "CalibrationSetup", result: "CalibrationResult", output: 
 
     What would be refused in the end is not saved.
     """
-    calibration, _, bad = _made(setup, result, output)
-    if bad is None:
+    calibration, _, fault = _with_kept_parts(setup, result, output)
+    if fault is None:
         _save(calibration, output)
         MESSAGES.print(f"{output} is saved, and usable; what follows is added to it")
 
 
-def _made(
+def _with_kept_parts(
     setup: "CalibrationSetup", result: "CalibrationResult", output: Path
 ) -> "tuple[Calibration, list[str], str | None]":
-    """Return a calibration with the hand-made parts of the file `output`.
+    """Return a calibration with the hand-made parts of the file `output` that it will replace.
 
-    Also lines about these parts, and why it is too bad to be saved, or None.
+    Also notes on these parts, and why the calibration is too bad to be saved, or None.
     """
     from calibration.fit.measured_grade import too_bad
-    from lipservo.calibrating.hand_poses import with_hand_made
+    from lipservo.calibrating.hand_poses import with_kept_hand_parts
 
-    calibration, kept = with_hand_made(result.calibration, setup.servos, output)
-    is_taken = result.fit is None or setup.accept
-    return calibration, kept, None if is_taken else too_bad(calibration)
+    calibration, notes = with_kept_hand_parts(result.calibration, setup.servos, output)
+    is_accepted = result.fit is None or setup.accept
+    return calibration, notes, None if is_accepted else too_bad(calibration)
 
 
 def _save(calibration: "Calibration", output: Path) -> None:
@@ -318,17 +319,17 @@ def finish(
     from lipservo.calibrating.within_speeds import speed_line, within_speeds
 
     fit = result.fit
-    calibration, kept = saved(setup, result, output)
+    calibration, notes = saved(setup, result, output)
     if plots is not None:
         from lipservo.calibrating.shown_calibration import draw_coverage
 
-        drawn = draw_coverage(plots, setup.model, calibration, fit)
-        MESSAGES.print(f"plots drawn: {drawn}")
-    then = None
+        picture = draw_coverage(plots, setup.model, calibration, fit)
+        MESSAGES.print(f"plots drawn: {picture}")
+    next_step = None
     if check_plan is not None:
         from lipservo.calibrating.plan_poses import write_check_poses
 
-        then = write_check_poses(setup, calibration, fit, check_plan, output)
+        next_step = write_check_poses(setup, calibration, fit, check_plan, output)
     jaw_r = jaw_check(setup, calibration)
     speeds = within_speeds(setup.model, calibration, setup.settings)
     if as_json:
@@ -343,22 +344,22 @@ def finish(
             "check_plan": None if check_plan is None else str(check_plan),
             "jaw_correlation": jaw_r,
             "warnings": result.warnings,
-            "kept": kept,
+            "kept": notes,
             "within_speeds": asdict(speeds),
         }
         if fit is not None:
             report["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
         print_json(report)
         return
-    for line in (*result.warnings, *kept):
+    for line in (*result.warnings, *notes):
         MESSAGES.print(line)
     for line in report_lines(calibration, str(output), fit):
         RESULTS.print(line)
     RESULTS.print(speed_line(speeds))
     if jaw_r is not None:
         RESULTS.print(f"the jaw goes with the speaker's: correlation {jaw_r:.2f}")
-    if then is not None:
-        RESULTS.print(then)
+    if next_step is not None:
+        RESULTS.print(next_step)
     if setup.settings.calibration != output.name:
         RESULTS.print(
             f"to use it, write `calibration: {output.name}` into the face's YAML, and keep both "

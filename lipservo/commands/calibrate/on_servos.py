@@ -24,8 +24,8 @@ from lipservo.commands.calibrate.making import (
     finish,
     keep_beside,
     load_setup,
-    making,
     mesh_options,
+    resumable_setup,
     setup_at_port,
 )
 from lipservo.commands.options import (
@@ -98,8 +98,8 @@ def measure(
     from lipservo.calibrating.face_source import calibrate_seen
 
     mesh = mesh_options(landmarker, eye_distance_mm, camera)
-    with making(setup, output, keep, port, sim, config) as (at, save):
-        result = calibrate_seen(at, tracker, axes, mesh, save)
+    with resumable_setup(setup, output, keep, port, sim, config) as (at_port, save):
+        result = calibrate_seen(at_port, tracker, axes, mesh, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
 
@@ -131,8 +131,8 @@ def guided(
     )
     from lipservo.calibrating.guided_calibration import calibrate_by_keys
 
-    with making(setup, output, keep, port, sim, config) as (at, save):
-        result = calibrate_by_keys(at, save)
+    with resumable_setup(setup, output, keep, port, sim, config) as (at_port, save):
+        result = calibrate_by_keys(at_port, save)
         finish(setup, result, output, as_json=as_json)
 
 
@@ -177,8 +177,8 @@ def practise(
     from lipservo.calibrating.measured_calibration import practise_in_memory, practise_over_wire
 
     practise_on = practise_in_memory if sim is None else practise_over_wire
-    with making(setup, output, keep, None, sim, config) as (at, save):
-        result = practise_on(at, seed, family, save)
+    with resumable_setup(setup, output, keep, None, sim, config) as (at_port, save):
+        result = practise_on(at_port, seed, family, save)
         finish(setup, result, output, plots=plots, as_json=as_json)
 
 
@@ -205,20 +205,20 @@ def pose(
     """
     check_inputs(plan)
     setup = load_setup(config, None, speed_deg_s=speed)
-    from lipservo.calibrating.plan_poses import read_poses, stand_in_poses
+    from lipservo.calibrating.plan_poses import hold_plan_poses, read_poses
     from lipservo.terminal.keys import read_line
 
     numbers, chosen = read_poses(setup, plan, poses or ())
 
     def arrived(row: int, reached_deg: "Array") -> None:
-        stands = zip(chosen.servo_names, reached_deg, chosen.goals_deg[row], strict=True)
-        angles = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in stands)
+        reached = zip(chosen.servo_names, reached_deg, chosen.goals_deg[row], strict=True)
+        angles = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in reached)
         RESULTS.print(f"pose {numbers[row]}: {angles} deg")
 
-    with setup_at_port(setup, port, sim, config) as at:
-        if at.settings.capabilities.in_memory:
+    with setup_at_port(setup, port, sim, config) as at_port:
+        if at_port.settings.capabilities.in_memory:
             say_simulated()
-        stand_in_poses(at, chosen, arrived, lambda: read_line("Enter when it is recorded"))
+        hold_plan_poses(at_port, chosen, arrived, lambda: read_line("Enter when it is recorded"))
 
 
 def lags(
@@ -254,25 +254,25 @@ def lags(
     from lipservo.calibrating.shown_calibration import following_lines, following_values
 
     if lag_ms:
-        found = typed_lags(setup, before, lag_ms)
+        measured = typed_lags(setup, before, lag_ms)
     elif not setup.settings.capabilities.place:
         raise CalibrationError(
             f"servos on a {setup.settings.bus.kind} bus cannot measure their lag: film one, and "
             f"give the lag, such as --lag-ms {setup.servos.names[0]}=60"
         )
     else:
-        with setup_at_port(setup, port, sim, config) as at:
-            found = measure_lags(at, before)
+        with setup_at_port(setup, port, sim, config) as at_port:
+            measured = measure_lags(at_port, before)
     # Trims may have been set while servos chirped.
-    now = load_calibration(file)
-    if now.origin != before.origin or now.servo_names != before.servo_names:
+    present = load_calibration(file)
+    if present.origin != before.origin or present.servo_names != before.servo_names:
         raise CalibrationError(f"{file}: was replaced while servos were measured; measure again")
-    found = replace(now, following=found.following)
-    save_calibration(found, file)
+    measured = replace(present, following=measured.following)
+    save_calibration(measured, file)
     if as_json:
-        print_json({"calibration": str(file), "servos": following_values(found)})
+        print_json({"calibration": str(file), "servos": following_values(measured)})
         return
-    for line in following_lines(found):
+    for line in following_lines(measured):
         RESULTS.print(line)
 
 
@@ -317,18 +317,18 @@ def touch(
     if by_eye and tracker is not None:
         raise typer.BadParameter("give --by-eye or --tracker, not both")
 
-    with setup_at_port(setup, port, sim, config) as at:
+    with setup_at_port(setup, port, sim, config) as at_port:
         if tracker is not None:
             mesh = mesh_options(landmarker, eye_distance_mm, camera)
-            with tracker_source(at, tracker, axes, mesh) as make_tracker:
-                found, later_mm = touch_by_markers(at, before, make_tracker)
+            with tracker_source(at_port, tracker, axes, mesh) as make_tracker:
+                new, later_mm = touch_by_markers(at_port, before, make_tracker)
         elif sim is not None and not by_eye:
-            found, later_mm = touch_by_markers(at, before, lambda _: computed_tracker(at))
-        elif by_eye or not at.has_load:
-            found, later_mm = touch_by_eye(at, before, read_key)
+            new, later_mm = touch_by_markers(at_port, before, lambda _: computed_tracker(at_port))
+        elif by_eye or not at_port.has_load:
+            new, later_mm = touch_by_eye(at_port, before, read_key)
         else:
-            found, later_mm = touch_by_current(at, before)
-    save_calibration(found, file)
+            new, later_mm = touch_by_current(at_port, before)
+    save_calibration(new, file)
     if as_json:
         print_json({"calibration": str(file), "contact_later_mm": later_mm})
         return

@@ -79,8 +79,8 @@ def show(
         from lipservo.terminal.pictures import check_folder
 
         check_folder(plots, [PICTURE])
-        drawn = draw_reach(plots, calibration)
-        MESSAGES.print(f"plots drawn: {drawn}")
+        picture = draw_reach(plots, calibration)
+        MESSAGES.print(f"plots drawn: {picture}")
     if as_json:
         print_json({"calibration": str(file), **shown_values(calibration, rules)})
         return

@@ -6,10 +6,10 @@ import pytest
 from calibration.calibration import CouplingRule
 from calibration.capture.capture import Capture, plan_poses
 from calibration.capture.joint_health import (
-    alive,
     doubtful_joints,
     extra_poses,
     is_dead,
+    joint_signal,
     moved_alone_mm,
 )
 from calibration.capture.straight_lines import straight_lines
@@ -60,7 +60,7 @@ def test_a_first_look_leaves_both_in_doubt_and_never_the_jaw():
         capture = first_look(effect, 0)
         assert doubtful_joints(capture) == [1]
     capture = first_look(EFFECT, 0)
-    assert alive(straight_lines(capture), 0) > 100.0
+    assert joint_signal(straight_lines(capture), 0) > 100.0
 
 
 def test_a_second_look_moves_one_joint_at_a_time_between_its_ends_within_the_rules():

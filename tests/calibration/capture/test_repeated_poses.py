@@ -8,11 +8,11 @@ import pytest
 from calibration.capture.capture import Capture, joined, plan_poses
 from calibration.capture.joint_health import JointFault
 from calibration.capture.repeated_poses import (
-    bears_out,
     changed_poses,
+    confirms,
     face_change,
-    first_part,
     is_repeated,
+    poses_to_repeat,
     repeats,
 )
 from calibration.capture.straight_lines import straight_lines
@@ -22,7 +22,7 @@ from lipsync.markers import MARKERS_47
 JOINTS = tuple(JointRange(name, -25.0, 30.0) for name in ("jaw", "upper", "lower", "corner"))
 NAMES = tuple(joint.name for joint in JOINTS)
 PLAN = plan_poses(JOINTS, 40)
-TWICE = joined(PLAN, first_part(PLAN))
+TWICE = joined(PLAN, poses_to_repeat(PLAN))
 N_MARKERS, NOISE_MM, MIDDLE = 20, 0.5, 25
 
 
@@ -49,7 +49,7 @@ def from_middle(change):
 
 
 def test_the_first_part_is_neutral_and_every_joint_alone_from_either_side():
-    part = first_part(PLAN)
+    part = poses_to_repeat(PLAN)
     assert len(part) == 2 + 2 * len(JOINTS)
     assert (np.count_nonzero(part.goals_deg, axis=1) <= 1).all()
     assert len(repeats(capture_of())) == len(part)
@@ -106,14 +106,14 @@ def test_a_suspicion_is_borne_out_by_the_joint_that_stopped_and_by_no_other():
     tear = from_middle(lambda goal_deg: np.where(np.arange(4) == 2, 0.5, goal_deg))
     capture = capture_of(2, tear)
     changed = changed_poses(capture, straight_lines(capture))
-    borne = [bears_out(changed, JointFault("stopped", joint, MIDDLE)) for joint in range(4)]
+    borne = [confirms(changed, JointFault("stopped", joint, MIDDLE)) for joint in range(4)]
     assert borne == [False, False, True, False]
-    assert not bears_out(changed, JointFault("shifted", -1, MIDDLE))
+    assert not confirms(changed, JointFault("shifted", -1, MIDDLE))
 
 
 def test_a_jaw_alone_that_tears_its_rod_is_named_though_every_pose_is_off_by_another_amount():
     plan = plan_poses(JOINTS[:1], 40)
-    plan = joined(plan, first_part(plan))
+    plan = joined(plan, poses_to_repeat(plan))
     rng = np.random.default_rng(4)
     jaw_deg = np.where(np.arange(len(plan)) < len(plan) // 2, plan.goals_deg[:, 0], 0.0)
     markers_mm = jaw_deg[:, None, None] * 0.1 * rng.normal(size=(N_MARKERS, 3))

@@ -17,7 +17,7 @@ from calibration.calibration import (
     check_servo_memories,
 )
 from calibration.capture.capture import KeptPoses, Robot, ladders_of
-from calibration.capture.repeated_poses import first_part
+from calibration.capture.repeated_poses import poses_to_repeat
 from calibration.capture.trackers import PATIENCE_S, FileTracker
 from calibration.files.calibration_file import parse_calibration
 from calibration.files.calibration_text import calibration_text
@@ -154,7 +154,7 @@ def test_the_second_part_of_a_capture_is_where_speech_will_be_and_keeps_the_rule
     assert len(before) == 17
     second = robot()
     capture = procedure.capture(MARKERS_47.names, Robot(second.move, second.measure), kept=keep)
-    again = len(first_part(procedure.range_plan()))
+    again = len(poses_to_repeat(procedure.range_plan()))
     assert (ladders_of(capture) == 0).sum() == 20 + again
     assert np.allclose(capture.goals_deg[:17], before, atol=1e-3)
     assert (capture.goals_deg @ rule.weights <= 30.0 + 1e-9).all()

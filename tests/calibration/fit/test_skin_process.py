@@ -26,7 +26,7 @@ VALUES_MM = RNG.normal(size=(9, 4, 3))
 
 def dense(one, other):
     """The covariance (n * n_markers, m * n_markers) that the process stands for."""
-    return np.kron(SETTING.joints(one, other), SETTING.skin(APART_MM2))
+    return np.kron(SETTING.pose_covariance(one, other), SETTING.skin_covariance(APART_MM2))
 
 
 def test_predictions_are_those_of_the_dense_process():
@@ -71,8 +71,8 @@ def test_a_setting_is_found_again_from_what_it_makes():
         np.full(2, 20.0),
     )
     inputs = poses.inputs(made.backlash_deg)
-    joints = np.linalg.cholesky(made.joints(inputs, inputs) + 1e-9 * np.eye(60))
-    skin = np.linalg.cholesky(made.skin(apart_mm2))
+    joints = np.linalg.cholesky(made.pose_covariance(inputs, inputs) + 1e-9 * np.eye(60))
+    skin = np.linalg.cholesky(made.skin_covariance(apart_mm2))
     true_mm = np.einsum("ni,ijk,mj->nmk", joints, rng.normal(size=(60, 20, 3)), skin)
     found = fit_hyperparameters(poses, true_mm + rng.normal(0, 0.5, true_mm.shape), apart_mm2)
     assert found.noise_mm2 == pytest.approx(0.25, rel=0.1)

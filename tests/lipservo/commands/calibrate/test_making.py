@@ -11,7 +11,7 @@ from calibration.calibration import CalibrationError
 from calibration.files.calibration_file import load_calibration
 from calibration.grade import Grade
 from lipservo.calibrating.measured_calibration import CalibrationResult
-from lipservo.commands.calibrate.making import finish, going_on, load_setup, save_so_far
+from lipservo.commands.calibrate.making import finish, load_setup, resumable_poses, save_so_far
 from lipsync.errors import UserError
 
 CONFIG = Path(__file__).parents[4] / "config"
@@ -95,7 +95,7 @@ def test_kept_poses_are_put_aside_when_all_is_done_and_named_when_it_is_refused(
     kept.write_text("a pose")
 
     def refused():
-        with going_on(output, None):
+        with resumable_poses(output, None):
             raise CalibrationError("'jaw' is reversed")
 
     with pytest.raises(
@@ -104,12 +104,12 @@ def test_kept_poses_are_put_aside_when_all_is_done_and_named_when_it_is_refused(
         refused()
     assert kept.exists()
 
-    with going_on(output, None) as again:
+    with resumable_poses(output, None) as again:
         assert again == kept
     assert [path.name for path in tmp_path.iterdir()] == ["face.calibration.yaml.poses.previous"]
 
     own = tmp_path / "mine.jsonl"
     own.write_text("a pose")
-    with going_on(output, own) as again:
+    with resumable_poses(output, own) as again:
         assert again == own
     assert own.exists()
