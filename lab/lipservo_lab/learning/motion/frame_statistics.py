@@ -220,7 +220,7 @@ def principal_components(frames: Array, weights: Array, n_components: int) -> Pr
     total = weights.sum()
     mean = (frames * weights[:, None]).sum(axis=0) / total
     if frames.shape[1] > _MOST_FOR_COVARIANCE:
-        return _by_lanczos(frames - mean, mean, weights, n_components)
+        return _lanczos(frames - mean, mean, weights, n_components)
     weighted = frames * np.sqrt(weights)[:, None]
     scatter = weighted.T @ weighted - total * np.outer(mean, mean)
     variances, vectors = np.linalg.eigh(scatter)
@@ -229,9 +229,7 @@ def principal_components(frames: Array, weights: Array, n_components: int) -> Pr
     return PrincipalComponents(mean, _with_fixed_signs(basis)[:n_components].copy(), held)
 
 
-def _by_lanczos(
-    centred: Array, mean: Array, weights: Array, n_components: int
-) -> PrincipalComponents:
+def _lanczos(centred: Array, mean: Array, weights: Array, n_components: int) -> PrincipalComponents:
     """Return the leading components by Lanczos' method, without forming the covariance.
 
     centred: frames less their mean, (n_frames, n_values); weights: (n_frames,).
