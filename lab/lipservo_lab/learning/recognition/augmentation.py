@@ -140,7 +140,8 @@ def _of_length(samples: Array32, n: int) -> Array32:
 
 Labels = NDArray[np.int64]
 
-#: The recipe's gain was -25..+5 dB and lost .12 at -30 dB; -40 covers it.
+#: Gain of heavily augmented copies. Weights trained with -25 to +5 dB recognised .12 less at -30
+#: dB; -40 covers that level.
 _GAIN_DB = (-40.0, 5.0)
 _SNR_DB = (2.0, 25.0)
 #: How far a second talker is below the first. If both were equally loud, it would be undecided
