@@ -159,9 +159,9 @@ class Auditor:
             for servo, speed in zip(servos, self._speed.tolist(), strict=True)
         }
         self._jump = _JUMP_DEG_S * per_deg
-        #: Where each shaft would be if nothing hindered it: behind its trajectory only by the lag of
-        #: its position loop. A shaft that is elsewhere was pushed, jammed or loaded, and the servo
-        #: brings it back as fast as it can, without being commanded.
+        #: Where each shaft would be if nothing hindered it: behind its trajectory only by its
+        #: position loop's lag. A shaft elsewhere was pushed, jammed or loaded; its servo brings it
+        #: back as fast as it can, without being commanded.
         self._free = np.zeros(len(servos))
         self._is_free = np.zeros(len(servos), dtype=np.bool_)
         self._last: dict[int, int] = {}
@@ -241,7 +241,7 @@ class Auditor:
         return bool(abs(goal - self._chain.motors.position[index]) <= _PLACE_PULSES)
 
     def _see_torque(self, servo_id: int, time_s: float) -> None:
-        """Count torque that comes on after a stop, without all settings, or with another goal."""
+        """Count torque that comes on after a stop, without all settings, or at another goal."""
         if self._stopped_s is not None and time_s > self._stopped_s:
             self.armed_late += 1
         index = self._index(servo_id)

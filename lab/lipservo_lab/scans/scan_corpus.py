@@ -19,18 +19,21 @@ from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.output_file import write_whole
 from lipsync.textgrid import write_tiers
 
-#: A corpus keeps 64ths: here of a millimetre.
+#: A corpus stores 64ths: here of a millimetre.
 _UNITS_PER_MM = 64.0
 #: A corpus has y down and z into the picture.
 _TO_PICTURE_AXES = np.array([1.0, -1.0, -1.0])
 _RIGHT_EYE, _LEFT_EYE = 33, 263
-#: For cross-validation by `lipservo bench motion`, where there are enough sentences.
+#: Folds for cross-validation by `lipservo bench motion`, and the sentences that these need.
 _FOLDS, _LEAST_FOR_FOLDS = 5, 10
 _KIND = "lipservo registered scans"
 
 
 class CorpusWriter:
-    """Writes takes into a folder that is not there yet for others, one after the other."""
+    """Writes takes, one after the other, into a new folder.
+
+    place: the folder, empty. rate_hz: scans a second.
+    """
 
     def __init__(self, place: Path, template: Template, rate_hz: float) -> None:
         self._place = place
@@ -41,11 +44,11 @@ class CorpusWriter:
             (place / name).mkdir()
 
     def add(self, made: RegisteredTake, sound: TakeSound) -> None:
-        """Write one sentence."""
+        """Write the points, sound and labels of one take as a sentence."""
         name = made.take.name
-        whole = np.rint(made.points_mm * _TO_PICTURE_AXES * _UNITS_PER_MM)
-        small = np.abs(whole).max() <= np.iinfo(np.int16).max
-        points = whole.astype(np.int16 if small else np.int32)
+        units = np.rint(made.points_mm * _TO_PICTURE_AXES * _UNITS_PER_MM)
+        fits_int16 = np.abs(units).max() <= np.iinfo(np.int16).max
+        points = units.astype(np.int16 if fits_int16 else np.int32)
         np.savez_compressed(self._place / "landmarks" / f"{name}.npz", landmarks_64th_px=points)
         soundfile.write(self._place / "audio" / f"{name}.flac", sound.samples, SAMPLE_RATE_HZ)
         write_tiers(self._place / "labels" / f"{name}.TextGrid", sound.tiers)

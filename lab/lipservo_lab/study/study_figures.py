@@ -74,6 +74,7 @@ def _ratings(counted: Counted, mixed: MixedModel | None, reference: int) -> list
 
 
 def _pairs(tables: Tables, reference: int) -> list[Row]:
+    """Return a row a method: strength, difference from the reference, times shown and chosen."""
     shown = tables.pairs[:, 2:].ravel()
     rows = _rows(tables, shown, preferred(tables, reference), "strength")
     for n, row in enumerate(rows):
@@ -82,7 +83,7 @@ def _pairs(tables: Tables, reference: int) -> list[Row]:
 
 
 def _won_over(tables: Tables) -> dict[str, dict[str, int]]:
-    """How often the first was chosen over the second."""
+    """Return how often the first method was chosen over the second, by both names."""
     counts = Counter(map(tuple, tables.pairs[:, 2:].tolist()))
     return {
         one: {other: counts[i, j] for j, other in enumerate(tables.methods) if i != j}
@@ -120,6 +121,7 @@ def _rows(tables: Tables, shown: Indices, found: Estimates, name: str) -> list[R
 
 
 def _named(name: str, figure: Figure | None) -> Row:
+    """Return a figure and its interval as `name` and `name`_95; None: both are None."""
     if figure is None:
         return {name: None, f"{name}_95": None}
     ends = None if figure.low is None else [_number(figure.low), _number(figure.high or 0.0)]
@@ -127,15 +129,15 @@ def _named(name: str, figure: Figure | None) -> Row:
 
 
 def _number(value: float) -> float | None:
-    """JSON knows no NaN: what nothing was measured of is null."""
+    """Return a value rounded for JSON; None for NaN, which JSON does not have."""
     return None if np.isnan(value) else round(float(value), 4)
 
 
 def machine_tables(path: Path, study: Study, key: Key) -> dict[str, Tables]:
     """Return what each machine reader read as tables, by reader; empty if the file is missing.
 
-    Each sentence counts as a rater of its own, since a machine reads always alike: so intervals are
-    over sentences alone. Raises StudyError.
+    Each sentence counts as a rater, since a machine always reads alike: so intervals are over
+    sentences alone. Raises StudyError for a file that is not one of `study make`.
     """
     if not path.exists():
         return {}
@@ -144,10 +146,10 @@ def machine_tables(path: Path, study: Study, key: Key) -> dict[str, Tables]:
         readers = dict.fromkeys(record["reader"] for record in records)
         found = {}
         for reader in readers:
-            own = [r for r in records if r["reader"] == reader]
-            sentences = dict.fromkeys(key.clips[r["clip"]].sentence for r in own)
+            of_reader = [r for r in records if r["reader"] == reader]
+            sentences = dict.fromkeys(key.clips[r["clip"]].sentence for r in of_reader)
             clips_of = {
-                s: [r for r in own if key.clips[r["clip"]].sentence == s] for s in sentences
+                s: [r for r in of_reader if key.clips[r["clip"]].sentence == s] for s in sentences
             }
             found[f"reader of {reader}"] = _tables_of_reader(study, key, clips_of)
     except (ValueError, KeyError, TypeError) as error:
