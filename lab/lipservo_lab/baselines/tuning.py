@@ -112,10 +112,8 @@ def _add_sentence(
     total = weights.sum(axis=1, keepdims=True) + _TINY
     error = weights @ targets / total - faces
     # d cost / d weight_k = 2 error . (target_k - face) / total
-    by_weight = (
-        2.0 * (error @ targets.T - (error * (error + faces)).sum(axis=1, keepdims=True)) / total
-    )
-    by_exponent = -by_weight * weights
+    pull = 2.0 * (error @ targets.T - (error * (error + faces)).sum(axis=1, keepdims=True)) / total
+    by_exponent = -pull * weights
     np.add.at(slope[0], (each, after), by_exponent * power * raised)
     np.add.at(slope[1], (each, after), by_exponent * raised * np.log(scaled))
     return float((error**2).sum())
