@@ -89,8 +89,8 @@ def _render_folder(
 ) -> None:
     """Render all sounds of a folder that are not yet rendered, and print what was done.
 
-    cluster: None renders on `n_processes` of this computer. Raises UserError with all that failed,
-    after everything else was rendered and printed.
+    how: options. cluster: None renders on `n_processes` of this computer. Raises UserError with all
+    failures, after everything else was rendered and printed.
     """
     from rich.progress import Progress
 
@@ -102,7 +102,7 @@ def _render_folder(
 
     check_extra("joblib", "rendering a folder")
     lines = lines_of(folder, output)
-    load_speaker(how.model, how.offline)  # a model that is wrong is told once, not for every line
+    load_speaker(how.model, how.offline)  # a wrong model is reported once, not for every line
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,8 +1,6 @@
-"""`learn recognizer` and `learn plot`: the recogniser's weights, and the log of their training.
+"""`learn recognizer` trains weights of the recogniser; `learn adapt` adapts them to one voice.
 
-`adapt`: the recogniser's weights learn one voice.
-
-The picture of a recogniser's training: its loss, and what the validation speakers say.
+`learn plot` draws the log of a training: the loss, and the accuracy on the validation speakers.
 """
 
 import json
@@ -198,7 +196,10 @@ def train_recognizer(
 
 
 def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
-    """Whole numbers with commas between; none: empty. Raises UserError."""
+    """Return the whole numbers in a list with commas; empty for an empty list.
+
+    Raises UserError for anything else, and for numbers out of range.
+    """
     try:
         numbers = tuple(int(each) for each in listed.split(",") if each.strip())
     except ValueError:
@@ -224,7 +225,7 @@ def plot_training(
 
 
 def _speakers(listed: str) -> frozenset[str]:
-    """Names with commas between; one that ends in .csv is a file of speakers."""
+    """Return names with commas between; a name that ends in .csv is a file of speakers."""
     from lipservo_lab.corpus.transcribed import read_speakers
 
     names: set[str] = set()
@@ -233,7 +234,7 @@ def _speakers(listed: str) -> frozenset[str]:
     return frozenset(names)
 
 
-#: What is graded, in words for the table.
+#: Figures that grade an adaptation, with their labels in the table.
 _GRADED = {
     "viseme_speech": "visemes, frames of speech",
     "viseme_all": "visemes, all frames",
@@ -314,7 +315,7 @@ def adapt(
     if as_json:
         print_json(figures)
     else:
-        _print(voice, before, after)
+        _print_grades(voice, before, after)
     if not is_better:
         raise VoiceError(
             f"{output}: not written, since the adapted weights do not recognise this voice better "
@@ -334,8 +335,8 @@ def adapt(
     )
 
 
-def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:
-    """Print what a voice was learned from, what was left out, and the grades before and after."""
+def _print_grades(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:
+    """Print what the network was adapted to, what was left out, and figures before and after."""
     for name, reason in voice.left_out.items():
         MESSAGES.print(f"left out: {name}: {reason}", soft_wrap=True)
     RESULTS.print(
@@ -356,7 +357,10 @@ class TrainingLogError(UserError):
 
 
 def read_log(path: Path) -> list[Record]:
-    """The lines of a `log.jsonl`; TrainingLogError for a file that is none."""
+    """Return the records of a `log.jsonl`.
+
+    Raises TrainingLogError for a file that is not one.
+    """
     try:
         records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     except OSError as error:

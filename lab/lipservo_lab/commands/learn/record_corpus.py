@@ -131,7 +131,7 @@ def record_corpus(
 
 
 def _mode(size: str, rate_hz: float) -> "CameraMode":
-    """Return the camera mode of an option WIDTHxHEIGHT; raise BadParameter for anything else."""
+    """Return the camera mode of an option WIDTHxHEIGHT; raises BadParameter for anything else."""
     from lipservo.calibrating.camera import CameraMode
 
     width, _, height = size.lower().partition("x")
@@ -143,7 +143,7 @@ def _mode(size: str, rate_hz: float) -> "CameraMode":
 
 
 def _check_folder(folder: Path) -> None:
-    """Make it where it is not there. Raises OutputError."""
+    """Make the folder if it does not exist. Raises OutputError."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; name a folder to record into")
     try:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from lipservo_lab.study.making import Film
 
 _METHODS = "recorded,ears,words,scripted,wei-deng,edge,cohen-massaro,catmull-rom,rhubarb,still"
-#: Square, so that the face fills it: a mouth is what is judged.
+#: Size of the clips: square, so that the face fills it; raters judge the mouth.
 _SIZE = (640, 640)
 Folder = Annotated[Path, typer.Argument(help="Folder of the study.")]
 Ratings = Annotated[int, typer.Option(min=0, max=400, help="Number of clips a rater rates.")]
@@ -135,6 +135,7 @@ def _consent_text(path: Path | None) -> str:
 
 
 def _test_of(folder: Path, recordings: "Corpus") -> frozenset[str]:
+    """Return the names of the held-out sentences, `random_test` of splits.json."""
     from lipservo_lab.evaluation.readability.reading_scores import KNOWN, reading_parts
 
     return next(part.test for part in reading_parts(folder, recordings) if part.split == KNOWN)
@@ -145,7 +146,8 @@ def _model_for(
 ) -> "TrainedModel":
     """Return the given model, or one trained now, that has not learned the shown sentences.
 
-    A model that has learned a sentence would recite it.
+    A model would repeat a sentence that it has learned. Raises StudyError for a given model that
+    has.
     """
     from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipservo_lab.learning.motion.trained_model import load_trained_model
@@ -166,7 +168,10 @@ def _model_for(
 
 
 def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film":
-    """Return a film with the same head for all clips."""
+    """Return a function that films faces, with the same head for all clips.
+
+    face: "twin", or the path of a photograph.
+    """
     from lipservo.display.film import film
     from lipservo.display.filmed_faces import photograph
     from lipservo.display.photo_display import PhotoDisplay
@@ -181,11 +186,11 @@ def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film
     )
     display: Display = PhotoDisplay(shown)
 
-    def filmed(faces: Array, rate_hz: float, sound: Path, out: Path) -> None:
+    def film_clip(faces: Array, rate_hz: float, sound: Path, out: Path) -> None:
         frames = (Frame(n / rate_hz, each) for n, each in enumerate(faces))
         film(frames, sound, display, out, rate_hz=round(rate_hz))
 
-    return filmed
+    return film_clip
 
 
 def serve(
@@ -230,7 +235,7 @@ def serve(
                 MESSAGES.print(f"study: {address_of(listener, token)}", soft_wrap=True)
 
         app = study_app(StudyDesk(study, answers, minutes_of(study)), folder, token)
-        # Ctrl-C is how it ends; the server raises it again when every request is answered.
+        # Ctrl-C ends the server, which raises it again when every request is answered.
         with contextlib.suppress(KeyboardInterrupt):
             server_of(app, ready).run([listener])
         if not quiet:
@@ -299,10 +304,11 @@ def report(
 
 
 def _is_page(head: bytes) -> bool:
+    """Return whether a file that begins with `head` is an HTML page."""
     return head.startswith(b"<!doctype html>")
 
 
-#: What is printed of a method's ratings.
+#: Columns of the table of ratings, with their headings.
 _RATING_HEADINGS = {
     "method": "method",
     "mean": "mean",
@@ -313,7 +319,7 @@ _RATING_HEADINGS = {
 
 
 def _print_figures(figures: dict[str, object]) -> None:
-    """Print who was counted and the table of ratings; the other parts are on the report's page."""
+    """Print who was counted and the table of ratings; the rest is on the report's page."""
     raters = figures["raters"]
     assert isinstance(raters, dict)
     left = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"
@@ -364,7 +370,7 @@ def rehearse(
 
 
 def _is_rehearsal(head: bytes) -> bool:
-    """Return whether a file is of simulated answers; those of people are never overwritten."""
+    """Return whether a file is of simulated answers; people's answers are never overwritten."""
     return b'"simulated"' in head.partition(b"\n")[0]
 
 
