@@ -64,13 +64,13 @@ class ContextVisemes:
         """
         return np.asarray(self.faces[self.best_for(phones)])
 
-    def _best(self, wanted: Indices, duration_s: float) -> int:
+    def _best(self, context: Indices, duration_s: float) -> int:
         """Return the index of the recorded phone that matches a context best, as `best_for` ranks.
 
-        wanted: (3,) indices in PHONEMES of the phone before, of itself, and of the one after.
+        context: (3,) indices in PHONEMES of the phone before, of itself, and of the one after.
         """
-        same_class = _CLASS_OF[self.phonemes] == _CLASS_OF[wanted]
-        same = self.phonemes == wanted
+        same_class = _CLASS_OF[self.phonemes] == _CLASS_OF[context]
+        same = self.phonemes == context
         neighbours = [_BEFORE, _AFTER]
         # np.lexsort: the last key counts most; the smallest values come first.
         keys = (

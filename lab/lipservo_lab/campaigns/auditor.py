@@ -247,10 +247,10 @@ class Auditor:
         index = self._index(servo_id)
         if index is None or self._chain is None:
             return
-        servo, wanted = self._chain.servos[index], self._servos[servo_id]
+        servo, mounted = self._chain.servos[index], self._servos[servo_id]
         place = self._chain.motors.position[index]
         at_place = abs(servo["goal_position"] - place) <= _PLACE_PULSES
-        self.armed_wrongly += not (at_place and self._wire.is_set_up(servo, wanted))
+        self.armed_wrongly += not (at_place and self._wire.is_set_up(servo, mounted))
 
     def _see_motion(self, time_s: float, position: Array) -> None:
         """Count forbidden motion of all shafts; the simulator calls this at each of its steps.

@@ -182,8 +182,8 @@ def play(case: Case, end_s: float = END_S) -> Outcome:
         report = life.report
     except (BusError, ArithmeticError, LookupError, ValueError, TypeError) as problem:
         error = f"{type(problem).__name__}: {problem}"
-    never = case.stop is not None or math.isnan(recovered_s)
-    recovery_s = None if never else max(0.0, recovered_s - FAULT_UNTIL_S)
+    no_recovery = case.stop is not None or math.isnan(recovered_s)
+    recovery_s = None if no_recovery else max(0.0, recovered_s - FAULT_UNTIL_S)
     counts = stage.counts(report)
     return Outcome(case, error, {name: counts[name] for name in trials.must_not}, recovery_s)
 

@@ -135,16 +135,16 @@ def align_corpus(
     once. Raises CacheError for a file that cannot be used, OutputError for one that cannot be
     written, MissingExtraError without the extra `align`.
     """
-    known = _known(path)
-    done: dict[str, AlignedUtterance] = {}
+    stored = _known(path)
+    aligned_by_name: dict[str, AlignedUtterance] = {}
     for utterance in utterances:
-        old = known.get(utterance.name)
-        if old is not None and old.text == utterance.text:
-            done[utterance.name] = old
+        stored_one = stored.get(utterance.name)
+        if stored_one is not None and stored_one.text == utterance.text:
+            aligned_by_name[utterance.name] = stored_one
             progress(utterance.name)
-    missing = [utterance for utterance in utterances if utterance.name not in done]
+    missing = [utterance for utterance in utterances if utterance.name not in aligned_by_name]
     if not missing:
-        return {utterance.name: done[utterance.name] for utterance in utterances}
+        return {utterance.name: aligned_by_name[utterance.name] for utterance in utterances}
     if any(utterance.labels is None for utterance in missing):
         check_aligner()
     with ExitStack() as stack:
@@ -158,14 +158,14 @@ def align_corpus(
             if file is not None:
                 file.write(aligned.as_line())
                 file.flush()
-            done[aligned.name] = aligned
+            aligned_by_name[aligned.name] = aligned
             progress(aligned.name)
     if path is not None:
         # Alignments of other folders in the same file stay in it.
-        lines = "".join(each.as_line() for each in (known | done).values())
+        lines = "".join(each.as_line() for each in (stored | aligned_by_name).values())
         write_whole(path, lines)
         unfinished_of(path).unlink()
-    return {utterance.name: done[utterance.name] for utterance in utterances}
+    return {utterance.name: aligned_by_name[utterance.name] for utterance in utterances}
 
 
 def unfinished_of(path: Path) -> Path:

@@ -167,8 +167,8 @@ def _render_line(line: BatchLine, how: Rendering) -> _Made:
     """
     try:
         with threadpool_limits(limits=1):
-            performance, done = rendered_line(line.sound, line.script, how)
-            return performance_bytes(performance), done
+            performance, rendered = rendered_line(line.sound, line.script, how)
+            return performance_bytes(performance), rendered
     except UserError as error:
         return UserError(str(error))  # of a class that every process can read
 
@@ -177,9 +177,9 @@ def _write_outcome(outcome: _Made, output: Path) -> Rendered:
     """Write a rendered line; raises UserError for a line that failed or cannot be written."""
     if isinstance(outcome, UserError):
         raise outcome
-    content, done = outcome
+    content, rendered = outcome
     write_whole(output, content)
-    return replace(done, output=output)
+    return replace(rendered, output=output)
 
 
 def _absolute(path: Path | None) -> Path | None:

@@ -254,22 +254,22 @@ def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
         With the option to give.
     """
     usual = [np.diag(signs) for signs in ((1.0, 1, 1), (-1.0, 1, 1), (-1.0, -1, 1), (1.0, -1, 1))]
-    fits = _misfits(face_mm, scan, usual)
-    if fits.get(tuple(np.eye(3).ravel().tolist()), np.inf) > _CERTAIN_MM:
-        fits |= _misfits(face_mm, scan, _all_turns())
-    as_given = fits.get(tuple(np.eye(3).ravel().tolist()), np.inf)
+    misfit_of = _misfits(face_mm, scan, usual)
+    if misfit_of.get(tuple(np.eye(3).ravel().tolist()), np.inf) > _CERTAIN_MM:
+        misfit_of |= _misfits(face_mm, scan, _all_turns())
+    as_given = misfit_of.get(tuple(np.eye(3).ravel().tolist()), np.inf)
     best = np.array(
-        min(fits, key=fits.__getitem__, default=tuple(np.eye(3).ravel().tolist()))
+        min(misfit_of, key=misfit_of.__getitem__, default=tuple(np.eye(3).ravel().tolist()))
     ).reshape(3, 3)
-    least = min(fits.values(), default=np.inf)
-    if least > _FARTHEST_MM:
+    least_mm = min(misfit_of.values(), default=np.inf)
+    if least_mm > _FARTHEST_MM:
         raise ScanError(
-            f"{name}: no face, or much beside it: {least:.1f} mm off the mean face at best; cut "
+            f"{name}: no face, or much beside it: {least_mm:.1f} mm off the mean face at best; cut "
             "the scan to the face"
         )
-    if as_given > _FARTHEST_MM or least < _CLEARLY_BETTER * as_given:
+    if as_given > _FARTHEST_MM or least_mm < _CLEARLY_BETTER * as_given:
         raise ScanError(
-            f"{name}: {_fault(best)}: {as_given:.1f} mm off, {least:.1f} mm along other axes; "
+            f"{name}: {_fault(best)}: {as_given:.1f} mm off, {least_mm:.1f} mm along other axes; "
             f"give --axes={axes_text(best @ axes)}"
         )
 
@@ -290,9 +290,9 @@ def _misfits(face_mm: Array, scan: Scan, turns: Sequence[Array]) -> dict[tuple[f
     """
     fits: dict[tuple[float, ...], float] = {}
     sample = _sample(face_mm, _FIRST_SAMPLE)
-    few = scan.points_mm[:: max(1, len(scan.points_mm) // _FIRST_TARGETS)]
+    few_points = scan.points_mm[:: max(1, len(scan.points_mm) // _FIRST_TARGETS)]
     for turn in turns:
-        turned = Scan(few @ turn.T, scan.normals, 0.0)
+        turned = Scan(few_points @ turn.T, scan.normals, 0.0)
         start = Pose(np.eye(3), _middle(turned.points_mm) - _middle(sample))
         pose = _icp(sample, turned.points_mm, start, _FIRST_ROUNDS, scaled=True)
         if _SCALES[0] < pose.scale < _SCALES[1]:

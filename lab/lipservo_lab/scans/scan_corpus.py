@@ -43,10 +43,10 @@ class CorpusWriter:
         for name in ("audio", "landmarks", "labels"):
             (place / name).mkdir()
 
-    def add(self, made: RegisteredTake, sound: TakeSound) -> None:
+    def add(self, registered: RegisteredTake, sound: TakeSound) -> None:
         """Write the points, sound and labels of one take as a sentence."""
-        name = made.take.name
-        units = np.rint(made.points_mm * _TO_PICTURE_AXES * _UNITS_PER_MM)
+        name = registered.take.name
+        units = np.rint(registered.points_mm * _TO_PICTURE_AXES * _UNITS_PER_MM)
         fits_int16 = np.abs(units).max() <= np.iinfo(np.int16).max
         points = units.astype(np.int16 if fits_int16 else np.int32)
         np.savez_compressed(self._place / "landmarks" / f"{name}.npz", landmarks_64th_px=points)
@@ -82,7 +82,7 @@ class CorpusWriter:
 
 def write_motion(
     path: Path,
-    made: Sequence[RegisteredTake],
+    takes: Sequence[RegisteredTake],
     template: Template,
     rate_hz: float,
     about: Mapping[str, object],
@@ -97,7 +97,7 @@ def write_motion(
     header = {
         "kind": _KIND,
         "rate_hz": rate_hz,
-        "takes": [each.take.name for each in made],
+        "takes": [each.take.name for each in takes],
         "names": template.layout.names,
         **about,
     }
@@ -105,8 +105,8 @@ def write_motion(
     buffer = io.BytesIO()
     arrays: dict[str, NDArray[Any]] = {
         "about": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
-        "points_mm": np.concatenate([each.points_mm for each in made]),
-        "borders": np.cumsum([0, *(len(each.points_mm) for each in made)]),
+        "points_mm": np.concatenate([each.points_mm for each in takes]),
+        "borders": np.cumsum([0, *(len(each.points_mm) for each in takes)]),
         "named_points": rows,
         **_mesh(template),
     }

@@ -223,9 +223,9 @@ def begin_import(
     check_unit(scan.points_mm, frame.unit, str(path))
     check_face(template.vertices_mm, scan, frame.axes, str(path))
     advance("finding the face", 0, 1)
-    seen = next((m[path.stem] for m in markers.values() if path.stem in m), None)
+    neutral_markers = next((m[path.stem] for m in markers.values() if path.stem in m), None)
     try:
-        fitted = worn_template(template, scan, seen)
+        fitted = worn_template(template, scan, neutral_markers)
     except ScanError as error:
         raise ScanError(f"{path}: {error}; give another neutral scan (--template)") from error
     advance("finding the face", 1, 1)
@@ -292,14 +292,14 @@ def _join_scans(
     if gaps and max(gaps) / rate_hz > _LONGEST_HOLE_S + 1e-9:
         reason = f"no face in {max(gaps)} scans in a row, {max(gaps) / rate_hz:.2f} s"
         return None, replace(report, left_out=reason)
-    known = np.flatnonzero(there)
+    present = np.flatnonzero(there)
     seen = np.array([scan.points_mm for scan in found if scan is not None], dtype=np.float32)
     # For each scan the nearest known ones: at or after it, and before it; itself if it is known.
-    after = np.clip(np.searchsorted(known, np.arange(len(found))), 0, len(known) - 1)
+    after = np.clip(np.searchsorted(present, np.arange(len(found))), 0, len(present) - 1)
     before = np.clip(after - 1, 0, None)
-    before = np.where(known[after] <= np.arange(len(found)), after, before)
-    length = np.maximum(known[after] - known[before], 1)
-    share = np.clip((np.arange(len(found)) - known[before]) / length, 0.0, 1.0)
+    before = np.where(present[after] <= np.arange(len(found)), after, before)
+    length = np.maximum(present[after] - present[before], 1)
+    share = np.clip((np.arange(len(found)) - present[before]) / length, 0.0, 1.0)
     points = seen[before] + share[:, None, None].astype(np.float32) * (seen[after] - seen[before])
     notes = (f"{sum(gaps)} scans bridged",) if gaps else ()
     return RegisteredTake(take, points.astype(np.float32)), replace(report, notes=notes)

@@ -139,22 +139,22 @@ class SurfaceFit:
             Displacements (n, 3) mm.
         """
         rest = self._template.vertices_mm
-        moved = np.zeros_like(rest) if start_mm is None else start_mm
+        shift_mm = np.zeros_like(rest) if start_mm is None else start_mm
         tree = cKDTree(scan.points_mm)
         still = self._template.still
         with threadpool_limits(limits=1):
             for level, factors in zip(self._levels, self._factors, strict=True):
                 for _ in range(level.n_rounds):
-                    match = self._match(moved, pose, scan, tree, level.reach_mm)
-                    moved = self._solve(moved, match, level.length_mm, factors, pose, markers)
+                    match = self._match(shift_mm, pose, scan, tree, level.reach_mm)
+                    shift_mm = self._solve(shift_mm, match, level.length_mm, factors, pose, markers)
                     # Motion of the upper face is motion of the head: it goes from the displacement
                     # to the pose.
-                    turn = rigid_motion((rest + moved)[still], rest[still])
-                    moved = (rest + moved) @ turn[0].T + turn[1] - rest
+                    turn = rigid_motion((rest + shift_mm)[still], rest[still])
+                    shift_mm = (rest + shift_mm) @ turn[0].T + turn[1] - rest
                     pose = pose.after(*turn)
-        match = self._match(moved, pose, scan, tree, self._levels[-1].reach_mm)
-        off_mm = ((match.nearest - rest - moved) * match.normals).sum(axis=1)
-        return Fit(moved, pose, match.found, off_mm)
+        match = self._match(shift_mm, pose, scan, tree, self._levels[-1].reach_mm)
+        off_mm = ((match.nearest - rest - shift_mm) * match.normals).sum(axis=1)
+        return Fit(shift_mm, pose, match.found, off_mm)
 
     def _match(
         self, moved: Array, pose: Pose, scan: Scan, tree: cKDTree, reach_mm: float
@@ -199,18 +199,18 @@ class SurfaceFit:
         median_mm = float(np.median(np.abs(off_mm[match.found]))) if match.found.any() else 0.0
         far_mm = max(_FAR * median_mm, _LEAST_FAR_MM)
         weights = self._areas * match.found / (1.0 + (off_mm / far_mm) ** 2)
-        right = (weights * ((match.nearest - rest) * normals).sum(axis=1))[:, None] * normals
-        held = np.full(n, _DAMPING) * self._areas
+        rhs = (weights * ((match.nearest - rest) * normals).sum(axis=1))[:, None] * normals
+        holding = np.full(n, _DAMPING) * self._areas
         if markers is not None:
-            held[markers.vertices] += _MARKER_MM2
-            wanted = pose.on_face(markers.seen_mm) - rest[markers.vertices]
-            right[markers.vertices] += _MARKER_MM2 * wanted
+            holding[markers.vertices] += _MARKER_MM2
+            target_mm = pose.on_face(markers.seen_mm) - rest[markers.vertices]
+            rhs[markers.vertices] += _MARKER_MM2 * target_mm
         shell = length_mm**4 * self._shell
 
         def apply(flat: Array) -> Array:
             u = flat.reshape(n, 3)
             along = weights * (u * normals).sum(axis=1)
-            return np.asarray(shell @ u + along[:, None] * normals + held[:, None] * u).ravel()
+            return np.asarray(shell @ u + along[:, None] * normals + holding[:, None] * u).ravel()
 
         def precondition(flat: Array) -> Array:
             return np.asarray(factors.solve(flat.reshape(n, 3))).ravel()
@@ -218,7 +218,7 @@ class SurfaceFit:
         size = (3 * n, 3 * n)
         solved, _ = cg(
             LinearOperator(size, matvec=apply),
-            right.ravel(),
+            rhs.ravel(),
             x0=moved.ravel(),
             maxiter=_STEPS,
             M=LinearOperator(size, matvec=precondition),

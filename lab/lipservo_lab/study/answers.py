@@ -190,19 +190,19 @@ class AnswerFile:
                 self._store({"kind": "join", "rater": name, "sheet": sheet, "at": now()})
             return self.raters[name]
 
-    def answer(self, name: str, number: int, given: Record) -> None:
+    def answer(self, name: str, number: int, fields: Record) -> None:
         """Store an answer; the same answer to the same item again changes nothing.
 
-        number: of the item. given: `answer`, `seconds`, `plays`. Raises UnknownRaterError,
+        number: of the item. fields: `answer`, `seconds`, `plays`. Raises UnknownRaterError,
         AlreadyAnsweredError for another answer than before, and StudyError if it cannot be written.
         """
         with self._lock:
             earlier = self.rater(name).answers.get(number)
             if earlier is not None:
-                if earlier["answer"] == given["answer"]:
+                if earlier["answer"] == fields["answer"]:
                     return
                 raise AlreadyAnsweredError(f"rater {name}: item {number + 1} has an answer already")
-            self._store({"kind": "answer", "rater": name, "number": number, **given, "at": now()})
+            self._store({"kind": "answer", "rater": name, "number": number, **fields, "at": now()})
 
     def leave(self, name: str) -> None:
         """Note that a rater leaves: none of that rater's answers count.

@@ -81,13 +81,13 @@ def counted(study: Study, key: Key, answers: Answers) -> Counted:
     for name in _inverted(tables_of(study, key, careful)):
         left_out[name] = "inverted"
     kept = {name: r for name, r in careful.items() if name not in left_out}
-    present = {
+    finished = {
         name: r
         for name, r in answers.raters.items()
         if left_out.get(name) not in ("left", "unfinished")
     }
     return Counted(
-        tables_of(study, key, kept), tables_of(study, key, present), left_out, len(answers.raters)
+        tables_of(study, key, kept), tables_of(study, key, finished), left_out, len(answers.raters)
     )
 
 
@@ -99,7 +99,7 @@ def _carelessness(study: Study, rater: RaterRecord) -> Reason | None:
     if len(rater.answers) < _LEAST_DONE * len(items):
         return "unfinished"
     points: list[int] = []
-    in_time: list[bool] = []
+    is_in_time: list[bool] = []
     checks: list[bool] = []
     for number, record in rater.answers.items():
         item = items[number]
@@ -109,12 +109,12 @@ def _carelessness(study: Study, rater: RaterRecord) -> Reason | None:
             points.append(record["answer"])
         if item.clips:
             shown_s = sum(study.duration_s[clip] for clip in item.clips)
-            in_time.append(float(record["seconds"]) >= shown_s)
+            is_in_time.append(float(record["seconds"]) >= shown_s)
     if checks and checks.count(False) >= _WRONG_CHECKS * len(checks) and checks.count(False) > 1:
         return "checks"
     if len(points) >= _FEWEST and max(map(points.count, points)) >= _ALIKE * len(points):
         return "alike"
-    if len(in_time) >= _FEWEST and in_time.count(False) >= _HASTY * len(in_time):
+    if len(is_in_time) >= _FEWEST and is_in_time.count(False) >= _HASTY * len(is_in_time):
         return "hasty"
     return None
 
@@ -135,9 +135,9 @@ def _inverted(tables: Tables) -> list[str]:
         if is_own.sum() < _FEWEST or (others == 0).any():
             continue
         means = (sums.sum(axis=0) - sums[number]) / others
-        expected, points = means[methods[is_own]], tables.points[is_own]
-        if np.ptp(points) and np.ptp(expected):
-            correlation = pearsonr(points, expected, alternative="less")
+        others_means, points = means[methods[is_own]], tables.points[is_own]
+        if np.ptp(points) and np.ptp(others_means):
+            correlation = pearsonr(points, others_means, alternative="less")
             if correlation.pvalue < _INVERTED_P:
                 found.append(name)
     return found

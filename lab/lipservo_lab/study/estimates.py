@@ -50,9 +50,9 @@ def rated(tables: Tables, reference: int, seed: int = 0) -> Estimates:
     """
     n, rows = len(tables.methods), tables.ratings
     sums = np.zeros((len(rows), 2, n))
-    at = np.arange(len(rows))
-    sums[at, 0, rows[:, 2]] = tables.points
-    sums[at, 1, rows[:, 2]] = 1.0
+    answers = np.arange(len(rows))
+    sums[answers, 0, rows[:, 2]] = tables.points
+    sums[answers, 1, rows[:, 2]] = 1.0
     return _estimates(rows, sums, _quotient, reference, seed)
 
 
@@ -74,14 +74,14 @@ def words_read(tables: Tables, reference: int, seed: int = 0) -> tuple[Estimates
     """
     n, rows = len(tables.methods), tables.readings
     hits, n_spoken, by_chance = tables.words.T
-    found = []
-    for counted in (hits, hits - by_chance):
+    estimates = []
+    for n_right in (hits, hits - by_chance):
         sums = np.zeros((len(rows), 2, n))
-        at = np.arange(len(rows))
-        sums[at, 0, rows[:, 2]] = counted
-        sums[at, 1, rows[:, 2]] = n_spoken
-        found.append(_estimates(rows, sums, _quotient, reference, seed))
-    return found[0], found[1]
+        answers = np.arange(len(rows))
+        sums[answers, 0, rows[:, 2]] = n_right
+        sums[answers, 1, rows[:, 2]] = n_spoken
+        estimates.append(_estimates(rows, sums, _quotient, reference, seed))
+    return estimates[0], estimates[1]
 
 
 def _quotient(sums: Array) -> Array:
@@ -135,8 +135,8 @@ def _estimates(
         return Estimates(unknown, unknown)
 
     def all_figures(total: Array) -> Array:
-        own = figures(total)
-        return np.concatenate([own, own - own[..., reference, None]], axis=-1)
+        of_methods = figures(total)
+        return np.concatenate([of_methods, of_methods - of_methods[..., reference, None]], axis=-1)
 
     rng = np.random.default_rng(seed)
     crossings = rows[:, 0] * (rows[:, 1].max() + 1) + rows[:, 1]
@@ -148,20 +148,20 @@ def _estimates(
     (by_rater, n_raters), (by_sentence, n_sentences), (by_both, _) = variances
     variance = np.maximum(by_rater + by_sentence - by_both, np.maximum(by_rater, by_sentence))
     with np.errstate(divide="ignore", invalid="ignore"):
-        freedom = (by_rater + by_sentence) ** 2 / (
+        degrees = (by_rater + by_sentence) ** 2 / (
             by_rater**2 / (n_raters - 1) + by_sentence**2 / (n_sentences - 1)
         )
-    reach = students_t.ppf(0.5 + _CONFIDENCE / 2.0, freedom) * np.sqrt(variance)
-    found = [
-        Figure(float(value), float(value - far), float(value + far))
-        if np.isfinite(far)
+    half_widths = students_t.ppf(0.5 + _CONFIDENCE / 2.0, degrees) * np.sqrt(variance)
+    all_found = [
+        Figure(float(value), float(value - half_width), float(value + half_width))
+        if np.isfinite(half_width)
         else Figure(float(value), None, None)
-        for value, far in zip(values, reach, strict=True)
+        for value, half_width in zip(values, half_widths, strict=True)
     ]
     # The difference of the reference from itself is exactly 0.
-    n = len(found) // 2
-    found[n + reference] = Figure(0.0, None, None)
-    return Estimates(tuple(found[:n]), tuple(found[n:]))
+    n = len(all_found) // 2
+    all_found[n + reference] = Figure(0.0, None, None)
+    return Estimates(tuple(all_found[:n]), tuple(all_found[n:]))
 
 
 def _variance(
@@ -172,14 +172,14 @@ def _variance(
     clusters: (n_answers,), the cluster of each answer. NaN for fewer than two clusters, or if most
     samples lack a figure.
     """
-    names, number = np.unique(clusters, return_inverse=True)
+    names, cluster_of = np.unique(clusters, return_inverse=True)
     n = len(names)
     if n < 2:
         return np.full(figures(sums.sum(axis=0)).shape, np.nan), n
     of_cluster = np.zeros((n, *sums.shape[1:]))
-    np.add.at(of_cluster, number, sums)
-    drawn = rng.multinomial(n, np.full(n, 1.0 / n), size=N_DRAWS).astype(np.float64)
-    samples = figures(np.tensordot(drawn, of_cluster, axes=1))
+    np.add.at(of_cluster, cluster_of, sums)
+    draws = rng.multinomial(n, np.full(n, 1.0 / n), size=N_DRAWS).astype(np.float64)
+    samples = figures(np.tensordot(draws, of_cluster, axes=1))
     complete = ~np.isnan(samples).any(axis=1)
     if complete.sum() < N_DRAWS / 2:
         return np.full(samples.shape[1], np.nan), n

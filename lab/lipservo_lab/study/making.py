@@ -160,7 +160,7 @@ def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
     Empty if the study shows no clip without sound.
     """
     by_name = {u.name: u for u in material.read}
-    shown = sorted(
+    clip_names = sorted(
         {
             clip
             for sheet in study.sheets
@@ -169,7 +169,7 @@ def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
             for clip in item.clips
         }
     )
-    if not shown:
+    if not clip_names:
         return []
     records: list[Record] = []
     model, learned = material.model, list(material.learned)
@@ -177,7 +177,7 @@ def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
     for kind in READERS:
         recorded = {u.name: kind.view(model, u.markers_mm) for u in learned}
         reader = fit_reader(kind, learned, recorded, slots)
-        for name in shown:
+        for name in clip_names:
             clip = key.clips[name]
             utterance = by_name[clip.sentence]
             faces = material.faces(clip.method, utterance)

@@ -77,8 +77,8 @@ def _indicators(numbers: Indices) -> Array:
 
 def _figures(values: Array, covariance: Array) -> tuple[Figure, ...]:
     """Return values with 95 % intervals of a normal distribution; none for a variance of 0."""
-    far = _NORMAL_95 * np.sqrt(np.diag(covariance))
+    half_widths = _NORMAL_95 * np.sqrt(np.diag(covariance))
     return tuple(
         Figure(float(v), float(v - d), float(v + d)) if d > 0 else Figure(float(v), None, None)
-        for v, d in zip(values, far, strict=True)
+        for v, d in zip(values, half_widths, strict=True)
     )

@@ -96,13 +96,13 @@ def coverage_figures(
     taste = even_taste(methods)
     truth = _truth(study, key, taste)
     is_held: dict[str, list[bool]] = {name: [] for name in truth}
-    out: Counter[tuple[Character, bool]] = Counter()
+    n_left_out: Counter[tuple[Character, bool]] = Counter()
     ranks: list[float] = []
     for seed in range(n_studies):
         advance(seed, n_studies)
         found = simulated_study(study, key, taste, crew.characters, seed)
         for number, character in enumerate(crew.characters):
-            out[character, f"{character}-{number}" in found.left_out] += 1
+            n_left_out[character, f"{character}-{number}" in found.left_out] += 1
         ratings, pairs = rated(found.tables, 0, seed), preferred(found.tables, 0, seed)
         words = words_read(found.tables, 0, seed)[0]
         estimated = {
@@ -116,18 +116,18 @@ def coverage_figures(
         ranks.append(
             float(np.corrcoef(np.argsort(np.argsort(means)), -np.arange(len(means)))[0, 1])
         )
-    every = [each for values in is_held.values() for each in values]
+    all_held = [each for values in is_held.values() for each in values]
     return {
-        "coverage": _share(every),
+        "coverage": _share(all_held),
         "coverage_of": {name: _share(values) for name, values in is_held.items()},
-        "lazy_excluded": _left_share(out, LAZY),
-        "lazy_excluded_of": {kind: _left_share(out, (kind,)) for kind in LAZY},
-        "honest_kept": 1.0 - (_left_share(out, ("honest",)) or 0.0),
-        "inverted_found": _left_share(out, ("inverted",)),
+        "lazy_excluded": _left_share(n_left_out, LAZY),
+        "lazy_excluded_of": {kind: _left_share(n_left_out, (kind,)) for kind in LAZY},
+        "honest_kept": 1.0 - (_left_share(n_left_out, ("honest",)) or 0.0),
+        "inverted_found": _left_share(n_left_out, ("inverted",)),
         "taste_found_r": round(float(np.mean(ranks)), 4),
         "studies": n_studies,
         "raters": len(crew.characters),
-        "intervals": len(every),
+        "intervals": len(all_held),
     }
 
 
@@ -180,13 +180,13 @@ def power_rows(
     track: wraps the seeds of the studies, for progress.
     """
     methods = tuple(f"method {n}" for n in range(n_methods))
-    gaps = np.array([0.0, *_DIFFERENCES, *[_DIFFERENCES[-1]] * n_methods][:n_methods])
+    differences_of = np.array([0.0, *_DIFFERENCES, *[_DIFFERENCES[-1]] * n_methods][:n_methods])
     # With few methods the differences are tried in several studies.
-    turns = [gaps] if n_methods > len(_DIFFERENCES) else _in_turns(n_methods)
+    turns = [differences_of] if n_methods > len(_DIFFERENCES) else _in_turns(n_methods)
     study, key = trial_study(methods, size)
     rows = []
     for n_raters in raters:
-        seen: dict[float, list[bool]] = {}
+        is_found: dict[float, list[bool]] = {}
         for turn in turns:
             natural = dict(zip(methods, (_NATURAL - turn).tolist(), strict=True))
             taste = Taste(natural, dict.fromkeys(methods, 0.3))
@@ -196,17 +196,17 @@ def power_rows(
                 differences = rated(found.tables, 0, seed).less_reference
                 for figure, gap in zip(differences[1:], (means[0] - means)[1:], strict=True):
                     is_seen = figure.high is not None and not _holds(figure, 0.0)
-                    seen.setdefault(round(float(gap), 3), []).append(is_seen)
-        power = {gap: _share(values) for gap, values in sorted(seen.items())}
+                    is_found.setdefault(round(float(gap), 3), []).append(is_seen)
+        power = {gap: _share(values) for gap, values in sorted(is_found.items())}
         rows.append({"raters": n_raters, "seen": power, "smallest_seen": _smallest(power)})
     return rows
 
 
 def _in_turns(n_methods: int) -> list[Array]:
     """Return the differences dealt to studies of few methods, (n_methods,) each, 0 first."""
-    each = n_methods - 1
-    parts = [_DIFFERENCES[i : i + each] for i in range(0, len(_DIFFERENCES), each)]
-    return [np.array([0.0, *part, *[part[-1]] * (each - len(part))]) for part in parts]
+    n_each = n_methods - 1
+    parts = [_DIFFERENCES[i : i + n_each] for i in range(0, len(_DIFFERENCES), n_each)]
+    return [np.array([0.0, *part, *[part[-1]] * (n_each - len(part))]) for part in parts]
 
 
 _POWER: Final = 0.8

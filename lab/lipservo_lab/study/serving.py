@@ -145,22 +145,22 @@ def _is_whole(value: object, low: int, high: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
 
 
-def _checked(item: Item, given: Any) -> Record:
+def _checked(item: Item, fields: Any) -> Record:
     """Check an answer to an item; return the fields to store. Raises RequestError."""
-    answer, seconds, plays = (given.get(key) for key in ("answer", "seconds", "plays"))
+    answer, seconds, plays = (fields.get(key) for key in ("answer", "seconds", "plays"))
     is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
     if not is_number or not 0 <= seconds < _MOST_S or not _is_whole(plays, 0, _MOST_PLAYS):
         raise RequestError("seconds and plays must be numbers: time taken, times played")
     match item.kind:
         case "pair":
-            fits = answer in (FIRST, SECOND)
+            is_valid = answer in (FIRST, SECOND)
         case "reading":
-            fits = isinstance(answer, str) and len(answer) <= MOST_CHARACTERS
+            is_valid = isinstance(answer, str) and len(answer) <= MOST_CHARACTERS
         case "sound":
-            fits = answer == item.expected
+            is_valid = answer == item.expected
         case _:
-            fits = _is_whole(answer, 1, POINTS)
-    if not fits:
+            is_valid = _is_whole(answer, 1, POINTS)
+    if not is_valid:
         raise RequestError(f"this answer does not fit a {item.kind}")
     return {"answer": answer, "seconds": seconds, "plays": plays}
 

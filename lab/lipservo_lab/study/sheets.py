@@ -206,12 +206,12 @@ def make_study(
 
         rating = [of_round(sets_of[each % sets], each, each // sets) for each in range(rounds)]
         reading = [of_round(sets_of[sets + each], each, 0) for each in range(read_rounds)]
-        compared = [
+        compared_clips = [
             tuple(name_of[methods[m], every[sentence % (sets * n)].name] for m in pair)
             for pair, sentence in pairs.of(rater)
         ]
         listened = [Item("rating", clips) for each in rating for clips in each]
-        listened += [Item("pair", clips) for clips in compared]
+        listened += [Item("pair", clips) for clips in compared_clips]
         beeps = int(rng.integers(_FEWEST_BEEPS, _MOST_BEEPS + 1))
         return (
             *(Item("reading", clips) for each in reading for clips in each),
@@ -262,8 +262,8 @@ class _Pairs:
         found = []
         for count in range(rater * self._each, (rater + 1) * self._each):
             turn, k = divmod(count, len(self._pairs))
-            one, other = self._pairs[k]
-            found.append(((other, one) if turn % 2 else (one, other), k + turn))
+            first, second = self._pairs[k]
+            found.append(((second, first) if turn % 2 else (first, second), k + turn))
         return found
 
 

@@ -74,18 +74,18 @@ def simulated_records(
     numbers: np.random.Generator,
 ) -> Iterator[Record]:
     """Yield the records of simulated raters, one each character, as `AnswerFile` writes them."""
-    at = now()
+    time_text = now()
     yield {**first_record(study.identity), "simulated": True}
     population = _Population(study, key, taste, numbers)
     for count, character in enumerate(characters):
         name, sheet = f"{character}-{count}", count % len(study.sheets)
-        yield {"kind": "join", "rater": name, "sheet": sheet, "at": at}
+        yield {"kind": "join", "rater": name, "sheet": sheet, "at": time_text}
         rater = population.rater(character)
         for number, item in enumerate(study.sheets[sheet]):
             answer, seconds = rater.answer(item)
             yield {
                 "kind": "answer", "rater": name, "number": number, "answer": answer,
-                "seconds": seconds, "plays": 1, "at": at,
+                "seconds": seconds, "plays": 1, "at": time_text,
             }  # fmt: skip
 
 

@@ -62,14 +62,14 @@ def _ratings(counted: Counted, mixed: MixedModel | None, reference: int) -> list
     reference: index of the method that the others are compared with. mixed: None: not fitted.
     """
     tables = counted.tables
-    found = rated(tables, reference)
-    everybody = rated(counted.all_tables, reference)
-    rows = _rows(tables, tables.ratings[:, 2], found, "mean")
+    estimates = rated(tables, reference)
+    of_all = rated(counted.all_tables, reference)
+    rows = _rows(tables, tables.ratings[:, 2], estimates, "mean")
     for n, row in enumerate(rows):
-        row["all_raters"] = _number(everybody.own[n].value)
-        own = None if mixed is None else mixed.own[n]
-        less = None if mixed is None else mixed.less_reference[n]
-        row |= _named("mixed", own) | _named("mixed_less_reference", less)
+        row["all_raters"] = _number(of_all.own[n].value)
+        mixed_mean = None if mixed is None else mixed.own[n]
+        mixed_difference = None if mixed is None else mixed.less_reference[n]
+        row |= _named("mixed", mixed_mean) | _named("mixed_less_reference", mixed_difference)
     return rows
 
 
@@ -93,21 +93,21 @@ def _won_over(tables: Tables) -> dict[str, dict[str, int]]:
 
 def _readings(tables: Tables, reference: int) -> list[Row]:
     """Return a row a method: share of words read right, that share above chance, and chance."""
-    right, above = words_read(tables, reference)
-    rows = _rows(tables, tables.readings[:, 2], right, "words_right")
+    read_right, above = words_read(tables, reference)
+    rows = _rows(tables, tables.readings[:, 2], read_right, "words_right")
     for n, row in enumerate(rows):
         row |= _named("above_chance", above.own[n])
-        value, less = right.own[n].value, above.own[n].value
-        row["chance"] = _number(value - less)
+        value, above_value = read_right.own[n].value, above.own[n].value
+        row["chance"] = _number(value - above_value)
     return rows
 
 
-def _rows(tables: Tables, shown: Indices, found: Estimates, name: str) -> list[Row]:
+def _rows(tables: Tables, method_of_answers: Indices, found: Estimates, name: str) -> list[Row]:
     """Return a row a method with its name, number of answers, estimate, and difference.
 
-    shown: method index of each answer. name: of the estimate in the row.
+    method_of_answers: method index of each answer. name: of the estimate in the row.
     """
-    counts = np.bincount(shown, minlength=len(tables.methods))
+    counts = np.bincount(method_of_answers, minlength=len(tables.methods))
     return [
         {
             "method": method,

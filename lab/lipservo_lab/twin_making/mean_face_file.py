@@ -54,15 +54,15 @@ def subdivide(vertices: Array, triangles: Indices, rounds: int = ROUNDS) -> tupl
     from trimesh.remesh import subdivide_loop
 
     loop: Callable[..., tuple[Array, Indices]] = subdivide_loop
-    columns = vertices.shape[1]
-    padded = np.zeros((len(vertices), -(-columns // 3) * 3))
-    padded[:, :columns] = vertices
-    done = [
+    n_columns = vertices.shape[1]
+    padded = np.zeros((len(vertices), -(-n_columns // 3) * 3))
+    padded[:, :n_columns] = vertices
+    parts = [
         loop(padded[:, first : first + 3], triangles, iterations=rounds)
         for first in range(0, padded.shape[1], 3)
     ]
-    values = np.hstack([each for each, _ in done])[:, :columns]
-    return np.asarray(values, dtype=np.float64), np.asarray(done[0][1], dtype=np.int64)
+    values = np.hstack([each for each, _ in parts])[:, :n_columns]
+    return np.asarray(values, dtype=np.float64), np.asarray(parts[0][1], dtype=np.int64)
 
 
 def through_points(vertices: Array, triangles: Indices, rounds: int) -> Array:
@@ -173,14 +173,14 @@ def _skin_heading(skin_mm: Array, rim: Indices, triangles: Indices) -> Array:
 
     From the inner vertices of the triangles at the rim to the rim vertex.
     """
-    place_on_rim = {int(vertex): at for at, vertex in enumerate(rim)}
+    place_on_rim = {int(vertex): place for place, vertex in enumerate(rim)}
     heading = np.zeros((len(rim), 3))
     for triangle in triangles:
         inner = [vertex for vertex in triangle if int(vertex) not in place_on_rim]
         for vertex in triangle:
-            at = place_on_rim.get(int(vertex))
-            if at is not None and inner:
-                heading[at] += _unit((skin_mm[vertex] - skin_mm[inner].mean(axis=0))[None])[0]
+            place = place_on_rim.get(int(vertex))
+            if place is not None and inner:
+                heading[place] += _unit((skin_mm[vertex] - skin_mm[inner].mean(axis=0))[None])[0]
     for _ in range(3):
         heading = _unit(np.roll(heading, 1, 0) + 2 * heading + np.roll(heading, -1, 0))
     return heading

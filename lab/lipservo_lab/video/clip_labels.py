@@ -76,9 +76,9 @@ def label_clip(samples: NDArray[np.float32], text: str | None) -> ClipLabels:
     little speech.
     """
     if text is None:
-        heard = next(iter(settled_phonemes(_weights(), [samples], _LATENCY_S)))
+        recognized = next(iter(settled_phonemes(_weights(), [samples], _LATENCY_S)))
         end_s = len(samples) / SAMPLE_RATE_HZ
-        labels = ClipLabels(heard, (), "recognised").within(0.0, end_s)
+        labels = ClipLabels(recognized, (), "recognised").within(0.0, end_s)
     else:
         aligned = align(samples, text)
         score = goodness_of_pronunciation(samples, aligned.phones, _weights())

@@ -103,9 +103,9 @@ def _sample(time_s: float, picture: Picture, face: Array) -> FaceSample:
     x_px, y_px = (low + high) / 2
     size_px = float((high - low).max()) * _SAMPLE_MARGIN
     box = FaceBox(float(x_px), float(y_px), size_px, 0.0)
-    seen = (cut_out(picture, box, _SAMPLE_PIXELS) * 255).astype(np.uint8)
+    cut = (cut_out(picture, box, _SAMPLE_PIXELS) * 255).astype(np.uint8)
     corner = np.array([x_px, y_px]) - size_px / 2
-    return FaceSample(time_s, seen, (face[:, :2] - corner) * (_SAMPLE_PIXELS / size_px))
+    return FaceSample(time_s, cut, (face[:, :2] - corner) * (_SAMPLE_PIXELS / size_px))
 
 
 #: Points that only move with the skull: bridge and root of the nose, corners of the eyes, forehead,

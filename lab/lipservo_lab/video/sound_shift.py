@@ -84,13 +84,13 @@ def shift_curve(seen: Array, times_s: Array, expected: Array) -> ShiftCurve:
     seen: (n,) at times_s (n,), s of sound by the time stamps; expected: (m,) every 10 ms from 0 on.
     """
     shifts_s = np.arange(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + _STEP_S / 2, _STEP_S)
-    heard_s = np.arange(len(expected)) * TICK_S
+    expected_s = np.arange(len(expected)) * TICK_S
     correlations = []
     for shift_s in shifts_s:
-        at_s = times_s + shift_s
-        common = (at_s >= 0) & (at_s <= heard_s[-1])
+        sound_s = times_s + shift_s
+        common = (sound_s >= 0) & (sound_s <= expected_s[-1])
         correlations.append(
-            correlation(seen[common], np.interp(at_s[common], heard_s, expected))
+            correlation(seen[common], np.interp(sound_s[common], expected_s, expected))
             if common.sum() >= _LEAST_PICTURES
             else 0.0
         )
@@ -113,7 +113,7 @@ def corrections_s(curves: Sequence[ShiftCurve]) -> list[float]:
     """
     clear_s = [curve.best_s for curve in curves if curve.correlations.max() >= _LEAST_R]
     common_s = float(np.median(clear_s)) if clear_s else 0.0
-    found = []
+    shifts = []
     for curve in curves:
         own_s = curve.best_s
         gain = curve.at(own_s) - curve.at(common_s)
@@ -123,5 +123,5 @@ def corrections_s(curves: Sequence[ShiftCurve]) -> list[float]:
             and gain > _OWN_GAIN
         )
         shift_s = own_s if is_own else common_s
-        found.append(shift_s if abs(shift_s) >= LEAST_CORRECTED_S else 0.0)
-    return found
+        shifts.append(shift_s if abs(shift_s) >= LEAST_CORRECTED_S else 0.0)
+    return shifts

@@ -71,24 +71,24 @@ class TrackQuality:
 
 def quality_of(track: FaceTrack) -> TrackQuality:
     """Return the figures of a track; NaN if no picture has a face."""
-    seen = track.n_faces > 0
-    if not seen.any():
+    has_face = track.n_faces > 0
+    if not has_face.any():
         return TrackQuality(np.nan, np.nan, np.nan, 0.0)
-    points = track.points[seen].astype(float)
+    points = track.points[has_face].astype(float)
     yaw_deg, pitch_deg = _angles_deg(points)
     return TrackQuality(
         float(np.median(_eye_distances_px(points))),
         float(np.median(yaw_deg)),
         float(np.median(pitch_deg)),
-        float(seen.mean()),
+        float(has_face.mean()),
     )
 
 
 def usable_pictures(track: FaceTrack) -> NDArray[np.bool_]:
     """Return which pictures show exactly one face, not turned away, (n,)."""
     usable: NDArray[np.bool_] = track.n_faces == 1
-    seen = track.n_faces > 0
-    usable[seen] &= ~_is_turned(track.points[seen].astype(float))
+    has_face = track.n_faces > 0
+    usable[has_face] &= ~_is_turned(track.points[has_face].astype(float))
     return usable
 
 
@@ -103,7 +103,7 @@ def track_fault(track: FaceTrack, median_step_s: float) -> str | None:
 
 def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
     """Return what is wrong with the pictures, as `track_fault`, but allow times without a face."""
-    n, seen = len(track.times_s), track.n_faces > 0
+    n, has_face = len(track.times_s), track.n_faces > 0
     if n < 2:
         return "holds fewer than two pictures; film longer"
     if median_step_s > 1.0 / _SLOWEST_HZ + _ROUNDING_S:
@@ -111,12 +111,12 @@ def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
             f"{1.0 / median_step_s:.1f} pictures a second; film at {_SLOWEST_HZ:.0f} or more, with "
             "more light"
         )
-    if not seen.any():
+    if not has_face.any():
         return "no face in any picture; film the face from the front, well lit"
     n_double = int((track.n_faces > 1).sum())
     if n_double > _MOST_DOUBLE * n:
         return f"two faces in {n_double} of {n} pictures; film one person alone"
-    points = track.points[seen].astype(float)
+    points = track.points[has_face].astype(float)
     n_turned = int(_is_turned(points).sum())
     if n_turned > _MOST_TURNED * n:
         yaw_deg, pitch_deg = (float(np.median(np.abs(each))) for each in _angles_deg(points))

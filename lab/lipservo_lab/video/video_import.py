@@ -163,7 +163,7 @@ def _parts(
     phonemes.
     """
     found = []
-    expected = lips.gaps_mm(take.labels.phones, take.parts()[-1][2])
+    expected_mm = lips.gaps_mm(take.labels.phones, take.parts()[-1][2])
     for name, start_s, end_s in take.parts():
         reports[name] = ClipReport(name)  # keeps the order
         begins_s = take.sound.begins_s
@@ -177,9 +177,9 @@ def _parts(
             reason = f"only {len(steady.points)} pictures have sound; film longer"
             reports[name] = ClipReport(name, left_out=reason)
             continue
-        seen = tracked_gaps_mm(steady.points)
-        times_s = steady.from_s + np.arange(len(seen)) / rate_hz
-        curve = shift_curve(seen, times_s, expected)
+        tracked_mm = tracked_gaps_mm(steady.points)
+        times_s = steady.from_s + np.arange(len(tracked_mm)) / rate_hz
+        curve = shift_curve(tracked_mm, times_s, expected_mm)
         found.append(_Part(name, take, start_s, end_s, steady, curve))
     return found
 
@@ -316,8 +316,8 @@ def _write_sentence(place: Path, sentence: Sentence) -> None:
     points = np.rint(sentence.clip.points * _UNITS_PER_PIXEL)
     # A picture more than 511 pixels wide needs more than 16 bits.
     fits_int16 = np.abs(points).max() <= np.iinfo(np.int16).max
-    whole = points.astype(np.int16 if fits_int16 else np.int32)
-    np.savez_compressed(place / "landmarks" / f"{sentence.name}.npz", landmarks_64th_px=whole)
+    units = points.astype(np.int16 if fits_int16 else np.int32)
+    np.savez_compressed(place / "landmarks" / f"{sentence.name}.npz", landmarks_64th_px=units)
     soundfile.write(
         place / "audio" / f"{sentence.name}.flac", sentence.clip.samples, SAMPLE_RATE_HZ
     )

@@ -240,10 +240,10 @@ def _write_motion(
     from lipservo_lab.bench.pictures.import_sheets import draw_scans
     from lipservo_lab.scans.scan_corpus import write_motion
 
-    made = list(imported.registered(advance))
+    registered = list(imported.registered(advance))
     imported.refuse_nothing()
     about = _about(imported, takes, {})
-    write_motion(output, made, imported.template, imported.rate_hz, about)
+    write_motion(output, registered, imported.template, imported.rate_hz, about)
     draw_scans(imported.samples, imported.template, picture)
     return about
 

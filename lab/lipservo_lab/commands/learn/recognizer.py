@@ -296,10 +296,10 @@ def adapt(
     )
     with progress_bar(quiet=quiet) as advance:
         voice = read_voice(only_speaker(read_transcribed(voice_folder), speaker), advance, n_jobs)
-        heard = [sentence.speech for sentence in voice.held_out]
-        before = settled_score(start, heard).figures()
+        held_out = [sentence.speech for sentence in voice.held_out]
+        before = settled_score(start, held_out).figures()
         learned = adapted(start, [sentence.speech for sentence in voice.learned], plan, advance)
-        after = settled_score(learned, heard).figures()
+        after = settled_score(learned, held_out).figures()
     is_better = after["viseme_speech"] > before["viseme_speech"]
     figures = {
         "weights": weights,
@@ -379,17 +379,17 @@ def draw_log(records: Sequence[Record], picture: Path) -> None:
     without_screen()
     from matplotlib import pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    left.plot([r["step"] for r in records], [r["loss"] for r in records])
-    left.set(xlabel="step", ylabel="loss", title="training")
-    checked = [r for r in records if len(r) > 2]
-    for key in sorted(checked[-1]) if checked else ():
+    figure, (losses, accuracies) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    losses.plot([r["step"] for r in records], [r["loss"] for r in records])
+    losses.set(xlabel="step", ylabel="loss", title="training")
+    validated = [r for r in records if len(r) > 2]
+    for key in sorted(validated[-1]) if validated else ():
         if key == "score" or key.endswith("_viseme_all"):
-            points = [(r["step"], r[key]) for r in checked if key in r]
+            points = [(r["step"], r[key]) for r in validated if key in r]
             name = key.removesuffix("_viseme_all").removeprefix("corpus_").replace("_", " ")
-            right.plot(*zip(*points, strict=True), marker="o", label=name)
-    right.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
-    if right.lines:
-        right.legend(fontsize="small")
+            accuracies.plot(*zip(*points, strict=True), marker="o", label=name)
+    accuracies.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
+    if accuracies.lines:
+        accuracies.legend(fontsize="small")
     save_picture(figure, picture)
     plt.close(figure)

@@ -182,18 +182,18 @@ def _read_names(path: Path | None) -> frozenset[str]:
     return names - {""}
 
 
-def _parse_weights(given: list[str]) -> dict[str, float]:
+def _parse_weights(options: list[str]) -> dict[str, float]:
     """Return the weights of options NAME=W by name; raises BadParameter for another form."""
     weights: dict[str, float] = {}
-    for each in given:
-        name, _, number = each.rpartition("=")
+    for option in options:
+        name, _, number = option.rpartition("=")
         try:
             weights[name] = float(number)
         except ValueError:
             name = ""
         if not name:
             raise typer.BadParameter(
-                f"{each!r}: write NAME=W, such as me=0.3", param_hint="--weight"
+                f"{option!r}: write NAME=W, such as me=0.3", param_hint="--weight"
             )
     return weights
 
@@ -275,18 +275,18 @@ def train_soft(
 
         bars.tell("posteriors to faces")
         others = [load_weights(path) for path in also or ()]
-        heard_by = ",".join(weights_digest(str(path)) for path in also or ())
+        other_digests = ",".join(weights_digest(str(path)) for path in also or ())
         teacher = None
         if table:
             teacher = ModelTeacher(sentences, weights, bars.track, bars.tell, others)
         copies = (
             hear_copies(network, taught, bars.track, others) if teacher is None else teacher.copies
         )
-        made = with_soft_expectation(face, sentences, copies, digest)
-        made = replace(made, provenance={**made.provenance, "soft_others": heard_by})
-        if made.soft is None:
+        fitted = with_soft_expectation(face, sentences, copies, digest)
+        fitted = replace(fitted, provenance={**fitted.provenance, "soft_others": other_digests})
+        if fitted.soft is None:
             raise UserError(f"{corpus}: too little speech with sound to learn from; record more")
-        save_model(made, output)
+        save_model(fitted, output)
         rows = []
         if teacher is not None:
             rows = soft_table(sentences, parts, teacher, weights, bars.track)
@@ -294,7 +294,7 @@ def train_soft(
         "model": str(output),
         "weights": weights,
         "soft_weights": digest,
-        "sentences": len(made.training_sentences),
+        "sentences": len(fitted.training_sentences),
         "bytes": output.stat().st_size,
         "seconds": round(time.perf_counter() - start_s, 1),
     }
@@ -366,19 +366,19 @@ def train_offline(
             skip_bad=skip_bad,
             progress=bars.read,
         )
-        made = train_model(sentences, face, recipe, progress=bars.tell, listening=bars.listen)
-    save_offline_model(made, output)
+        trained = train_model(sentences, face, recipe, progress=bars.tell, listening=bars.listen)
+    save_offline_model(trained, output)
     seconds = time.perf_counter() - start_s
     for line in sentences.skipped:
         MESSAGES.print(f"left out: {line}", soft_wrap=True)
     figures: dict[str, object] = {
         "model": str(output),
-        "face": made.face_checksum,
-        "sentences": len(made.training_sentences),
+        "face": trained.face_checksum,
+        "sentences": len(trained.training_sentences),
         "skipped": len(sentences.skipped),
         "seconds": round(seconds, 1),
         "bytes": output.stat().st_size,
-        **made.provenance,
+        **trained.provenance,
     }
     if as_json:
         print_json(figures)

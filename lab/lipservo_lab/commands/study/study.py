@@ -100,20 +100,20 @@ def make(
     plan = Plan(names, size, seed or secrets.token_hex(8), title, _consent_text(consent))
     with work_bars(quiet=quiet) as bars:
         recordings = read_grid(corpus, MARKERS_47, skip_bad=skip_bad, progress=bars.read).labelled()
-        test = _test_of(corpus, recordings)
-        learned = tuple(u for u in recordings.utterances if u.name not in test)
-        read = held_out(recordings, test, plan.seed)
-        study, key = planned_study(plan, read, learned)
-        trained = _model_for(recordings, test, model, bars)
-        material = Material(trained, read, learned, faces_of_methods(trained, recordings))
+        test_names = _test_of(corpus, recordings)
+        learned = tuple(u for u in recordings.utterances if u.name not in test_names)
+        test_sentences = held_out(recordings, test_names, plan.seed)
+        study, key = planned_study(plan, test_sentences, learned)
+        trained = _model_for(recordings, test_names, model, bars)
+        material = Material(trained, test_sentences, learned, faces_of_methods(trained, recordings))
         film = _film_on(face, landmarker, trained)
         write_made_study(folder, study, key, material, film, partial(bars.advance, "filming"))
-    shown = {
+    summary = {
         "study": study.identity, "folder": str(folder), "methods": list(names),
         "clips": len(key.clips), "items_per_rater": len(study.sheets[0]),
     }  # fmt: skip
     if as_json:
-        print_json(shown)
+        print_json(summary)
         return
     RESULTS.print(
         f"{folder}: {len(key.clips)} clips of {len(names)} methods, {len(study.sheets[0])} items a "
@@ -163,8 +163,8 @@ def _model_for(
                 "...); give one trained without them, or leave --model out"
             )
         return model
-    known = recordings.keep({u.name for u in recordings.utterances if u.name not in test})
-    return ModelTeacher(known, DEFAULT_WEIGHTS, bars.track, bars.tell)(known)
+    training_part = recordings.keep({u.name for u in recordings.utterances if u.name not in test})
+    return ModelTeacher(training_part, DEFAULT_WEIGHTS, bars.track, bars.tell)(training_part)
 
 
 def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film":
@@ -179,12 +179,12 @@ def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film
     from lipsync.arrays import Array
     from lipsync.face.frame import Frame
 
-    shown = (
+    filmed_face = (
         twin_face(model, _SIZE)
         if face == "twin"
         else photograph(Path(face), None, landmarker, _SIZE, model)
     )
-    display: Display = PhotoDisplay(shown)
+    display: Display = PhotoDisplay(filmed_face)
 
     def film_clip(faces: Array, rate_hz: float, sound: Path, out: Path) -> None:
         frames = (Frame(n / rate_hz, each) for n, each in enumerate(faces))
@@ -239,12 +239,12 @@ def serve(
         with contextlib.suppress(KeyboardInterrupt):
             server_of(app, ready).run([listener])
         if not quiet:
-            done = sum(
-                len(each.answers) == len(study.sheets[each.sheet])
-                for each in answers.raters.values()
+            n_finished = sum(
+                len(rater.answers) == len(study.sheets[rater.sheet])
+                for rater in answers.raters.values()
             )
             MESSAGES.print(
-                f"{answers.path}: {len(answers.raters)} raters, {done} to the end. "
+                f"{answers.path}: {len(answers.raters)} raters, {n_finished} to the end. "
                 f"lipservo study report {folder}",
                 soft_wrap=True,
             )
@@ -285,16 +285,16 @@ def report(
     check_output(path, replaces=_is_page, kind="page", inputs=[answers])
     study, key = read_study(folder), read_key(folder)
     file = answers or folder / ANSWERS_FILE
-    given = read_answers(file, study.identity)
+    read = read_answers(file, study.identity)
     with work_bars(quiet=quiet) as bars:
         bars.tell("counting")
-        found = counted(study, key, given)
+        counted_answers = counted(study, key, read)
         reference = key.methods.index("recorded") if "recorded" in key.methods else 0
-        fitted = mixed_model(found.tables, reference) if mixed else None
+        fitted = mixed_model(counted_answers.tables, reference) if mixed else None
         machines = machine_tables(folder / MACHINES_FILE, study, key)
-        figures = study_figures(study, key, found, fitted, machines)
+        figures = study_figures(study, key, counted_answers, fitted, machines)
         about = f"Study {study.identity}, answers of {file.name}, reported {now()}"
-        page = report_page(figures, about=about, is_rehearsal=given.is_simulated)
+        page = report_page(figures, about=about, is_rehearsal=read.is_simulated)
         write_whole(path, page)
     if as_json:
         print_json(figures)
@@ -322,8 +322,8 @@ def _print_figures(figures: dict[str, object]) -> None:
     """Print who was counted and the table of ratings; the rest is on the report's page."""
     raters = figures["raters"]
     assert isinstance(raters, dict)
-    left = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"
-    RESULTS.print(f"{raters['began']} raters, {raters['counted']} counted; left out: {left}")
+    left_out = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"
+    RESULTS.print(f"{raters['began']} raters, {raters['counted']} counted; left out: {left_out}")
     rows = figures["ratings"]
     assert isinstance(rows, list)
     print_table(rows, _RATING_HEADINGS)

@@ -213,13 +213,13 @@ def _far_from_closure(utterance: Utterance, times_s: Array) -> Mask:
 
     False after the last label.
     """
-    far = np.ones(len(times_s), dtype=bool)
+    is_far = np.ones(len(times_s), dtype=bool)
     for phone in utterance.phones:
         if phone.phoneme in (*_BILABIALS, SILENCE) and phone.end_s is not None:
-            near = times_s >= phone.start_s - _FALSE_WINDOW_S
-            far &= ~(near & (times_s <= phone.end_s + _FALSE_WINDOW_S))
+            after_start = times_s >= phone.start_s - _FALSE_WINDOW_S
+            is_far &= ~(after_start & (times_s <= phone.end_s + _FALSE_WINDOW_S))
     labelled_until_s = max((p.end_s or 0.0 for p in utterance.phones), default=0.0)
-    return far & (times_s < labelled_until_s)
+    return is_far & (times_s < labelled_until_s)
 
 
 def _acceleration2(coefficients: Array, scored: Mask) -> float:
@@ -434,12 +434,12 @@ def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
 def lip_speed_figures(speeds: Iterable[LipSpeed]) -> dict[str, float | None]:
     """Return lip speed figures of many pieces together; rates are None without speech."""
     found = list(speeds)
-    spoken_s = sum(one.spoken_s for one in found)
-    n_steps, n_gap_steps = sum(one.n_steps for one in found), sum(one.n_gap_steps for one in found)
+    spoken_s = sum(s.spoken_s for s in found)
+    n_steps, n_gap_steps = sum(s.n_steps for s in found), sum(s.n_gap_steps for s in found)
     return {
-        "fastest_lip_mm_s": max((one.fastest_mm_s for one in found), default=0.0),
+        "fastest_lip_mm_s": max((s.fastest_mm_s for s in found), default=0.0),
         "fast_steps_per_s": n_steps / spoken_s if spoken_s else None,
-        "widest_gap_step_mm": max((one.widest_gap_step_mm for one in found), default=0.0),
+        "widest_gap_step_mm": max((s.widest_gap_step_mm for s in found), default=0.0),
         "gap_steps_per_s": n_gap_steps / spoken_s if spoken_s else None,
         "spoken_s": spoken_s,
     }

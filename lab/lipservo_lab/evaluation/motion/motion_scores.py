@@ -177,9 +177,9 @@ def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
 
     Raises CorpusError for other markers than the model's, and for a folder without labels.
     """
-    names, known = corpus.layout.names, model.layout.names
-    if names != known:
-        odd = sorted(set(names) ^ set(known))[:3]
+    names, model_names = corpus.layout.names, model.layout.names
+    if names != model_names:
+        odd = sorted(set(names) ^ set(model_names))[:3]
         raise CorpusError(f"{corpus.name}: markers other than the model's ({', '.join(odd)}, ...)")
     utterances = corpus.labelled().utterances
     if not utterances:

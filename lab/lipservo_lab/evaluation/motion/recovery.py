@@ -88,30 +88,30 @@ def wrong_phoneme_persistence(
     corrections: the face at t is decided when the sound up to t + look-ahead was recognised.
     """
     rng = np.random.default_rng(seed)
-    squares, never = [], []
+    squares, uncorrected = [], []
     for utterance in utterances:
         phones = utterance.phones
         spoken = [i for i, p in enumerate(phones) if p.phoneme != SILENCE]
         if len(spoken) < 2 + AFTER:
             continue
         index = spoken[int(rng.integers(1, len(spoken) - AFTER))]
-        wrong = str(rng.choice([p for p in _SPOKEN if p != phones[index].phoneme]))
+        wrong_phoneme = str(rng.choice([p for p in _SPOKEN if p != phones[index].phoneme]))
         compared = phones[index : index + 1 + AFTER]
         times_s = np.arange(0.0, compared[-1].end_s or 0.0, 1.0 / _RATE_HZ)
         faces = {
             delay_s: method.faces(
-                model, _misheard_at(phones, index, wrong, delay_s), times_s, lookahead_s
+                model, _misheard_at(phones, index, wrong_phoneme, delay_s), times_s, lookahead_s
             )
             for delay_s in {0.0, NEVER_S, *corrected_after_s}
         }
         right = faces[0.0]
         squares.append([_squares(compared, times_s, faces[d] - right) for d in corrected_after_s])
-        never.append(_squares(compared, times_s, faces[NEVER_S] - right)[0])
+        uncorrected.append(_squares(compared, times_s, faces[NEVER_S] - right)[0])
     if not squares:
         return []
     # unit: squares in the wrong phoneme, uncorrected. Bootstrap samples hold sentence i draws[..,
     # i] times.
-    n, unit = len(squares), np.array(never)
+    n, unit = len(squares), np.array(uncorrected)
     draws = rng.multinomial(n, np.full(n, 1.0 / n), size=_N_RESAMPLINGS)
     unit_totals = draws @ unit
     found = []
@@ -125,7 +125,7 @@ def wrong_phoneme_persistence(
 def _misheard_at(phones: Sequence[PhonemeEvent], index: int, wrong: str, until_s: float) -> Heard:
     """Return a recogniser's updates with one phone as `wrong` for `until_s` from its start.
 
-    hit: index of that phone. Phones are known when they begin and end; only those older than
+    index: of that phone. Phones are known when they begin and end; only those older than
     `until_s` are final.
     """
     wrongly_heard = [*phones[:index], replace(phones[index], phoneme=wrong), *phones[index + 1 :]]

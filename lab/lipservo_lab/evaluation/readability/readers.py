@@ -303,20 +303,20 @@ def read_words(folds: Iterable[Fold], made: Motions, recorded: Motions) -> list[
     readings = []
     for fold in folds:
         for slot, classifier in fold.reader.classifiers.items():
-            seen = words_of_slot(fold.sentences, made, slot)
-            away = seen - fold.reader.mean_words[slot]
+            made_words = words_of_slot(fold.sentences, made, slot)
+            made_away = made_words - fold.reader.mean_words[slot]
             recorded_away = words_of_slot(fold.sentences, recorded, slot)
             recorded_away -= fold.reader.mean_words[slot]
-            found = zip(
+            rows = zip(
                 fold.sentences,
-                classifier.predict(seen),
-                _products(away, recorded_away),
+                classifier.predict(made_words),
+                _products(made_away, recorded_away),
                 _products(recorded_away, recorded_away),
                 strict=True,
             )
             readings += [
                 Reading(u.name, slot, spoken_words(u)[slot].text, str(read), product, square)
-                for u, read, product, square in found
+                for u, read, product, square in rows
             ]
     return readings
 

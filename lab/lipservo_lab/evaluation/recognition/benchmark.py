@@ -131,13 +131,13 @@ def measure(
             samples = condition.apply(samples, utterance.name, voices)
             servos_deg = condition.servo_positions_deg(utterance.name, len(samples))
         text = known_text_of(utterance)
-        heard, block_costs = label_frames(recognizer, samples, servos_deg, text)
-        reference = alignments[utterance.name].labels(len(heard.labels))
+        recognized, block_costs = label_frames(recognizer, samples, servos_deg, text)
+        reference = alignments[utterance.name].labels(len(recognized.labels))
         for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
-            each.add(heard.labels, reference)
+            each.add(recognized.labels, reference)
         duration_s += len(samples) / SAMPLE_RATE_HZ
-        n_revisions += heard.n_revisions
-        n_reported += len(phone_sequence(heard.labels))
+        n_revisions += recognized.n_revisions
+        n_reported += len(phone_sequence(recognized.labels))
         costs.append(np.array(block_costs.costs_s))
         progress(utterance.name)
     all_costs = np.concatenate(costs) if costs else np.zeros(1)
@@ -169,18 +169,18 @@ def leaving_figures(
     Each utterance is followed by the one half the list away, while the text goes on with the one
     after that. Times count from the first phone of the second sound.
     """
-    recognizer, half = make_recognizer(), len(utterances) // 2
+    recognizer, half_away = make_recognizer(), len(utterances) // 2
     times_s: list[float | None] = []
     for number, utterance in enumerate(utterances):
-        other = utterances[(number + half) % len(utterances)]
-        known = utterances[(number + half + 1) % len(utterances)]
+        other = utterances[(number + half_away) % len(utterances)]
+        text_source = utterances[(number + half_away + 1) % len(utterances)]
         sounds = read_speech(utterance.sound), read_speech(other.sound)
         n_frames = round(len(sounds[1]) / SAMPLE_RATE_HZ * FRAMES_PER_S)
         spoken = np.flatnonzero(alignments[other.name].labels(n_frames) != PHONEME_INDEX[SILENCE])
         if alignments[utterance.name].error or not len(spoken):
             continue
         onset_s = float(spoken[0]) / FRAMES_PER_S
-        text = f"{utterance.text} {known.text}".lower()
+        text = f"{utterance.text} {text_source.text}".lower()
         times_s.append(time_to_leave(recognizer, *sounds, onset_s, text).left_s)
         progress(utterance.name)
     left_s = [each for each in times_s if each is not None]
@@ -271,10 +271,10 @@ def texts_of(
     """
     others = [u.text for u in pool if u.text != utterance.text]
     nearest = sorted(others, key=lambda text: abs(len(text) - len(utterance.text)))[:_NEAREST]
-    own, other = utterance.text.split(), str(rng.choice(nearest)).split()
-    half = max(1, len(own) // 2)
-    made = (own, other, [*own[:half], *other[half:]], own[:half])
-    return {kind: " ".join(words) for kind, words in zip(KINDS, made, strict=True)}
+    spoken, other = utterance.text.split(), str(rng.choice(nearest)).split()
+    half = max(1, len(spoken) // 2)
+    word_lists = (spoken, other, [*spoken[:half], *other[half:]], spoken[:half])
+    return {kind: " ".join(words) for kind, words in zip(KINDS, word_lists, strict=True)}
 
 
 def score_texts(

@@ -90,8 +90,8 @@ class ClosingBench:
         n_behind = math.ceil(self.delay_s / BLOCK_S - 1e-6)
         padded = np.concatenate((samples, np.zeros(n_behind * _HOP, np.float32)))
         observer = _MouthObserver(self._synthesizer, n_behind, self.opening_mm)
-        whole = padded[: len(padded) // _HOP * _HOP]
-        RecognizerStream(self._recognizer, (observer,)).run(blocks_of(whole))
+        whole_blocks = padded[: len(padded) // _HOP * _HOP]
+        RecognizerStream(self._recognizer, (observer,)).run(blocks_of(whole_blocks))
         first = round(from_s / BLOCK_S)
         return Mouth(np.array(observer.openings_mm[first:]), np.array(observer.resting[first:]))
 
@@ -151,12 +151,12 @@ def closing_figures(
     with digital silence there and once with room noise 40 dB below the speech throughout.
     """
     cuts: list[tuple[float, float]] = []
-    rests: dict[float, list[bool]] = {gap_s: [] for gap_s in GAPS_S}
+    is_brought_to_rest: dict[float, list[bool]] = {gap_s: [] for gap_s in GAPS_S}
     n_cuts = 0
     for samples, phones in recordings:
-        room = room_noise(rng, samples, _LONGEST)
+        room_sound = room_noise(rng, samples, _LONGEST)
         for cut_s in _drawn_instants(rng, vowel_cuts(phones), _CUTS):
-            for noise in (None, room):
+            for noise in (None, room_sound):
                 sound, at_s = cut_dead(samples, cut_s)
                 n_cuts += 1
                 times = closing_times(bench.watch(_with_noise(noise, sound), at_s).opening_mm)
@@ -164,11 +164,11 @@ def closing_figures(
                     cuts.append(times)
         for at_s in _drawn_instants(rng, stop_onsets(phones), _STOPS_EACH):
             for gap_s in GAPS_S:
-                for noise in (None, room):
+                for noise in (None, room_sound):
                     sound, from_s = with_gap(samples, at_s, gap_s)
                     mouth = bench.watch(_with_noise(noise, sound), from_s)
                     n_gap = round((gap_s + _GAP_MARGIN_S) / BLOCK_S)
-                    rests[gap_s].append(bool(mouth.is_resting[:n_gap].any()))
+                    is_brought_to_rest[gap_s].append(bool(mouth.is_resting[:n_gap].any()))
     figures: dict[str, float] = {"closing_cuts": n_cuts, "closing_cuts_with_open_mouth": len(cuts)}
     for name, column in (("begins", 0), ("complete", 1)):
         times_ms = 1e3 * np.array([times[column] for times in cuts] or [math.nan])
@@ -176,9 +176,9 @@ def closing_figures(
             # method="higher": infinite times cannot be interpolated.
             value = np.percentile(times_ms, percent, method="higher")
             figures[f"closing_{name}_ms_p{percent}"] = float(value)
-    for gap_s, rested in rests.items():
+    for gap_s, rested in is_brought_to_rest.items():
         figures[f"gap_{1e3 * gap_s:.0f}_ms_brought_to_rest"] = _share(rested)
-    figures["gaps_of_each_length"] = len(rests[GAPS_S[0]])
+    figures["gaps_of_each_length"] = len(is_brought_to_rest[GAPS_S[0]])
     figures["closing_delay_ms"] = 1e3 * bench.delay_s
     return figures
 
@@ -238,8 +238,8 @@ def with_gap(samples: Samples, at_s: float, gap_s: float) -> tuple[Samples, floa
 
     at_s: the instant in the recording; the returned time is in the returned sound.
     """
-    at, reach = round(at_s * SAMPLE_RATE_HZ), round(_BEFORE_S * SAMPLE_RATE_HZ)
-    before, after = samples[max(0, at - reach) : at], samples[at : at + reach // 2]
+    gap_at, reach = round(at_s * SAMPLE_RATE_HZ), round(_BEFORE_S * SAMPLE_RATE_HZ)
+    before, after = samples[max(0, gap_at - reach) : gap_at], samples[gap_at : gap_at + reach // 2]
     silence = np.zeros(round(gap_s * SAMPLE_RATE_HZ), np.float32)
     return np.concatenate((before, silence, after)), len(before) / SAMPLE_RATE_HZ
 
@@ -294,12 +294,12 @@ def waking_figures(
         sound = np.concatenate((pause, played))
         noise = room_noise(rng, samples, len(sound))
         for noisy in (sound, sound + noise):
-            left = np.flatnonzero(~bench.watch(noisy, 0.0).is_resting)
-            left_s = float(left[0]) * BLOCK_S if len(left) else math.inf
-            waking_ms.append(1e3 * (left_s - onset_s - _PAUSE_S))
-    found = np.array(waking_ms or [math.nan])
+            awake = np.flatnonzero(~bench.watch(noisy, 0.0).is_resting)
+            awake_s = float(awake[0]) * BLOCK_S if len(awake) else math.inf
+            waking_ms.append(1e3 * (awake_s - onset_s - _PAUSE_S))
+    all_ms = np.array(waking_ms or [math.nan])
     return {
-        "waking_ms_p50": float(np.percentile(found, 50, method="higher")),
-        "waking_ms_p95": float(np.percentile(found, 95, method="higher")),
+        "waking_ms_p50": float(np.percentile(all_ms, 50, method="higher")),
+        "waking_ms_p95": float(np.percentile(all_ms, 95, method="higher")),
         "waking_onsets": len(waking_ms),
     }

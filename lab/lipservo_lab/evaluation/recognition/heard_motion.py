@@ -130,9 +130,9 @@ def is_heard(phone: PhonemeEvent, events: Iterable[PhonemeEvent]) -> bool:
     It may be off by `SLACK_FRAMES`, as for the recall of `bench recognition`. events: recognised.
     """
 
-    def frames(one: PhonemeEvent) -> tuple[int, int]:
-        end_s = one.start_s if one.end_s is None else one.end_s
-        return round(one.start_s * FRAMES_PER_S), round(end_s * FRAMES_PER_S)
+    def frames(event_or_phone: PhonemeEvent) -> tuple[int, int]:
+        end_s = event_or_phone.start_s if event_or_phone.end_s is None else event_or_phone.end_s
+        return round(event_or_phone.start_s * FRAMES_PER_S), round(end_s * FRAMES_PER_S)
 
     first, end = frames(phone)
     return any(

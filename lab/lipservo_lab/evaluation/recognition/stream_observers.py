@@ -126,8 +126,8 @@ def label_frames(
     padded = np.concatenate((samples, np.zeros(n_tail, np.float32)))
     n_first = round(recognizer.latency_s * SAMPLE_RATE_HZ) % _HOP or _HOP
     labels, costs = FrameLabels(len(samples) // _HOP), StepCosts()
-    whole = padded[: n_first + (len(padded) - n_first - 1) // _HOP * _HOP]
-    blocks = blocks_of(whole, n_first)
+    whole_blocks = padded[: n_first + (len(padded) - n_first - 1) // _HOP * _HOP]
+    blocks = blocks_of(whole_blocks, n_first)
     if servos_deg is not None and isinstance(recognizer, ServoListener):
         blocks = _with_servos(blocks, recognizer, servos_deg)
     if text and isinstance(recognizer, TextFollower):

@@ -112,7 +112,7 @@ class Festival:
         Raises SynthesisError where festival cannot be run or takes longer than `_TIMEOUT_S`.
         """
         try:
-            done = subprocess.run(
+            finished = subprocess.run(
                 [self._command, "--pipe"],
                 input=program.encode(),
                 capture_output=True,
@@ -122,7 +122,7 @@ class Festival:
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise SynthesisError(f"festival failed: {error}"[:200]) from None
-        return done.stdout.decode("utf-8", "replace")
+        return finished.stdout.decode("utf-8", "replace")
 
 
 def _singing_xml(text: str, stretch: float) -> str:

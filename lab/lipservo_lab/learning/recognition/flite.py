@@ -105,7 +105,7 @@ class Flite:
         Raises SynthesisError where flite fails or takes longer than `_TIMEOUT_S`.
         """
         try:
-            done = subprocess.run(
+            finished = subprocess.run(
                 [self._command, *arguments],
                 capture_output=True,
                 stdin=subprocess.DEVNULL,
@@ -114,9 +114,9 @@ class Flite:
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise SynthesisError(f"flite failed: {error}"[:200]) from None
-        if done.returncode != 0:
-            raise SynthesisError(f"flite failed with status {done.returncode}")
-        return done.stdout.decode("utf-8", "replace")
+        if finished.returncode != 0:
+            raise SynthesisError(f"flite failed with status {finished.returncode}")
+        return finished.stdout.decode("utf-8", "replace")
 
 
 def segments(printed: str, duration_s: float) -> list[TimedPhones]:

@@ -256,11 +256,11 @@ def images(
         reflections. The talker is the image with none.
     """
     offsets_m, reflections = [], []
-    for length_m, spoken, heard in zip(size_m, spoken_m, heard_m, strict=True):
+    for length_m, talker, microphone in zip(size_m, spoken_m, heard_m, strict=True):
         n_each_side = int(np.ceil(SOUND_M_S * longest_s / (2 * length_m)))
         rooms = np.arange(-n_each_side, n_each_side + 1)
-        places_m = (2 * rooms * length_m + spoken, 2 * rooms * length_m - spoken)
-        offsets_m.append(np.concatenate(places_m) - heard)
+        places_m = (2 * rooms * length_m + talker, 2 * rooms * length_m - talker)
+        offsets_m.append(np.concatenate(places_m) - microphone)
         reflections.append(np.concatenate((np.abs(2 * rooms), np.abs(2 * rooms - 1))))
     x_m, y_m, z_m = np.ix_(*offsets_m)
     x, y, z = np.ix_(*reflections)

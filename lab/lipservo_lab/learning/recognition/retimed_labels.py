@@ -56,21 +56,21 @@ def taught_by(
     find the phones is left out: its score, the mean log ratio of the aligned phone to the likeliest
     (`goodness_of_pronunciation`), is below `LEAST_SCORE`.
     """
-    kept: list[LabelledSamples] = []
+    relabelled: list[LabelledSamples] = []
     posteriors: list[NDArray[np.float16]] = []
     for number, (recording, aligned) in enumerate(recordings, start=1):
         probs = _posteriors(teacher, recording)
         labels = labels_if_spoken([PHONEME_INDEX[name] for name, _, _ in aligned.phones], probs)
         if labels is not None:
-            kept.append(replace(recording, labels=labels))
+            relabelled.append(replace(recording, labels=labels))
             posteriors.append(probs.astype(np.float16))
         progress(number)
     no_labels = np.zeros(0, np.int64)
     taught = Taught(
-        np.concatenate([no_labels, *(each.labels for each in kept)]),
+        np.concatenate([no_labels, *(each.labels for each in relabelled)]),
         np.concatenate([np.zeros((0, len(PHONEMES)), np.float16), *posteriors]),
     )
-    return TaughtRecordings(tuple(kept), taught, len(recordings) - len(kept))
+    return TaughtRecordings(tuple(relabelled), taught, len(recordings) - len(relabelled))
 
 
 def labels_if_spoken(phones: Sequence[int], posteriors: Array32) -> NDArray[np.int64] | None:

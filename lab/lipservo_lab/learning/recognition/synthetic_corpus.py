@@ -106,14 +106,14 @@ def _speak(synthesizer: Synthesizer, voice: Voice, text: str, corpus: Path, name
     Raises SynthesisError for a voice that reports no times of phonemes.
     """
     try:
-        spoken = synthesizer.speak(text.lower(), voice)
+        speech = synthesizer.speak(text.lower(), voice)
     except UnspeakableTextError:
         return
-    if not spoken.phonemes:
+    if not speech.phonemes:
         raise SynthesisError(f"{corpus.name}: the voice gives no phoneme times to learn from")
     with written_whole(corpus / "audio" / f"{name}.flac") as path:
-        soundfile.write(path, spoken.samples, spoken.sample_rate_hz, format="FLAC")
-    phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in spoken.phonemes)
+        soundfile.write(path, speech.samples, speech.sample_rate_hz, format="FLAC")
+    phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in speech.phonemes)
     # One interval for all words: the times of words are needed by nobody here.
-    whole = ((text, 0.0, spoken.duration_s),)
-    write_tiers(corpus / "labels" / f"{name}.TextGrid", {"words": whole, "phones": phones})
+    one_interval = ((text, 0.0, speech.duration_s),)
+    write_tiers(corpus / "labels" / f"{name}.TextGrid", {"words": one_interval, "phones": phones})

@@ -234,12 +234,12 @@ def surroundings(
     Surroundings
         Makers of sounds.
     """
-    some = clean[:: max(1, len(clean) // 200)]
-    voices = [each.samples for each in some]
+    chosen = clean[:: max(1, len(clean) // 200)]
+    voices = [each.samples for each in chosen]
     return Surroundings(
         noise.babble(voices),
         noise.babble(voices, 1),
-        laughter_of([(each.samples, each.labels) for each in some]),
+        laughter_of([(each.samples, each.labels) for each in chosen]),
         found(list(found_sounds)) if found_sounds else None,
     )
 

@@ -104,14 +104,14 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     clean = [read_labelled(u, alignments[u.name]) for u in training]
     taught = None
     if run.teacher is not None:
-        labels = taught_by(
+        retimed = taught_by(
             run.teacher,
             [(each, alignments[u.name]) for each, u in zip(clean, training, strict=True)],
             lambda n: advance("teaching", n, len(training)),
         )
-        if not labels.recordings:
+        if not retimed.recordings:
             raise TrainingError("--teacher finds no text in its sound; give other weights")
-        clean, taught = list(labels.recordings), labels.taught
+        clean, taught = list(retimed.recordings), retimed.taught
     scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
     arrays = []
     for array in training_arrays(
@@ -214,22 +214,22 @@ def _aligned(
     Alignments are by utterance name, and kept in `alignments.jsonl` of the run's folder. Raises
     TrainingError for two utterances of one name.
     """
-    everything = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
-    names = Counter(u.name for u in everything)
+    all_utterances = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
+    names = Counter(u.name for u in all_utterances)
     if twice := [name for name, count in names.items() if count > 1]:
         raise TrainingError(f"utterance {twice[0]!r} is in two corpora; rename it in one of them")
     utterances = [
         utterance
-        for utterance in without_names(everything, run.left_out)
+        for utterance in without_names(all_utterances, run.left_out)
         if utterance.speaker not in run.held_out
     ]
     utterances = list(of_speakers(tuple(utterances), frozenset(), run.limit))
     utterances += _synthetic_utterances(run, utterances, advance)
-    done: list[str] = []
+    done_names: list[str] = []
 
     def count(name: str) -> None:
-        done.append(name)
-        advance("aligning", len(done), len(utterances))
+        done_names.append(name)
+        advance("aligning", len(done_names), len(utterances))
 
     alignments = align_corpus(
         tuple(utterances),
@@ -301,9 +301,9 @@ def _conditions(
         for h in recordings
     ]
     quiet = [replace(h, samples=h.samples * np.float32(10.0**-1.5)) for h in recordings]
-    ways = {"clean": recordings, "white_10db": noisy, "level_-30db": quiet}
-    ways |= {f"{_CORPUS}{corpus}": listed for corpus, listed in by_corpus.items()}
-    return {name: as_array(way, scale, delays) for name, way in ways.items()}
+    recordings_of = {"clean": recordings, "white_10db": noisy, "level_-30db": quiet}
+    recordings_of |= {f"{_CORPUS}{corpus}": listed for corpus, listed in by_corpus.items()}
+    return {name: as_array(way, scale, delays) for name, way in recordings_of.items()}
 
 
 def _corpus_of(utterance: TranscribedUtterance) -> str:
