@@ -43,7 +43,7 @@ class Dominance:
         Parameters
         ----------
         phones : Sequence[PhonemeEvent]
-            Of the sentence.
+            Phones of the sentence, in order.
         centres : Array
             (40, n_components), the face of each phoneme.
         times_s : Array
@@ -66,7 +66,7 @@ class Dominance:
         Parameters
         ----------
         phones : Sequence[PhonemeEvent]
-            Of the sentence.
+            Phones of the sentence, in order.
         times_s : Array
             (n,).
 
@@ -88,7 +88,7 @@ def distances_s(phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
     Parameters
     ----------
     phones : Sequence[PhonemeEvent]
-        Of the sentence.
+        Phones of the sentence, in order.
     times_s : Array
         (n,).
 
@@ -214,7 +214,7 @@ def spline_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array)
     Parameters
     ----------
     phones : Sequence[PhonemeEvent]
-        Of the sentence.
+        Phones of the sentence, in order.
     targets : Array
         (40, n_components), the face of each phoneme.
     times_s : Array
@@ -237,7 +237,7 @@ def joined_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array)
     Parameters
     ----------
     phones : Sequence[PhonemeEvent]
-        Of the sentence.
+        Phones of the sentence, in order.
     targets : Array
         (n_phones, n_components).
     times_s : Array

@@ -55,7 +55,7 @@ class ContextVisemes:
         Parameters
         ----------
         phones : Sequence[PhonemeEvent]
-            Of the line.
+            Phones of the line, in order.
 
         Returns
         -------

@@ -58,6 +58,10 @@ class DisturbedTransport:
         baud_rate: int = 1_000_000,
         sent: list[bytes] | None = None,
     ) -> None:
+        """Put a disturbed adapter in front of a chain.
+
+        disturbance: None: nothing is disturbed. sent: list to which written packets are appended.
+        """
         self.clock = clock
         self.baud_rate = baud_rate
         self.disturbance = disturbance or Disturbance()
@@ -74,6 +78,7 @@ class DisturbedTransport:
         self._chain.advance(now_s)
         if self.disturbance.echo:
             self.queue(now_s + len(data) * BITS_PER_BYTE / self.baud_rate, data)
+        # Byte 7 is the instruction. Servos that do not know it do not answer.
         unknown = data[7] == Instruction.FAST_SYNC_READ and not self.disturbance.fast_sync_read
         if self._rng.random() >= self.disturbance.lost and not unknown:
             self._chain.receive(data, now_s, self.baud_rate)
@@ -193,6 +198,10 @@ class QuestionedChain:
         seed: int = 0,
         make_transport: type[DisturbedTransport] = DisturbedTransport,
     ) -> None:
+        """Make the servos and the line.
+
+        seed: of the disturbances. make_transport: class of the transport between line and servos.
+        """
         self.clock = ManualClock()
         self.chain = SimulatedChain([MODEL] * len(IDS), IDS, baud_rate=1_000_000)
         port = make_transport(self.chain, self.clock, random.Random(seed), disturbance)

@@ -66,6 +66,7 @@ class PulseAuditor:
     """
 
     def __init__(self, wiring: Wiring) -> None:
+        """Prepare to check the pulses of the servos in a wiring."""
         self._last_us = {each.channel: each.neutral_us for each in wiring.servos}
         self._last_s = dict.fromkeys(self._last_us, -math.inf)
         self._off_s = dict.fromkeys(self._last_us, -math.inf)
@@ -139,6 +140,7 @@ class PulseStage:
     """Hobby servos with a fault; see `fault_campaign.Stage`."""
 
     def __init__(self, case: Case) -> None:
+        """Make the simulated bus of a case, with its faults, watched by an auditor."""
         wiring, simulator = wiring_of(case), bus_kind(case.bus).simulator()
         self.joints: Sequence[Joint] = wiring.joints
         self.auditor = PulseAuditor(wiring)

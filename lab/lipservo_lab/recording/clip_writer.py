@@ -32,6 +32,10 @@ class ClipWriter:
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
+        """Open the file, and start the thread that compresses pictures.
+
+        rate_hz: nominal pictures a second.
+        """
         import av
 
         self._av = av

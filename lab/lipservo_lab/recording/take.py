@@ -159,6 +159,10 @@ class Take:
     """
 
     def __init__(self, clip: Path, begins_s: float, zero_s: float, rate_hz: float) -> None:
+        """Open the clip; see the class for the times.
+
+        rate_hz: pictures a second that the camera promised.
+        """
         self._writer = ClipWriter(clip, rate_hz)
         self._begins_s, self._zero_s, self._rate_hz = begins_s, zero_s, rate_hz
         self._ends_s = np.inf

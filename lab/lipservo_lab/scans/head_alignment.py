@@ -253,6 +253,8 @@ def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
     ScanError
         With the option to give.
     """
+    # Usual axes: as given, mirrored, upside down, both. The other 44 are only tried without a good
+    # fit.
     usual = [np.diag(signs) for signs in ((1.0, 1, 1), (-1.0, 1, 1), (-1.0, -1, 1), (1.0, -1, 1))]
     misfit_of = _misfits(face_mm, scan, usual)
     if misfit_of.get(tuple(np.eye(3).ravel().tolist()), np.inf) > _CERTAIN_MM:

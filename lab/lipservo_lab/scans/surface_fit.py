@@ -96,6 +96,7 @@ class SurfaceFit:
     """Fits one template to scans; what all scans share of the equations is factorised once."""
 
     def __init__(self, template: Template, levels: Sequence[Level] = LEVELS) -> None:
+        """Factorise the equations of the template for each level."""
         self._template = template
         self._levels = levels
         laplacian, areas = cotangent_laplacian(template.vertices_mm, template.triangles)

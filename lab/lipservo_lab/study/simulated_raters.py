@@ -90,6 +90,11 @@ def simulated_records(
 
 
 class _Population:
+    """A population of raters: what its members share about sentences and methods.
+
+    of_sentence, of_both: parts of a rating, in points, by sentence, and by sentence and method.
+    """
+
     def __init__(self, study: Study, key: Key, taste: Taste, numbers: np.random.Generator) -> None:
         self.study, self.key, self.taste, self.numbers = study, key, taste, numbers
         sentences = {clip.sentence for clip in key.clips.values()}
@@ -106,6 +111,8 @@ class _Population:
 
 
 class _Rater:
+    """One simulated rater, with parts of the rating that only this rater has."""
+
     def __init__(self, population: _Population, character: Character) -> None:
         self._all, self._character = population, character
         numbers, taste = population.numbers, population.taste

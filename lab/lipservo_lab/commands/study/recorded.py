@@ -44,9 +44,9 @@ def recorded(
         names = ", ".join(each.name for each in utterances[:5])
         raise UserError(f"{corpus}: no sentence {sentence}; there are {names} ...")
     motion = face.coefficients(found.markers_mm)
-    known_s = np.arange(len(motion)) / found.frame_rate_hz
-    times_s = np.arange(int(known_s[-1] * RATE_HZ) + 1) / RATE_HZ
-    columns = [np.interp(times_s, known_s, column) for column in motion.T]
+    frames_s = np.arange(len(motion)) / found.frame_rate_hz
+    times_s = np.arange(int(frames_s[-1] * RATE_HZ) + 1) / RATE_HZ
+    columns = [np.interp(times_s, frames_s, column) for column in motion.T]
     faces = np.stack(columns, axis=1).astype(np.float32)
     sound = performed_sound(found.sound_path, included=True)
     phones = tuple(each for each in found.phones if each.end_s is not None)

@@ -38,7 +38,7 @@ def lip_shapes_mm(face: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
     Parameters
     ----------
     face : FaceModel
-        The model.
+        The face, with its layout of points.
     markers_mm : NDArray[np.floating]
         (n_frames, n_points, 3).
 

@@ -71,6 +71,7 @@ class ClosingBench:
     """A live recogniser, and a mouth that moves by what it recognises."""
 
     def __init__(self, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float) -> None:
+        """Connect a recogniser to a mouth of a model, with a look-ahead in s."""
         self._recognizer = recognizer
         self._synthesizer = LiveSynthesizer(
             model, model.expectation, Style(lookahead_s), soft=model.soft

@@ -283,6 +283,11 @@ class _EnduranceObserver:
         resident_mb: Callable[[], float],
         progress: Callable[[int, int], None],
     ) -> None:
+        """Allocate memory for the costs of `n_blocks` blocks.
+
+        resident_mb: returns the memory of the process now. progress: called with blocks done and
+        all.
+        """
         self.costs_s = np.full(n_blocks, np.inf, np.float32)
         self.heard_until_s = 0.0
         self.settled_mb = resident_mb()

@@ -318,7 +318,7 @@ def animphos_of(segments: Segments, rest: Array, seed: int) -> AnimPhoUnits:
     rest : Array
         (n_components,), the closed mouth.
     seed : int
-        Of the clustering.
+        Seed of k-means.
 
     Returns
     -------
@@ -354,7 +354,7 @@ def clustered_alike(segments: Segments, rest: Array, component: int, seed: int) 
     component : int
         Index of the component.
     seed : int
-        Of the clustering.
+        Seed of k-means.
 
     Returns
     -------

@@ -210,7 +210,7 @@ def principal_components(frames: Array, weights: Array, n_components: int) -> Pr
     weights : Array
         (n_frames,), a frame of weight 2 counts as two.
     n_components : int
-        How many.
+        Number of components.
 
     Returns
     -------

@@ -137,7 +137,7 @@ def find_components(sentences_mm: Sequence[NDArray[np.floating]], n_components: 
     sentences_mm : Sequence[NDArray[np.floating]]
         (n_frames, n_coordinates) each.
     n_components : int
-        How many.
+        Number of components.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def components_by_em(sentences_mm: Sequence[NDArray[np.floating]], n_components:
     sentences_mm : Sequence[NDArray[np.floating]]
         (n_frames, n_coordinates) each.
     n_components : int
-        How many.
+        Number of components.
 
     Returns
     -------
@@ -259,9 +259,9 @@ def bisected_states(coordinates: Array, n_states: int, seed: int) -> Indices:
     coordinates : Array
         (n, d) of the manifold.
     n_states : int
-        How many.
+        Number of states.
     seed : int
-        Of the splits.
+        Seed of the splits.
 
     Returns
     -------
@@ -282,7 +282,7 @@ def transitions(sentences: Sequence[Indices], n_states: int) -> NDArray[np.bool_
     sentences : Sequence[Indices]
         The states (n_frames,) of each sentence, in order of time.
     n_states : int
-        How many.
+        Number of states.
 
     Returns
     -------
@@ -310,7 +310,7 @@ def state_gaussians(
     states : Indices
         (n,), of each frame.
     n_states : int
-        How many.
+        Number of states.
     shrinkage : float
         Number of frames.
 

@@ -188,7 +188,7 @@ class Surroundings:
         Parameters
         ----------
         rng : np.random.Generator
-            Chooses.
+            Draws all choices.
         n : int
             Number of samples.
 
@@ -268,7 +268,7 @@ def no_speech(rng: np.random.Generator, n: int, around: Surroundings) -> Array32
     Parameters
     ----------
     rng : np.random.Generator
-        Chooses.
+        Draws all choices.
     n : int
         Number of samples.
     around : Surroundings
@@ -299,7 +299,7 @@ def by_another_voice(rng: np.random.Generator, clean: LabelledSamples) -> Labell
     Parameters
     ----------
     rng : np.random.Generator
-        Chooses.
+        Draws all choices.
     clean : LabelledSamples
         As recorded.
 

@@ -44,6 +44,7 @@ class Festival:
     longest_text = 2000
 
     def __init__(self) -> None:
+        """Find the command. Raises SynthesisError if festival is not installed."""
         found = shutil.which("festival")
         if found is None:
             raise SynthesisError(

@@ -393,7 +393,7 @@ def learn_from(
     network : TorchNetwork
         Changed by the step.
     optimizer : torch.optim.Optimizer
-        Of the network.
+        Its state is changed by the step.
     plan : TrainingPlan
         Weights of the parts of the loss.
     rate : float

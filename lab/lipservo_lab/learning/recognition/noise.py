@@ -36,9 +36,9 @@ def white(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws it.
+        Draws the noise.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -49,14 +49,14 @@ def white(rng: np.random.Generator, n: int) -> Array32:
 
 
 def coloured(rng: np.random.Generator, n: int) -> Array32:
-    """Return noise whose power falls by 0 to 12 dB an octave, with one random resonance.
+    """Return noise whose power falls by 0 to 6 dB an octave, with one random resonance.
 
     Parameters
     ----------
     rng : np.random.Generator
-        Draws it.
+        Draws the noise.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def band(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws it.
+        Draws the noise.
     n : int
         Number of samples.
 
@@ -123,6 +123,7 @@ def band(rng: np.random.Generator, n: int) -> Array32:
     Array32
         (n,), of unit power.
     """
+    # In samples: half a beat of 90 to 140 a minute.
     beat = round(SAMPLE_RATE_HZ * 60.0 / rng.uniform(90.0, 140.0) / 2)
     scale_hz = 220.0 * 2.0 ** (np.array([0, 2, 4, 5, 7, 9, 11, 12]) / 12.0)
     total = np.zeros(n + 2 * SAMPLE_RATE_HZ)
@@ -319,7 +320,7 @@ def add_at(total: NDArray[np.float64], start: int, part: NDArray[np.float64]) ->
     total : NDArray[np.float64]
         (m,), changed in place.
     start : int
-        Sample.
+        Sample of `total` at which `part` begins.
     part : NDArray[np.float64]
         (n,).
     """
@@ -359,7 +360,7 @@ def _string(rng: np.random.Generator, pitch_hz: float, n: int) -> NDArray[np.flo
 #: Only the middle 90 s of a long file are kept: to save memory, and so that it does not outweigh
 #: the others.
 _LONGEST_S = 90
-_SAMPLES_S = 16_000
+_SAMPLES_PER_S = 16_000
 
 
 class FoundSoundsError(UserError):
@@ -399,9 +400,9 @@ def read_found_sounds(
         except SoundError as error:
             warn(str(error))
             continue
-        spare = max(0, len(samples) - _LONGEST_S * _SAMPLES_S) // 2
+        spare = max(0, len(samples) - _LONGEST_S * _SAMPLES_PER_S) // 2
         # Float16 would do; half the memory is not worth another type.
-        sounds.append(samples[spare : spare + _LONGEST_S * _SAMPLES_S].copy())
+        sounds.append(samples[spare : spare + _LONGEST_S * _SAMPLES_PER_S].copy())
     if not sounds:
         raise FoundSoundsError(f"{folder}: holds no sound file that can be read")
     return sounds
@@ -439,7 +440,7 @@ def found(sounds: list[Array32]) -> Noise:
         while start < n:
             end = min(n, start + len(sound))
             total[start:end] = sound[: end - start]
-            start = end + int(rng.integers(0, 2 * _SAMPLES_S))
+            start = end + int(rng.integers(0, 2 * _SAMPLES_PER_S))
         return unit_power(total)
 
     return make_part

@@ -110,9 +110,9 @@ def impulses(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws them.
+        Draws the sounds.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -145,9 +145,9 @@ def cough(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws them.
+        Draws the sounds.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -179,9 +179,9 @@ def laughter(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws them.
+        Draws the sounds.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -213,9 +213,9 @@ def hum(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws them.
+        Draws the sounds.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -245,9 +245,9 @@ def motors(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws them.
+        Draws the sounds.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -269,7 +269,7 @@ def servos(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws them.
+        Draws the sounds.
     n : int
         Number of samples.
 
@@ -307,7 +307,7 @@ def any_sound(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Chooses.
+        Draws the sound.
     n : int
         Number of samples.
 

@@ -99,7 +99,7 @@ def started_from(
     Returns
     -------
     TorchNetwork
-        The network.
+        Of the plan's shape.
     """
     weights = grown(weights, plan)
     network = TorchNetwork(plan)

@@ -116,9 +116,9 @@ def as_array(
     Parameters
     ----------
     recordings : Iterable[LabelledSamples]
-        Labelled.
+        Samples with labels.
     scale : FeatureScale
-        Of the features.
+        Scale of the features.
     delays : Sequence[int]
         Of the heads, in frames.
 
@@ -155,13 +155,13 @@ def training_arrays(
     clean : Sequence[LabelledSamples]
         The recordings.
     scale : FeatureScale
-        Of the features.
+        Scale of the features.
     delays : Sequence[int]
         Of the heads, in frames.
     n_heavy : int
         Number of heavily augmented copies.
     seed : int
-        Of the augmentation.
+        Seed of the augmentation.
     found_sounds : Sequence[Array32]
         Recordings (n,) without speech, beside synthetic sounds.
     is_taught : bool
