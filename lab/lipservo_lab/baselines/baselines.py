@@ -156,13 +156,13 @@ def fit_regression(
     Parameters
     ----------
     phonemes : Indices
-        (n, 5).
+        (n, 5), the phonemes around each of n instants, as from `contexts`.
     times_s : Array
-        (n, 6).
+        (n, 6), their times relative to the instant.
     lookahead_s : Array
-        (n,).
+        (n,), sound known beyond the instant.
     faces : Array
-        (n, n_components).
+        (n, n_components), the faces to fit.
 
     Returns
     -------

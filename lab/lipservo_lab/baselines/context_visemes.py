@@ -46,7 +46,7 @@ class ContextVisemes:
             if not np.isin(_CLASS_OF[context[_ITSELF]], _CLASS_OF[recorded]):
                 context[_ITSELF] = PHONEMES.index(stand_in(PHONEMES[context[_ITSELF]], known)[0])
         durations_s = _durations_s(phones)
-        best = [self._best(*each) for each in zip(contexts, durations_s, strict=True)]
+        best = [self._best(*arguments) for arguments in zip(contexts, durations_s, strict=True)]
         return np.array(best, dtype=np.int64)
 
     def targets(self, phones: Sequence[PhonemeEvent]) -> Array:

@@ -104,8 +104,8 @@ def _add_sentence(
     arrays are those of `_sentence_arrays`.
     """
     after = (tau_s > 0.0).astype(np.intp)
-    each = np.broadcast_to(classes, tau_s.shape)
-    rate, power = rates[each, after], powers[each, after]
+    frame_classes = np.broadcast_to(classes, tau_s.shape)
+    rate, power = rates[frame_classes, after], powers[frame_classes, after]
     scaled = np.maximum(rate * np.abs(tau_s), _TINY)
     raised = scaled**power
     weights = np.exp(-np.minimum(raised, 600.0))
@@ -114,6 +114,6 @@ def _add_sentence(
     # d cost / d weight_k = 2 error . (target_k - face) / total
     pull = 2.0 * (error @ targets.T - (error * (error + faces)).sum(axis=1, keepdims=True)) / total
     by_exponent = -pull * weights
-    np.add.at(slope[0], (each, after), by_exponent * power * raised)
-    np.add.at(slope[1], (each, after), by_exponent * raised * np.log(scaled))
+    np.add.at(slope[0], (frame_classes, after), by_exponent * power * raised)
+    np.add.at(slope[1], (frame_classes, after), by_exponent * raised * np.log(scaled))
     return float((error**2).sum())

@@ -248,7 +248,7 @@ def _read_sessions(path: Path) -> list[Endurance]:
         return []
     try:
         content = json.loads(path.read_text())
-        return [_session(each) for each in content["sessions"]]
+        return [_session(entry) for entry in content["sessions"]]
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise UserError(
             f"{path}: does not hold whole sessions of `bench endurance`; name a new file"

@@ -236,7 +236,7 @@ class QuestionedChain:
                 line.ping(servo_id), self.bytes_of(servo_id, "model_number", "firmware_version")
             )
         statuses = self._read_group(question.kind)
-        n_wrong = sum(each.data != self.bytes_of(each.servo_id, *_GROUP) for each in statuses)
+        n_wrong = sum(reply.data != self.bytes_of(reply.servo_id, *_GROUP) for reply in statuses)
         return Answered(len(statuses), n_wrong)
 
     def _read_group(self, kind: str) -> Sequence[Status]:

@@ -162,7 +162,7 @@ def align_corpus(
             progress(aligned.name)
     if path is not None:
         # Alignments of other folders in the same file stay in it.
-        lines = "".join(each.as_line() for each in (stored | aligned_by_name).values())
+        lines = "".join(alignment.as_line() for alignment in (stored | aligned_by_name).values())
         write_whole(path, lines)
         unfinished_of(path).unlink()
     return {utterance.name: aligned_by_name[utterance.name] for utterance in utterances}

@@ -40,7 +40,7 @@ def fix_alignments(path: Path, alignments: Iterable[AlignedUtterance]) -> list[s
     something else, OutputError for one that cannot be written.
     """
     fixed = read_hashes(path) if path.exists() else {}
-    found = {each.name: alignment_hash(each) for each in alignments}
+    found = {alignment.name: alignment_hash(alignment) for alignment in alignments}
     if found.keys() - fixed.keys():
         lines = (f"{name} {digest}\n" for name, digest in sorted((found | fixed).items()))
         write_whole(path, "".join(lines))

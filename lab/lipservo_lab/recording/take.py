@@ -86,7 +86,7 @@ def _sound_faults(samples: Samples) -> list[str]:
     n = len(samples) // window
     if not n:
         return []
-    levels = [sound_level_db(each) for each in samples[: n * window].reshape(n, window)]
+    levels = [sound_level_db(part) for part in samples[: n * window].reshape(n, window)]
     loud_db, noise_db = float(np.quantile(levels, 0.9)), float(np.quantile(levels, 0.1))
     if loud_db < _QUIETEST_DB:
         return [f"too quiet ({loud_db:.0f} dB): turn the microphone up or come nearer"]
@@ -120,7 +120,7 @@ def _picture_faults(frames_s: NDArray[np.float64], duration_s: float, rate_hz: f
 #: A take begins so long after the key and ends so long before: keys can be heard.
 KEY_S = 0.15
 #: Every so many pictures the brightness is measured; every so many rows of it are used.
-_LOOKED_AT = 5
+_BRIGHTNESS_EVERY = 5
 _ROW_STEP = 4
 
 
@@ -200,7 +200,7 @@ class Take:
                 self._first_s = sound_s
             if not self._writer.add_frame(sound_s - self._first_s, picture):
                 continue
-            if len(self._frames_s) % _LOOKED_AT == 0:
+            if len(self._frames_s) % _BRIGHTNESS_EVERY == 0:
                 self._brightness.append(brightness(picture))
             self._frames_s.append(sound_s - self._first_s)
 

@@ -68,7 +68,7 @@ def _script_beside(sound: Path) -> Script:
 
 def unrendered(lines: Sequence[BatchLine], how: Rendering) -> list[BatchLine]:
     """Return the lines whose output is missing, or not what rendering them would give."""
-    return [each for each in lines if not is_rendered(each.output, each.sound, each.script, how)]
+    return [line for line in lines if not is_rendered(line.output, line.sound, line.script, how)]
 
 
 def render_all(

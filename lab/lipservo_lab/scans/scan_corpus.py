@@ -61,13 +61,13 @@ class CorpusWriter:
         """
         template = self._template
         eyes = template.vertices_mm[template.rows_of((_RIGHT_EYE, _LEFT_EYE))]
-        listed = {
+        landmarks = {
             "frame_rate_hz": self._rate_hz,
             "landmark_ids": template.landmarks.tolist(),
             "eye_distance_mm": round(float(np.linalg.norm(eyes[0] - eyes[1])), 3),
             "groups": {"rigid": list(RIGID)},
         }
-        self._json("landmarks.json", listed)
+        self._json("landmarks.json", landmarks)
         self._json("layout.json", template.layout.description())
         self._json("import.json", about)
         if len(self._names) >= _LEAST_FOR_FOLDS:

@@ -118,7 +118,7 @@ def _point(line: Mapping[str, str | None], where: str) -> list[float]:
         point = np.full(3, np.nan)
     if not np.isfinite(point).all():
         raise ScanError(f"{where}: x, y and z are not three numbers")
-    return [float(each) for each in point]
+    return [float(coordinate) for coordinate in point]
 
 
 #: Missing scans are interpolated for at most this long.

@@ -45,8 +45,8 @@ def find_takes(folder: Path, template: Path | None = None) -> tuple[Take, ...]:
     """
     if not folder.is_dir():
         raise ScanError(f"{folder}: no such folder; give one of scans (.ply, .obj)")
-    subfolders = sorted(each for each in folder.iterdir() if each.is_dir())
-    takes = [_take(each, folder, each.name, template) for each in subfolders]
+    subfolders = sorted(subfolder for subfolder in folder.iterdir() if subfolder.is_dir())
+    takes = [_take(subfolder, folder, subfolder.name, template) for subfolder in subfolders]
     takes = [take for take in takes if take.scans]
     if not takes:
         takes = [_take(folder, folder, folder.resolve().name, template)]
@@ -79,7 +79,7 @@ def _take(scans: Path, beside: Path, name: str, template: Path | None) -> Take:
     return Take(
         name,
         tuple(sorted(found, key=lambda path: _numerical_key(path.stem))),
-        next((each for each in sounds if each.is_file()), None),
+        next((sound for sound in sounds if sound.is_file()), None),
         text_line or None,
         _if_file(beside / f"{name}.TextGrid"),
         _if_file(beside / f"{name}.markers.csv"),
@@ -136,5 +136,5 @@ def take_sound(take: Take, rate_hz: float) -> TakeSound:
     if not has_phones(labels):
         raise ScanError(f"{take.labels}: no tier 'phones'")
     events = read_phonemes(take.labels, sound_s)
-    phones = tuple((each.phoneme, each.start_s, each.end_s or each.start_s) for each in events)
+    phones = tuple((event.phoneme, event.start_s, event.end_s or event.start_s) for event in events)
     return TakeSound(samples, labels | {"phones": phones}, "labels")

@@ -116,7 +116,7 @@ def coverage_figures(
         ranks.append(
             float(np.corrcoef(np.argsort(np.argsort(means)), -np.arange(len(means)))[0, 1])
         )
-    all_held = [each for values in is_held.values() for each in values]
+    all_held = [held for values in is_held.values() for held in values]
     return {
         "coverage": _share(all_held),
         "coverage_of": {name: _share(values) for name, values in is_held.items()},

@@ -263,7 +263,7 @@ def _values(rows: Sequence[Row], name: str) -> list[float]:
 
 
 def _dots(axes: "Axes", rows: Sequence[Row], name: str) -> None:
-    """Draw a value a row, if it has one, with its 95 % interval; label rows by their methods."""
+    """Draw the value of each row that has one, with 95 % interval; label rows by their methods."""
     for at, row in enumerate(rows):
         if row[name] is None:
             continue

@@ -265,14 +265,14 @@ def repaired(triangles: Indices) -> Indices:
 
 
 def _edges(triangle: Indices) -> list[tuple[int, int]]:
-    a, b, c = sorted(int(each) for each in triangle)
+    a, b, c = sorted(int(index) for index in triangle)
     return [(a, b), (b, c), (a, c)]
 
 
 def _least_first(triangle: Indices) -> tuple[int, ...]:
     """Return the triangle with its least corner first, so that only its orientation matters."""
     first = int(np.argmin(triangle))
-    return tuple(int(each) for each in np.roll(triangle, -first))
+    return tuple(int(index) for index in np.roll(triangle, -first))
 
 
 def main(source: Path, destination: Path) -> None:

@@ -102,15 +102,15 @@ def _diffuse(normals: Array) -> Array:
     up = 0.5 + 0.5 * normals[:, 1:2]
     light = up * _SKY + (1 - up) * _GROUND
     for direction, strength, colour in _LAMPS:
-        way = np.array(direction) / np.linalg.norm(direction)
-        light = light + strength * np.clip(normals @ way, 0.0, None)[:, None] * np.array(colour)
+        to_lamp = np.array(direction) / np.linalg.norm(direction)
+        light = light + strength * np.clip(normals @ to_lamp, 0.0, None)[:, None] * np.array(colour)
     return np.asarray(light)
 
 
 def _shine(normals: Array) -> Array:
     """Return the specular light of the first lamp, by Blinn and Phong, (n, 1)."""
-    way = np.array(_LAMPS[0][0]) / np.linalg.norm(_LAMPS[0][0]) + (0.0, 0.0, 1.0)
-    half = way / np.linalg.norm(way)
+    between = np.array(_LAMPS[0][0]) / np.linalg.norm(_LAMPS[0][0]) + (0.0, 0.0, 1.0)
+    half = between / np.linalg.norm(between)
     return np.asarray(_SHINE * np.clip(normals @ half, 0.0, 1.0)[:, None] ** _SHARPNESS)
 
 

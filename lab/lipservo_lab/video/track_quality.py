@@ -157,10 +157,7 @@ def _is_turned(points: Array) -> NDArray[np.bool_]:
 
 
 def _angles_deg(points: Array) -> tuple[Array, Array]:
-    """Return yaw and pitch, (n,) each, of faces (n, 478, 3).
-
-    By the depths that the tracker estimates.
-    """
+    """Return yaw and pitch, (n,) each, of faces (n, 478, 3), by the depths that tracking gives."""
     across = np.sum([points[:, left] - points[:, right] for right, left in _ACROSS], axis=0)
     along = points[:, _CHIN] - points[:, _FOREHEAD]
     yaw = np.arctan2(across[:, 2], np.hypot(across[:, 0], across[:, 1]))

@@ -268,7 +268,7 @@ def _about(
         "template": str(imported.neutral),
         "points": len(imported.template.landmarks),
         "rate_hz": imported.rate_hz,
-        "used_takes": sum(each["left_out"] is None for each in take_rows),
+        "used_takes": sum(row["left_out"] is None for row in take_rows),
         "used_scans": len(used),
         "left_out_scans": len(imported.scans) - len(used),
         "error_mm": round(float(np.median([report.error_mm or 0.0 for report in used])), 3),

@@ -201,10 +201,10 @@ def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
     Raises UserError for anything else, and for numbers out of range.
     """
     try:
-        numbers = tuple(int(each) for each in listed.split(",") if each.strip())
+        numbers = tuple(int(number) for number in listed.split(",") if number.strip())
     except ValueError:
         numbers = (least - 1,)
-    if not all(least <= each <= most for each in numbers):
+    if not all(least <= number <= most for number in numbers):
         raise UserError(
             f"--dilations, --delays: {listed!r}: give numbers from {least} to {most}, like 1,2,4"
         )
@@ -229,7 +229,7 @@ def _speakers(listed: str) -> frozenset[str]:
     from lipservo_lab.corpus.transcribed import read_speakers
 
     names: set[str] = set()
-    for name in filter(None, (each.strip() for each in listed.split(","))):
+    for name in filter(None, (entry.strip() for entry in listed.split(","))):
         names |= set(read_speakers(Path(name))) if name.endswith(".csv") else {name}
     return frozenset(names)
 

@@ -187,7 +187,7 @@ def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film
     display: Display = PhotoDisplay(filmed_face)
 
     def film_clip(faces: Array, rate_hz: float, sound: Path, out: Path) -> None:
-        frames = (Frame(n / rate_hz, each) for n, each in enumerate(faces))
+        frames = (Frame(n / rate_hz, face) for n, face in enumerate(faces))
         film(frames, sound, display, out, rate_hz=round(rate_hz))
 
     return film_clip

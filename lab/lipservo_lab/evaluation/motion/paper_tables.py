@@ -316,8 +316,8 @@ def animpho_use(model: TrainedModel, sentences: Sequence[Utterance]) -> Row:
     variance = np.concatenate(expected).var(axis=0).sum()
     return {
         "animpho_variance": float((np.concatenate(added) ** 2).mean(axis=0).sum() / variance),
-        "transition_used": sum(each.n_used for each in counted)
-        / max(1, sum(each.n_plans for each in counted)),
+        "transition_used": sum(counts.n_used for counts in counted)
+        / max(1, sum(counts.n_plans for counts in counted)),
     }
 
 
@@ -334,8 +334,8 @@ def _agreement(sentence: Utterance, listen: Listen) -> Row:
 def _phonemes_at(events: Sequence[PhonemeEvent], times_s: Array) -> list[str]:
     """Return the phoneme at each time, SIL in gaps."""
     track = track_of(events)
-    at = np.searchsorted(track.starts_s, times_s, side="right") - 1
-    return [PHONEMES[track.phonemes[i]] for i in at]
+    indices = np.searchsorted(track.starts_s, times_s, side="right") - 1
+    return [PHONEMES[track.phonemes[i]] for i in indices]
 
 
 def _ratios(

@@ -58,14 +58,14 @@ def method_times(
             synthesizer = method.synthesizer(model, lookahead_s)
             script = script_of(heard, lookahead_s)
         elif isinstance(method, PublishedMethod):
-            synthesizer, script = method.synthesizer(model), _Known(heard)
+            synthesizer, script = method.synthesizer(model), _WholeSentence(heard)
         else:
             return None
         _add_times(synthesizer, script, heard, phoneme_ms, frame_ms)
     return Times(_p95(phoneme_ms), _p95(frame_ms))
 
 
-class _Known:
+class _WholeSentence:
     """A sentence that is known as a whole from the beginning."""
 
     def __init__(self, heard: Heard) -> None:

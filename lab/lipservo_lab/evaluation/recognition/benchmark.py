@@ -133,8 +133,8 @@ def measure(
         text = known_text_of(utterance)
         recognized, block_costs = label_frames(recognizer, samples, servos_deg, text)
         reference = alignments[utterance.name].labels(len(recognized.labels))
-        for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
-            each.add(recognized.labels, reference)
+        for group_score in (score, *(groups[name] for name in groups_of(utterance.speaker))):
+            group_score.add(recognized.labels, reference)
         duration_s += len(samples) / SAMPLE_RATE_HZ
         n_revisions += recognized.n_revisions
         n_reported += len(phone_sequence(recognized.labels))
@@ -183,11 +183,11 @@ def leaving_figures(
         text = f"{utterance.text} {text_source.text}".lower()
         times_s.append(time_to_leave(recognizer, *sounds, onset_s, text).left_s)
         progress(utterance.name)
-    left_s = [each for each in times_s if each is not None]
+    left_s = [time_s for time_s in times_s if time_s is not None]
     return {
         "leaving_ms_p50": 1e3 * float(np.median(left_s)) if left_s else None,
         "leaving_ms_p95": 1e3 * float(np.percentile(left_s, 95)) if left_s else None,
-        "leaving_within_300_ms": sum(each <= 0.3 for each in left_s) / max(1, len(times_s)),
+        "leaving_within_300_ms": sum(time_s <= 0.3 for time_s in left_s) / max(1, len(times_s)),
         "leavings": len(times_s),
         "never_left": len(times_s) - len(left_s),
     }
@@ -310,7 +310,7 @@ def text_figures(scores: Sequence[dict[str, float | None]]) -> dict[str, object]
         "passed": lambda score: score >= DOUBTFUL_SCORE,
     }
     for kind in KINDS:
-        found = [score for each in scores if (score := each[kind]) is not None]
+        found = [score for text_scores in scores if (score := text_scores[kind]) is not None]
         figures[f"{kind}_not_aligned"] = len(scores) - len(found)
         for name, belongs in classes.items():
             figures[f"{kind}_{name}"] = sum(map(belongs, found))

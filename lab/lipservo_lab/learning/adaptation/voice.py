@@ -67,12 +67,12 @@ class Voice:
     @property
     def learned_s(self) -> float:
         """Seconds of the sentences that the network adapts to."""
-        return sum(each.duration_s for each in self.learned)
+        return sum(sentence.duration_s for sentence in self.learned)
 
     @property
     def held_out_s(self) -> float:
         """Seconds of the sentences to grade on."""
-        return sum(each.duration_s for each in self.held_out)
+        return sum(sentence.duration_s for sentence in self.held_out)
 
 
 def only_speaker(
@@ -83,10 +83,10 @@ def only_speaker(
     speaker: None where the corpus has only one. Raises VoiceError for a speaker that the corpus
     does not have, and for None where it has several.
     """
-    names = sorted({each.speaker for each in utterances})
+    names = sorted({utterance.speaker for utterance in utterances})
     if speaker is None and len(names) > 1:
         raise VoiceError(f"{len(names)} speakers; choose one with --speaker: {', '.join(names)}")
-    chosen = tuple(each for each in utterances if speaker in (None, each.speaker))
+    chosen = tuple(utterance for utterance in utterances if speaker in (None, utterance.speaker))
     if not chosen:
         raise VoiceError(f"no speaker {speaker}; known: {', '.join(names)}")
     return chosen
@@ -215,9 +215,9 @@ def _refuse_bad_labels(
     A person has written these labels and can correct them, so the utterance is not left out
     silently.
     """
-    for each in utterances:
-        if each.labels is not None and aligned[each.name].error:
-            raise LabelError(aligned[each.name].error)
+    for utterance in utterances:
+        if utterance.labels is not None and aligned[utterance.name].error:
+            raise LabelError(aligned[utterance.name].error)
 
 
 def _refuse_other_texts(n_all: int, left_out: Mapping[str, str]) -> None:

@@ -314,10 +314,10 @@ class TrainingSet:
 def joined(sets: Sequence[TrainingSet]) -> TrainingSet:
     """Join training sets one after the other."""
     return TrainingSet(
-        np.concatenate([each.phonemes for each in sets]),
-        np.concatenate([each.times_s for each in sets]),
-        np.concatenate([each.lookahead_s for each in sets]),
-        np.concatenate([each.faces for each in sets]),
+        np.concatenate([part.phonemes for part in sets]),
+        np.concatenate([part.times_s for part in sets]),
+        np.concatenate([part.lookahead_s for part in sets]),
+        np.concatenate([part.faces for part in sets]),
     )
 
 
@@ -354,7 +354,7 @@ def collect_training_set(
     """
     n_components = coefficients[0].shape[1] if coefficients else 0
     n_parts = 1 if heard is None else len(TRAINED_LOOKAHEADS_S)
-    sets_of = [[_empty_set(n_components)] for _ in TRAINED_LOOKAHEADS_S]
+    by_lookahead = [[_empty_set(n_components)] for _ in TRAINED_LOOKAHEADS_S]
     for utterance, motion in zip(utterances, coefficients, strict=True):
         spoken = [p for p in utterance.phones if p.phoneme != SILENCE and p.end_s is not None]
         if not spoken or (heard is not None and utterance.name not in heard):
@@ -368,8 +368,8 @@ def collect_training_set(
             frames = np.flatnonzero(is_chosen)[number % n_parts :: n_parts]
             phonemes, context_s = contexts(track, times_s[frames], lookahead_s)
             ahead_s = np.full(len(frames), lookahead_s)
-            sets_of[number].append(TrainingSet(phonemes, context_s, ahead_s, motion[frames]))
-    return joined([each for sets in sets_of for each in sets])
+            by_lookahead[number].append(TrainingSet(phonemes, context_s, ahead_s, motion[frames]))
+    return joined([part for sets in by_lookahead for part in sets])
 
 
 def fit_expectation(

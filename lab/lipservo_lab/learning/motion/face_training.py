@@ -121,10 +121,10 @@ def train(
         both = joined([from_labels, from_hearing])
         expectation = fit_expectation(both, centres, seed=seed, progress=progress)
         # Sentences again, each as often as its weight says.
-        each = counted_sentences(labelled.utterances)
+        counted = counted_sentences(labelled.utterances)
         utterances_of, motion = (
-            [labelled.utterances[i] for i in each],
-            [coefficients[i] for i in each],
+            [labelled.utterances[i] for i in counted],
+            [coefficients[i] for i in counted],
         )
         expectation = with_deviation(expectation, utterances_of, motion)
         # Where phonemes meet that never did in training, the expectation is mixed with their

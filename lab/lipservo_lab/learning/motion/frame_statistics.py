@@ -82,7 +82,7 @@ def observe_closures(
             tightest_of[phone.phoneme].append(float(times_s[tight].mean() - phone.start_s))
             if phone.phoneme in ("F", "V"):
                 labiodental.append((phone.phoneme, times_s - phone.start_s, around_mm))
-    all_s = [each for found_s in tightest_of.values() for each in found_s] or [0.0]
+    all_s = [time_s for found_s in tightest_of.values() for time_s in found_s] or [0.0]
     tightest_s = np.zeros(len(PHONEMES))
     for phoneme, found_s in tightest_of.items():
         chosen_s = found_s if len(found_s) >= _FEWEST else all_s

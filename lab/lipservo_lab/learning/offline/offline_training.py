@@ -185,7 +185,7 @@ def with_sound_deviation(
     gain, mean = gain_and_mean(expected, recorded)
     weights, bias = expectation.layers[-2:]
     last = (weights * gain, bias * gain + (1.0 - gain) * mean)
-    layers = (*expectation.layers[:-2], *(each.astype(np.float32) for each in last))
+    layers = (*expectation.layers[:-2], *(layer.astype(np.float32) for layer in last))
     return replace(expectation, layers=layers)
 
 

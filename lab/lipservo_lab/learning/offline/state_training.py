@@ -172,12 +172,12 @@ def components_by_em(sentences_mm: Sequence[NDArray[np.floating]], n_components:
         Basis of shape (n_components, n_coordinates).
     """
     n_frames = sum(map(len, sentences_mm))
-    sums = sum(each.sum(axis=0, dtype=np.float64) for each in sentences_mm)
+    sums = sum(points_mm.sum(axis=0, dtype=np.float64) for points_mm in sentences_mm)
     mean_mm = np.asarray(sums / n_frames, dtype=np.float64)
 
     def centred_sentences() -> Iterator[Array]:
-        for each in sentences_mm:
-            yield each.astype(np.float64) - mean_mm
+        for points_mm in sentences_mm:
+            yield points_mm.astype(np.float64) - mean_mm
 
     n_carried = min(n_components + _SPARE, n_frames, len(mean_mm))
     chosen = np.linspace(0, n_frames - 1, n_carried).round().astype(np.int64)

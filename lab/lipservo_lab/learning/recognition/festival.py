@@ -60,10 +60,10 @@ class Festival:
     def voices(self) -> tuple[str, ...]:
         """Return the installed diphone voices, such as `kal` and `ked`, and each as `ked-sung`."""
         if self._voices is None:
-            listed = self._run("(print (voice.list))").strip("() \n").split()
-            diphone = (voice for voice in listed if voice.endswith(_DIPHONES))
+            names = self._run("(print (voice.list))").strip("() \n").split()
+            diphone = (voice for voice in names if voice.endswith(_DIPHONES))
             spoken = sorted(voice.removesuffix(_DIPHONES) for voice in diphone)
-            self._voices = tuple(name + how for how in ("", _SUNG) for name in spoken)
+            self._voices = tuple(name + suffix for suffix in ("", _SUNG) for name in spoken)
         return self._voices
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:

@@ -60,8 +60,8 @@ class Flite:
 
     def voices(self) -> tuple[str, ...]:
         """Return the voices that `flite -lv` lists but the talking clock, in alphabetical order."""
-        listed = self._run("-lv").partition(":")[2].split()
-        return tuple(sorted(set(listed) - {_TALKING_CLOCK}))
+        names = self._run("-lv").partition(":")[2].split()
+        return tuple(sorted(set(names) - {_TALKING_CLOCK}))
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
         """Return a text's speech with phoneme times, by a run of flite. Raises SynthesisError."""

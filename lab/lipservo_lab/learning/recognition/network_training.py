@@ -260,8 +260,8 @@ def _about(
 def _digest(arrays: Sequence[NDArray[np.generic]]) -> str:
     """Return a digest of every 17th row of the arrays."""
     digest = hashlib.blake2b(digest_size=8)
-    for each in arrays:
-        digest.update(each[::_DIGEST_STEP].tobytes())
+    for array in arrays:
+        digest.update(array[::_DIGEST_STEP].tobytes())
     return digest.hexdigest()
 
 

@@ -81,7 +81,7 @@ def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) ->
 
 def feature_scale(recordings: Iterable[LabelledSamples]) -> FeatureScale:
     """Return the mean and scale of features over all recordings."""
-    return FeatureScale.of(LogMelStream().push(each.samples) for each in recordings)
+    return FeatureScale.of(LogMelStream().push(recording.samples) for recording in recordings)
 
 
 def delayed(labels: NDArray[np.int64], n_frames: int, delays: Sequence[int]) -> NDArray[np.int64]:
@@ -128,10 +128,10 @@ def as_array(
         Features (n, 40), targets (n, n_heads).
     """
     features, targets = [], []
-    for each in recordings:
-        frames = LevelNormalizer(scale).push(LogMelStream().push(each.samples))
+    for recording in recordings:
+        frames = LevelNormalizer(scale).push(LogMelStream().push(recording.samples))
         features.append(frames.astype(np.float16))
-        targets.append(delayed(each.labels, len(frames), delays))
+        targets.append(delayed(recording.labels, len(frames), delays))
     return TrainingArray(np.concatenate(features), np.concatenate(targets))
 
 
@@ -211,8 +211,8 @@ def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterab
     around = surroundings(clean, _FOUND)
     if _TAUGHT_ENDS:
         clean = [
-            replace(each, labels=len(PHONEMES) + np.arange(end - len(each.labels), end))
-            for each, end in zip(clean, _TAUGHT_ENDS, strict=True)
+            replace(recording, labels=len(PHONEMES) + np.arange(end - len(recording.labels), end))
+            for recording, end in zip(clean, _TAUGHT_ENDS, strict=True)
         ]
     return disturbed_copy(clean, around, copy, seed)
 
@@ -235,11 +235,11 @@ def surroundings(
         Makers of sounds.
     """
     chosen = clean[:: max(1, len(clean) // 200)]
-    voices = [each.samples for each in chosen]
+    voices = [recording.samples for recording in chosen]
     return Surroundings(
         noise.babble(voices),
         noise.babble(voices, 1),
-        laughter_of([(each.samples, each.labels) for each in chosen]),
+        laughter_of([(recording.samples, recording.labels) for recording in chosen]),
         found(list(found_sounds)) if found_sounds else None,
     )
 
@@ -267,14 +267,14 @@ def disturbed_copy(
         At 16 kHz, a label every 10 ms.
     """
     silence = np.full(round(_SOUND_S * FRAMES_PER_S), PHONEMES.index(SILENCE))
-    for index, each in enumerate(clean):
+    for index, recording in enumerate(clean):
         rng = np.random.default_rng([seed, copy, index])
         if copy == 0:
-            yield augmentation.augment_lightly(rng, each)
+            yield augmentation.augment_lightly(rng, recording)
         elif copy % _LIGHT_EVERY == 0:
-            yield augmentation.augment_lightly(rng, augmentation.by_another_voice(rng, each))
+            yield augmentation.augment_lightly(rng, augmentation.by_another_voice(rng, recording))
         else:
-            yield augmentation.augment_heavily(rng, each, around)
+            yield augmentation.augment_heavily(rng, recording, around)
         if index % _UTTERANCES_PER_SOUND == 0:
             samples = augmentation.no_speech(rng, len(silence) * HOP, around)
             yield LabelledSamples(samples, silence)

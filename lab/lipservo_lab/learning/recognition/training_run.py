@@ -106,7 +106,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     if run.teacher is not None:
         retimed = taught_by(
             run.teacher,
-            [(each, alignments[u.name]) for each, u in zip(clean, training, strict=True)],
+            [(recording, alignments[u.name]) for recording, u in zip(clean, training, strict=True)],
             lambda n: advance("teaching", n, len(training)),
         )
         if not retimed.recordings:
@@ -294,7 +294,7 @@ def _conditions(
         of_corpus = [u for u in validation if _corpus_of(u) == corpus]
         step = max(1, len(of_corpus) // _MOST_VALIDATION)
         by_corpus[corpus] = [read_labelled(u, alignments[u.name]) for u in of_corpus[::step]]
-    recordings = [each for listed in by_corpus.values() for each in listed]
+    recordings = [recording for listed in by_corpus.values() for recording in listed]
     rng = np.random.default_rng(0)
     noisy = [
         replace(h, samples=noise.add_noise(h.samples, noise.white(rng, len(h.samples)), 10.0))
@@ -303,7 +303,7 @@ def _conditions(
     quiet = [replace(h, samples=h.samples * np.float32(10.0**-1.5)) for h in recordings]
     recordings_of = {"clean": recordings, "white_10db": noisy, "level_-30db": quiet}
     recordings_of |= {f"{_CORPUS}{corpus}": listed for corpus, listed in by_corpus.items()}
-    return {name: as_array(way, scale, delays) for name, way in recordings_of.items()}
+    return {name: as_array(labelled, scale, delays) for name, labelled in recordings_of.items()}
 
 
 def _corpus_of(utterance: TranscribedUtterance) -> str:
