@@ -47,7 +47,7 @@ class Dominance:
         centres : Array
             (40, n_components), the face of each phoneme.
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -68,7 +68,7 @@ class Dominance:
         phones : Sequence[PhonemeEvent]
             Phones of the sentence, in order.
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -90,7 +90,7 @@ def distances_s(phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
     phones : Sequence[PhonemeEvent]
         Phones of the sentence, in order.
     times_s : Array
-        (n,).
+        (n,), sound times of the faces.
 
     Returns
     -------
@@ -218,7 +218,7 @@ def spline_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array)
     targets : Array
         (40, n_components), the face of each phoneme.
     times_s : Array
-        (n,).
+        (n,), sound times of the faces.
 
     Returns
     -------
@@ -241,7 +241,7 @@ def joined_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array)
     targets : Array
         (n_phones, n_components).
     times_s : Array
-        (n,).
+        (n,), sound times of the faces.
 
     Returns
     -------

@@ -134,7 +134,7 @@ class Pose:
         Parameters
         ----------
         scan_mm : Array
-            (n, 3).
+            (n, 3), points in the coordinates of the scan.
 
         Returns
         -------
@@ -194,7 +194,7 @@ def find_pose(
     Parameters
     ----------
     face_mm : Array
-        (n, 3).
+        (n, 3), points of the face.
     scan : Scan
         The scan.
     start : Pose | None
@@ -218,7 +218,7 @@ def misfit_mm(face_mm: Array, scan: Scan, pose: Pose) -> float:
     Parameters
     ----------
     face_mm : Array
-        (n, 3).
+        (n, 3), points of the face.
     scan : Scan
         The scan.
     pose : Pose

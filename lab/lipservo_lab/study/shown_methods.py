@@ -76,7 +76,7 @@ class RhubarbMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -126,7 +126,7 @@ class StillMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------

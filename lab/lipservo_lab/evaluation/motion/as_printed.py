@@ -52,7 +52,7 @@ class PrintedMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------

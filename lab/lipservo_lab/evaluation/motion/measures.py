@@ -254,7 +254,7 @@ def figures(sums: Array) -> dict[str, float]:
     Parameters
     ----------
     sums : Array
-        (len(SUMS),).
+        (len(SUMS),), in the order of SUMS.
 
     Returns
     -------
@@ -312,7 +312,7 @@ def confidence_intervals(
     Parameters
     ----------
     sums : Array
-        (n_sentences, len(SUMS)).
+        (n_sentences, len(SUMS)), sums of each sentence.
     names : Sequence[str]
         Names of figures.
     seed : int

@@ -101,7 +101,7 @@ class DominanceMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -125,7 +125,7 @@ class SplineMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -152,7 +152,7 @@ class MeanFaceMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -187,7 +187,7 @@ class PublishedMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -218,7 +218,7 @@ class RegressionMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -250,7 +250,7 @@ class LiveMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -295,7 +295,7 @@ class _RandomSelection(GuidedSelection):
         phoneme : str
             One of the model's known phonemes.
         target : Array
-            (5, n_components).
+            (5, n_components), the wanted face at even times until the phone's end.
         joint : Joint
             State of the mouth that the AnimPho continues.
 

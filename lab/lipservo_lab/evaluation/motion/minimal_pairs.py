@@ -169,7 +169,7 @@ def persistence_of(shares: Array, samples: Sequence[Array], counted: int) -> Per
     Parameters
     ----------
     shares : Array
-        (k,).
+        (k,), shares of a difference that remain.
     samples : Sequence[Array]
         Shares (k,) of each bootstrap sample.
     counted : int

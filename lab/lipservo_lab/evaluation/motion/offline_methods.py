@@ -90,7 +90,7 @@ class ContextVisemeMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -122,7 +122,7 @@ class OfflineMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------

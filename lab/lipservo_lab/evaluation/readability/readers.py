@@ -89,9 +89,9 @@ class Classifier(Protocol):
         Parameters
         ----------
         x : Array
-            (n, d).
+            (n, d), features of n spoken words.
         y : Sequence[str]
-            n words.
+            The n words.
 
         Returns
         -------
@@ -105,7 +105,7 @@ class Classifier(Protocol):
         Parameters
         ----------
         x : Array
-            (n, d).
+            (n, d), features of n spoken words.
 
         Returns
         -------
@@ -198,7 +198,7 @@ def words_of_slot(sentences: Sequence[Utterance], motions: Motions, slot: int) -
     Parameters
     ----------
     sentences : Sequence[Utterance]
-        n_sentences.
+        Sentences with the words that they have in each slot.
     motions : Motions
         (n_frames, k) by sentence name.
     slot : int

@@ -102,7 +102,7 @@ class ClosingBench:
         Parameters
         ----------
         face : Array
-            (n_components,).
+            (n_components,), coefficients.
 
         Returns
         -------

@@ -60,7 +60,7 @@ def half_duplex_false_speech(
     Parameters
     ----------
     recognizer : LiveRecognizer
-        Reset first.
+        Is reset first.
     samples : Array32
         (n,) at 16 kHz.
     servos_deg : Array | None

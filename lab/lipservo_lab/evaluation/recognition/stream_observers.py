@@ -107,7 +107,7 @@ def label_frames(
     Parameters
     ----------
     recognizer : LiveRecognizer
-        Reset first.
+        Is reset first.
     samples : Array32
         (n,) at 16 kHz.
     servos_deg : Array | None

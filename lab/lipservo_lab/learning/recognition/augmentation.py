@@ -301,7 +301,7 @@ def by_another_voice(rng: np.random.Generator, clean: LabelledSamples) -> Labell
     rng : np.random.Generator
         Draws all choices.
     clean : LabelledSamples
-        As recorded.
+        The recording to change.
 
     Returns
     -------

@@ -158,7 +158,7 @@ def checked(
     Parameters
     ----------
     weights : NetworkWeights
-        To score.
+        Of the network to score.
     conditions : Mapping[str, TrainingArray]
         Features of shape (n, 40) and targets, by name.
     plan : TrainingPlan
@@ -181,7 +181,7 @@ def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) ->
     Parameters
     ----------
     weights : NetworkWeights
-        To score.
+        Of the network to score.
     conditions : Mapping[str, TrainingArray]
         Features of shape (n, 40) and targets, by name.
 
