@@ -239,7 +239,7 @@ def joined_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array)
     phones : Sequence[PhonemeEvent]
         Phones of the sentence, in order.
     targets : Array
-        (n_phones, n_components).
+        (n_phones, n_components), the face of each phone.
     times_s : Array
         (n,), sound times of the faces.
 

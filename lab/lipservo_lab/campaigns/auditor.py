@@ -241,10 +241,9 @@ class Auditor:
         return bool(abs(goal - self._chain.motors.position[index]) <= _PLACE_PULSES)
 
     def _see_torque(self, servo_id: int, time_s: float) -> None:
-        """Count torque that comes on after a person's stop.
+        """Count torque that comes on after a person's stop, or wrongly.
 
-        Also count torque with settings that differ from the face's, or with a goal off the
-        position.
+        Wrongly: with settings that differ from the face's, or with a goal off the position.
         """
         if self._stopped_s is not None and time_s > self._stopped_s:
             self.armed_late += 1

@@ -218,7 +218,7 @@ def dask_setup(worker: Any) -> None:
     """Make a worker log tasks that it begins and finishes; `dask worker --preload` calls it."""
     from distributed import WorkerPlugin
 
-    class Telling(WorkerPlugin):  # type: ignore[misc]
+    class TaskLog(WorkerPlugin):  # type: ignore[misc]
         def transition(self, key: object, start: str, finish: str, **_more: Any) -> None:
             """Append a line to the log when a numbered task begins or is done; Dask calls this."""
             number = _NUMBER.match(str(key))
@@ -230,4 +230,4 @@ def dask_setup(worker: Any) -> None:
                 os.write(log, line)
                 os.close(log)
 
-    worker.plugins["telling"] = Telling()
+    worker.plugins["telling"] = TaskLog()

@@ -30,22 +30,22 @@ class ModelTeacher:
         corpus: Corpus,
         weights: str,
         track: Track,
-        tell: Callable[[str], None],
+        progress: Callable[[str], None],
         others: Sequence[NetworkWeights] = (),
     ) -> None:
         """Recognise all sentences of a labelled corpus.
 
-        weights: of the recogniser, a name or a file. track: wraps the sentences, with a line about
-        the work, for progress; tell: called with a line about what is being trained. others:
-        weights of further recognisers, whose posteriors of the sentences serve the map from
-        posteriors too.
+        weights: of the recogniser, a name or a file. track: returns the sentences again, and shows
+        a bar with a line about the work as they are taken. progress: called with a line about what
+        is being trained. others: weights of further recognisers, whose posteriors of the sentences
+        serve the map from posteriors too.
         """
         self._corpus = corpus
         self._weights = find_weights(weights)
         self._digest = weights_digest(weights)
         self._others = others
         self._track = track
-        self._tell = tell
+        self._progress = progress
         self.heard = hear_sentences(
             self._weights, corpus.utterances, lambda items: track("listening", items)
         )
@@ -63,8 +63,8 @@ class ModelTeacher:
 
         Raises TrainingError for a part that `train` cannot learn from.
         """
-        model = train(part, heard=self.heard, progress=self._tell)
-        self._tell("posteriors to faces")
+        model = train(part, heard=self.heard, progress=self._progress)
+        self._progress("posteriors to faces")
         return with_soft_expectation(model, part, self.copies, self._digest)
 
 

@@ -50,7 +50,7 @@ def taught_by(
     recordings: Sequence[tuple[LabelledSamples, AlignedUtterance]],
     progress: Callable[[int], None] = lambda _n: None,
 ) -> TaughtRecordings:
-    """Time the phones of recordings anew by a teacher's posteriors.
+    """Return recordings with phones timed anew by a teacher's posteriors, and these posteriors.
 
     progress: called with the number of recordings done. A recording in which the teacher does not
     find the phones is left out: its score, the mean log ratio of the aligned phone to the likeliest
