@@ -61,7 +61,7 @@ class Dominance:
         return np.asarray(weights @ targets / weights.sum(axis=1, keepdims=True))
 
     def exponents(self, phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
-        """Return (rate |tau|)^power of each phone.
+        """Return (rate |tau|)^power of each phone; tau is the time from its centre, `distances_s`.
 
         Parameters
         ----------

@@ -55,7 +55,7 @@ def import_video(
         print_json({"corpus": str(output), **about, "seconds": seconds, "clips": reports})
         return
     _print_reports(imported)
-    RESULTS.print(_in_words(output, about, seconds), soft_wrap=True)
+    RESULTS.print(_summary_line(output, about, seconds), soft_wrap=True)
 
 
 def _summary(imported: "VideoImport") -> dict[str, Any]:
@@ -81,7 +81,7 @@ def _print_reports(imported: "VideoImport") -> None:
             MESSAGES.print(f"left out: {report.clip}: {report.left_out}", soft_wrap=True)
 
 
-def _in_words(output: Path, about: dict[str, Any], seconds: float) -> str:
+def _summary_line(output: Path, about: dict[str, Any], seconds: float) -> str:
     """Return the last line that `import-video` prints.
 
     about: figures of `_summary`, and the tracker's name.
