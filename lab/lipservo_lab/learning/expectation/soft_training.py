@@ -265,7 +265,7 @@ def _fit_map(
     scale = np.float32(_COSINE_SCALE * np.sqrt(2.0 / _N_COSINES))
     mean = faces.mean(axis=0)
     size = _N_COSINES + d + 1
-    gram, moments = np.zeros((size, size)), np.zeros((size, n_components))
+    gram, products = np.zeros((size, size)), np.zeros((size, n_components))
     # Normal equations, summed over blocks of rows to save memory.
     for first in range(0, len(inputs), 20_000):
         block = inputs[first : first + 20_000]
@@ -273,11 +273,11 @@ def _fit_map(
         ones = np.ones((len(block), 1), np.float32)
         design = np.concatenate([cosines, block, ones], axis=1)
         gram += design.T @ design
-        moments += design.T @ (faces[first : first + 20_000] - mean)
+        products += design.T @ (faces[first : first + 20_000] - mean)
     penalty = np.full(size, _RIDGE)
     # The intercept is not penalised.
     penalty[-1] = 1e-6
-    ridge = np.linalg.solve(gram + np.diag(penalty), moments)
+    ridge = np.linalg.solve(gram + np.diag(penalty), products)
     ridge[:_N_COSINES] *= scale
     ridge[-1] += mean
 

@@ -419,8 +419,8 @@ def learn_from(
     optimizer.step()
     # Round the running means of gradients to bfloat16, in which gradients are computed: this makes
     # the saved state 2 MB smaller.
-    for moments in optimizer.state.values():
-        moments["exp_avg"] = moments["exp_avg"].bfloat16().float()
+    for parameter_state in optimizer.state.values():
+        parameter_state["exp_avg"] = parameter_state["exp_avg"].bfloat16().float()
     value: float = loss.item()
     return value
 
