@@ -10,7 +10,10 @@ from lipsync.output_file import PARTIAL_SUFFIX, OutputError
 
 
 def check_output_folder(folder: Path, what: str) -> None:
-    """Refuse a place where no folder could be written later. what: it holds. Raises OutputError."""
+    """Refuse a place where no folder could be written later.
+
+    what: its content, for the message. Raises OutputError.
+    """
     if folder.is_dir() and not any(folder.iterdir()):
         return
     if folder.exists():
@@ -22,7 +25,7 @@ def check_output_folder(folder: Path, what: str) -> None:
 
 @contextmanager
 def folder_written_whole(folder: Path) -> Iterator[Path]:
-    """Yield a folder to write into, which takes the name `folder` at the end.
+    """Yield a folder to write into, which gets the name `folder` at the end.
 
     If anything is raised the folder is removed. `folder` may exist if empty. Raises OutputError.
     """

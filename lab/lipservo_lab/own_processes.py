@@ -16,7 +16,7 @@ _END_S: Final = 30.0
 
 @contextmanager
 def started(command: Sequence[str], **options: Any) -> "Iterator[subprocess.Popen[Any]]":
-    """A process that is gone after the block. options: of `subprocess.Popen`."""
+    """Start a process that is ended after the block. options: of `subprocess.Popen`."""
     process = started_alone(command, **options)
     with process:
         try:
@@ -29,8 +29,8 @@ def started_alone(
     command: Sequence[str], sent: signal.Signals = signal.SIGTERM, **options: Any
 ) -> "subprocess.Popen[Any]":
     """Start a process to which the kernel sends a signal when this one ends, killed or not."""
-    dies = partial(_LIBC.prctl, _PR_SET_PDEATHSIG, int(sent))
-    return subprocess.Popen(command, preexec_fn=dies, **options)
+    ask_for_signal = partial(_LIBC.prctl, _PR_SET_PDEATHSIG, int(sent))
+    return subprocess.Popen(command, preexec_fn=ask_for_signal, **options)
 
 
 def end(process: "subprocess.Popen[Any]", patience_s: float = _END_S) -> None:

@@ -10,7 +10,7 @@ REPLAYED_S = 20.0
 
 
 def repeated(recording: Path, path: Path, duration_s: float = REPLAYED_S) -> Path:
-    """Write the recording over and over until `duration_s`, as WAV at its own rate."""
+    """Write a recording again and again, `duration_s` long, as WAV at its rate; return `path`."""
     samples, rate_hz = soundfile.read(recording, dtype="float32")
     soundfile.write(path, samples[np.arange(round(duration_s * rate_hz)) % len(samples)], rate_hz)
     return path

@@ -1,4 +1,4 @@
-"""Processes as the kernel shows them: who started whom, how long each ran, whether it waits."""
+"""Processes as the kernel shows them: who started whom, how long each ran, in which state it is."""
 
 import contextlib
 import os
@@ -44,7 +44,7 @@ def descendants_of(pid: int) -> list[int]:
 
 
 def _stat(pid: int) -> list[str]:
-    """The fields from the state on."""
+    """Return the fields of /proc/PID/stat from the state on; empty if the process has ended."""
     with contextlib.suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
     return []

@@ -1,4 +1,4 @@
-"""Processes that work for this one, and are gone when it is, however it ended."""
+"""Worker processes that end with this process, however it ended."""
 
 import contextlib
 import os
@@ -11,25 +11,27 @@ from typing import Final
 
 from lipservo_lab.seen_processes import descendants_of
 
-#: Between two looks whether the parent is still there.
+#: Pause between two checks of whether the parent still exists.
 _LOOK_S: Final = 0.5
 
 
 def worker_pool(n_workers: int, context: BaseContext | None = None) -> ProcessPoolExecutor:
-    """A pool whose workers end with this process, and with them all that they have started.
+    """Return a pool whose workers end with this process, with all that they have started.
 
-    By themselves they would wait for more work for ever; and one that takes signals for what it
-    tries out would work on after a signal, too.
+    On their own they would wait for work for ever; and a worker that handles signals itself would
+    go on after one.
     """
     parent = os.getpid()
-    return ProcessPoolExecutor(n_workers, context, initializer=_watch, initargs=(parent,))
+    return ProcessPoolExecutor(n_workers, context, initializer=_watch_parent, initargs=(parent,))
 
 
-def _watch(parent: int) -> None:
-    threading.Thread(target=_end_with, args=(parent,), name="parent watch", daemon=True).start()
+def _watch_parent(parent: int) -> None:
+    """Start the thread that ends this worker when the parent has ended."""
+    threading.Thread(target=_end_after, args=(parent,), name="parent watch", daemon=True).start()
 
 
-def _end_with(parent: int) -> None:
+def _end_after(parent: int) -> None:
+    """Wait until the parent has ended; then kill all descendants and end this process."""
     while os.getppid() == parent:
         time.sleep(_LOOK_S)
     for pid in descendants_of(os.getpid()):

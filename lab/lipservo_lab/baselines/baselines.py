@@ -1,18 +1,12 @@
-"""What the baselines have learned from the training sentences; only evaluation reads it.
+"""The baselines for comparison, as learned from the training sentences; only evaluation uses them.
 
-Dominance functions: every phone pulls at the face, the stronger the nearer.
-
-After Cohen and Massaro, "Modeling coarticulation in synthetic visual speech", 1993. A baseline; it
-sees the whole sentence.
-
-One plain linear regression from phoneme context to face: the simplest baseline.
-
-Frame-synchronous: it sees what the live method sees, the five phonemes and six times of a context.
-
-Catmull-Rom splines through the centres of phones; they see the whole sentence.
-
-Catmull and Rom, "A class of local interpolating splines", 1974; non-uniform, each slope the
-difference of the two neighbours over their distance in time.
+- Dominance functions: every phone attracts the face, the more the nearer it is. After Cohen and
+  Massaro, "Modeling coarticulation in synthetic visual speech", 1993. They use the whole sentence.
+- One linear regression from phoneme context to face, frame by frame: it gets what the live method
+  gets, the five phonemes and six times of a context.
+- Catmull-Rom splines through the centres of phones. Catmull and Rom, "A class of local
+  interpolating splines", 1974; non-uniform, each slope the difference of the two neighbours over
+  their distance in time. They use the whole sentence.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,33 +20,34 @@ from lipsync.expectation.expectation import SLOTS, UNKNOWN, timing_features
 from lipsync.face.model import ModelFile
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent
 
-#: The fixed reference of every ratio, never retuned: D = exp(-(24 |tau|)^1.4).
+#: The fixed reference of every error ratio, never retuned: D = exp(-(24 |tau|)^1.4).
 REFERENCE_RATE_PER_S, REFERENCE_POWER = 24.0, 1.4
 _TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
 class Dominance:
-    """D = exp(-(rate |tau|)^power), per viseme class and direction.
+    """Dominance D = exp(-(rate |tau|)^power), by viseme class and direction.
 
-    rates_per_s, powers: (16, 2), a row for each of VISEME_CLASSES; first column before the phone's
-    centre, second after it. tau: seconds from the centre; from the edge for silence, 0 inside.
+    tau: seconds from the phone's centre; for silence from its edge, 0 inside. rates_per_s, powers:
+    (16, 2), a row for each of VISEME_CLASSES; first column before the phone's centre, second after
+    it.
     """
 
     rates_per_s: Array
     powers: Array
 
     def face_at(self, phones: Sequence[PhonemeEvent], centres: Array, times_s: Array) -> Array:
-        """Return the faces of a whole sentence.
+        """Return faces of a whole sentence: means of its phones' faces, weighted by dominance.
 
         Parameters
         ----------
         phones : Sequence[PhonemeEvent]
-            Of the sentence.
+            Phones of the sentence, in order.
         centres : Array
-            (40, n_components), the targets.
+            (40, n_components), the face of each phoneme.
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -60,20 +55,20 @@ class Dominance:
             (n, n_components).
         """
         log_weights = -self.exponents(phones, times_s)
-        # The nearest phone gets weight 1, or far from all of them every weight would vanish.
+        # Divided by the largest: far from all phones every weight would be 0.
         weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
         targets = centres[[PHONEMES.index(p.phoneme) for p in phones]]
         return np.asarray(weights @ targets / weights.sum(axis=1, keepdims=True))
 
     def exponents(self, phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
-        """Return (rate |tau|)^power of each phone.
+        """Return (rate |tau|)^power of each phone; tau is the time from its centre, `distances_s`.
 
         Parameters
         ----------
         phones : Sequence[PhonemeEvent]
-            Of the sentence.
+            Phones of the sentence, in order.
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -93,9 +88,9 @@ def distances_s(phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
     Parameters
     ----------
     phones : Sequence[PhonemeEvent]
-        Of the sentence.
+        Phones of the sentence, in order.
     times_s : Array
-        (n,).
+        (n,), sound times of the faces.
 
     Returns
     -------
@@ -112,7 +107,7 @@ def distances_s(phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
 
 
 def fixed_reference() -> Dominance:
-    """The denominator of every ratio (motion-quality: 1.80 mm on random splits of grid_s1)."""
+    """Return the fixed reference, whose error every ratio is divided by: 1.80 mm on grid_s1."""
     shape = (len(VISEME_CLASSES), 2)
     return Dominance(np.full(shape, REFERENCE_RATE_PER_S), np.full(shape, REFERENCE_POWER))
 
@@ -125,9 +120,10 @@ _RIDGE = 100.0
 
 @dataclass(frozen=True, slots=True)
 class PlainRegression:
-    """What each phoneme in each slot, each timing feature, and the constant add to the face.
+    """A linear regression from a phoneme context to the face.
 
-    weights: (5 * 41 + N_TIMING + 1, n_components).
+    weights: (5 * 41 + N_TIMING + 1, n_components): what each phoneme in each slot, each timing
+    feature, and the constant add.
     """
 
     weights: Array
@@ -138,9 +134,9 @@ class PlainRegression:
         Parameters
         ----------
         phonemes : Indices
-            (n, 5).
+            (n, 5), as of `contexts`.
         times_s : Array
-            (n, 6).
+            (n, 6) s.
         lookahead_s : Array
             (n,).
 
@@ -160,13 +156,13 @@ def fit_regression(
     Parameters
     ----------
     phonemes : Indices
-        (n, 5).
+        (n, 5), the phonemes around each of n instants, as from `contexts`.
     times_s : Array
-        (n, 6).
+        (n, 6), their times relative to the instant.
     lookahead_s : Array
-        (n,).
+        (n,), sound known beyond the instant.
     faces : Array
-        (n, n_components).
+        (n, n_components), the faces to fit.
 
     Returns
     -------
@@ -179,6 +175,7 @@ def fit_regression(
 
 
 def _inputs(phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
+    """Return the regression's inputs: one-hot phonemes, timing, 1; (n, 5 * 41 + N_TIMING + 1)."""
     names = np.zeros((len(phonemes), SLOTS, UNKNOWN + 1))
     np.put_along_axis(names, phonemes[:, :, None], 1.0, axis=2)
     timing = timing_features(times_s, lookahead_s)
@@ -188,14 +185,14 @@ def _inputs(phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
 
 
 def viseme_centres(centres: Array, counts: Array) -> Array:
-    """Return the centres with each phoneme's replaced by the mean of its viseme class.
+    """Return the faces of phonemes with each replaced by the mean of its viseme class.
 
     Parameters
     ----------
     centres : Array
-        (40, n_components).
+        (40, n_components), the face of each phoneme.
     counts : Array
-        (40,), how often each phoneme was heard in training.
+        (40,), how often each phoneme occurred in training.
 
     Returns
     -------
@@ -212,16 +209,16 @@ def viseme_centres(centres: Array, counts: Array) -> Array:
 
 
 def spline_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array) -> Array:
-    """Return the faces of a spline through one face for each phoneme.
+    """Return the faces of a spline through the faces of a sentence's phonemes.
 
     Parameters
     ----------
     phones : Sequence[PhonemeEvent]
-        Of the sentence.
+        Phones of the sentence, in order.
     targets : Array
-        (40, n_components).
+        (40, n_components), the face of each phoneme.
     times_s : Array
-        (n,).
+        (n,), sound times of the faces.
 
     Returns
     -------
@@ -232,18 +229,19 @@ def spline_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array)
 
 
 def joined_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array) -> Array:
-    """Return the faces of a spline through one face for each phone.
+    """Return the faces of a Catmull-Rom spline through one face for each phone.
 
-    It is reached at the phone's centre, that of a silence at both its edges.
+    A phone's face is reached at its centre, that of a silence at both its edges; before the first
+    and after the last it is held.
 
     Parameters
     ----------
     phones : Sequence[PhonemeEvent]
-        Of the sentence.
+        Phones of the sentence, in order.
     targets : Array
-        (n_phones, n_components).
+        (n_phones, n_components), the face of each phone.
     times_s : Array
-        (n,).
+        (n,), sound times of the faces.
 
     Returns
     -------
@@ -268,6 +266,7 @@ def joined_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array)
     i = np.clip(np.searchsorted(at_s, t, side="right") - 1, 0, len(at_s) - 2)
     width = (at_s[i + 1] - at_s[i])[:, None]
     u = (t - at_s[i])[:, None] / width
+    # Cubic Hermite polynomials of the two values and slopes; u: 0 to 1 between the knots.
     faces = (1 + 2 * u) * (1 - u) ** 2 * values[i] + u**2 * (3 - 2 * u) * values[i + 1]
     faces += (u * (1 - u) ** 2 * slopes[i] + u**2 * (u - 1) * slopes[i + 1]) * width
     return np.asarray(faces)
@@ -281,8 +280,8 @@ BASELINES_PART = "baselines"
 class Baselines:
     """Parameters of all baselines.
 
-    centres: (40, n_components), the mean middle of each of `PHONEMES`; counts: (40,), of how many.
-    dominance: tuned; regression: fitted.
+    centres: (40, n_components), the mean face in the middle of each of `PHONEMES`; counts: (40,),
+    how often each occurred. dominance: tuned to the training sentences.
     """
 
     centres: Array
@@ -317,17 +316,17 @@ def read_baselines(file: ModelFile, n_components: int) -> Baselines:
 
 
 def baseline_arrays(baselines: Baselines) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays that a file keeps of the baselines.
+    """Return the arrays that a model file stores of the baselines.
 
     Parameters
     ----------
     baselines : Baselines
-        Any.
+        To store.
 
     Returns
     -------
     dict[str, NDArray[np.generic]]
-        By name, in the shape of the fields.
+        By name; dominance is (2, 16, 2), rates and powers.
     """
     return {
         "centres": baselines.centres.astype(np.float32),

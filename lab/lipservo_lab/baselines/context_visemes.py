@@ -1,9 +1,9 @@
-"""Context visemes: recorded phones, chosen for a line by what stands before and after them.
+"""Context visemes: recorded phones, chosen for a line by the phones before and after them.
 
 Edge, Hilton and Jackson compare their method with the centres of the best-matching context visemes,
-joined by Catmull-Rom splines (`spline.joined_faces`). What matches best they do not print; here it
-is decided by viseme classes, then phonemes, then duration. It is one recording for each phone, not
-a mean, so it jitters where a mean mumbles.
+joined by Catmull-Rom splines (`baselines.joined_faces`). They do not print what matches best; here
+viseme classes decide, then phonemes, then duration. The face of a phone is that of one recording,
+not a mean, so the motion jitters where that of means is too small.
 """
 
 from collections.abc import Sequence
@@ -23,8 +23,8 @@ _BEFORE, _ITSELF, _AFTER = range(3)
 class ContextVisemes:
     """Recorded phones in the order in which they were spoken.
 
-    phonemes: (n, 3), numbers in PHONEMES of the phone before, of itself, and of the one after;
-    beyond a sentence it is silent. durations_s: (n,). faces: (n, n_components), at its centre.
+    phonemes: (n, 3), indices in PHONEMES of the phone before, of itself, and of the one after;
+    silence beyond a sentence. durations_s: (n,). faces: (n, n_components), at each phone's centre.
     """
 
     phonemes: Indices
@@ -46,7 +46,7 @@ class ContextVisemes:
             if not np.isin(_CLASS_OF[context[_ITSELF]], _CLASS_OF[recorded]):
                 context[_ITSELF] = PHONEMES.index(stand_in(PHONEMES[context[_ITSELF]], known)[0])
         durations_s = _durations_s(phones)
-        best = [self._best(*each) for each in zip(contexts, durations_s, strict=True)]
+        best = [self._best(*arguments) for arguments in zip(contexts, durations_s, strict=True)]
         return np.array(best, dtype=np.int64)
 
     def targets(self, phones: Sequence[PhonemeEvent]) -> Array:
@@ -55,7 +55,7 @@ class ContextVisemes:
         Parameters
         ----------
         phones : Sequence[PhonemeEvent]
-            Of the line.
+            Phones of the line, in order.
 
         Returns
         -------
@@ -64,20 +64,20 @@ class ContextVisemes:
         """
         return np.asarray(self.faces[self.best_for(phones)])
 
-    def _best(self, wanted: Indices, duration_s: float) -> int:
-        """Return the index of the recorded phone that suits a wanted one best, as `best_for` ranks.
+    def _best(self, context: Indices, duration_s: float) -> int:
+        """Return the index of the recorded phone that matches a context best, as `best_for` ranks.
 
-        wanted: (3,) numbers in PHONEMES of the phone before, of itself, and of the one after.
+        context: (3,) indices in PHONEMES of the phone before, of itself, and of the one after.
         """
-        same_class = _CLASS_OF[self.phonemes] == _CLASS_OF[wanted]
-        same = self.phonemes == wanted
-        around = [_BEFORE, _AFTER]
-        # The last key counts most; what is less comes first.
+        same_class = _CLASS_OF[self.phonemes] == _CLASS_OF[context]
+        same = self.phonemes == context
+        neighbours = [_BEFORE, _AFTER]
+        # np.lexsort: the last key counts most; the smallest values come first.
         keys = (
             np.abs(self.durations_s - duration_s),
-            -same[:, around].sum(axis=1),
+            -same[:, neighbours].sum(axis=1),
             -same[:, _ITSELF].astype(np.int64),
-            -same_class[:, around].sum(axis=1),
+            -same_class[:, neighbours].sum(axis=1),
             -same_class[:, _ITSELF].astype(np.int64),
         )
         return int(np.lexsort(keys)[0])
@@ -86,19 +86,19 @@ class ContextVisemes:
 def recorded_visemes(
     utterances: Sequence[Utterance], coefficients: Sequence[Array]
 ) -> ContextVisemes:
-    """Gather every phone of labelled sentences.
+    """Collect every phone of labelled sentences.
 
     Parameters
     ----------
     utterances : Sequence[Utterance]
-        Labelled.
+        Sentences with phone labels.
     coefficients : Sequence[Array]
-        (n_frames, n_components) of each.
+        Face coefficients (n_frames, n_components) of each.
 
     Returns
     -------
     ContextVisemes
-        Their faces, (n_phones, n_components), and contexts.
+        Faces (n_phones, n_components), and contexts.
     """
     faces = []
     for utterance, motion in zip(utterances, coefficients, strict=True):

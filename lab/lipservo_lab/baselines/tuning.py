@@ -1,4 +1,4 @@
-"""Fits the baselines to training sentences, so that comparison is with their best. Offline."""
+"""Fit the dominance functions to training sentences, for a fair comparison. Offline."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF
 
 Indices = NDArray[np.int64]
 
-#: 200 sentences pin 64 numbers down; more only take longer.
+#: 200 sentences determine 64 numbers; more only take longer.
 _MOST_SENTENCES = 200
 _ITERATIONS = 40
 _RATE_BOUNDS, _POWER_BOUNDS = (3.0, 120.0), (0.6, 4.0)
@@ -23,28 +23,29 @@ _TINY = 1e-12
 def tune_dominance(
     utterances: Sequence[Utterance], coefficients: Sequence[Array], centres: Array
 ) -> Dominance:
-    """Return rate and power per viseme class and direction with the least squared error in speech.
+    """Return the dominance with the least squared error in speech.
 
-    Quasi-Newton (L-BFGS-B) from the fixed reference, with the exact gradient.
+    Rate and power of each viseme class and direction are fitted by a quasi-Newton method (L-BFGS-B)
+    from the fixed reference, with the exact gradient.
 
     Parameters
     ----------
     utterances : Sequence[Utterance]
-        Labelled.
+        Sentences with phone labels.
     coefficients : Sequence[Array]
-        (n_frames, n_components) of each.
+        Face coefficients (n_frames, n_components) of each.
     centres : Array
-        (40, n_components).
+        (40, n_components), the face of each phoneme.
 
     Returns
     -------
     Dominance
-        Rates per second, and powers.
+        Rates per second, and powers; the fixed reference if no sentence has speech.
     """
     start = fixed_reference()
     step = max(1, len(utterances) // _MOST_SENTENCES)
     sentences = [
-        _sentence(u, motion, centres)
+        _sentence_arrays(u, motion, centres)
         for u, motion in list(zip(utterances, coefficients, strict=True))[::step]
         if any(p.phoneme != SILENCE for p in u.phones)
     ]
@@ -54,11 +55,11 @@ def tune_dominance(
 
     def cost(x: Array) -> tuple[float, Array]:
         rates, powers = np.exp(x[: len(x) // 2]).reshape(shape), x[len(x) // 2 :].reshape(shape)
-        total, slope = 0.0, np.zeros((2, *shape))
+        total, gradient = 0.0, np.zeros((2, *shape))
         for tau_s, classes, targets, faces in sentences:
-            error = _add_sentence(slope, rates, powers, tau_s, classes, targets, faces)
+            error = _add_sentence(gradient, rates, powers, tau_s, classes, targets, faces)
             total += error
-        return total, np.concatenate([slope[0].ravel(), slope[1].ravel()])
+        return total, np.concatenate([gradient[0].ravel(), gradient[1].ravel()])
 
     n = start.rates_per_s.size
     x0 = np.concatenate([np.log(start.rates_per_s.ravel()), start.powers.ravel()])
@@ -70,10 +71,14 @@ def tune_dominance(
     return Dominance(np.exp(found.x[:n]).reshape(shape), found.x[n:].reshape(shape))
 
 
-def _sentence(
+def _sentence_arrays(
     utterance: Utterance, motion: Array, centres: Array
 ) -> tuple[Array, Indices, Array, Array]:
-    """Distances (n, k), classes (k,), targets (k, n_components), faces (n, n_components)."""
+    """Return the frames of speech of a sentence as arrays for `_add_sentence`.
+
+    These are distances in time (n, k), of `distances_s`, classes (k,), targets (k, n_components)
+    and faces (n, n_components), for n frames and k phones.
+    """
     times_s = np.arange(len(motion)) / utterance.frame_rate_hz
     spoken = np.zeros(len(motion), dtype=bool)
     for p in utterance.phones:
@@ -95,19 +100,20 @@ def _add_sentence(
 ) -> float:
     """Return the squared error of one sentence; add its gradient to `slope`.
 
-    The gradient is by the logarithms of rates and powers.
+    slope: (2, 16, 2), derivatives by the logarithm of each rate, and by each power. The other
+    arrays are those of `_sentence_arrays`.
     """
     after = (tau_s > 0.0).astype(np.intp)
-    each = np.broadcast_to(classes, tau_s.shape)
-    rate, power = rates[each, after], powers[each, after]
-    reach = np.maximum(rate * np.abs(tau_s), _TINY)
-    raised = reach**power
+    frame_classes = np.broadcast_to(classes, tau_s.shape)
+    rate, power = rates[frame_classes, after], powers[frame_classes, after]
+    scaled = np.maximum(rate * np.abs(tau_s), _TINY)
+    raised = scaled**power
     weights = np.exp(-np.minimum(raised, 600.0))
     total = weights.sum(axis=1, keepdims=True) + _TINY
     error = weights @ targets / total - faces
     # d cost / d weight_k = 2 error . (target_k - face) / total
     pull = 2.0 * (error @ targets.T - (error * (error + faces)).sum(axis=1, keepdims=True)) / total
     by_exponent = -pull * weights
-    np.add.at(slope[0], (each, after), by_exponent * power * raised)
-    np.add.at(slope[1], (each, after), by_exponent * raised * np.log(reach))
+    np.add.at(slope[0], (frame_classes, after), by_exponent * power * raised)
+    np.add.at(slope[1], (frame_classes, after), by_exponent * raised * np.log(scaled))
     return float((error**2).sum())

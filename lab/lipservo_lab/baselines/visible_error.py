@@ -1,8 +1,8 @@
 """How wrong a mouth looks that shows the recognised viseme in place of the spoken one.
 
-A wrong T for a K is a wrong frame that is not seen, a rounded vowel for a spread one is seen by
-everybody. So frames are weighed by how far the mean faces of two classes lie apart: gap, width and
-protrusion of the lips, in mm, of the face that ships (the mean of its frames of each class).
+A T in place of a K is a wrong frame that cannot be seen; everybody sees a rounded vowel in place of
+a spread one. So frames are weighted by the distance of the mean faces of the two classes: gap,
+width and protrusion of the lips, in mm, of the shipped face.
 """
 
 from collections.abc import Mapping
@@ -19,9 +19,9 @@ from lipsync.phonemes import PHONEMES, VISEME_CLASSES
 
 @cache
 def visible_distances_mm() -> Array:
-    """Return how far the lip shapes of each two viseme classes are apart, in mm.
+    """Return the distance of the lip shapes of each two viseme classes, in mm.
 
-    A class that the face's sentences lack has the shape of the class that replaces it there.
+    A class without training data has the shape of the class that replaces it.
 
     Returns
     -------
@@ -35,7 +35,7 @@ def visible_distances_mm() -> Array:
     markers_mm, layout = face.markers_mm(faces), face.layout
     width_mm = np.ptp(markers_mm[:, list(layout.lips), 0], axis=1)
     middle_mm = (markers_mm[:, layout.upper_lip] + markers_mm[:, layout.lower_lip]) / 2.0
-    # As `evaluation.motion.measures.lip_shapes_mm`, which is above this room.
+    # As in `evaluation.motion.measures.lip_shapes_mm`, which this package must not import.
     shapes_mm = np.stack([face.lip_gaps_mm(markers_mm), width_mm, middle_mm[:, 2]], axis=1)
     by_class = shapes_mm[[PHONEMES.index(members[0]) for members in VISEME_CLASSES]]
     distances: Array = np.linalg.norm(by_class[:, None] - by_class[None], axis=2)
@@ -61,9 +61,9 @@ def visible_error_mm(confusion: NDArray[np.int64]) -> float:
 
 
 def visible_error_table(confusion: NDArray[np.int64]) -> Mapping[str, Mapping[str, object]]:
-    """Return for each spoken class its frames, its mean error, and what it was recognised as.
+    """Return for each spoken class its frames, its mean error, and the classes recognised instead.
 
-    heard_as: share of the class's frames and mm that it adds to the class's mean, the worst first.
+    heard_as: share of the class's frames, and the mm that it adds to the class's mean, worst first.
 
     Parameters
     ----------
@@ -73,16 +73,16 @@ def visible_error_table(confusion: NDArray[np.int64]) -> Mapping[str, Mapping[st
     Returns
     -------
     Mapping[str, Mapping[str, object]]
-        By class; errors in mm.
+        By class, named by its phonemes; errors in mm.
     """
     table: dict[str, Mapping[str, object]] = {}
-    for phoneme, counts in enumerate(confusion):
+    for spoken, counts in enumerate(confusion):
         if not (n_frames := int(counts.sum())):
             continue
         shares = counts / n_frames
-        errors_mm = shares * visible_distances_mm()[phoneme]
+        errors_mm = shares * visible_distances_mm()[spoken]
         worst = [int(heard) for heard in np.argsort(-errors_mm, kind="stable") if counts[heard]]
-        table[_name(phoneme)] = {
+        table[_name(spoken)] = {
             "frames": n_frames,
             "visible_error_mm": float(errors_mm.sum()),
             "heard_as": {

@@ -1,6 +1,6 @@
-"""Watches a simulated face from outside: every packet on the wire, every step of every shaft.
+"""An auditor that watches a simulated face from outside: every packet on the bus, every shaft.
 
-It knows the face's limits and nothing of the code under test, and trusts none of it.
+It knows the face's limits, uses nothing of the code under test, and trusts none of it.
 """
 
 import struct
@@ -22,24 +22,27 @@ from firmware_bridge.stopping import StopLevel
 _GOAL, _TORQUE = register("goal_position").address, register("torque_enable").address
 _GOAL_BYTES, _TORQUE_BYTES = struct.pack("<H", _GOAL), struct.pack("<H", _TORQUE)
 _FEETECH_GOAL: Final = feetech_models()["STS3215"].dialect.registers["goal_position"].address
-#: A goal is rounded to a pulse, and so was the one before.
+#: A goal is rounded to a pulse, and so was the one before it.
 _ROUNDING_PULSES: Final = 1
-#: What counts as the place where a servo stands: half a degree, for a limp shaft may be moving.
+#: A goal this near to a shaft counts as its position: half a degree, as a limp shaft may be moving.
 _PLACE_PULSES: Final = 6
-#: A shaft may be a degree outside its limits (sag, rounding) before going further counts.
+#: A shaft may be a degree outside its limits (sag, rounding) before moving further out counts.
 _MARGIN_PULSES: Final = 12
-#: Beyond what a person was promised as the fastest.
+#: Speeds above the promised top speed times this count.
 _SPEED_MARGIN: Final = 1.10
-#: A frozen face may still brake, and give a little under load.
+#: Time in which a frozen face may still brake, and the speed at which it may give way under load.
 _BRAKES_S, _CREEP_DEG_S = 0.3, 5.0
-#: A shaft so near to where it would be unhindered is there.
+#: A shaft this near to its unhindered position is unhindered.
 _FREE_PULSES: Final = 0.5
-#: No motor makes this without load: the encoder jumped.
+#: No motor turns so fast: the encoder jumped.
 _JUMP_DEG_S: Final = 700.0
 
 
 class SeenOrder(NamedTuple):
-    """What the computer tells one servo: a goal in a tick, one to it alone, or torque on."""
+    """An order of the computer to one servo.
+
+    what: "goal" in a tick, "first goal" to this servo alone, or "torque" on. goal: in pulses.
+    """
 
     what: Literal["goal", "first goal", "torque"]
     servo_id: int
@@ -47,9 +50,9 @@ class SeenOrder(NamedTuple):
 
 
 class AuditedWire(Protocol):
-    """What one protocol's packets order, and when a servo may be armed.
+    """A bus protocol: what its packets order, and when a servo may be armed.
 
-    has_watchdog: servos stop by themselves where the computer is gone.
+    has_watchdog: whether servos stop by themselves when the computer falls silent.
     """
 
     has_watchdog: bool
@@ -58,11 +61,11 @@ class AuditedWire(Protocol):
         """Parse the orders in one write of the computer."""
 
     def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
-        """Whether a simulated servo is as torque may come on."""
+        """Return whether a simulated servo has all settings that it must have before torque."""
 
 
 class DynamixelWire:
-    """Protocol 2.0."""
+    """Dynamixel protocol 2.0."""
 
     has_watchdog = True
 
@@ -103,19 +106,19 @@ class FeetechWire:
     has_watchdog = False
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
-        """Parse the orders in one write of the master, which holds whole packets."""
+        """Parse the orders in one write of the computer, which is of whole packets."""
         for packet in feetech_codec.statuses_in(data):
             servo_id, instruction, parameters = packet
             if instruction == feetech_codec.Instruction.WRITE and parameters[0] == _FEETECH_GOAL:
                 yield SeenOrder("first goal", servo_id, int.from_bytes(parameters[1:3], "little"))
             elif instruction == feetech_codec.Instruction.SYNC_WRITE:
                 address, size, blocks = parameters[0], parameters[1], parameters[2:]
-                for at in range(0, len(blocks), size + 1):
-                    value = int.from_bytes(blocks[at + 1 : at + 1 + min(size, 2)], "little")
+                for start in range(0, len(blocks), size + 1):
+                    value = int.from_bytes(blocks[start + 1 : start + 1 + min(size, 2)], "little")
                     if address == _FEETECH_GOAL:
-                        yield SeenOrder("goal", blocks[at], value)
+                        yield SeenOrder("goal", blocks[start], value)
                     elif address == TORQUE_ENABLE and value == 1:
-                        yield SeenOrder("torque", blocks[at])
+                        yield SeenOrder("torque", blocks[start])
 
     def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
         """Return whether a servo's limits are the face's, and its speed is bounded."""
@@ -125,16 +128,16 @@ class FeetechWire:
 
 
 class Auditor:
-    """Counts what must not happen; all counts are of events, on one servo each.
+    """Counts events that must not happen, each on one servo.
 
-    goals: goals seen. goals_outside: beyond the joint's limits, and no way back into them; when
-    torque comes on, any other goal than the place. steps_too_long: more than top speed times one
-    period since the last goal. too_fast: steps of 5 ms above 1.1 times top speed with torque on;
-    but for a shaft that was pushed or held up, until it is back on its trajectory.
+    goals: goals seen. goals_outside: goals beyond the joint's limits that do not lead back; when
+    torque comes on, any goal but the position. steps_too_long: goals farther from the last than top
+    speed allows in one period. too_fast: simulator steps faster than 1.1 times top speed with
+    torque on, except of a shaft that was pushed or held up, until it is back on its trajectory.
     moved_outside: steps outwards beyond the limits with torque on. armed_wrongly: torque switched
-    on though the servo's settings differ from the face's, without a running watchdog, or with a
-    goal elsewhere. armed_late: torque switched on after a person's stop. moved_frozen: the same
-    steps faster than 5 deg/s, later than 0.3 s after a person froze the face.
+    on with settings that differ from the face's, without a running watchdog, or with a goal
+    elsewhere. armed_late: torque switched on after a person's stop. moved_frozen: steps faster than
+    5 deg/s, later than 0.3 s after a person froze the face.
     """
 
     def __init__(
@@ -156,9 +159,9 @@ class Auditor:
             for servo, speed in zip(servos, self._speed.tolist(), strict=True)
         }
         self._jump = _JUMP_DEG_S * per_deg
-        #: Where each shaft would be if nothing hindered it: behind its trajectory by its position
-        #: loop alone. One that is elsewhere was pushed, jammed or loaded, and comes back as fast
-        #: as it can: that is the servo's own doing.
+        #: Where each shaft would be if nothing hindered it: behind its trajectory only by its
+        #: position loop's lag. A shaft elsewhere was pushed, jammed or loaded; its servo brings it
+        #: back as fast as it can, without being commanded.
         self._free = np.zeros(len(servos))
         self._is_free = np.zeros(len(servos), dtype=np.bool_)
         self._last: dict[int, int] = {}
@@ -176,7 +179,7 @@ class Auditor:
         self.fastest = 0.0
 
     def watch(self, chain: Any) -> None:
-        """Follow the shafts of this chain, and look into its servos when torque comes on."""
+        """Follow the shafts of this simulated chain; check its servos when torque comes on."""
         self._chain = chain
         chain.motors.motion = self._see_motion
 
@@ -186,11 +189,11 @@ class Auditor:
         self._frozen = level is StopLevel.FREEZE
 
     def let_go(self) -> None:
-        """A frozen face is let go now, and may move."""
+        """Note that a frozen face is released now, and may move."""
         self._frozen = False
 
     def see(self, time_s: float, data: bytes) -> None:
-        """Look at one write of the computer."""
+        """Inspect one write of the computer."""
         for what, servo_id, goal in self._wire.orders(data):
             if what == "goal":
                 self._see_goal(servo_id, goal)
@@ -213,14 +216,14 @@ class Auditor:
             self.steps_too_long += 1
 
     def _see_first_goal(self, servo_id: int, goal: int) -> None:
-        """Count the goal before torque, which must be where the servo stands."""
+        """Count the goal (pulses) before torque, which must be the position of the servo."""
         self._last[servo_id] = goal
         self.goals += 1
         if not self._is_place(servo_id, goal):
             self.goals_outside += 1
 
     def _is_way_back(self, servo_id: int, before: int, goal: int) -> bool:
-        """Whether the new goal lies between the old one and where the servo stands."""
+        """Return whether the new goal lies between the old one and the position of the servo."""
         index = self._index(servo_id)
         if index is None or self._chain is None:
             return False
@@ -228,52 +231,58 @@ class Auditor:
         return min(before, place) - _PLACE_PULSES <= goal <= max(before, place) + _PLACE_PULSES
 
     def _is_place(self, servo_id: int, goal: int) -> bool:
-        """Whether the servo stands at `goal`, so that nothing moves. True of an unknown one."""
+        """Return whether `goal` is the position of the servo, so that it does not move.
+
+        True if no simulated servo, or more than one, has this id.
+        """
         index = self._index(servo_id)
         if index is None or self._chain is None:
             return True
         return bool(abs(goal - self._chain.motors.position[index]) <= _PLACE_PULSES)
 
     def _see_torque(self, servo_id: int, time_s: float) -> None:
-        """Count torque that comes on after a stop, without setup, or with its goal elsewhere."""
+        """Count torque that comes on after a person's stop, or wrongly.
+
+        Wrongly: with settings that differ from the face's, or with a goal off the position.
+        """
         if self._stopped_s is not None and time_s > self._stopped_s:
             self.armed_late += 1
         index = self._index(servo_id)
         if index is None or self._chain is None:
             return
-        servo, wanted = self._chain.servos[index], self._servos[servo_id]
+        servo, mounted = self._chain.servos[index], self._servos[servo_id]
         place = self._chain.motors.position[index]
         at_place = abs(servo["goal_position"] - place) <= _PLACE_PULSES
-        self.armed_wrongly += not (at_place and self._wire.is_set_up(servo, wanted))
+        self.armed_wrongly += not (at_place and self._wire.is_set_up(servo, mounted))
 
     def _see_motion(self, time_s: float, position: Array) -> None:
-        """Count forbidden motion of all shafts; called by the simulator at each of its steps.
+        """Count forbidden motion of all shafts; the simulator calls this at each of its steps.
 
-        position: (n_servos,) pulses. A servo's trajectory counts always; its shaft only where
-        torque holds it and nothing has pushed or held it up.
+        position: (n_servos,) pulses. The motion of a servo's trajectory always counts; that of its
+        shaft only while torque is on and nothing has pushed it or held it up.
         """
         assert self._chain is not None  # it calls
         motors = self._chain.motors
         if self._frozen and not (self._wire.has_watchdog or self._chain.plugged):
-            self._stopped_s = time_s  # they go on to their last goal, whatever a person wants
-        seen, self._before = self._before, (position.copy(), motors.trajectory.copy())
+            self._stopped_s = time_s  # unplugged servos without watchdog go on to their goal
+        last, self._before = self._before, (position.copy(), motors.trajectory.copy())
         held, self._held = self._held & motors.torque_on, motors.torque_on.copy()
         span_s, self._before_s = time_s - self._before_s, time_s
-        if seen is None or span_s <= 0.0:
+        if last is None or span_s <= 0.0:
             return
-        before, trajectory_before = seen
+        before, trajectory_before = last
         speed = (position - before) / span_s
         commanded = np.abs(motors.trajectory - trajectory_before) / span_s
-        # A jump of the encoder takes the trajectory with it, and a servo that stops by itself, as
-        # for its watchdog, lays it where it stands: nobody told them to go there.
+        # The trajectory follows a jump of the encoder; and a servo that stops by itself, as by its
+        # watchdog, sets it to its position. Neither was commanded.
         jumped = (np.abs(speed) >= self._jump) & (commanded >= self._jump)
         by_itself = ~held | jumped | (motors.trajectory == position)
         commanded[by_itself] = 0.0
         self._free += (motors.trajectory - self._free) * min(1.0, POSITION_LOOP_PER_S * span_s)
         self._free = np.where(by_itself, position, self._free)
         was_free, self._is_free = self._is_free, np.abs(position - self._free) <= _FREE_PULSES
-        own = held & was_free & self._is_free
-        moved = np.maximum(np.where(own, np.abs(speed), 0.0), commanded)
+        unhindered = held & was_free & self._is_free
+        moved = np.maximum(np.where(unhindered, np.abs(speed), 0.0), commanded)
         fast = moved / self._speed
         self.fastest = max(self.fastest, float(fast.max()))
         self.too_fast += int((fast > _SPEED_MARGIN).sum())
@@ -281,7 +290,7 @@ class Auditor:
             self.moved_frozen += int((moved > self._creep).sum())
         outwards = (position > self._high + _MARGIN_PULSES) & (speed > 1.0)
         outwards |= (position < self._low - _MARGIN_PULSES) & (speed < -1.0)
-        self.moved_outside += int((own & outwards).sum())
+        self.moved_outside += int((unhindered & outwards).sum())
 
     def _index(self, servo_id: int) -> int | None:
         """Return the index of the simulated servo that has this id now; None: none, or several."""

@@ -1,4 +1,4 @@
-"""Servos on a line in trouble: an auditor on the wire and at the shafts, and what they claim."""
+"""Trials of serial servos: a simulated chain with faults, an auditor, and what the bus reports."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,8 @@ from lipservo_lab.campaigns.fault_campaign import (
 
 BAUD_RATE: Final = 1_000_000
 _PROBABILITIES: Final = (0.01, 0.1, 0.5)
-#: A place is compared so soon after it was read; servos go on meanwhile.
+#: Feedback is compared with shafts only if it is so new, as servos move on; and may differ by so
+#: much.
 _JUST_NOW_S, _PLACE_DEG = 0.005, 3.0
 _MUST_NOT: Final = (
     "goals_outside_limits",
@@ -49,7 +50,7 @@ _MUST_NOT: Final = (
 
 
 def face(n_servos: int, model: Any = None) -> list[MountedServo[Any]]:
-    """Return a face of servos as in `face_sim`, every other one mounted mirrored."""
+    """Return a face of `n_servos` servos as in `face_sim`, every other one mounted mirrored."""
     model = model or dynamixel_models()["XL330-M288"]
     return [
         MountedServo(
@@ -61,11 +62,12 @@ def face(n_servos: int, model: Any = None) -> list[MountedServo[Any]]:
 
 @dataclass
 class ChainStage:
-    """See `fault_campaign.Stage`.
+    """A simulated chain of servos in a case; see `fault_campaign.Stage`.
 
-    holds: whether a servo's torque is on. is_reachable: whether anybody can know of it: it still
-    has its own id and rate. n_collisions: of the wire so far. n_untrue: places and words that were
-    reported and are not so.
+    holds: returns whether a servo's torque is on. is_reachable: returns whether a bus can reach it
+    at a time, as it still has its own id and rate. n_collisions: returns the collisions on the wire
+    so far. n_unknown: torque that the bus reports wrongly. n_untrue: positions that it reports
+    wrongly.
     """
 
     case: Case
@@ -93,8 +95,8 @@ class ChainStage:
         shafts = self.chain.motors.position
         off_deg = np.abs(
             [
-                (each.pulse(deg) - place) / each.model.pulses_per_deg
-                for each, deg, place in zip(
+                (servo.pulse(deg) - shaft) / servo.model.pulses_per_deg
+                for servo, deg, shaft in zip(
                     self.servos, np.nan_to_num(feedback.positions_deg), shafts, strict=True
                 )
             ]
@@ -102,21 +104,21 @@ class ChainStage:
         self.n_untrue += int((off_deg[feedback.age_s == 0.0] > _PLACE_DEG).sum())
 
     def look_at_last(self) -> None:
-        """Check that torque is as the bus reports it."""
+        """Count reachable servos whose torque is not as the bus reports it."""
         if self.chain.plugged:
-            believed = self.bus.look_after().torque
-            for servo, belief in zip(self.chain.servos, believed, strict=True):
+            reported = self.bus.look_after().torque
+            for servo, is_on in zip(self.chain.servos, reported, strict=True):
                 reachable = self.is_reachable(servo, self.clock.now())
-                self.n_unknown += reachable and self.holds(servo) != belief
+                self.n_unknown += reachable and self.holds(servo) != is_on
 
     def counts(self, report: StopReport | None) -> Mapping[str, int]:
         """Return counts of the auditor, of the wire, and of what servos do at the end.
 
-        torque_left_on: servos that still hold and can be reached. claims: false positions, and
-        servos that were confirmed as limp but hold. report: of the stop; None: there was none.
+        torque_left_on: reachable servos that still hold. claims: false positions, and servos that
+        were confirmed as limp but hold. report: of the stop; None: there was none.
         """
         auditor, chain = self.auditor, self.chain
-        stiff = sum(self.holds(s) for s in chain.servos if self.is_reachable(s, float("inf")))
+        n_holding = sum(self.holds(s) for s in chain.servos if self.is_reachable(s, float("inf")))
         confirmed = () if report is None else report.confirmed
         holding = {j.name for j, s in zip(self.joints, chain.servos, strict=True) if self.holds(s)}
         return {
@@ -129,30 +131,30 @@ class ChainStage:
             "undone": auditor.armed_late,
             "contention": self.n_collisions(),
             "torque_unknown": int(self.n_unknown),
-            "torque_left_on": int(stiff) if chain.plugged else 0,
+            "torque_left_on": int(n_holding) if chain.plugged else 0,
             "claims": self.n_untrue + len(holding & set(confirmed)),
         }
 
 
 def dynamixel_faults(case: Case) -> list[Fault]:
-    """Return the faults of a case, by its intensity.
+    """Return the faults of a case, by its intensity 0 to 2.
 
     Faults of packets hit 1, 10 or 50 % of them; faults of servos hit one servo once, one again and
-    again, or all at once.
+    again, or all servos.
     """
-    kind, hard = case.kind, case.intensity
+    kind, intensity = case.kind, case.intensity
     amount = {
-        "late_reply": (0.0005, 0.003, 0.010)[hard],
+        "late_reply": (0.0005, 0.003, 0.010)[intensity],
         "error_reply": 1.0,
         "id_change": 200.0,
-        "pushed": (5.0, 20.0, 60.0)[hard],
-        "encoder_fault": (0.0, 10.0, 90.0)[hard],
-        "load": (0.3, 0.6, 0.9)[hard],
+        "pushed": (5.0, 20.0, 60.0)[intensity],
+        "encoder_fault": (0.0, 10.0, 90.0)[intensity],
+        "load": (0.3, 0.6, 0.9)[intensity],
         "jam": 0.9,
         "limits_drift": 2100.0,
     }.get(kind, 0.0)
     if kind in ON_REPLIES | ON_INSTRUCTIONS:
-        share = _PROBABILITIES[hard]
+        share = _PROBABILITIES[intensity]
         return [
             Fault(
                 kind,
@@ -162,17 +164,17 @@ def dynamixel_faults(case: Case) -> list[Fault]:
                 amount=amount,
             )
         ]
-    servos = () if hard == 2 or kind == "unplug" else (case.n_servos // 2,)
-    often = 0.5 if hard == 1 else 0.0
-    lasts_s = 0.3 if hard == 1 else FAULT_UNTIL_S - FAULT_FROM_S
+    servos = () if intensity == 2 or kind == "unplug" else (case.n_servos // 2,)
+    every_s = 0.5 if intensity == 1 else 0.0
+    lasts_s = 0.3 if intensity == 1 else FAULT_UNTIL_S - FAULT_FROM_S
     return [
         Fault(
             kind,
             servos=servos,
-            at_s=() if often else (FAULT_FROM_S,),
+            at_s=() if every_s else (FAULT_FROM_S,),
             from_s=FAULT_FROM_S,
             until_s=FAULT_UNTIL_S,
-            every_s=often,
+            every_s=every_s,
             lasts_s=lasts_s,
             amount=amount,
         )

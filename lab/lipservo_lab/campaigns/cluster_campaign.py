@@ -1,7 +1,7 @@
 """Short lines rendered on a Dask cluster whose workers, and once its scheduler, are killed.
 
-What has ended is started again, as a service does. Each worker writes down which task it begins and
-which it has done; so nothing that is computed twice is missed.
+Processes that ended are started again, as by a service manager. Each worker logs which task it
+begins and which it has done, so that everything that is computed twice is known.
 """
 
 import contextlib
@@ -32,9 +32,9 @@ from lipsync.offline.performance import SUFFIX
 _PYTHON: Final = (sys.executable, "-P", "-m")
 _LINE_S: Final = 1.0
 _LOOK_S: Final = 0.2
-#: Of no progress: something hangs.
+#: After so long without progress something hangs.
 _PATIENCE_S: Final = 900.0
-#: For the worker that `dask worker --preload` reads.
+#: Environment variable with the log's path, read by the module that `dask worker --preload` loads.
 _LOG: Final = "LIPSERVO_CAMPAIGN_LOG"
 _NUMBER: Final = re.compile(r"lipservo-(\d+)-")
 _BEGUN, _DONE = "begun", "done"
@@ -43,20 +43,20 @@ _BEGUN, _DONE = "begun", "done"
 def cluster_figures(n_lines: int, kill_every_s: float, advance: Advance) -> dict[str, Any]:
     """Return the figures of `lipservo bench cluster`.
 
-    lost: lines without their whole performance at the end. computed_twice: lines that a worker
-    finished more than once; begun_twice: that were begun more than once, those of a killed worker
-    among them. advance: as `progress_bar` yields it. Raises UserError where the command fails.
+    lost: lines without a complete performance at the end. computed_twice: how often workers
+    finished a line again; begun_twice: how often they began one again, also those of a killed
+    worker. advance: as `progress_bar` yields it. Raises UserError if the command fails.
     """
-    began_s = time.monotonic()
+    start_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="lipservo-cluster-") as name:
         folder = Path(name)
         _write_lines(folder / "lines", n_lines)
         command_line = [*_PYTHON, "lipservo", "lines", "render-folder", str(folder / "lines")]
         command_line += ["-o", str(folder / "out"), "--json", "--quiet"]
         with _cluster(folder / "log") as cluster:
-            where = ["--dask", f"127.0.0.1:{cluster.port}"]
+            option = ["--dask", f"127.0.0.1:{cluster.port}"]
             with subprocess.Popen(
-                [*command_line, *where], stdout=subprocess.PIPE, text=True
+                [*command_line, *option], stdout=subprocess.PIPE, text=True
             ) as command:
                 _kill_while(command, cluster, folder / "out", n_lines, kill_every_s, advance)
                 output = command.communicate()[0]
@@ -77,12 +77,12 @@ def cluster_figures(n_lines: int, kill_every_s: float, advance: Advance) -> dict
         "lost": json.loads(again.stdout)["rendered"],
         "computed_twice": twice[_DONE],
         "begun_twice": twice[_BEGUN],
-        "seconds": round(time.monotonic() - began_s, 1),
+        "seconds": round(time.monotonic() - start_s, 1),
     }
 
 
 def _events(log: Path) -> Iterator[tuple[str, str, str]]:
-    """Yield event, number of the task, and process of the worker."""
+    """Yield event, number of the task, and process id of the worker, for each line of the log."""
     text = log.read_text() if log.exists() else ""
     for line in text.splitlines():
         event, number, process = line.split()
@@ -90,7 +90,7 @@ def _events(log: Path) -> Iterator[tuple[str, str, str]]:
 
 
 def _write_lines(folder: Path, n: int) -> None:
-    """Write different second-long pieces of the shipped clip."""
+    """Write `n` different sound files of one second, cut from the shipped clip."""
     folder.mkdir()
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples, rate_hz = soundfile.read(clip, dtype="int16")
@@ -103,7 +103,10 @@ def _write_lines(folder: Path, n: int) -> None:
 
 @dataclass(slots=True)
 class _Cluster:
-    """A scheduler and workers, each started again when it has ended."""
+    """A scheduler and workers on this computer.
+
+    processes: by name, "scheduler" and "worker N".
+    """
 
     port: int
     log: Path
@@ -113,12 +116,12 @@ class _Cluster:
     n_schedulers_killed: int = 0
 
     def start_what_has_ended(self) -> None:
-        """Start the scheduler and each worker that does not run; a thread calls this often."""
-        at = ["--host", "127.0.0.1"]
-        programs = {"scheduler": ["scheduler", *at, "--port", str(self.port), "--no-dashboard"]}
+        """Start the scheduler and each worker that is not running; a thread calls this often."""
+        host = ["--host", "127.0.0.1"]
+        programs = {"scheduler": ["scheduler", *host, "--port", str(self.port), "--no-dashboard"]}
         for n in range(self.n_workers):
             programs[f"worker {n}"] = [
-                "worker", f"127.0.0.1:{self.port}", *at, "--nthreads", "1", "--no-nanny",
+                "worker", f"127.0.0.1:{self.port}", *host, "--nthreads", "1", "--no-nanny",
                 "--no-dashboard", "--preload", __name__,
             ]  # fmt: skip
         for name, arguments in programs.items():
@@ -136,11 +139,11 @@ class _Cluster:
         self.processes[name].wait()
 
     def computing(self) -> str | None:
-        """Return the name of a worker that is at a task now, of several the oldest; None: none."""
-        at = Counter[str]()
+        """Return the name of a running worker that has a task, the oldest of several, or None."""
+        n_tasks = Counter[str]()
         for event, _, process in _events(self.log):
-            at[process] += 1 if event == _BEGUN else -1
-        busy = {process for process, n in at.items() if n > 0}
+            n_tasks[process] += 1 if event == _BEGUN else -1
+        busy = {process for process, n in n_tasks.items() if n > 0}
         found = [
             (process.pid, name)
             for name, process in self.processes.items()
@@ -153,24 +156,24 @@ class _Cluster:
 def _cluster(log: Path) -> Iterator[_Cluster]:
     """Run a scheduler and workers on a free port; restart those that end, until the body is left.
 
-    log: file to which workers append the tasks that they begin and have done.
+    log: file to which workers append the tasks that they begin and finish.
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     cluster = _Cluster(port, log, max(2, os.cpu_count() or 1))
-    over = threading.Event()
+    is_over = threading.Event()
 
-    def look_after() -> None:
-        while not over.wait(_LOOK_S):
+    def restart_ended() -> None:
+        while not is_over.wait(_LOOK_S):
             cluster.start_what_has_ended()
 
     cluster.start_what_has_ended()
-    thread = threading.Thread(target=look_after)
+    thread = threading.Thread(target=restart_ended)
     thread.start()
     try:
         yield cluster
     finally:
-        over.set()
+        is_over.set()
         thread.join()
         for name in cluster.processes:
             cluster.kill(name)
@@ -186,17 +189,17 @@ def _kill_while(
 ) -> None:
     """Kill a computing worker every `kill_every_s`, and the scheduler once half the lines are done.
 
-    Runs until the command ends; the first kill follows the first line. Raises UserError where
+    Blocks until the command ends; the first kill follows the first line. Raises UserError if
     nothing is rendered for `_PATIENCE_S`.
     """
-    n_done, moved_s = 0, time.monotonic()
+    n_done, progress_s = 0, time.monotonic()
     due_s = float("inf")
     while command.poll() is None:
         time.sleep(_LOOK_S)
         now_s = time.monotonic()
         n_now = sum(1 for _ in output.glob(f"*{SUFFIX}"))
         if n_now > n_done:
-            n_done, moved_s = n_now, now_s
+            n_done, progress_s = n_now, now_s
             due_s = min(due_s, now_s + kill_every_s)
             advance("lines", n_done, n_lines)
         if now_s >= due_s and (victim := cluster.computing()) is not None:
@@ -206,25 +209,25 @@ def _kill_while(
         if not cluster.n_schedulers_killed and 2 * n_done >= n_lines:
             cluster.kill("scheduler")
             cluster.n_schedulers_killed += 1
-        if now_s - moved_s > _PATIENCE_S:
+        if now_s - progress_s > _PATIENCE_S:
             command.kill()
             raise UserError(f"nothing was rendered for {_PATIENCE_S:g} s")
 
 
 def dask_setup(worker: Any) -> None:
-    """Write down what a worker begins and has done; called by `dask worker --preload`."""
+    """Make a worker log tasks that it begins and finishes; `dask worker --preload` calls it."""
     from distributed import WorkerPlugin
 
-    class Telling(WorkerPlugin):  # type: ignore[misc]
+    class TaskLog(WorkerPlugin):  # type: ignore[misc]
         def transition(self, key: object, start: str, finish: str, **_more: Any) -> None:
             """Append a line to the log when a numbered task begins or is done; Dask calls this."""
             number = _NUMBER.match(str(key))
             event = _BEGUN if finish == "executing" else _DONE if finish == "memory" else None
             if number is not None and event is not None and start != finish:
                 line = f"{event} {number[1]} {os.getpid()}\n".encode()
-                # One write at the end of a file: those of all workers stay apart.
+                # Appended by one write: lines of several workers do not mix.
                 log = os.open(os.environ[_LOG], os.O_WRONLY | os.O_APPEND | os.O_CREAT)
                 os.write(log, line)
                 os.close(log)
 
-    worker.plugins["telling"] = Telling()
+    worker.plugins["telling"] = TaskLog()

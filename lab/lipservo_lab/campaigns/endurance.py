@@ -1,6 +1,6 @@
-"""A face driven for days on a virtual clock: what grows, and what the wire saw in the meantime.
+"""A face driven for days on a virtual clock: what grows, and what the auditor saw meanwhile.
 
-The endurance run in numbers, in one session or in several that go on from a file.
+The figures are of one session, or of several that go on from a file.
 """
 
 import json
@@ -28,26 +28,26 @@ from lipservo_lab.campaigns.fault_campaign import wanted_deg
 from lipsync.errors import UserError
 from lipsync.output_file import check_output, write_whole
 
-#: As on a fair bus: now and then a packet is lost or spoilt, and the plug is pulled now and then.
-#: Whatever leaks, leaks where things go wrong.
+#: As on a fair bus: now and then a packet is lost or damaged, and the plug is pulled. Leaks show
+#: where things go wrong.
 FAULTS: Final = (
     Fault("drop_reply", probability=0.001),
     Fault("corrupt_reply", probability=0.0005),
     Fault("unplug", from_s=0.0, every_s=600.0, lasts_s=2.0),
 )
-#: Once so many cycles are over, everything is loaded and warm: memory is first looked at.
+#: Memory is first measured after this share of the cycles, when everything is loaded and warm.
 _WARM_SHARE: Final = 0.1
 _REPORTS: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Endurance:
-    """What a run has shown so far. Memory is resident, in MB (10^6 bytes), of this process.
+    """Figures of a run so far. Memory is resident, in MB (10^6 bytes), of this process.
 
-    cycles: ticks that were requested and done; bringing the face to rest afterwards is watched,
-    too, and not counted. *_at_tenth: once a tenth of them was over and all was warm; 0 = not yet.
-    cpu_s: processor time. goals_outside_limits .. armed_wrongly: see `Auditor`; contention: two
-    voices on the wire at once. None of these may happen.
+    cycles: ticks done; moving to rest afterwards is watched too, but not counted. *_at_tenth: after
+    a tenth of the ticks, when all was warm; 0: not yet. cpu_s: processor time. goals_outside_limits
+    to armed_wrongly: see `Auditor`; contention: two senders on the wire at once. None of these may
+    happen. replugs: how often the bus was unplugged.
     """
 
     cycles: int
@@ -87,11 +87,10 @@ def endure(
     seed: int = 1,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Endurance:
-    """Drive simulated servos for `n_cycles` ticks, byte by byte, through bus, bridge and gate.
+    """Drive simulated servos for `n_cycles` ticks, byte by byte, through bus, bridge and limits.
 
-    Ends early, with what was seen so far, when `stopped` says so or at Ctrl-C.
-
-    progress: called a hundred times with what was seen so far.
+    Ends early, with the figures so far, when `stopped` returns true or at Ctrl-C. progress: called
+    a hundred times with the figures so far.
     """
     servos = face(n_servos)
     clock = ManualClock()
@@ -105,14 +104,14 @@ def endure(
     joints = [servo.joint for servo in servos]
     bridge = Bridge(bus, joints, channel, BridgeSettings(rate_hz, tolerant=True))
     warm_at, report_every = int(n_cycles * _WARM_SHARE), max(1, n_cycles // _REPORTS)
-    warm, begun_s, n_done = (0.0, 0), time.process_time(), 0
+    warm, start_s, n_done = (0.0, 0), time.process_time(), 0
 
     def so_far() -> Endurance:
         """Return the session's figures so far; virtual time in hours, processor time in s."""
         return Endurance(
             cycles=n_done,
             virtual_hours=clock.now() / 3600.0,
-            cpu_s=time.process_time() - begun_s,
+            cpu_s=time.process_time() - start_s,
             rss_mb_at_tenth=warm[0],
             rss_mb_at_end=resident_mb(),
             descriptors_at_tenth=warm[1],
@@ -143,17 +142,17 @@ def endure(
 
 
 def open_descriptors() -> int:
-    """How many files, pipes and sockets this process holds open; 0 where /proc does not tell."""
+    """Return how many files, pipes and sockets this process has open; 0 without /proc."""
     try:
         return len(os.listdir("/proc/self/fd")) - 1  # the one that lists them
     except OSError:
         return 0
 
 
-#: As many as a mouth needs; more servos cost time, and leak nothing else.
+#: A mouth needs no more servos; more cost time, and would leak nothing else.
 N_SERVOS, RATE_HZ = 5, 100.0
 _FORMAT: Final = "lipservo bench endurance 1"
-#: Of each session on its own: what it is at its end is not added up.
+#: Figures of a session's own process, which are not added up over sessions.
 _OF_A_SESSION: Final = {
     "rss_mb_at_tenth",
     "rss_mb_at_end",
@@ -170,38 +169,38 @@ def endurance_figures(
 ) -> dict[str, float]:
     """Run `n_cycles`; return what grew, what went wrong on the wire, and how fast it went.
 
-    resume: file that keeps the sessions so far, written at every hundredth and at the end; only the
-    cycles that it lacks are run, with other random faults. progress: called with the cycles done,
-    those of earlier sessions included. Raises UserError for a file that holds something else or
-    cannot be written.
+    resume: file of the sessions so far, written at every hundredth and at the end; only the cycles
+    that it lacks are run, with other random faults; None: no file. progress: called with the cycles
+    done, those of earlier sessions included. Raises UserError for a file with something else in it,
+    or that cannot be written.
     """
-    past = [] if resume is None else _read_sessions(resume)
-    n_past = sum(session.cycles for session in past)
+    earlier = [] if resume is None else _read_sessions(resume)
+    n_earlier = sum(session.cycles for session in earlier)
 
     def note(session: Endurance) -> None:
         if resume is not None:
-            write_whole(resume, _as_json([*past, session]))
-        progress(n_past + session.cycles)
+            write_whole(resume, _as_json([*earlier, session]))
+        progress(n_earlier + session.cycles)
 
-    if n_past >= n_cycles:
-        return totals(past)
+    if n_earlier >= n_cycles:
+        return totals(earlier)
     session = endure(
-        n_cycles - n_past,
+        n_cycles - n_earlier,
         note,
         n_servos=N_SERVOS,
         rate_hz=RATE_HZ,
-        seed=1 + n_past,
+        seed=1 + n_earlier,
         stopped=stopped,
     )
     note(session)
-    return totals([*past, session])
+    return totals([*earlier, session])
 
 
 def totals(sessions: Sequence[Endurance]) -> dict[str, float]:
-    """Return the sums of all sessions, and the worst growth of memory and descriptors.
+    """Return the sums over sessions, and the worst growth of memory and of descriptors.
 
-    Growth counts from a tenth to the end of a session. sessions_too_short: those that ended before
-    their tenth, and so say nothing of growth.
+    Growth is from a tenth of a session to its end. sessions_too_short: sessions that ended before
+    their tenth, so that their growth is unknown.
     """
     figures: dict[str, float] = {
         field.name: sum(getattr(session, field.name) for session in sessions)
@@ -209,12 +208,12 @@ def totals(sessions: Sequence[Endurance]) -> dict[str, float]:
         if field.name not in _OF_A_SESSION
     }
     warm = [session for session in sessions if session.descriptors_at_tenth]
-    for name, growth, unit in (
+    for name, growth, zero in (
         ("rss_mb", "rss_growth_mb", 0.0),
         ("descriptors", "descriptors_growth", 0),
     ):
         begin, end = f"{name}_at_tenth", f"{name}_at_end"
-        pairs = [(getattr(s, begin), getattr(s, end)) for s in warm] or [(unit, unit)]
+        pairs = [(getattr(s, begin), getattr(s, end)) for s in warm] or [(zero, zero)]
         figures[begin], figures[end] = max(pairs, key=lambda pair: pair[1] - pair[0])
         figures[growth] = figures[end] - figures[begin]
     return {
@@ -228,7 +227,7 @@ def totals(sessions: Sequence[Endurance]) -> dict[str, float]:
 
 
 def what_went_wrong(figures: dict[str, float]) -> list[str]:
-    """The counts that must be 0 and are not, a line each."""
+    """Return a line for each count that must be 0 and is not."""
     return [f"{name}: {figures[name]:g}, must be 0" for name in MUST_NOT if figures[name]]
 
 
@@ -238,30 +237,33 @@ def _as_json(sessions: Sequence[Endurance]) -> str:
 
 
 def _read_sessions(path: Path) -> list[Endurance]:
-    """The sessions in a file of ours, none where there is no file yet."""
+    """Return the sessions in a file; none if there is no file yet.
+
+    Raises UserError for a file that is not one of `bench endurance`.
+    """
     check_output(
         path, replaces=lambda head: _FORMAT.encode() in head, kind="file of `bench endurance`"
     )
     if not path.exists() or not path.stat().st_size:
         return []
     try:
-        kept = json.loads(path.read_text())
-        return [_session(each) for each in kept["sessions"]]
+        content = json.loads(path.read_text())
+        return [_session(entry) for entry in content["sessions"]]
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise UserError(
             f"{path}: does not hold whole sessions of `bench endurance`; name a new file"
         ) from error
 
 
-def _session(kept: dict[str, Any]) -> Endurance:
-    """Return a session read from JSON; raise ValueError or TypeError where a field is wrong.
+def _session(figures: dict[str, Any]) -> Endurance:
+    """Return a session read from JSON.
 
-    All fields are finite numbers, 0 or more.
+    Raises ValueError or TypeError unless all fields are finite numbers of their type, 0 or more.
     """
-    session = Endurance(**kept)
+    session = Endurance(**figures)
     for field in fields(Endurance):
         value = getattr(session, field.name)
-        wanted = (int,) if field.type is int else (int, float)
-        if type(value) not in wanted or not math.isfinite(value) or value < 0:
+        types = (int,) if field.type is int else (int, float)
+        if type(value) not in types or not math.isfinite(value) or value < 0:
             raise ValueError(f"{field.name}: {value}")
     return session

@@ -1,6 +1,7 @@
 """Every kind of fault of every kind of bus against the whole bridge, on a virtual clock.
 
-What a bus must not do, and who looks at that, is its `Trials`; all else is here.
+`Trials` says for a kind of bus which faults it has, what must not happen, and which stage
+(simulated servos with their observers) plays a case; the rest is here.
 """
 
 import math
@@ -23,14 +24,14 @@ from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.stopping import Order, StopLevel, StopReport, StopRequest
 
-#: Quiet, then trouble, then time to recover: reboots and cool-downs take seconds.
+#: The fault begins and ends, s; then there is time to recover: reboots and cool-downs take seconds.
 FAULT_FROM_S, FAULT_UNTIL_S, END_S = 2.0, 4.0, 12.0
 INTENSITIES: Final = (0, 1, 2)
 #: A stop comes in the middle of the fault.
 STOP_S: Final = 3.0
 STOPS: Final = (None, StopLevel.SOFT, StopLevel.LIMP, StopLevel.FREEZE)
 MAX_SPEED_DEG_S: Final = 300.0
-#: Kinds of bus that have trials, and where.
+#: Kinds of bus, and the module and name of their trials.
 _TRIALS: Final = {
     "dynamixel": "chain_trials:DYNAMIXEL",
     "feetech": "chain_trials:FEETECH",
@@ -42,7 +43,10 @@ CAMPAIGN_BUSES: Final = tuple(_TRIALS)
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One fault of one bus at one intensity, armed strictly or not, and a person's stop in it."""
+    """One fault of one bus at one intensity, and a person's stop during the fault.
+
+    intensity: 0 to 2. strict: servos are armed strictly. stop: None: no stop.
+    """
 
     bus: str
     kind: str
@@ -53,13 +57,16 @@ class Case:
     stop: StopLevel | None = None
 
     def times_s(self) -> list[tuple[float, float]]:
-        """Return when the fault happens and for how long, s: once, every half second, or always."""
+        """Return when the fault happens and for how long, s.
+
+        Intensity 0: once; 1: every half second; 2: always.
+        """
         every_s, lasts_s = ((9.0, 0.3), (0.5, 0.2), (0.1, 0.1))[self.intensity]
         return [(at_s, lasts_s) for at_s in np.arange(FAULT_FROM_S, FAULT_UNTIL_S, every_s)]
 
 
 class Stage(Protocol):
-    """A face whose simulated servos are in trouble, and what is seen of them from outside."""
+    """A face of simulated servos with a fault, and its observers outside the code under test."""
 
     @property
     def bus(self) -> ServoBus:
@@ -81,15 +88,19 @@ class Stage(Protocol):
         """Check the robot after a tick."""
 
     def look_at_last(self) -> None:
-        """Check the robot before servos are let go, where no person has stopped the face."""
+        """Check the robot before servos are released, if no person has stopped the face."""
 
     def counts(self, report: StopReport | None) -> Mapping[str, int]:
-        """How often what must not happen has: `Trials.must_not`, and maybe more."""
+        """Return how often each thing of `Trials.must_not`, and maybe more, has happened."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """What is played against one kind of bus."""
+    """What is tried on one kind of bus.
+
+    kinds: of faults; sizes: numbers of servos; must_not: names of counts that must be 0; stage:
+    makes the stage of a case.
+    """
 
     kinds: Sequence[str]
     sizes: Sequence[int]
@@ -100,11 +111,11 @@ class Trials:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one case.
+    """The outcome of one case.
 
-    counts: of each of `Trials.must_not`. recovery_s: from the end of the fault until every servo
-    follows again; None: never, which is right where nothing can bring it back (another id, another
-    baud rate, a third reboot), or stopped before.
+    error: of the bridge, empty: none. counts: of each name in `Trials.must_not`. recovery_s: from
+    the end of the fault until every servo follows again; None: never, which is correct where
+    nothing can bring it back (another id, another baud rate, a third reboot), or because of a stop.
     """
 
     case: Case
@@ -114,7 +125,7 @@ class Outcome:
 
     @property
     def survived(self) -> bool:
-        """The process lives and nothing that must not happen happened."""
+        """Whether there was no error, and nothing happened that must not."""
         return not self.error and not any(self.counts.values())
 
     def __str__(self) -> str:
@@ -131,19 +142,20 @@ def trials_of(bus: str) -> Trials:
 
 
 def cases(bus: str, *, whole: bool = False) -> Iterator[Case]:
-    """Yield cases of every kind, intensity, size and rate, with arming and stop in turns.
+    """Yield cases of every kind, intensity, size and rate.
 
-    whole: every way of arming and every stop for each of them, eight times as many.
+    Ways of arming and stops take turns. whole: each case with every way of arming and every stop,
+    eight times as many.
     """
-    ways, of = list(product((False, True), STOPS)), trials_of(bus)
-    grid = product(of.kinds, INTENSITIES, of.sizes, of.rates_hz)
+    variants, trials = list(product((False, True), STOPS)), trials_of(bus)
+    grid = product(trials.kinds, INTENSITIES, trials.sizes, trials.rates_hz)
     for n, (kind, intensity, n_servos, rate_hz) in enumerate(grid):
-        for strict, stop in ways if whole else (ways[n * 3 % len(ways)],):
+        for strict, stop in variants if whole else (variants[n * 3 % len(variants)],):
             yield Case(bus, kind, intensity, n_servos, rate_hz, strict, stop)
 
 
 def play(case: Case, end_s: float = END_S) -> Outcome:
-    """Run one case to its end."""
+    """Run one case up to `end_s`, virtual time, and return its outcome."""
     trials = trials_of(case.bus)
     stage = trials.stage(case)
     clock, channel = stage.clock, MemoryTargetChannel()
@@ -160,8 +172,8 @@ def play(case: Case, end_s: float = END_S) -> Outcome:
                 channel.publish(ServoTargets(time_s, wanted_deg(time_s, case.n_servos)))
                 bridge.tick(time_s, late)
                 stage.look(bridge)
-                fine = all(s is ServoState.DRIVEN for s in bridge.servo_states)
-                if not fine:
+                all_driven = all(s is ServoState.DRIVEN for s in bridge.servo_states)
+                if not all_driven:
                     recovered_s = math.nan
                 elif math.isnan(recovered_s):
                     recovered_s = time_s
@@ -170,34 +182,31 @@ def play(case: Case, end_s: float = END_S) -> Outcome:
         report = life.report
     except (BusError, ArithmeticError, LookupError, ValueError, TypeError) as problem:
         error = f"{type(problem).__name__}: {problem}"
-    never = case.stop is not None or math.isnan(recovered_s)
-    recovery_s = None if never else max(0.0, recovered_s - FAULT_UNTIL_S)
+    no_recovery = case.stop is not None or math.isnan(recovered_s)
+    recovery_s = None if no_recovery else max(0.0, recovered_s - FAULT_UNTIL_S)
     counts = stage.counts(report)
     return Outcome(case, error, {name: counts[name] for name in trials.must_not}, recovery_s)
 
 
 class StopWitness(Protocol):
-    """An auditor, as far as it must know of stops."""
+    """The part of an auditor that must know of stops."""
 
     def note_stop(self, time_s: float, level: StopLevel) -> None:
-        """A person stopped the face then."""
+        """Note that a person stopped the face."""
 
     def let_go(self) -> None:
-        """A frozen face is let go now."""
+        """Note that a frozen face is released now."""
 
 
 class StopInTheFault:
-    """A person's stop in the middle of the fault: the control socket of a case."""
+    """A person's stop during the fault; it takes the place of the bridge's control socket."""
 
     def __init__(self, level: StopLevel | None, clock: Clock, auditor: StopWitness) -> None:
         self._level, self._clock, self._auditor = level, clock, auditor
         self._is_frozen = False
 
     def poll(self) -> StopRequest | None:
-        """Return the case's stop at its moment, and a soft stop of a frozen face at the end.
-
-        None at all other times.
-        """
+        """Return the stop when it is due, a soft stop of a frozen face at the end, or None."""
         now_s = self._clock.now()
         if self._is_frozen and now_s >= END_S:
             self._is_frozen = False
@@ -229,6 +238,6 @@ class StopInTheFault:
 
 
 def wanted_deg(time_s: float, n_servos: int) -> np.ndarray:
-    """Quick, and now and then beyond every limit."""
+    """Return quick target angles, (n_servos,) deg, now and then beyond every limit."""
     phase = np.arange(n_servos) * 0.7
     return np.asarray(25.0 * np.sin(2.0 * np.pi * 1.3 * time_s + phase) + 20.0 * np.sin(time_s))

@@ -1,6 +1,6 @@
-"""Questions over a disturbed line, and whether each value is the one that its register held.
+"""Requests over a disturbed line to simulated servos, and whether each value is right.
 
-A port whose adapter echoes, delays, loses and invents bytes, in front of a simulated chain.
+A transport whose adapter echoes, delays, loses and invents bytes is put in front of the chain.
 """
 
 import heapq
@@ -25,12 +25,12 @@ from firmware_bridge.simulator.chain import SimulatedChain
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """What adapter and wire do to packets; shares are of 1.
+    """What adapter and wire do to packets; shares are 0 to 1.
 
-    late: share of replies that come late_s later (within a tenth of it), whole. lost: share of
+    late: share of replies that come late_s (within a tenth) later, complete. lost: share of
     replies, and of requests, that never arrive. stray: share of replies with one to eight bytes of
-    noise before and after. echo: what is sent comes back. fast_sync_read: whether servos know it.
-    latency_s: what every reply takes longer.
+    noise before and after. echo: what is sent comes back. fast_sync_read: whether servos know this
+    instruction. latency_s: delay of every reply.
     """
 
     late: float = 0.0
@@ -43,9 +43,9 @@ class Disturbance:
 
 
 class DisturbedTransport:
-    """A `Transport` in virtual time. What is done to a reply is drawn from `rng`.
+    """A `Transport` in virtual time; what happens to a reply is drawn from `rng`.
 
-    sent: every packet written so far, also those that got lost.
+    sent: every packet written so far, also lost ones.
     """
 
     def __init__(
@@ -58,6 +58,10 @@ class DisturbedTransport:
         baud_rate: int = 1_000_000,
         sent: list[bytes] | None = None,
     ) -> None:
+        """Put a disturbed adapter in front of a chain.
+
+        disturbance: None: nothing is disturbed. sent: list to which written packets are appended.
+        """
         self.clock = clock
         self.baud_rate = baud_rate
         self.disturbance = disturbance or Disturbance()
@@ -74,12 +78,16 @@ class DisturbedTransport:
         self._chain.advance(now_s)
         if self.disturbance.echo:
             self.queue(now_s + len(data) * BITS_PER_BYTE / self.baud_rate, data)
+        # Byte 7 is the instruction. Servos that do not know it do not answer.
         unknown = data[7] == Instruction.FAST_SYNC_READ and not self.disturbance.fast_sync_read
         if self._rng.random() >= self.disturbance.lost and not unknown:
             self._chain.receive(data, now_s, self.baud_rate)
 
     def read(self, deadline_s: float) -> bytes:
-        """Jump to the next arrival or to the deadline, whichever comes first."""
+        """Return the next bytes that arrive, b"" if none do until the deadline.
+
+        The clock is set to the arrival or to the deadline.
+        """
         while True:
             due_s = min(self._next_s(), self._chain.next_delivery_s)
             if due_s > deadline_s:
@@ -91,7 +99,7 @@ class DisturbedTransport:
                 return data
 
     def discard_input(self) -> bytes:
-        """Return and remove the bytes that have arrived."""
+        """Return the bytes that have arrived, and remove them."""
         now_s = self.clock.now()
         self._chain.advance(now_s)
         while self._chain.next_delivery_s <= now_s:
@@ -108,12 +116,12 @@ class DisturbedTransport:
 
     def disturb(self, due_s: float, reply: bytes) -> None:
         """Let a reply that is due at `due_s` arrive: late, with noise, or not at all."""
-        rng, by = self._rng, self.disturbance
-        if rng.random() < by.lost:
+        rng, disturbance = self._rng, self.disturbance
+        if rng.random() < disturbance.lost:
             return
-        if rng.random() < by.late:
-            due_s += by.late_s * rng.uniform(0.9, 1.1)
-        if rng.random() < by.stray:
+        if rng.random() < disturbance.late:
+            due_s += disturbance.late_s * rng.uniform(0.9, 1.1)
+        if rng.random() < disturbance.stray:
             reply = rng.randbytes(rng.randrange(1, 9)) + reply + rng.randbytes(rng.randrange(1, 9))
         self.queue(due_s, reply)
 
@@ -128,8 +136,8 @@ class DisturbedTransport:
 
 MODEL: Final = servo_models()["XL330-M288"]
 IDS: Final = (1, 2, 3, 4)
-#: Registers with their sizes that hold another number at every question, so that an old answer
-#: shows; and two that nobody but the line changes.
+#: Registers, with their sizes, that get a new number before every request, so that an old answer is
+#: noticed; and two that only the line changes.
 COUNTING: Final = {
     "led": 1,
     "velocity_i_gain": 2,
@@ -141,11 +149,11 @@ WRITTEN: Final = ("profile_acceleration", "position_d_gain")
 _GROUP: Final = ("profile_velocity", "goal_position")
 _GROUP_ADDRESS: Final = MODEL.registers["profile_velocity"].address
 _GROUP_SIZE: Final = 8
-#: Single reads are what a face asks most.
+#: Kinds of request; single reads are the most frequent of a face.
 KINDS: Final = ("read", "read", "write", "ping", "group", "fast read", "plain read")
-#: From one question to the next; a late answer comes in between, or after several.
+#: Pauses between requests; a late answer comes in between, or after several.
 PAUSES_S: Final = (0.0, 0.0, 0.001, 0.02, 0.1)
-#: What is disturbed, each alone and together.
+#: Disturbances, each alone and together.
 DISTURBANCES: Final = {
     "late": Disturbance(late=0.1),
     "echo": Disturbance(echo=True),
@@ -159,7 +167,10 @@ DISTURBANCES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """One of `KINDS` to a servo, about a register; value: what a write writes."""
+    """One request, of a kind in `KINDS`, to a servo.
+
+    register: name, for reads; value: for writes.
+    """
 
     kind: str
     servo_id: int
@@ -169,9 +180,9 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """What came of questions: values that the line gave out, and those that were wrong.
+    """Number of values that the line returned, and of those that were wrong.
 
-    A write that was acknowledged counts as a value; it is wrong where the register holds another.
+    A write that was acknowledged counts as a value; it is wrong if the register holds another one.
     """
 
     n_values: int
@@ -179,7 +190,7 @@ class Answered:
 
 
 class QuestionedChain:
-    """Four simulated servos, a line to them, and what is true at every question."""
+    """Four simulated servos and a line to them, with known register contents at every request."""
 
     def __init__(
         self,
@@ -187,6 +198,10 @@ class QuestionedChain:
         seed: int = 0,
         make_transport: type[DisturbedTransport] = DisturbedTransport,
     ) -> None:
+        """Make the servos and the line.
+
+        seed: of the disturbances. make_transport: class of the transport between line and servos.
+        """
         self.clock = ManualClock()
         self.chain = SimulatedChain([MODEL] * len(IDS), IDS, baud_rate=1_000_000)
         port = make_transport(self.chain, self.clock, random.Random(seed), disturbance)
@@ -196,21 +211,21 @@ class QuestionedChain:
         self._count = 0
 
     def bytes_of(self, servo_id: int, *names: str) -> bytes:
-        """Return the present bytes of some registers of one servo."""
+        """Return the present bytes of registers of one servo, joined."""
         servo = self.chain.servos[IDS.index(servo_id)]
         return b"".join(MODEL.registers[name].encode(servo[name]) for name in names)
 
     def ask(self, question: Question) -> Answered:
-        """Send one request; return the answers, and how many differ from the servo's registers."""
-        self._count_on()
+        """Send one request; return the answers, and how many differ from the servos' registers."""
+        self._renew_registers()
         line, servo_id = self.line, question.servo_id
         if question.kind == "write":
             entry = MODEL.registers[WRITTEN[question.value % len(WRITTEN)]]
             data = entry.encode(question.value)
             status = line.write(servo_id, entry.address, data)
-            taken = status is not None and not status.error & ~ALERT_BIT
-            kept = self.bytes_of(servo_id, entry.name) == data
-            return Answered(status is not None, taken and not kept)
+            acknowledged = status is not None and not status.error & ~ALERT_BIT
+            is_stored = self.bytes_of(servo_id, entry.name) == data
+            return Answered(status is not None, acknowledged and not is_stored)
         if question.kind == "read":
             entry = MODEL.registers[question.register]
             return self._compared(
@@ -220,21 +235,26 @@ class QuestionedChain:
             return self._compared(
                 line.ping(servo_id), self.bytes_of(servo_id, "model_number", "firmware_version")
             )
-        statuses = self._ask_all(question.kind)
-        n_wrong = sum(each.data != self.bytes_of(each.servo_id, *_GROUP) for each in statuses)
+        statuses = self._read_group(question.kind)
+        n_wrong = sum(reply.data != self.bytes_of(reply.servo_id, *_GROUP) for reply in statuses)
         return Answered(len(statuses), n_wrong)
 
-    def _ask_all(self, kind: str) -> Sequence[Status]:
+    def _read_group(self, kind: str) -> Sequence[Status]:
+        """Read a group of registers of all servos; return the statuses.
+
+        kind: "group", "fast read" or "plain read".
+        """
         if kind == "group":
             return self.group.ask(self.line)
         span = SpanRead(IDS, _GROUP_ADDRESS, _GROUP_SIZE, fast=kind == "fast read")
         return self.line.sync_read(span)
 
     def _compared(self, status: Status | None, true: bytes) -> Answered:
+        """Return whether an answer came, and whether its data differ from `true`."""
         return Answered(status is not None, status is not None and status.data != true)
 
-    def _count_on(self) -> None:
-        """Give every counting register of every servo a number that it never had."""
+    def _renew_registers(self) -> None:
+        """Write a new number into every counting register of every servo."""
         for servo in self.chain.servos:
             for name, size in COUNTING.items():
                 self._count += 1
@@ -262,7 +282,7 @@ def line_figures(
 ) -> dict[str, dict[str, int]]:
     """Return requests, answers and wrong answers for each disturbance of the line.
 
-    progress: called with disturbances done and all of them.
+    progress: called with the number of disturbances done, and of all.
     """
     figures = {}
     for n_done, (name, disturbance) in enumerate(DISTURBANCES.items(), start=1):

@@ -1,6 +1,6 @@
-"""Hobby servos in trouble, checked by the pulses alone.
+"""Trials of hobby servos, checked by their pulses alone.
 
-Their simulators have `FAULTS`, `read_faults` and `watched_servos`.
+The simulators of these buses have `FAULTS`, `read_faults` and `watched_servos`.
 """
 
 import json
@@ -17,7 +17,7 @@ from firmware_bridge.pulse_servos import PulseServo
 from firmware_bridge.stopping import StopLevel, StopReport
 from lipservo_lab.campaigns.fault_campaign import MAX_SPEED_DEG_S, Case, Trials
 
-#: What stands under `bus:` besides the kind.
+#: Settings under `bus:` besides the kind.
 _SETTINGS: Final[Mapping[str, Mapping[str, Any]]] = {
     # Without a CRC a damaged byte is another order, within the range set in the Maestro.
     "maestro": {"model": "mini18", "crc": True},
@@ -26,11 +26,11 @@ _SETTINGS: Final[Mapping[str, Mapping[str, Any]]] = {
 _US_PER_DEG: Final = 10.0
 #: A count of a PCA9685 at 50 Hz is 4.9 us, and goals are rounded to one.
 _ROUNDING_US: Final = 5.0
-#: A pulse comes every 20 ms: what is missing for longer has ended.
+#: Pulses come every 20 ms: a channel without one for longer than this was switched off.
 _ENDED_S: Final = 0.1
-#: What was on its way when a person froze the face has arrived by then.
+#: Orders on their way when a person froze the face have arrived by then.
 _BRAKES_S: Final = 0.1
-#: The last pulse of a board may be under way when it is told to end.
+#: The last pulse of a board may still be on its way when the channel is switched off.
 _LAST_PULSE_S: Final = 0.045
 
 
@@ -56,16 +56,17 @@ def wiring_of(case: Case) -> Wiring:
 
 
 class PulseAuditor:
-    """Looks at what goes to each servo; all counts are of pulses of one servo.
+    """Checks every servo's pulses; all counts are of pulses of one servo.
 
-    goals_outside: outside the range of the joint, or where no servo is. steps_too_long: farther
-    from the one before than top speed allows. armed_wrongly: the first after a pause elsewhere than
-    the last, by more than it was under way in two periods.
-    armed_late: the first after a pause, after a person's stop. moved_frozen: other than the one
-    before, later than a tenth of a second after a person froze the face.
+    goals_outside: outside the joint's range, or on a channel without servo. steps_too_long: farther
+    from the one before than top speed allows. armed_wrongly: the first after a pause is elsewhere
+    than the last, by more than top speed allows in two periods. armed_late: the first after a pause
+    comes after a person's stop. moved_frozen: differs from the one before, later than 0.1 s after a
+    person froze the face.
     """
 
     def __init__(self, wiring: Wiring) -> None:
+        """Prepare to check the pulses of the servos in a wiring."""
         self._last_us = {each.channel: each.neutral_us for each in wiring.servos}
         self._last_s = dict.fromkeys(self._last_us, -math.inf)
         self._off_s = dict.fromkeys(self._last_us, -math.inf)
@@ -87,13 +88,14 @@ class PulseAuditor:
         self._is_frozen = level is StopLevel.FREEZE
 
     def let_go(self) -> None:
-        """A frozen face is let go now, and may move."""
+        """Note that a frozen face is released now, and may move."""
         self._is_frozen = False
 
     def see(self, time_s: float, channel: int, pulse_us: float, *, comes_again: bool) -> None:
         """Check one pulse of a channel, us (0: none), against range, speed and stop.
 
-        comes_again: every pulse is seen, and not only those that change.
+        comes_again: True for a board that reports every pulse, False for one that reports changes
+        only.
         """
         if channel not in self._range:
             self.goals_outside += pulse_us > 0.0
@@ -114,8 +116,8 @@ class PulseAuditor:
             self.armed_wrongly += step_us > reach_us + _ROUNDING_US
             self.armed_late += time_s > self._stopped_s + _LAST_PULSE_S
             return
-        # The step of a message that was lost is made with the next one; at a Maestro, which goes to
-        # a target at its own speed, that of the message before may not have been finished.
+        # After a lost message the next one makes the step of both; and a Maestro, which moves to a
+        # target at its own speed, may not have finished the step before.
         n_periods = 3.0 if off_s < math.inf and not comes_again else 1.0
         reach_us = self._top_us_s * n_periods * self._period_s
         self.steps_too_long += step_us > reach_us + _ROUNDING_US
@@ -123,11 +125,11 @@ class PulseAuditor:
         self.moved_frozen += self._is_frozen and is_late and step_us > _ROUNDING_US
 
     def last_s(self) -> float:
-        """When the last pulse of any servo began."""
+        """Return when the last pulse of any servo began."""
         return max(self._last_s.values())
 
     def n_on(self) -> int:
-        """Servos whose last change was no end, where only changes are seen."""
+        """Return the number of servos that get pulses, for a board that reports changes only."""
         return sum(
             off_s == math.inf and self._last_s[channel] > -math.inf
             for channel, off_s in self._off_s.items()
@@ -135,13 +137,14 @@ class PulseAuditor:
 
 
 class PulseStage:
-    """See `fault_campaign.Stage`."""
+    """Hobby servos with a fault; see `fault_campaign.Stage`."""
 
     def __init__(self, case: Case) -> None:
+        """Make the simulated bus of a case, with its faults, watched by an auditor."""
         wiring, simulator = wiring_of(case), bus_kind(case.bus).simulator()
         self.joints: Sequence[Joint] = wiring.joints
         self.auditor = PulseAuditor(wiring)
-        see, self._is_board = _seeing(self.auditor, case.bus)
+        see, self._is_board = _pulse_callback(self.auditor, case.bus)
         rows = [{"kind": case.kind, "at_s": at, "lasts_s": lasts} for at, lasts in case.times_s()]
         faults = simulator.read_faults(json.dumps({"faults": rows}))
         self._watched = simulator.watched_servos(wiring, faults=faults, on_pulse=see)
@@ -149,7 +152,7 @@ class PulseStage:
         self._claims = 0
 
     def look(self, bridge: Bridge) -> None:
-        """Check feedback and health for numbers that no sensor measured."""
+        """Count reported positions and health values that no sensor measures."""
         feedback = bridge.feedback
         places = 0 if feedback is None else int(np.isfinite(feedback.positions_deg).sum())
         unknown = ("temperature_degc", "load", "voltage_v", "current_ma")
@@ -162,8 +165,9 @@ class PulseStage:
     def counts(self, report: StopReport | None) -> Mapping[str, int]:
         """Return counts of the pulses, including those in the second after the end.
 
-        claims: positions, loads, temperatures, voltages or words of torque that no hobby servo can
-        know. pulses_left_on: channels that go on although they can be switched off.
+        claims: reported positions, loads, temperatures, voltages or words about torque that no
+        hobby servo can report. pulses_left_on: channels that go on although they can be switched
+        off.
         """
         ended_s, is_reachable = self.clock.now(), self._watched.is_reachable()
         self.clock.advance(1.0)
@@ -176,12 +180,12 @@ class PulseStage:
             "armed_wrongly": auditor.armed_wrongly,
             "undone": auditor.armed_late,
             "moved_frozen": auditor.moved_frozen,
-            "claims": self._claims + _n_words(report),
+            "claims": self._claims + _n_torque_words(report),
             "pulses_left_on": int(goes_on) if is_reachable else 0,
         }
 
 
-def _seeing(auditor: PulseAuditor, bus: str) -> tuple[Callable[[Any], None], bool]:
+def _pulse_callback(auditor: PulseAuditor, bus: str) -> tuple[Callable[[Any], None], bool]:
     """Return the callback for a bus's simulator, and whether it is called for every pulse."""
     if bus == "maestro":
         return lambda p: auditor.see(p.time_s, p.channel, p.pulse_us, comes_again=False), False
@@ -193,8 +197,8 @@ def _seeing(auditor: PulseAuditor, bus: str) -> tuple[Callable[[Any], None], boo
     return see, True
 
 
-def _n_words(report: StopReport | None) -> int:
-    """Words of a report that only a servo could say."""
+def _n_torque_words(report: StopReport | None) -> int:
+    """Return the number of statements in a report that only a servo with feedback could make."""
     if report is None:
         return 0
     text = f"{report.text()} {report.line()}"

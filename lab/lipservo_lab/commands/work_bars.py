@@ -12,7 +12,7 @@ _Item = TypeVar("_Item")
 
 
 class WorkBars:
-    """What long work calls to show how far it is; use `work_bars`."""
+    """Shows the progress of long work; use `work_bars` to make one."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
@@ -31,13 +31,13 @@ class WorkBars:
         return self.track("listening", items)
 
     def tell(self, text: str) -> None:
-        """Show what is done now, of which nothing is counted."""
+        """Show what is done now, without a count."""
         if self._step is None:
             self._step = self._progress.add_task(text, total=None)
         self._progress.update(self._step, description=text)
 
     def advance(self, what: str, n_done: int, n_all: int) -> None:
-        """Show what is done now, and how much of it, on the line of `tell`."""
+        """Show what is done now with a count, on the line of `tell`."""
         self.tell(what)
         if self._step is not None:
             self._progress.update(self._step, completed=n_done, total=n_all)
@@ -45,6 +45,6 @@ class WorkBars:
 
 @contextmanager
 def work_bars(*, quiet: bool) -> Iterator[WorkBars]:
-    """Bars on stderr until the block ends. quiet: nothing is drawn."""
+    """Show progress bars on stderr until the block ends; nothing if `quiet`."""
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         yield WorkBars(progress)

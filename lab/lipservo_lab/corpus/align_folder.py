@@ -49,20 +49,20 @@ def align_folder(
 
         aligned = align_corpus(utterances, output, n_processes=n_processes, progress=count)
     failed = {a.name: a.error for a in aligned.values() if a.error}
-    unsaid = {
+    unspoken = {
         a.name: a.score for a in aligned.values() if a.score is not None and a.score < LEAST_SCORE
     }
     tight = sum(a.beams == "tight" for a in aligned.values())
     if as_json:
         print_json(
-            {"utterances": len(aligned), "tight": tight, "failed": failed, "not_said": unsaid}
+            {"utterances": len(aligned), "tight": tight, "failed": failed, "not_said": unspoken}
         )
         return
     for name, error in failed.items():
         MESSAGES.print(f"not aligned: {name}: {error}", soft_wrap=True)
-    for name, score in unsaid.items():
+    for name, score in unspoken.items():
         MESSAGES.print(f"not what is said: {name}: its text scores {score:.2f}", soft_wrap=True)
-    good = len(aligned) - len(failed) - len(unsaid)
+    good = len(aligned) - len(failed) - len(unspoken)
     RESULTS.print(
         f"{output}: {good} of {len(aligned)} utterances aligned, {tight} of them at the second try",
     )

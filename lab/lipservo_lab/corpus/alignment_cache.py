@@ -1,12 +1,12 @@
-"""Alignments of a whole corpus: made in parallel, kept as JSON lines, taken up where they ended.
+"""Alignments of a whole corpus: made in parallel, stored as JSON lines; interrupted runs go on.
 
 One line an utterance: name, text, beams, phones [name, first frame, frame after the last], guessed
-words, and the score of the text (goodness_of_pronunciation.py); or, for one that could not be
-aligned, name, text and error. A failure is kept, so it is counted and not tried again. Where a
-corpus brings its own labels of the phones these are taken, and `beams` says so.
+words, and the score of the text (goodness_of_pronunciation); or, for one that could not be aligned,
+name, text and error. Failures are stored too, so that they are counted and not tried again. Where a
+corpus has its own labels of the phones, these are used, and `beams` says so.
 
-The file has its name when it is complete. Until then what is done stands in NAME.unfinished, where
-an interrupted run goes on.
+While alignments are missing, those done are in NAME.unfinished, from which an interrupted run goes
+on; the file itself is written when all are done.
 """
 
 import json
@@ -27,7 +27,7 @@ from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 from lipsync.recognition.alignment import align, check_aligner, goodness_of_pronunciation
 from lipsync.recognition.features import FRAMES_PER_S
 
-#: In place of the beams: the phones are those of the corpus's own label files.
+#: Value of `beams` for phones from the corpus's own label files.
 LABELLED = "labelled"
 
 PHONEME_INDEX: Mapping[str, int] = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
@@ -39,10 +39,12 @@ class CacheError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class AlignedUtterance:
-    """What is known about one utterance; `phones` is empty when `error` says why.
+    """The alignment of one utterance; `phones` is empty when `error` says why.
 
-    phones: (phoneme, first frame, frame after the last) at 100 frames a second. score: of the text;
-    None for a corpus's own labels and files of older versions.
+    beams: settings of the aligner that succeeded, "default" or "tight", or `LABELLED`. phones:
+    (phoneme, first frame, frame after the last) at 100 frames a second. guessed: words whose
+    pronunciation was guessed. score: of the text; None for a corpus's own labels and files of older
+    versions.
     """
 
     name: str
@@ -54,12 +56,12 @@ class AlignedUtterance:
     score: float | None = None
 
     def labels(self, n_frames: int) -> NDArray[np.int64]:
-        """Return the phoneme's number in `PHONEMES` for each frame of 10 ms; silence after the end.
+        """Return the phoneme's index in `PHONEMES` for each frame of 10 ms; silence after the end.
 
         Parameters
         ----------
         n_frames : int
-            How many.
+            Number of frames.
 
         Returns
         -------
@@ -72,14 +74,14 @@ class AlignedUtterance:
         return labels
 
     def events(self) -> tuple[PhonemeEvent, ...]:
-        """The phones in sound time."""
+        """Return the phones with their times."""
         return tuple(
             PhonemeEvent(phoneme, first / FRAMES_PER_S, end / FRAMES_PER_S)
             for phoneme, first, end in self.phones
         )
 
     def as_line(self) -> str:
-        """One line of the file."""
+        """Return the utterance as a line of the file."""
         record: dict[str, object] = {"name": self.name, "text": self.text}
         if self.error:
             record["error"] = self.error
@@ -90,7 +92,7 @@ class AlignedUtterance:
 
 
 def read_alignments(path: Path) -> dict[str, AlignedUtterance]:
-    """Read an alignment file: utterances by name. Raises CacheError for a damaged file.
+    """Read an alignment file; return utterances by name. Raises CacheError for a damaged file.
 
     A last line without its end, left by a run that was killed, is skipped.
     """
@@ -126,23 +128,23 @@ def align_corpus(
     n_processes: int = 1,
     progress: Callable[[str], None] = lambda _name: None,
 ) -> dict[str, AlignedUtterance]:
-    """Return the alignment of every utterance by name, failed ones among them.
+    """Return the alignment of every utterance by name, also failed ones.
 
-    What the file at `path` and its unfinished twin hold is not aligned again; new alignments are
-    added. path: None keeps no file. progress: gets each name once. Raises CacheError for a file
-    that cannot be used, OutputError for one that cannot be written, MissingExtraError without the
-    extra `align`.
+    Utterances in the file at `path`, or in its unfinished twin, with the same text are not aligned
+    again; new alignments are added. path: None stores nothing. progress: called with each name
+    once. Raises CacheError for a file that cannot be used, OutputError for one that cannot be
+    written, MissingExtraError without the extra `align`.
     """
-    known = _known(path)
-    done: dict[str, AlignedUtterance] = {}
+    stored = _known(path)
+    aligned_by_name: dict[str, AlignedUtterance] = {}
     for utterance in utterances:
-        old = known.get(utterance.name)
-        if old is not None and old.text == utterance.text:
-            done[utterance.name] = old
+        stored_one = stored.get(utterance.name)
+        if stored_one is not None and stored_one.text == utterance.text:
+            aligned_by_name[utterance.name] = stored_one
             progress(utterance.name)
-    missing = [utterance for utterance in utterances if utterance.name not in done]
+    missing = [utterance for utterance in utterances if utterance.name not in aligned_by_name]
     if not missing:
-        return {utterance.name: done[utterance.name] for utterance in utterances}
+        return {utterance.name: aligned_by_name[utterance.name] for utterance in utterances}
     if any(utterance.labels is None for utterance in missing):
         check_aligner()
     with ExitStack() as stack:
@@ -152,32 +154,32 @@ def align_corpus(
             unfinished = unfinished_of(path)
             _drop_torn_line(unfinished)
             file = stack.enter_context(unfinished.open("a", encoding="utf-8"))
-        for aligned in _aligned(missing, n_processes):
+        for aligned in _align_all(missing, n_processes):
             if file is not None:
                 file.write(aligned.as_line())
                 file.flush()
-            done[aligned.name] = aligned
+            aligned_by_name[aligned.name] = aligned
             progress(aligned.name)
     if path is not None:
-        # What other folders have in the same file stays in it.
-        lines = "".join(each.as_line() for each in (known | done).values())
+        # Alignments of other folders in the same file stay in it.
+        lines = "".join(alignment.as_line() for alignment in (stored | aligned_by_name).values())
         write_whole(path, lines)
         unfinished_of(path).unlink()
-    return {utterance.name: done[utterance.name] for utterance in utterances}
+    return {utterance.name: aligned_by_name[utterance.name] for utterance in utterances}
 
 
 def unfinished_of(path: Path) -> Path:
-    """Return the file that holds alignments until all are made."""
+    """Return the file that holds alignments while some are missing."""
     return path.with_name(path.name + ".unfinished")
 
 
 def is_alignments(head: bytes) -> bool:
-    """Whether a file that begins so is one of alignments."""
+    """Return whether a file that begins with `head` is a file of alignments."""
     return head.startswith(b'{"name": ')
 
 
 def _known(path: Path | None) -> dict[str, AlignedUtterance]:
-    """Read what the file and its unfinished twin hold."""
+    """Return the alignments in the file and its unfinished twin, by name."""
     if path is None:
         return {}
     known = read_alignments(path) if path.exists() else {}
@@ -186,7 +188,7 @@ def _known(path: Path | None) -> dict[str, AlignedUtterance]:
 
 
 def align_utterance(utterance: TranscribedUtterance) -> AlignedUtterance:
-    """Read and align one utterance; a user's mistake becomes its `error`."""
+    """Read and align one utterance; a file or text that cannot be used becomes its `error`."""
     from lipsync.audio.file import read_speech
 
     if utterance.labels is not None:
@@ -207,6 +209,7 @@ def align_utterance(utterance: TranscribedUtterance) -> AlignedUtterance:
 
 
 def _labelled(utterance: TranscribedUtterance, labels: Path) -> AlignedUtterance:
+    """Return an utterance with the phones of its own label file, or the error of reading it."""
     try:
         phones = _in_frames(read_phonemes(labels))
     except UserError as error:
@@ -215,6 +218,7 @@ def _labelled(utterance: TranscribedUtterance, labels: Path) -> AlignedUtterance
 
 
 def _in_frames(events: Iterable[PhonemeEvent]) -> tuple[tuple[str, int, int], ...]:
+    """Return (phoneme, first frame, frame after the last) of events with an end."""
     return tuple(
         (event.phoneme, round(event.start_s * FRAMES_PER_S), round(event.end_s * FRAMES_PER_S))
         for event in events
@@ -222,7 +226,8 @@ def _in_frames(events: Iterable[PhonemeEvent]) -> tuple[tuple[str, int, int], ..
     )
 
 
-def _aligned(missing: list[TranscribedUtterance], n_processes: int) -> Iterator[AlignedUtterance]:
+def _align_all(missing: list[TranscribedUtterance], n_processes: int) -> Iterator[AlignedUtterance]:
+    """Yield the alignments of utterances as they are made, in parallel if `n_processes` > 1."""
     if n_processes <= 1 or len(missing) <= 1:
         yield from map(align_utterance, missing)
         return
@@ -231,6 +236,7 @@ def _aligned(missing: list[TranscribedUtterance], n_processes: int) -> Iterator[
 
 
 def _drop_torn_line(path: Path) -> None:
+    """Remove an incomplete last line from a file, if the file exists."""
     if not path.exists():
         return
     text = path.read_bytes()

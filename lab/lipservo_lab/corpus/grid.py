@@ -1,4 +1,4 @@
-"""Reader for folders laid out like `grid_s1`: one speaker, sound, face landmarks, labels."""
+"""Reader for corpus folders laid out like `grid_s1`: one speaker, sound, face landmarks, labels."""
 
 import json
 import os
@@ -20,20 +20,25 @@ from lipsync.textgrid import LabelError, read_tiers
 
 Progress = Callable[[list[str]], Iterable[str]]
 
-#: Outer eye corners, and their distance where nobody measured it: sets millimetres.
+#: Landmarks of the outer eye corners, and their distance if it was not measured: it defines the
+#: scale.
 _RIGHT_EYE, _LEFT_EYE, _EYE_DISTANCE_MM = 33, 263, 90.0
 _UNITS_PER_PIXEL = 64.0
-#: The picture has y down and z into it; faces here have y up and z to the viewer.
+#: Pictures have y down and z into them; faces here have y up and z to the viewer.
 _TO_FACE_AXES = np.array([1.0, -1.0, -1.0])
 #: Picture and sound of one sentence may differ by this much in length (grid_s1: up to 0.03 s).
 _LENGTH_TOLERANCE_S = 0.25
-#: Points of one sentence, unpacked: minutes of them.
+#: Largest size of one sentence's points, unpacked: minutes of them.
 _MOST_BYTES = 500_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """landmarks.json: which rows of a frame are which points of the face."""
+    """The content of landmarks.json.
+
+    markers, rigid: rows of a frame that are markers of the layout, and points fixed to the skull;
+    eyes: places of the eye corners in `rigid`.
+    """
 
     frame_rate_hz: float
     n_landmarks: int
@@ -60,20 +65,20 @@ def read_grid(
     skip_bad: bool = False,
     progress: Progress = iter,
 ) -> Corpus:
-    """Read all sentences of the folder, head motion removed, in millimetres.
+    """Read all sentences of a folder, head motion removed, in millimetres.
 
     Parameters
     ----------
     folder : Path
-        Of the GRID corpus.
+        Laid out like grid_s1.
     layout : PointLayout
-        The points of a face that are taken of the recorded ones.
+        The points of the face to return.
     head_reference_mm : Array | None
-        (n_points, 3): lay the faces on this head (a model's) rather than on their own mean.
+        (n_rigid, 3): fit the heads to these points (a model's) rather than to their own mean.
     skip_bad : bool
         Leave out sentences with a missing or mismatched file and list them in `skipped`.
     progress : Progress
-        Called with the progress.
+        Wraps the names of the sentences, to report how far the work is.
 
     Returns
     -------
@@ -113,14 +118,14 @@ def read_grid(
 
 
 def folder_name(folder: Path) -> str:
-    """Return a corpus's name, its folder's; also for `.`."""
+    """Return a corpus's name, which is its folder's; also for `.`."""
     return Path(os.path.abspath(folder)).name
 
 
 def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) -> Utterance:
-    """Return a sentence with head motion removed: landmarks (px) laid on the head, markers in mm.
+    """Return a sentence with its landmarks (px) as markers in mm, head motion removed.
 
-    head_reference_mm: (n_rigid, 3), the points that hardly move when a face speaks.
+    head_reference_mm: (n_rigid, 3), to which each frame's skull-fixed points are fitted.
     """
     rigid = sentence.landmarks_px[:, rows.rigid]
     similarity = fit_similarity(rigid, head_reference_mm)
@@ -138,7 +143,7 @@ def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) ->
 def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
     """Read landmarks.json: frame rate, and the rows in which the needed landmarks are stored.
 
-    Raises CorpusError that says what is missing.
+    Raises CorpusError, with what is missing.
     """
     path = folder / "landmarks.json"
     try:
@@ -174,7 +179,7 @@ def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
 
 
 def sentence_names(folder: Path) -> list[str]:
-    """Return all names in any of the three folders, sorted, so that a missing file is noticed."""
+    """Return all names in any of the three folders, sorted, so that missing files are noticed."""
     files = [
         *(folder / "landmarks").glob("*.npz"),
         *(folder / "labels").glob("*.TextGrid"),
@@ -184,9 +189,10 @@ def sentence_names(folder: Path) -> list[str]:
 
 
 def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
-    """Read one sentence; raise CorpusError where a file is missing or they do not match.
+    """Read one sentence.
 
-    Sound and pictures must be equally long but for `_LENGTH_TOLERANCE_S`. Labels may lack phones.
+    Raises CorpusError for a missing file, or for sound and pictures whose lengths differ by more
+    than `_LENGTH_TOLERANCE_S`. Labels may lack phones.
     """
     landmarks_px = read_landmarks(folder / "landmarks" / f"{name}.npz", rows.n_landmarks)
     sound_path = folder / "audio" / f"{name}.flac"
@@ -213,14 +219,14 @@ def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
 
 
 def read_landmarks(path: Path, n_landmarks: int) -> Array:
-    """Read the points of a file.
+    """Read the landmarks of a sentence.
 
     Parameters
     ----------
     path : Path
         An .npz.
     n_landmarks : int
-        In each frame.
+        Number of landmarks in each frame.
 
     Returns
     -------
@@ -230,7 +236,7 @@ def read_landmarks(path: Path, n_landmarks: int) -> Array:
     Raises
     ------
     CorpusError
-        The file is damaged.
+        The file is missing or damaged.
     """
     try:
         with path.open("rb") as file, ArrayArchive(file, _MOST_BYTES) as archive:
@@ -249,7 +255,7 @@ def read_landmarks(path: Path, n_landmarks: int) -> Array:
 
 
 def _refuse_lost_frames(landmarks_px: Array, path: Path) -> None:
-    """Raise CorpusError for a frame whose points are all equal: there the face was lost."""
+    """Raise CorpusError for a frame whose points are all equal: no face was found in it."""
     lost = np.flatnonzero((landmarks_px == landmarks_px[:, :1]).all(axis=(1, 2)))
     if len(lost):
         raise CorpusError(f"{path}: no face in frame {lost[0]} ({len(lost)} such frames)")

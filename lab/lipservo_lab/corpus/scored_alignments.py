@@ -1,9 +1,9 @@
-"""The yardstick does not move: hashes of the alignments that scored talkers are measured by.
+"""Hashes of the alignments that scored speakers are measured by, so that the reference stays fixed.
 
-Labels for training get better, by teachers and other aligners; figures stay comparable only while
-the references of the scored talkers are what they were. A file holds a line an utterance, its name
-and 16 hex digits over beams and phones of its alignment, `-` for one that cannot be aligned. The
-alignments themselves are labels of corpora, which are not handed on.
+Labels for training improve, by teachers and other aligners; scores only stay comparable while the
+references of the scored speakers do not change. A file has a line an utterance: its name, and 16
+hex digits over beams and phones of its alignment, or `-` if it cannot be aligned. The alignments
+themselves are labels of corpora, which are not redistributed.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ def alignment_hash(aligned: AlignedUtterance) -> str:
 
 
 def read_hashes(path: Path) -> dict[str, str]:
-    """The hash by the utterance's name. Raises CacheError for a file that is none of hashes."""
+    """Return the hashes by utterance name. Raises CacheError for a file of anything else."""
     try:
         pairs = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
         return dict(pairs)
@@ -34,13 +34,13 @@ def read_hashes(path: Path) -> dict[str, str]:
 
 
 def fix_alignments(path: Path, alignments: Iterable[AlignedUtterance]) -> list[str]:
-    """Names of the utterances whose alignment is not the one that was fixed.
+    """Return the names of utterances whose alignment differs from the hash in a file.
 
-    Those that the file at `path` has not are fixed now: they are added to it. Raises CacheError for
-    a file of something else, OutputError for one that cannot be written.
+    Utterances that the file at `path` lacks are added to it. Raises CacheError for a file of
+    something else, OutputError for one that cannot be written.
     """
     fixed = read_hashes(path) if path.exists() else {}
-    found = {each.name: alignment_hash(each) for each in alignments}
+    found = {alignment.name: alignment_hash(alignment) for alignment in alignments}
     if found.keys() - fixed.keys():
         lines = (f"{name} {digest}\n" for name, digest in sorted((found | fixed).items()))
         write_whole(path, "".join(lines))

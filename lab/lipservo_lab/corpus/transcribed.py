@@ -1,13 +1,14 @@
-"""Corpora of speech whose words are known, in one of four layouts (docs/recognition.md).
+"""Corpora of speech with known words, in one of four layouts (docs/recognition.md).
 
-LibriSpeech's own: anywhere below the folder `*.trans.txt` with one utterance a line, its name
-first, SPEAKER-CHAPTER-NUMBER WORDS..., and the sounds beside it, NAME.flac. The same in two places:
-`transcripts.txt` and `audio/NAME.*`. grid_s1's: `labels/NAME.TextGrid` with a tier `words` and
-maybe one `phones`, all of one speaker, who is called as the folder, and `audio/NAME.*`. And the
-simplest: `NAME.txt` beside `NAME.*`, again of one speaker. The sounds may have any ending that
-libsndfile reads.
+1. LibriSpeech's own: anywhere below the folder `*.trans.txt` with one utterance a line, its name
+   first, SPEAKER-CHAPTER-NUMBER WORDS..., and the sounds beside it, NAME.flac.
+2. The same in two places: `transcripts.txt` and `audio/NAME.*`. 3. grid_s1's:
+`labels/NAME.TextGrid` with a tier `words` and maybe one `phones`, and `audio/NAME.*`;
+   all of one speaker, who has the folder's name.
+4. `NAME.txt` beside `NAME.*`, also of one speaker.
 
-Who speaks in a corpus: `speakers.csv`, a line a speaker, with what is known of the voice.
+Sounds may have any ending that libsndfile reads. `speakers.csv`: the speakers of a corpus, a line
+each, with what is known of the voice.
 """
 
 import csv
@@ -20,7 +21,7 @@ from lipsync.errors import UserError
 from lipsync.phoneme_files.reader import has_phones
 from lipsync.textgrid import read_tiers
 
-#: What label files write where nobody speaks.
+#: Labels of silence in the tier of words.
 _NO_WORD = ("", "sil", "sp")
 
 
@@ -33,7 +34,7 @@ class TranscribedUtterance:
     """One recording and its words.
 
     speaker: in LibriSpeech's layout the name up to the first hyphen. labels: a TextGrid with a tier
-    `phones`; None where the phones are not labelled.
+    `phones`; None if the phones are not labelled.
     """
 
     name: str
@@ -76,9 +77,10 @@ def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
 def _add_listed(
     utterances: dict[str, TranscribedUtterance], path: Path, sound_folder: Path
 ) -> None:
-    """Add the utterances of one list of transcripts, whose sounds lie in `sound_folder`.
+    """Add the utterances of one list of transcripts.
 
-    Raises TranscriptError.
+    path: the list. sound_folder: of their sounds. Raises TranscriptError for a line without words
+    or sound, and for a name that occurs twice.
     """
     sounds = {sound.stem: sound for sound in sorted(sound_folder.glob("*"))}
     for number, line in enumerate(_text_of(path).splitlines(), start=1):
@@ -96,7 +98,10 @@ def _add_listed(
 
 
 def _read_labelled(folder: Path) -> tuple[TranscribedUtterance, ...]:
-    """Read one speaker's folder with `labels/` and `audio/`; raises TranscriptError."""
+    """Read the utterances of one speaker's folder with `labels/` and `audio/`.
+
+    Raises TranscriptError for labels without words or sound.
+    """
     sounds = {sound.stem: sound for sound in sorted((folder / "audio").glob("*"))}
     utterances = []
     for path in sorted((folder / "labels").glob("*.TextGrid")):
@@ -117,7 +122,10 @@ def _read_labelled(folder: Path) -> tuple[TranscribedUtterance, ...]:
 
 
 def _read_pairs(folder: Path, texts: list[Path]) -> tuple[TranscribedUtterance, ...]:
-    """A text file beside each sound."""
+    """Read utterances whose text is in a file beside the sound.
+
+    Raises TranscriptError for a text without words or sound.
+    """
     sounds = {each.stem: each for each in sorted(folder.glob("*")) if each.suffix != ".txt"}
     utterances = []
     for path in texts:
@@ -160,7 +168,7 @@ def read_names(listed: str) -> frozenset[str]:
 def of_names(
     utterances: tuple[TranscribedUtterance, ...], names: frozenset[str]
 ) -> tuple[TranscribedUtterance, ...]:
-    """The utterances of these names; TranscriptError for a name that is not there."""
+    """Return the utterances of these names; TranscriptError for an unknown name."""
     _refuse_unknown(names, utterances)
     return tuple(utterance for utterance in utterances if utterance.name in names)
 
@@ -174,7 +182,7 @@ def without_names(
 
 
 def _refuse_unknown(names: frozenset[str], utterances: tuple[TranscribedUtterance, ...]) -> None:
-    """Refuse an unknown name: what was to be left out would be learned from."""
+    """Raise TranscriptError for an unknown name: a misspelt one would not be left out."""
     if missing := sorted(names - {utterance.name for utterance in utterances}):
         raise TranscriptError(
             f"{len(missing)} of {len(names)} names are not in the corpus, such as {missing[0]!r}"
@@ -201,17 +209,17 @@ def of_speakers(
     return tuple(chosen)
 
 
-#: What the file is called in a corpus's folder, and its first column.
+#: Name of the file in a corpus's folder, and of its first column.
 SPEAKERS_FILE = "speakers.csv"
 _SPEAKER = "speaker"
 
 
 def read_speakers(path: Path) -> dict[str, tuple[str, ...]]:
-    """Read a CSV table of speakers: the groups that each speaker belongs to, by speaker's name.
+    """Read a CSV table of speakers; return the groups of each speaker, by name.
 
-    Groups are what the other columns hold: `0006,child,f` under `speaker,group,gender` is in
-    "child", "f" and "child f". Raises TranscriptError for a file without that column, and for a
-    speaker who is listed twice.
+    Groups are the values of the other columns: `0006,child,f` under `speaker,group,gender` is in
+    "child", "f" and "child f". Raises TranscriptError for a file without a column `speaker`, and
+    for a speaker who is listed twice.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -232,5 +240,6 @@ def read_speakers(path: Path) -> dict[str, tuple[str, ...]]:
 
 
 def _groups(columns: Mapping[str, str | None]) -> tuple[str, ...]:
+    """Return the values of a row, and all of them joined; empty values are left out."""
     values = [value.strip() for value in columns.values() if value and value.strip()]
     return (*values, " ".join(values)) if len(values) > 1 else tuple(values)

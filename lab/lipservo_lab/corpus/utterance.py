@@ -1,8 +1,7 @@
-"""Recorded sentences with mouth motion.
+"""Recorded sentences with mouth motion, and corpora of them.
 
-A sentence's motion at another frame rate.
-
-Which frames count: speech, and in the new-words test the new words alone.
+Also a sentence's motion at another frame rate, and which frames count: speech, and in the new-words
+test the new words alone.
 """
 
 from dataclasses import dataclass, replace
@@ -33,11 +32,11 @@ class Word:
 
 @dataclass(frozen=True, slots=True)
 class Utterance:
-    """One sentence: mouth motion, labels, and where its sound lies.
+    """One sentence: mouth motion, labels, and the path of its sound.
 
-    markers_mm: (n_frames, n_points, 3), head motion removed, x to the picture's right, y up,
-    z to the viewer. Frame i is at i / frame_rate_hz. `phones` is empty where alignment failed.
-    weight: how often each of its frames counts when a model is trained, beside those of others.
+    markers_mm: (n_frames, n_points, 3), head motion removed, x to the picture's right, y up, z to
+    the viewer. Frame i is at i / frame_rate_hz. phones: empty if alignment failed. weight: how
+    often each of its frames counts in training; 1 is usual.
     """
 
     name: str
@@ -51,11 +50,11 @@ class Utterance:
 
 @dataclass(frozen=True, slots=True)
 class Corpus:
-    """Sentences of one speaker in one common head pose; of several, with faces of one shape.
+    """Sentences of one speaker in one head pose; or of several speakers, mapped to one face.
 
-    layout: which points of the face `markers_mm` holds.
-    head_reference_mm: (n_rigid, 3), the mean bone-fixed points that every frame was fitted to;
-    hand it to the reader of another folder to bring that one into the same pose.
+    layout: the points in `markers_mm`. head_reference_mm: (n_rigid, 3), mean skull-fixed points
+    that every frame was fitted to; give it to the reader of another folder for the same pose.
+    skipped: reasons for sentences left out.
     """
 
     name: str
@@ -69,14 +68,14 @@ class Corpus:
         return self.keep({u.name for u in self.utterances if u.phones})
 
     def keep(self, names: set[str]) -> "Corpus":
-        """Return the corpus with only the sentences named."""
+        """Return the corpus with only the sentences of these names."""
         chosen = tuple(u for u in self.utterances if u.name in names)
         return Corpus(self.name, self.layout, chosen, self.head_reference_mm, self.skipped)
 
     def without(self, words: frozenset[str], names: frozenset[str]) -> "Corpus":
-        """Return the corpus without sentences that hold one of `words` or are named in `names`.
+        """Return the corpus without sentences that contain one of `words` or are named in `names`.
 
-        Raises CorpusError for a word that no sentence holds, and where no sentence is left.
+        Raises CorpusError for a word that no sentence contains, and if no sentence is left.
         """
         words_of = {u.name: {word.text for word in u.words} for u in self.utterances}
         missing = words - {text for texts in words_of.values() for text in texts}
@@ -88,15 +87,15 @@ class Corpus:
         return self.keep(left)
 
 
-#: Frame rates as ratios of whole numbers no larger; 29.97 to 25 is off by 3 ms in an hour.
+#: Ratios of frame rates are of whole numbers up to this; 29.97 to 25 is off by 3 ms in an hour.
 _LARGEST_TERM = 1200
 
 
 def at_frame_rate(utterance: Utterance, frame_rate_hz: float) -> Utterance:
     """Return a sentence resampled to a frame at every i / frame_rate_hz, for its whole duration.
 
-    The polyphase filter removes what fewer frames cannot show; beyond its ends motion goes on as
-    the line between its first and last frame.
+    By a polyphase filter, which removes what fewer frames cannot show; the motion is padded by the
+    line through its first and last frame.
     """
     ratio = Fraction(frame_rate_hz / utterance.frame_rate_hz).limit_denominator(_LARGEST_TERM)
     if ratio == 1:
@@ -112,14 +111,14 @@ def at_frame_rate(utterance: Utterance, frame_rate_hz: float) -> Utterance:
 
 
 def speech_frames(utterance: Utterance, words: frozenset[str] | None = None) -> NDArray[np.bool_]:
-    """Return which frames lie in a phone that is not silence, and in one of `words` if given.
+    """Return which frames are in a phone other than silence, and in one of `words` if given.
 
     Parameters
     ----------
     utterance : Utterance
-        Labelled.
+        With phone labels.
     words : frozenset[str] | None
-        None: all.
+        None: all words.
 
     Returns
     -------

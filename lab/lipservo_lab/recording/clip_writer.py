@@ -1,4 +1,4 @@
-"""One clip as a Matroska file: pictures with their own times, and the sound that goes with them."""
+"""Write one clip as a Matroska file: pictures with their time stamps, and their sound."""
 
 import queue
 import threading
@@ -14,24 +14,28 @@ from lipsync.output_file import OutputError
 
 Samples = NDArray[np.float32]
 
-#: Matroska counts in whole milliseconds; so do we, or its rounding would be ours to explain.
+#: Matroska's time stamps are whole milliseconds; with the same clock nothing is rounded again.
 _TICKS_HZ = 1000
-#: Where lips are measured nothing may be smoothed away: x264 calls 17 visually lossless. Small
-#: files cost time, and a camera does not wait.
+#: Lips are measured in the pictures, so nothing may be smoothed away: x264 calls 17 visually
+#: lossless. The fastest preset, as a camera does not wait for smaller files.
 _X264 = {"crf": "17", "preset": "ultrafast"}
-#: What every build of FFmpeg has, at its best quality.
+#: The codec that every build of FFmpeg has, at its best quality.
 _MPEG4 = {"qmin": "2", "qmax": "3"}
-#: Pictures that may wait to be compressed: two seconds, 80 MB at 1280 x 720.
+#: Pictures that may wait for compression: two seconds, 80 MB at 1280 x 720.
 _WAITING = 60
 
 
 class ClipWriter:
-    """Pictures as they come, the sound at the end. The first picture is at time 0.
+    """Writes pictures as they come, and the sound at the end; the first picture is at time 0.
 
-    Pictures are compressed in a thread of their own: the recording thread has sound to fetch.
+    Pictures are compressed in a thread of their own, as the recording thread must fetch sound.
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
+        """Open the file, and start the thread that compresses pictures.
+
+        rate_hz: nominal pictures a second.
+        """
         import av
 
         self._av = av
@@ -47,10 +51,10 @@ class ClipWriter:
         self._thread.start()
 
     def add_frame(self, time_s: float, frame: Any) -> bool:
-        """Queue the next picture (av.VideoFrame) at a time from the first one, s.
+        """Queue the next picture (av.VideoFrame), time_s after the first one.
 
-        Returns False, without queueing, where it comes no later than the last one, or compression
-        is two seconds behind.
+        Return False, without queueing, if it is not later than the last one, or if compression is
+        two seconds behind.
         """
         tick = round(time_s * _TICKS_HZ)
         if tick <= self._last_tick:
@@ -63,9 +67,10 @@ class ClipWriter:
         return True
 
     def finish(self, samples: Samples) -> None:
-        """Write the sound (n,) at 16 kHz, which begins with the first picture, and close.
+        """Write the sound (n,) at 16 kHz, which begins with the first picture, and close the file.
 
-        There was a picture. Raises OutputError where the clip cannot be written.
+        Blocks until all pictures are compressed. There must have been a picture. Raises OutputError
+        if the clip cannot be written.
         """
         self._end_thread()
         try:
@@ -77,12 +82,12 @@ class ClipWriter:
             raise OutputError(f"{self._path}: cannot be written: {self._failure}")
 
     def close(self) -> None:
-        """Give the file back, whatever is in it."""
+        """Close the file, whether it is complete or not."""
         self._end_thread()
         try:
             self._container.close()
         except self._av.FFmpegError:
-            return  # what is not kept need not be whole
+            return  # the file is discarded
 
     def _write_sound(self, samples: Samples) -> None:
         """Write the last pictures, then the whole sound (n,) as 16-bit PCM, and close the file."""
@@ -96,6 +101,7 @@ class ClipWriter:
         self._container.close()
 
     def _end_thread(self) -> None:
+        """Let the thread compress what is queued, and end it."""
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join()
@@ -119,12 +125,12 @@ class ClipWriter:
             self._make_streams(frame)
         picture = frame.reformat(self._stream.width, self._stream.height, format="yuv420p")
         picture.pts, picture.time_base = tick, Fraction(1, _TICKS_HZ)
-        # The camera's say on which pictures are whole does not hold here.
+        # Let the encoder choose key frames; the camera's choice does not apply.
         picture.pict_type = self._av.video.frame.PictureType.NONE
         self._container.mux(self._stream.encode(picture))
 
     def _make_streams(self, frame: Any) -> None:
-        """Make the streams of pictures and sound: a Matroska file first lists what it holds."""
+        """Make the streams of pictures and sound, which a Matroska file lists at its beginning."""
         has_x264 = "libx264" in self._av.codecs_available
         name, options = ("libx264", _X264) if has_x264 else ("mpeg4", _MPEG4)
         stream = self._container.add_stream(name, rate=self._rate, options=options)

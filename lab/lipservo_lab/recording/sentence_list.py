@@ -1,4 +1,4 @@
-"""The sentences that a person reads, and which of them a folder already holds."""
+"""The sentences that a person reads, and which of them a folder already has recordings of."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,9 +8,9 @@ from pathlib import Path
 from lipsync.errors import UserError
 from lipsync.recognition.alignment import words_of
 
-#: Longer ones are not said in one breath, and a take is kept in memory as sound.
+#: Longer sentences are not spoken in one breath; and a take's sound is kept in memory.
 LONGEST_WORDS = 40
-#: What a take consists of; the text is written last, so that it says that the others are there.
+#: Files of a take; the text is written last, so that it shows that the others are complete.
 ENDINGS = (".mkv", ".wav", ".txt")
 
 
@@ -20,7 +20,10 @@ class SentenceError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """name: of its files; text: what is read."""
+    """A sentence to read.
+
+    name: of its files.
+    """
 
     name: str
     text: str
@@ -45,9 +48,9 @@ def read_sentences(path: Path) -> tuple[Sentence, ...]:
 
 
 def recorded_names(folder: Path, sentences: Sequence[Sentence]) -> set[str]:
-    """Return the names of sentences that the folder holds whole.
+    """Return the names of sentences whose recordings in the folder are complete.
 
-    Raises SentenceError where a file of that name holds another sentence.
+    Raises SentenceError if a file of that name is of another sentence.
     """
     names = set()
     for sentence in sentences:

@@ -1,8 +1,8 @@
-"""A session: sentence after sentence, controlled by keys; what is kept is on the disk at once.
+"""A recording session: sentence after sentence, controlled by keys; takes are saved at once.
 
-The recorded person sees: the sentence, how loud it is, what to press.
+The person who is recorded sees the sentence, the sound level, and which keys to press.
 
-When the microphone's sound was captured, on the monotonic clock that pictures are timed by.
+`SoundClock`: when the microphone's sound was captured, on the monotonic clock of the pictures.
 """
 
 import enum
@@ -75,15 +75,15 @@ class Screen:
         MESSAGES.print(text, style=style, soft_wrap=True)
 
 
-#: Time stamps of so many blocks are remembered, two seconds: a card's clock drifts by less than
+#: Number of blocks, two seconds, whose time stamps count: a sound card's clock drifts by less than
 #: 0.1 ms in that time.
 _REMEMBERED = 200
 
 
 class SoundClock:
-    """The monotonic time of a sample: the median of the device's latest reports.
+    """The monotonic time of a sample: by the median of the device's latest reports.
 
-    One time stamp is off by a few milliseconds, whenever the computer was busy.
+    A single report is off by some milliseconds when the computer is busy.
     """
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class SoundClock:
         self._last: tuple[float, float] | None = None
 
     def observe(self, captured: tuple[float, float] | None) -> None:
-        """Note when sound was captured: (monotonic seconds, sound time captured then), or None."""
+        """Note a report (monotonic seconds, sound time captured then), or None."""
         if captured is not None and captured != self._last:
             self._last = captured
             self._zeros_s.append(captured[0] - captured[1])
@@ -107,18 +107,18 @@ class SoundClock:
         return median(self._zeros_s)
 
 
-#: Pictures arrive later than sound; so long is waited for the last ones of a take.
+#: Pictures arrive later than sound: time to wait for the last ones of a take.
 _PICTURES_S = 0.3
 #: How long a microphone may take to give its first sound.
 _PATIENCE_S = 5.0
 _TICK_S = 0.02
 _METER_S = 0.1
-#: A take as long as that was forgotten.
+#: A take this long was forgotten, and is ended.
 _LONGEST_S = 60.0
 
 
 class Microphone(Protocol):
-    """What is used of `MicrophoneSource`."""
+    """The part of `MicrophoneSource` that is used."""
 
     @property
     def captured(self) -> tuple[float, float] | None:
@@ -133,11 +133,11 @@ class Microphone(Protocol):
         """Whether the device is gone."""
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """The blocks not handed out before that end at or before sound time `until_s`."""
+        """Return new blocks that end at or before sound time `until_s`."""
 
 
 class Pictures(Protocol):
-    """What is used of `CameraFeed`."""
+    """The part of `CameraFeed` that is used."""
 
     def take_frames(self) -> list[Frame]:
         """Return the pictures since the last call."""
@@ -145,9 +145,10 @@ class Pictures(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """rate_hz: pictures a second that the camera promises; clock: monotonic seconds.
+    """Camera, microphone and keys of a session.
 
-    next_key: waits so long for a key at most, and gives it or None. is_stopped: a signal has come.
+    rate_hz: pictures a second of the camera. next_key: waits up to some seconds for a key; returns
+    it, or None. is_stopped: returns whether a signal came. clock: returns monotonic seconds.
     """
 
     microphone: Microphone
@@ -161,7 +162,7 @@ class Devices:
 
 @dataclass(slots=True)
 class Outcome:
-    """Names of sentences, and warnings of those that were kept in spite of them."""
+    """Names of recorded and skipped sentences, and warnings about recorded ones."""
 
     recorded: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
@@ -176,7 +177,7 @@ class _NextStep(enum.Enum):
 
 
 class Session:
-    """Shows the sentences that the folder does not hold; the rest can be read again."""
+    """Records the sentences that the folder lacks; recorded ones can be repeated."""
 
     def __init__(self, devices: Devices, screen: Screen, folder: Path) -> None:
         self._devices, self._screen, self._folder = devices, screen, folder
@@ -189,7 +190,8 @@ class Session:
     def run(self, sentences: Sequence[Sentence], recorded: set[str]) -> Outcome:
         """Record until all sentences are read, or the person stops; the devices are open.
 
-        Raises SoundError, CameraError or OutputError where one fails; recordings so far are kept.
+        recorded: names of sentences that the folder has. Raises SoundError, CameraError or
+        OutputError if a device or the disk fails; recordings so far are kept.
         """
         self._wait_for_sound()
         number = 0
@@ -199,7 +201,7 @@ class Session:
                 number += 1
                 continue
             self._screen.show(sentence, number + 1, len(sentences))
-            step = self._one(sentence)
+            step = self._wait_for_choice(sentence)
             if step is _NextStep.STOP:
                 break
             if step is _NextStep.BACK:
@@ -209,8 +211,8 @@ class Session:
                 number += 1
         return self._outcome
 
-    def _one(self, sentence: Sentence) -> _NextStep:
-        """Wait for a key, and record where it says so."""
+    def _wait_for_choice(self, sentence: Sentence) -> _NextStep:
+        """Wait for a key; record the sentence, or return another step, as the key says."""
         self._screen.say("space: record · s: skip · b: back · q: stop")
         while True:
             key, _, _ = self._tick()
@@ -233,7 +235,7 @@ class Session:
             try:
                 lost_before = self._devices.microphone.lost_blocks
                 self._screen.say("RECORDING · space: done · r: again · q: stop without it")
-                step = self._take_in(take)
+                step = self._record_until_key(take)
                 if step is not _NextStep.NEXT:
                     raise TakeDiscarded
                 lost = self._devices.microphone.lost_blocks - lost_before
@@ -254,7 +256,7 @@ class Session:
             self._screen.say(f"kept: {sentence.name}")
         return step
 
-    def _take_in(self, take: Take) -> _NextStep:
+    def _record_until_key(self, take: Take) -> _NextStep:
         """Record until a key ends the sentence or `_LONGEST_S` are over; return what to do next."""
         begun_s = self._heard_s
         while True:
@@ -276,7 +278,7 @@ class Session:
                 return _NextStep.NEXT
 
     def _step_after(self, warnings: tuple[str, ...]) -> _NextStep:
-        """Keep a good take; for one with warnings let the person decide by key."""
+        """Return what to do with a take: keep it without warnings, else let the person decide."""
         if not warnings:
             return _NextStep.NEXT
         for line in warnings:
@@ -319,7 +321,10 @@ class Session:
         return key, blocks, frames
 
     def _wait_for_sound(self) -> None:
-        """Wait until the sound's time is known, or a stop; SoundError after `_PATIENCE_S`."""
+        """Wait until the time of the sound is known, or for a stop.
+
+        Raises SoundError after `_PATIENCE_S` without sound.
+        """
         until_s = self._devices.clock() + _PATIENCE_S
         while not self._clock.is_ready:
             self._tick(reads_keys=False)

@@ -1,6 +1,6 @@
-"""One take: pictures and sound from the same moment on, in files that are whole or not there.
+"""One take: pictures and sound from the same instant on, in files that are complete or missing.
 
-What is wrong with a take, as far as numbers show; for a person who could repeat it.
+`warnings_of`: what is wrong with a take, as far as numbers show, for a person who can repeat it.
 """
 
 from collections import deque
@@ -21,20 +21,21 @@ from lipsync.output_file import write_whole, written_whole
 
 Samples = NDArray[np.float32]
 
-#: A sample this large has met the end of a converter's range.
+#: Samples of this size are at the end of the converter's range.
 _FULL_SCALE: Final = 0.999
-#: So many of them: one alone is not heard.
+#: Number of such samples that counts as clipped; a single one cannot be heard.
 _FEWEST_CLIPPED: Final = 3
 _WINDOW_S: Final = 0.05
-#: The loudest tenth of the windows, dB below full scale; speech near a microphone is at -30 to -15.
+#: Least level of the loudest tenth of the windows, dB below full scale; speech near a microphone is
+#: at -30 to -15.
 _QUIETEST_DB: Final = -42.0
-#: Speech above the quietest tenth: less is a noisy room, or nobody spoke.
+#: Least level of speech above the quietest tenth: with less the room is noisy, or no one spoke.
 _LEAST_ABOVE_NOISE_DB: Final = 12.0
-#: Mean brightness of a picture, of 255, below which skin and lips look alike to a camera.
+#: Least mean brightness of a picture, of 255: below it skin and lips look alike to a camera.
 _DARKEST: Final = 50.0
-#: Share of the promised pictures that must be there.
+#: Least share of the promised pictures.
 _FEWEST_FRAMES: Final = 0.9
-#: Pictures this far apart hide a closure of the lips (P lasts 80 ms).
+#: A longer time without a picture may hide a closure of the lips (P lasts 80 ms).
 _LONGEST_GAP_S: Final = 0.1
 #: Fewer pictures a second do not show how lips close.
 SLOWEST_HZ: Final = 24.0
@@ -42,7 +43,7 @@ _SHORTEST_S: Final = 0.7
 
 
 def sound_level_db(samples: Samples) -> float:
-    """Root mean square in dB below full scale, at least -90."""
+    """Return the root mean square of samples, (n,), in dB below full scale, -90 at least."""
     if not len(samples):
         return -90.0
     return max(-90.0, 10.0 * float(np.log10(np.mean(np.square(samples, dtype=np.float64)) + 1e-9)))
@@ -55,7 +56,7 @@ def warnings_of(
     rate_hz: float,
     lost_blocks: int = 0,
 ) -> tuple[str, ...]:
-    """Return one line for each thing that is wrong with a take; none for a good one.
+    """Return one line for each thing that is wrong with a take; none for a good take.
 
     samples: (n,) at 16 kHz; frames_s: times of the pictures; brightness: means of some of them, 0
     to 255; rate_hz: pictures a second that the camera promised; lost_blocks: blocks of 10 ms of
@@ -65,10 +66,10 @@ def warnings_of(
     found = []
     if duration_s < _SHORTEST_S:
         found.append(f"only {duration_s:.1f} s long: was the whole sentence said?")
-    found += _of_sound(samples)
+    found += _sound_faults(samples)
     if lost_blocks:
         found.append(f"{10 * lost_blocks} ms of sound were lost: close other programs")
-    found += _of_pictures(np.asarray(frames_s), duration_s, rate_hz)
+    found += _picture_faults(np.asarray(frames_s), duration_s, rate_hz)
     if len(brightness) and np.mean(brightness) < _DARKEST:
         found.append(
             f"too dark (brightness {np.mean(brightness):.0f} of 255): put a lamp before the face"
@@ -76,7 +77,7 @@ def warnings_of(
     return tuple(found)
 
 
-def _of_sound(samples: Samples) -> list[str]:
+def _sound_faults(samples: Samples) -> list[str]:
     """Return what is wrong with a sound (n,): clipped, quiet, or noisy; at most one line."""
     n_clipped = int((np.abs(samples) >= _FULL_SCALE).sum())
     if n_clipped >= _FEWEST_CLIPPED:
@@ -85,7 +86,7 @@ def _of_sound(samples: Samples) -> list[str]:
     n = len(samples) // window
     if not n:
         return []
-    levels = [sound_level_db(each) for each in samples[: n * window].reshape(n, window)]
+    levels = [sound_level_db(part) for part in samples[: n * window].reshape(n, window)]
     loud_db, noise_db = float(np.quantile(levels, 0.9)), float(np.quantile(levels, 0.1))
     if loud_db < _QUIETEST_DB:
         return [f"too quiet ({loud_db:.0f} dB): turn the microphone up or come nearer"]
@@ -97,10 +98,10 @@ def _of_sound(samples: Samples) -> list[str]:
     return []
 
 
-def _of_pictures(frames_s: NDArray[np.float64], duration_s: float, rate_hz: float) -> list[str]:
+def _picture_faults(frames_s: NDArray[np.float64], duration_s: float, rate_hz: float) -> list[str]:
     """Return what is wrong with the pictures: none, too few a second, or a gap; at most one line.
 
-    frames_s: (n,), time of each picture from the first one on. rate_hz: what the camera promised.
+    frames_s: (n,), time of each picture from the first one on. rate_hz: promised by the camera.
     """
     if len(frames_s) < 2:
         return ["no pictures: does the camera work?"]
@@ -116,23 +117,23 @@ def _of_pictures(frames_s: NDArray[np.float64], duration_s: float, rate_hz: floa
     return []
 
 
-#: A take begins so long after its key and ends so long before: the keys are heard, too.
+#: A take begins so long after the key and ends so long before: keys can be heard.
 KEY_S = 0.15
-#: Every so many pictures one is looked at for its brightness.
-_LOOKED_AT = 5
+#: Every so many pictures the brightness is measured; every so many rows of it are used.
+_BRIGHTNESS_EVERY = 5
 _ROW_STEP = 4
 
 
 class TakeDiscarded(Exception):  # noqa: N818 - a wish of a person, not an error
-    """The take is not to be kept: raise it inside `take_files`, and nothing stays."""
+    """Raised inside `take_files` to discard the take: no file of it stays."""
 
 
 @contextmanager
 def take_files(folder: Path, sentence: Sentence) -> Iterator[tuple[Path, Path]]:
-    """Yield where to write a clip and its sound; they and the text take their names at the end.
+    """Yield the paths to write a clip and its sound to; the files get their names at the end.
 
-    The text is written last: where it exists, the others do. If anything is raised the folder stays
-    as it was; TakeDiscarded is not raised further.
+    The text is written last: if it exists, the others are complete. If anything is raised the
+    folder stays as it was; TakeDiscarded is not raised further.
     """
     place = folder / sentence.name
     text = place.with_suffix(".txt")
@@ -142,7 +143,8 @@ def take_files(folder: Path, sentence: Sentence) -> Iterator[tuple[Path, Path]]:
             written_whole(place.with_suffix(".mkv")) as clip,
         ):
             yield clip, sound
-            # A take that is said again: without its text it is none until all is there again.
+            # For a repeated take: without its text the old take is invalid until the new one is
+            # complete.
             text.unlink(missing_ok=True)
     except TakeDiscarded:
         return
@@ -150,13 +152,17 @@ def take_files(folder: Path, sentence: Sentence) -> Iterator[tuple[Path, Path]]:
 
 
 class Take:
-    """Sound and pictures as they come, from sound time `begins_s` to `end`.
+    """Collects sound and pictures as they come, from sound time `begins_s` to `end`.
 
-    zero_s: when sound time 0 was captured, on the clock that pictures are timed by. The clip begins
-    with its first picture, and so does the sound.
+    clip: path of the film. zero_s: when sound time 0 was captured, on the clock of the pictures.
+    Clip and sound begin with the first picture.
     """
 
     def __init__(self, clip: Path, begins_s: float, zero_s: float, rate_hz: float) -> None:
+        """Open the clip; see the class for the times.
+
+        rate_hz: pictures a second that the camera promised.
+        """
         self._writer = ClipWriter(clip, rate_hz)
         self._begins_s, self._zero_s, self._rate_hz = begins_s, zero_s, rate_hz
         self._ends_s = np.inf
@@ -171,14 +177,17 @@ class Take:
         self._blocks += [b for b in blocks if b.end_s > self._begins_s]
 
     def add_frames(self, frames: Sequence[Frame]) -> None:
-        """Append pictures, in order."""
+        """Append pictures, in order, and write those that are surely in the take."""
         self._pending += [(taken_s - self._zero_s, picture) for taken_s, picture in frames]
-        # A take ends before the key that ends it: what may be cut off is not written yet.
+        # A take ends before the key that ends it, so newer pictures may not belong to it.
         until_s = self._blocks[-1].end_s - KEY_S if self._blocks else 0.0
         self._write_frames(min(until_s, self._ends_s))
 
     def end(self, sound_s: float) -> None:
-        """The take ends there, `KEY_S` ago or later; sound and pictures until then may come."""
+        """Set the sound time at which the take ends, at most `KEY_S` ago.
+
+        Sound and pictures until then may still be added.
+        """
         self._ends_s = sound_s
 
     def _write_frames(self, until_s: float) -> None:
@@ -191,7 +200,7 @@ class Take:
                 self._first_s = sound_s
             if not self._writer.add_frame(sound_s - self._first_s, picture):
                 continue
-            if len(self._frames_s) % _LOOKED_AT == 0:
+            if len(self._frames_s) % _BRIGHTNESS_EVERY == 0:
                 self._brightness.append(brightness(picture))
             self._frames_s.append(sound_s - self._first_s)
 
@@ -201,7 +210,10 @@ class Take:
         return not self._frames_s or not len(self._samples())
 
     def finish(self, sound: Path, lost_blocks: int) -> tuple[str, ...]:
-        """Write clip and sound, neither of them empty; what is wrong with them."""
+        """Write clip and sound; return warnings about them.
+
+        sound: path. Neither may be empty. lost_blocks: blocks of sound that were lost.
+        """
         self._write_frames(self._ends_s)
         samples = self._samples()
         self._writer.finish(samples)
@@ -209,11 +221,11 @@ class Take:
         return warnings_of(samples, self._frames_s, self._brightness, self._rate_hz, lost_blocks)
 
     def close(self) -> None:
-        """Give the clip's file back."""
+        """Close the clip's file."""
         self._writer.close()
 
     def _samples(self) -> NDArray[np.float32]:
-        """Return the samples from the first picture to the end."""
+        """Return the samples from the first picture to the end, (n,)."""
         if self._first_s is None or not self._blocks:
             return np.zeros(0, np.float32)
         samples = np.concatenate([block.samples for block in self._blocks])
@@ -226,11 +238,11 @@ class Take:
 def brightness(picture: Any) -> float:
     """Return the mean of an av.VideoFrame's luma, 0 to 255; of its colours if it has no luma.
 
-    Read from the first plane: FFmpeg's converter must not be in two threads with one picture.
+    Read from the first plane, as FFmpeg's converter may not be used on a picture in two threads.
     """
     plane, packed = picture.planes[0], picture.format.name
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
-    # Packed formats have chroma in every other byte; planar ones have planes of their own for it.
+    # Packed formats have chroma in every other byte; planar formats in other planes.
     first, step = {"yuyv422": (0, 2), "uyvy422": (1, 2)}.get(packed, (0, 1))
     used = picture.width * (2 if step == 2 else 1)
     return float(rows[::_ROW_STEP, first:used:step].mean())

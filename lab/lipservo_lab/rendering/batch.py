@@ -1,6 +1,6 @@
-"""A folder of lines, rendered by joblib on all cores or on a cluster.
+"""Render a folder of lines by joblib on all cores, or on a cluster.
 
-Each file is written when its line is done. What fails is reported and leaves the rest.
+Each file is written when its line is done. Failures are reported, and the other lines go on.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +26,7 @@ _PHONES = (".TextGrid", ".textgrid", ".json", ".csv", ".ctm", ".lab", ".tsv")
 
 @dataclass(frozen=True, slots=True)
 class BatchLine:
-    """One line of a batch."""
+    """One line of a batch: its sound, its phones or text, and the file to write."""
 
     sound: Path
     script: Script
@@ -36,9 +36,9 @@ class BatchLine:
 def lines_of(folder: Path, output: Path) -> list[BatchLine]:
     """Return a line for every sound of a folder, in order of names, written to `output`/NAME.perf.
 
-    The phonemes come from NAME.TextGrid or NAME.json beside it, else from NAME.txt, else from the
-    recogniser. Raises LineError for a folder without sounds, for two sounds of one name, and for a
-    text that cannot be read.
+    The phonemes are from NAME.TextGrid or NAME.json beside it, else from NAME.txt, else recognised.
+    Raises LineError for a folder without sounds, for two sounds of one name, and for a text that
+    cannot be read.
     """
     sounds = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in _SOUNDS]
     if not sounds:
@@ -67,8 +67,8 @@ def _script_beside(sound: Path) -> Script:
 
 
 def unrendered(lines: Sequence[BatchLine], how: Rendering) -> list[BatchLine]:
-    """Return the lines whose output is not already what rendering them would give."""
-    return [each for each in lines if not is_rendered(each.output, each.sound, each.script, how)]
+    """Return the lines whose output is missing, or not what rendering them would give."""
+    return [line for line in lines if not is_rendered(line.output, line.sound, line.script, how)]
 
 
 def render_all(
@@ -80,18 +80,20 @@ def render_all(
 ) -> tuple[list[Rendered], dict[str, str]]:
     """Render lines; return those rendered, in order, and a reason for each sound that failed.
 
-    cluster: renders in place of processes here. Files are written by this process, so that a worker
-    that dies leaves nothing behind. Raises ClusterError, and UserError where a process here dies.
+    how: options of the rendering. advance: called after each line. cluster: renders in place of
+    processes here; None: `n_processes` of this computer. Files are written by this process, so that
+    a worker that dies leaves nothing behind. Raises ClusterError, and UserError if a process here
+    dies.
     """
     rendered: dict[int, Rendered] = {}
     failed: dict[int, str] = {}
     if cluster is None:
-        made = _made_here(lines, how, n_processes)
+        outcomes = _render_here(lines, how, n_processes)
     else:
-        made = _made_there(cluster, lines, how)
-    for n, outcome in made:
+        outcomes = _render_on_cluster(cluster, lines, how)
+    for n, outcome in outcomes:
         try:
-            rendered[n] = _written(outcome, lines[n].output)
+            rendered[n] = _write_outcome(outcome, lines[n].output)
         except UserError as error:
             failed[n] = str(error)
         advance()
@@ -101,19 +103,19 @@ def render_all(
     )
 
 
-#: The bytes of a performance file, and what is told of it; or why there is none.
+#: The bytes of a performance file, and what is reported of it; or why there is none.
 _Made = tuple[bytes, Rendered] | UserError
 
 
-def _made_here(
+def _render_here(
     lines: Sequence[BatchLine], how: Rendering, n_processes: int
 ) -> Iterator[tuple[int, _Made]]:
-    """Yield lines as they are rendered on this computer, numbered, in any order.
+    """Yield lines with their numbers as they are rendered on this computer, in any order.
 
-    Raises UserError where a process of the pool has died.
+    Raises UserError if a process of the pool has died.
     """
     work = joblib.Parallel(n_jobs=n_processes, return_as="generator_unordered")
-    numbered = joblib.delayed(_made_of)
+    numbered = joblib.delayed(_render_numbered)
     try:
         yield from work(numbered(n, line, how) for n, line in enumerate(lines))
     except BrokenProcessPool as error:
@@ -123,10 +125,10 @@ def _made_here(
         ) from error
 
 
-def _made_there(
+def _render_on_cluster(
     cluster: Cluster, lines: Sequence[BatchLine], how: Rendering
 ) -> Iterator[tuple[int, _Made]]:
-    """Yield lines as they are rendered on the cluster, numbered, in any order.
+    """Yield lines with their numbers as they are rendered on the cluster, in any order.
 
     Paths are made absolute, since workers have other working folders.
     """
@@ -136,44 +138,48 @@ def _made_there(
         offline=_absolute(how.offline),
         expression=_absolute_face(how.expression),
     )
-    whole = [
+    absolute_lines = [
         replace(
             line,
             sound=line.sound.absolute(),
-            script=_whole(line.script),
+            script=_absolute_script(line.script),
         )
         for line in lines
     ]
-    return cluster.done(partial(_made, how=how), whole)
+    return cluster.done(partial(_render_line, how=how), absolute_lines)
 
 
-def _whole(script: Script) -> Script:
+def _absolute_script(script: Script) -> Script:
+    """Return a script with the path of its phones made absolute."""
     if script.phones is None:
         return script
     return replace(script, phones=replace(script.phones, path=script.phones.path.absolute()))
 
 
-def _made_of(n: int, line: BatchLine, how: Rendering) -> tuple[int, _Made]:
-    return n, _made(line, how)
+def _render_numbered(n: int, line: BatchLine, how: Rendering) -> tuple[int, _Made]:
+    return n, _render_line(line, how)
 
 
-def _made(line: BatchLine, how: Rendering) -> _Made:
-    """One BLAS thread a process: the same sums everywhere, and no core used twice."""
+def _render_line(line: BatchLine, how: Rendering) -> _Made:
+    """Return a line as rendered, or the error that says why it cannot be.
+
+    With one BLAS thread a process: the same sums on every computer, and no core is used twice.
+    """
     try:
         with threadpool_limits(limits=1):
-            performance, done = rendered_line(line.sound, line.script, how)
-            return performance_bytes(performance), done
+            performance, rendered = rendered_line(line.sound, line.script, how)
+            return performance_bytes(performance), rendered
     except UserError as error:
         return UserError(str(error))  # of a class that every process can read
 
 
-def _written(made: _Made, output: Path) -> Rendered:
-    """Raises UserError, for a line that failed and for a file that cannot be written."""
-    if isinstance(made, UserError):
-        raise made
-    content, done = made
+def _write_outcome(outcome: _Made, output: Path) -> Rendered:
+    """Write a rendered line; raises UserError for a line that failed or cannot be written."""
+    if isinstance(outcome, UserError):
+        raise outcome
+    content, rendered = outcome
     write_whole(output, content)
-    return replace(done, output=output)
+    return replace(rendered, output=output)
 
 
 def _absolute(path: Path | None) -> Path | None:
@@ -181,5 +187,5 @@ def _absolute(path: Path | None) -> Path | None:
 
 
 def _absolute_face(face: str | None) -> str | None:
-    """The name of a shipped face is no path."""
+    """Return the path of a face file made absolute; the name of a shipped face stays."""
     return str(Path(face).absolute()) if face is not None and is_file(face) else face

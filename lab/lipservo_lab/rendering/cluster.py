@@ -1,7 +1,7 @@
-"""Work done on a Dask cluster that may lose workers, and its scheduler, on the way.
+"""Work on a Dask cluster that may lose workers, and its scheduler, on the way.
 
-What a task gave is handed out as soon as it is done, and only a few tasks a core are handed over at
-a time: whatever dies costs those alone, which are handed over again
+Results are yielded as soon as they are there, and only a few tasks a core are submitted at a time:
+so only these are lost with a worker or scheduler, and are submitted again
 (docs/decisions/scripted-lines.md).
 """
 
@@ -23,20 +23,21 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 _ADDRESS: Final = re.compile(r"((tcp|tls)://)?(\[[0-9a-fA-F:]+\]|[^\s/:\[\]]+):\d{1,5}")
-#: A scheduler answers in milliseconds; a computer that sleeps, never.
+#: A scheduler answers in milliseconds; a sleeping computer never does.
 _CONNECTING_S: Final = 10.0
-#: A worker that crashed is started again by its nanny within seconds, a scheduler by its service.
+#: A crashed worker is started again by its nanny within seconds, a scheduler by its service
+#: manager.
 _AWAY_S: Final = 180.0
 _LOOK_S: Final = 0.1
 _ASK_S: Final = 0.5
 _ANSWER_S: Final = 5.0
 _CLOSING_S: Final = 2.0
-#: One is computed, the next is there when it is done.
+#: One is computed, the next one waits at the worker.
 _TASKS_A_CORE: Final = 2
-#: Dask's own words are for those who run the cluster; ours are one line.
+#: Loggers of Dask that are silenced; this module's errors are one line.
 _LOUD: Final = ("distributed", "distributed.client", "tornado.application", "asyncio")
 
-#: What waiting for a cluster raises; a connection that broke and a time that is over are OSErrors.
+#: Exceptions of waiting for a lost cluster; broken connections and timeouts are OSErrors.
 _LOST: Final = (OSError, CancelledError, futures.CancelledError)
 
 Task = TypeVar("Task")
@@ -70,56 +71,59 @@ def cluster_at(address: str) -> Iterator["Cluster"]:
 
 
 class Cluster:
-    """The Dask cluster of a scheduler; where that is lost, the one that comes in its place."""
+    """The Dask cluster of a scheduler; if the scheduler is lost, of the one that replaces it."""
 
     def __init__(self, address: str) -> None:
-        """Connect. Raises OSError, ValueError."""
+        """Connect to the scheduler at HOST:PORT. Raises OSError, ValueError."""
         self._address = address
-        self._client = self._connected()
+        self._client = self._connect()
         self._n_cores = 0
         self._counted_s = float("-inf")
         self._seen_s = time.monotonic()
 
     def close(self) -> None:
-        """End the connection; what is still computed is given up."""
+        """End the connection; tasks still computed are given up."""
         with suppress(Exception):  # the scheduler may be gone already
             self._client.close(timeout=_CLOSING_S)
 
     def done(
         self, work: Callable[[Task], Result], tasks: Sequence[Task]
     ) -> Iterator[tuple[int, Result | ClusterError]]:
-        """Yield the number of each task with what `work` makes of it, as it is done.
+        """Yield the number of each task with what `work` returns for it, as it is done.
 
-        A ClusterError in its place: workers died with this task again and again. Raises
-        ClusterError where no worker or scheduler is there for three minutes; whatever `work` raises
-        is raised here.
+        A ClusterError in place of the result means that workers died with this task again and
+        again. Raises ClusterError if no worker or scheduler is there for three minutes, and
+        whatever `work` raises.
         """
         waiting = deque(range(len(tasks)))
-        handed: dict[Future, int] = {}
+        submitted: dict[Future, int] = {}
         ended: SimpleQueue[Future] = SimpleQueue()
-        while waiting or handed:
-            n_wanted = _TASKS_A_CORE * self._cores() - len(handed)
-            for _ in range(min(n_wanted, len(waiting))):
+        while waiting or submitted:
+            n_free = _TASKS_A_CORE * self._cores() - len(submitted)
+            for _ in range(min(n_free, len(waiting))):
                 try:
                     key = f"lipservo-{waiting[0]}-{uuid4()}"
                     future = self._client.submit(work, tasks[waiting[0]], key=key)
                 except Exception:  # of any kind, where the scheduler has just ended
                     break
-                handed[future] = waiting.popleft()
+                submitted[future] = waiting.popleft()
                 future.add_done_callback(ended.put)
             try:
                 future = ended.get(timeout=_LOOK_S)
             except Empty:
                 continue
             outcome = _outcome(future)
-            n = handed.pop(future)
+            number = submitted.pop(future)
             if outcome is None:
-                waiting.appendleft(n)
+                waiting.appendleft(number)
             else:
-                yield n, outcome[0]
+                yield number, outcome[0]
 
     def _cores(self) -> int:
-        """Return how many cores the workers have; 0, for three minutes at most: none is there."""
+        """Return the number of cores of all workers, 0 if there is none now.
+
+        Raises ClusterError if there is none for `_AWAY_S`.
+        """
         now_s = time.monotonic()
         if now_s - self._counted_s > _ASK_S:
             self._n_cores, self._counted_s = self._count_cores(), now_s
@@ -135,24 +139,28 @@ class Cluster:
     def _count_cores(self) -> int:
         """Return how many cores the cluster has now; 0 while its scheduler cannot be reached.
 
-        Connects anew where the connection has been given up; may block for `_ANSWER_S`.
+        Connects anew if the connection has been given up; may block for `_ANSWER_S`.
         """
         try:
             if self._client.status == "closed":  # it has tried to connect again for long enough
-                self._client = self._connected()
+                self._client = self._connect()
             found = self._client.sync(self._client.scheduler.ncores, callback_timeout=_ANSWER_S)
         except Exception:  # of any kind, while the scheduler is away
             return 0
         return sum(found.values())
 
-    def _connected(self) -> "Client":
+    def _connect(self) -> "Client":
+        """Return a new connection; blocks for up to `_CONNECTING_S`."""
         from distributed import Client
 
         return Client(self._address, timeout=_CONNECTING_S, set_as_default=False, name="lipservo")
 
 
 def _outcome(future: "Future") -> tuple[Any] | None:
-    """Return what a task gave, or the ClusterError of one that was given up; None: it is lost."""
+    """Return the result of a task, in a tuple; None if the task was lost and must be repeated.
+
+    A ClusterError is the result of a task that Dask gave up. Raises what the work itself raised.
+    """
     from distributed import KilledWorker
 
     try:
@@ -161,7 +169,7 @@ def _outcome(future: "Future") -> tuple[Any] | None:
         return (ClusterError(f"the Dask workers failed: {_one_line(error)}"),)
     except _LOST:
         if future.status == "error":
-            raise  # it is the work's own
+            raise  # the work itself raised it
         return None
 
 

@@ -89,8 +89,8 @@ def _render_folder(
 ) -> None:
     """Render all sounds of a folder that are not yet rendered, and print what was done.
 
-    cluster: None renders on `n_processes` of this computer. Raises UserError with all that failed,
-    after everything else was rendered and printed.
+    how: options. cluster: None renders on `n_processes` of this computer. Raises UserError with all
+    failures, after everything else was rendered and printed.
     """
     from rich.progress import Progress
 
@@ -102,23 +102,23 @@ def _render_folder(
 
     check_extra("joblib", "rendering a folder")
     lines = lines_of(folder, output)
-    load_speaker(how.model, how.offline)  # a model that is wrong is told once, not for every line
+    load_speaker(how.model, how.offline)  # a wrong model is reported once, not for every line
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{output}: no folder can be made there ({error.strerror})") from error
     for line in lines:
         check_output(line.output, replaces=is_performance, kind="performance")
-    left = unrendered(lines, how)
-    n_kept = len(lines) - len(left)
+    missing = unrendered(lines, how)
+    n_kept = len(lines) - len(missing)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         task = progress.add_task("rendering", total=len(lines), completed=n_kept)
         rendered, failed = render_all(
-            left, how, n_processes, lambda: progress.advance(task), cluster
+            missing, how, n_processes, lambda: progress.advance(task), cluster
         )
-    for done in rendered:
-        for note in done.notes:
-            MESSAGES.print(f"{done.output}: {note}", soft_wrap=True)
+    for each in rendered:
+        for note in each.notes:
+            MESSAGES.print(f"{each.output}: {note}", soft_wrap=True)
     if as_json:
         print_json(
             {
@@ -127,8 +127,8 @@ def _render_folder(
                 "rendered": len(rendered),
                 "kept": n_kept,
                 "failed": failed,
-                "duration_s": sum(done.duration_s for done in rendered),
-                "seconds": round(sum(done.seconds for done in rendered), 3),
+                "duration_s": sum(each.duration_s for each in rendered),
+                "seconds": round(sum(each.seconds for each in rendered), 3),
             }
         )
     else:

@@ -1,10 +1,11 @@
-"""Where the head is in a scan: rigid alignment by iterated closest points (trimesh).
+"""Find the head in a scan: rigid alignment by iterated closest points (trimesh).
 
-Edge, Hilton and Jackson remove drift of the head so. trimesh's is the form of Besl and McKay
-("A method for registration of 3-D shapes", IEEE PAMI 14(2), 1992), point to point; what it leaves
-over is taken out with the upper face while the surface is fitted.
+Edge, Hilton and Jackson remove drift of the head in this way. trimesh implements the form of Besl
+and McKay ("A method for registration of 3-D shapes", IEEE PAMI 14(2), 1992), point to point; the
+remaining motion is removed by the upper face while the surface is fitted.
 
-The mesh that scans are brought onto: the shipped face, or that in the shape of a person.
+`Template`: the mesh that scans are registered to: the shipped face, or one in the shape of a
+person.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,22 +21,23 @@ from lipsync.arrays import Array, Indices
 from lipsync.markers import INNER_LIP, INNER_LIP_GROUP, OUTER_LIP, OUTER_LIP_GROUP, PointLayout
 from lipsync.twin.head_surface import N_SKIN, MeanFace, load_mean_face
 
-#: Skin above this height moves little in speech: the head is held by it.
+#: Vertices above this height move little in speech; they define the pose of the head.
 _UPPER_FACE_MM = -20.0
-#: The first 468 vertices are those of the 478-point mesh, under their numbers; the others get
-#: numbers that are no landmark's.
+#: The first 468 vertices are those of the 478-point mesh, with its numbers; this is added to the
+#: numbers of the others, so that they are no landmark's.
 _OTHERS_FROM = 1000
-#: How far behind the rim of the face, in rings, the mesh reaches.
+#: How far the mesh reaches behind the rim of the face, in rings.
 _RIM = 0.5
-#: Round the lips, as far as a lip's height: what `lips` counts.
+#: Distance from a lip point within which a vertex counts as `lips`: about a lip's height.
 _LIPS_MM = 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """vertices_mm (n, 3) at rest, triangles (m, 3), outward; landmarks (n,), a number for each.
+    """The mesh that scans are registered to, at rest.
 
-    still, lips (n,): whether a vertex lies in the upper face, and on or beside the lips.
+    vertices_mm: (n, 3); triangles: (m, 3), outward; landmarks: (n,), a number for each vertex.
+    still, lips: (n,), whether a vertex is in the upper face, and on or near the lips.
     """
 
     vertices_mm: Array
@@ -53,55 +55,59 @@ class Template:
         return PointLayout(f"scans-{len(self.landmarks)}", groups, (13, 14))
 
     def rows_of(self, landmarks: tuple[int, ...]) -> Indices:
-        """Return the vertices with these landmark numbers; KeyError for one that none has."""
+        """Return the vertices with these landmark numbers; KeyError for one that no vertex has."""
         row_of = {int(number): row for row, number in enumerate(self.landmarks)}
         return np.array([row_of[number] for number in landmarks], dtype=np.int64)
 
 
 def shipped_template(mean: MeanFace | None = None) -> Template:
-    """Return the face of the twin up to its rim as a template: 7,134 vertices.
+    """Return the face of the digital twin up to its rim as a template: 7,134 vertices.
 
-    mean: None: the shipped mean face.
+    mean: the mean face; None: the shipped one.
     """
     mean = mean or load_mean_face()
-    inside = mean.behind <= _RIM
-    chosen = np.flatnonzero(inside)
-    new = np.full(len(inside), -1)
-    new[chosen] = np.arange(len(chosen))
-    triangles = new[mean.triangles]
+    is_inside = mean.behind <= _RIM
+    chosen = np.flatnonzero(is_inside)
+    new_index = np.full(len(is_inside), -1)
+    new_index[chosen] = np.arange(len(chosen))
+    triangles = new_index[mean.triangles]
     triangles = triangles[(triangles >= 0).all(axis=1)]
-    places = mean.vertices_mm[chosen]
+    vertices_mm = mean.vertices_mm[chosen]
     landmarks = np.where(chosen < N_SKIN, chosen, chosen + _OTHERS_FROM)
-    lip_points = places[np.isin(landmarks, [*OUTER_LIP, *INNER_LIP])]
-    away = np.linalg.norm(places[:, None] - lip_points[None], axis=2).min(axis=1)
+    lip_points = vertices_mm[np.isin(landmarks, [*OUTER_LIP, *INNER_LIP])]
+    lip_distance_mm = np.linalg.norm(vertices_mm[:, None] - lip_points[None], axis=2).min(axis=1)
     return Template(
-        places,
+        vertices_mm,
         np.asarray(triangles, dtype=np.int64),
         landmarks.astype(np.int64),
-        places[:, 1] > _UPPER_FACE_MM,
-        away < _LIPS_MM,
+        vertices_mm[:, 1] > _UPPER_FACE_MM,
+        lip_distance_mm < _LIPS_MM,
     )
 
 
 _ROUNDS, _FIRST_ROUNDS = 30, 12
-#: So many points of the face are laid on the scan.
+#: Points of the face that are aligned with the scan: in the final alignment, and in trials of axes.
 _SAMPLE, _FIRST_SAMPLE = 1200, 350
-#: A scan may lack some of the face: this share of its points, those that are nearest, is believed.
+#: A scan may lack parts of the face: only this share of the points, the nearest, counts.
 _BELIEVED_SHARE = 0.7
-#: Root mean square of the believed distances, mm: faces of others are within some 3.
+#: Largest rms of the distances that count, mm; faces of other people are within about 3.
 _FARTHEST_MM = 5.0
-#: Nearer than this it is a face the right way up; else all axes are tried.
+#: With a smaller rms it is a face the right way up; else all axes are tried.
 _CERTAIN_MM = 1.5
-#: Other axes are believed when they fit so much better: a face is nearly its own mirror image.
+#: Other axes are suggested if their misfit is at most this share: a face is nearly its own mirror
+#: image.
 _CLEARLY_BETTER = 0.75
 _MOST_TARGETS, _FIRST_TARGETS = 40_000, 3_000
-#: A head that seems smaller or larger than this was not found.
+#: Alignments with another scale did not find the head.
 _SCALES = (0.6, 1.6)
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """face point p lies at `scale * rotation @ p + shift_mm` in the scan; scale is 1 but once."""
+    """The pose of a face in a scan: face point p is at `scale * rotation @ p + shift_mm`.
+
+    rotation: (3, 3); shift_mm: (3,). scale is 1 except for a new person.
+    """
 
     rotation: Array
     shift_mm: Array
@@ -113,12 +119,12 @@ class Pose:
         Parameters
         ----------
         face_mm : Array
-            (n, 3).
+            (n, 3) on the face.
 
         Returns
         -------
         Array
-            (n, 3) mm.
+            (n, 3) mm in the scan.
         """
         return np.asarray(self.scale * face_mm @ self.rotation.T + self.shift_mm)
 
@@ -128,7 +134,7 @@ class Pose:
         Parameters
         ----------
         scan_mm : Array
-            (n, 3).
+            (n, 3), points in the coordinates of the scan.
 
         Returns
         -------
@@ -138,7 +144,9 @@ class Pose:
         return np.asarray((scan_mm - self.shift_mm) @ self.rotation / self.scale)
 
     def after(self, rotation: Array, shift_mm: Array) -> "Pose":
-        """Return the pose for a face moved by p -> rotation @ p + shift_mm, so that points stay.
+        """Return the pose of the face after it was moved by p -> rotation @ p + shift_mm.
+
+        With the new pose, points of the moved face are at the same places in the scan as before.
 
         Parameters
         ----------
@@ -157,40 +165,42 @@ class Pose:
 
 
 def rigid_motion(points: Array, onto: Array) -> tuple[Array, Array]:
-    """Return the rotation and shift that lay points on others best: Umeyama's.
+    """Return the rotation and shift that bring points nearest to others, by least squares.
+
+    By Umeyama's method, without scale.
 
     Parameters
     ----------
-    points,onto : Array
+    points, onto : Array
         (n, 3).
 
     Returns
     -------
     tuple[Array, Array]
-        (3, 3) and (3,).
+        Rotation (3, 3) and shift (3,): onto ~ rotation @ p + shift.
     """
-    centre, other = points.mean(axis=0), onto.mean(axis=0)
-    u, _, vt = np.linalg.svd((onto - other).T @ (points - centre))
+    centre, target = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - target).T @ (points - centre))
     u[:, 2] *= np.sign(np.linalg.det(u @ vt))
     rotation = u @ vt
-    return rotation, other - rotation @ centre
+    return rotation, target - rotation @ centre
 
 
 def find_pose(
     face_mm: Array, scan: Scan, start: Pose | None = None, *, scaled: bool = False
 ) -> Pose:
-    """Return where a face is in a scan.
+    """Return the pose of a face in a scan, by ICP.
 
     Parameters
     ----------
     face_mm : Array
-        (n, 3).
+        (n, 3), points of the face.
     scan : Scan
-        To search.
+        The scan.
     start : Pose | None
-        None: where the middles of both meet.
+        First guess; None: the middles of both coincide.
     scaled : bool
-        Of another person, whose face may have another size.
+        Whether the size is fitted too, for another person's face.
 
     Returns
     -------
@@ -208,11 +218,11 @@ def misfit_mm(face_mm: Array, scan: Scan, pose: Pose) -> float:
     Parameters
     ----------
     face_mm : Array
-        (n, 3).
+        (n, 3), points of the face.
     scan : Scan
         The scan.
     pose : Pose
-        Of the face in it.
+        Of the face in the scan.
 
     Returns
     -------
@@ -220,46 +230,48 @@ def misfit_mm(face_mm: Array, scan: Scan, pose: Pose) -> float:
         mm.
     """
     distances, _ = cKDTree(scan.points_mm).query(pose.in_scan(_sample(face_mm, _SAMPLE)))
-    believed = np.sort(distances)[: round(_BELIEVED_SHARE * len(distances))]
-    return float(np.sqrt((believed**2).mean()))
+    nearest = np.sort(distances)[: round(_BELIEVED_SHARE * len(distances))]
+    return float(np.sqrt((nearest**2).mean()))
 
 
 def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
-    """Refuse a scan that is no face, upside down, mirrored, or along other axes.
+    """Refuse a scan that is not of a face, upside down, mirrored, or along other axes.
 
     Parameters
     ----------
     face_mm : Array
-        (n, 3).
+        (n, 3), a face for comparison.
     scan : Scan
         The scan.
     axes : Array
-        (3, 3), those that the scan was read by, which the advice is given for.
+        (3, 3), the axes by which the scan was read; the advice is relative to them.
     name : str
-        Of the scan.
+        Name of the scan, for the error.
 
     Raises
     ------
     ScanError
         With the option to give.
     """
+    # Usual axes: as given, mirrored, upside down, both. The other 44 are only tried without a good
+    # fit.
     usual = [np.diag(signs) for signs in ((1.0, 1, 1), (-1.0, 1, 1), (-1.0, -1, 1), (1.0, -1, 1))]
-    fits = _fits(face_mm, scan, usual)
-    if fits.get(tuple(np.eye(3).ravel().tolist()), np.inf) > _CERTAIN_MM:
-        fits |= _fits(face_mm, scan, _all_turns())
-    as_given = fits.get(tuple(np.eye(3).ravel().tolist()), np.inf)
+    misfit_of = _misfits(face_mm, scan, usual)
+    if misfit_of.get(tuple(np.eye(3).ravel().tolist()), np.inf) > _CERTAIN_MM:
+        misfit_of |= _misfits(face_mm, scan, _all_turns())
+    as_given = misfit_of.get(tuple(np.eye(3).ravel().tolist()), np.inf)
     best = np.array(
-        min(fits, key=fits.__getitem__, default=tuple(np.eye(3).ravel().tolist()))
+        min(misfit_of, key=misfit_of.__getitem__, default=tuple(np.eye(3).ravel().tolist()))
     ).reshape(3, 3)
-    least = min(fits.values(), default=np.inf)
-    if least > _FARTHEST_MM:
+    least_mm = min(misfit_of.values(), default=np.inf)
+    if least_mm > _FARTHEST_MM:
         raise ScanError(
-            f"{name}: no face, or much beside it: {least:.1f} mm off the mean face at best; cut "
+            f"{name}: no face, or much beside it: {least_mm:.1f} mm off the mean face at best; cut "
             "the scan to the face"
         )
-    if as_given > _FARTHEST_MM or least < _CLEARLY_BETTER * as_given:
+    if as_given > _FARTHEST_MM or least_mm < _CLEARLY_BETTER * as_given:
         raise ScanError(
-            f"{name}: {_fault(best)}: {as_given:.1f} mm off, {least:.1f} mm along other axes; "
+            f"{name}: {_fault(best)}: {as_given:.1f} mm off, {least_mm:.1f} mm along other axes; "
             f"give --axes={axes_text(best @ axes)}"
         )
 
@@ -273,16 +285,16 @@ def _all_turns() -> list[Array]:
     ]
 
 
-def _fits(face_mm: Array, scan: Scan, turns: Sequence[Array]) -> dict[tuple[float, ...], float]:
+def _misfits(face_mm: Array, scan: Scan, turns: Sequence[Array]) -> dict[tuple[float, ...], float]:
     """Return how far a face is off a scan that is turned, mm, by turn.
 
-    Turns whose fit changes the size too much are left out.
+    turns: (3, 3) each. Turns for which the fitted size is implausible are left out.
     """
     fits: dict[tuple[float, ...], float] = {}
     sample = _sample(face_mm, _FIRST_SAMPLE)
-    few = scan.points_mm[:: max(1, len(scan.points_mm) // _FIRST_TARGETS)]
+    few_points = scan.points_mm[:: max(1, len(scan.points_mm) // _FIRST_TARGETS)]
     for turn in turns:
-        turned = Scan(few @ turn.T, scan.normals, 0.0)
+        turned = Scan(few_points @ turn.T, scan.normals, 0.0)
         start = Pose(np.eye(3), _middle(turned.points_mm) - _middle(sample))
         pose = _icp(sample, turned.points_mm, start, _FIRST_ROUNDS, scaled=True)
         if _SCALES[0] < pose.scale < _SCALES[1]:
@@ -291,6 +303,7 @@ def _fits(face_mm: Array, scan: Scan, turns: Sequence[Array]) -> dict[tuple[floa
 
 
 def _fault(turn: Array) -> str:
+    """Return in words what is wrong with a scan that fits after this turn (3, 3)."""
     if np.array_equal(turn, np.diag([-1.0, 1.0, 1.0])):
         return "mirrored"
     if np.array_equal(turn, np.diag([-1.0, -1.0, 1.0])):
@@ -299,9 +312,9 @@ def _fault(turn: Array) -> str:
 
 
 def _icp(sample: Array, targets: Array, start: Pose, n_rounds: int, *, scaled: bool) -> Pose:
-    """Return the pose that lays points of a face (n, 3) on those of a scan (m, 3), by ICP.
+    """Return the pose that aligns points of a face (n, 3) with those of a scan (m, 3), by ICP.
 
-    start: first guess. scaled: whether the size is fitted too, else it stays 1.
+    start: first guess. scaled: whether the size is fitted too; else it stays 1.
     """
     from trimesh.registration import icp
 
@@ -317,13 +330,14 @@ def _icp(sample: Array, targets: Array, start: Pose, n_rounds: int, *, scaled: b
 
 
 def _sample(points: Array, n: int) -> Array:
+    """Return about n points, evenly by their order."""
     return points[:: max(1, len(points) // n)]
 
 
 def _middle(points: Array) -> Array:
-    """Return the middle of the box around all points but stray ones, (3,).
+    """Return the middle of the box around all points but outliers, (3,).
 
-    Not their mean: scans are denser here than there.
+    Not their mean, since scans are denser in some parts than in others.
     """
     low, high = np.percentile(points, (2, 98), axis=0)
     return np.asarray((low + high) / 2)

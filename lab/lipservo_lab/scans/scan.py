@@ -1,9 +1,7 @@
-"""One scan: a surface as points with normals, whatever its file holds.
+"""One scan: a surface as points with normals, whatever its file holds; units and axes of scans.
 
-Units and axes of scans, and how they become those of a face: millimetres, y up, z to the viewer.
-
-Nothing is guessed silently: what looks like other units or axes is reported with the option to
-give.
+Scans are converted to those of a face: millimetres, y up, z to the viewer. Nothing is guessed
+silently: what looks like other units or axes is an error that names the option to give.
 """
 
 from collections.abc import Callable
@@ -17,10 +15,10 @@ from scipy.spatial import cKDTree
 from lipsync.arrays import Array, Indices
 from lipsync.errors import UserError, check_extra
 
-#: Millimetres of each unit that may be asked for.
+#: Millimetres in each unit of the option --unit.
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
-#: Twice the median distance from the middle: of a face alone about 130 mm, of head and shoulders
-#: some 400. The first bound that it stays below names the unit.
+#: Twice the median distance of points from their middle is about 130 mm for a face, 400 mm for head
+#: and shoulders. Such a number below the first of these bounds is in that unit.
 _SIZES = ((1.0, "m"), (9.0, "in"), (45.0, "cm"), (900.0, "mm"))
 
 
@@ -30,9 +28,11 @@ class ScanFrameError(UserError):
 
 @dataclass(frozen=True)
 class ScanFrame:
-    """unit: of `UNITS_MM`. axes: three rows, which axis of the scan, signed, is x, y, z of a face.
+    """Unit and axes of a scan.
 
-    A face has x to the picture's right, y up, z out of it to the viewer.
+    unit: a key of `UNITS_MM`. axes: (3, 3) of 0, 1 and -1; row i says which axis of the scan,
+    signed, is axis i of a face. A face has x to the picture's right, y up, z out of it to the
+    viewer.
     """
 
     unit: str = "mm"
@@ -84,8 +84,8 @@ def axes_text(axes: Array) -> str:
     str
         As the option --axes takes it.
     """
-    at = np.abs(axes).argmax(axis=1)
-    return ",".join(("-" if axes[row, i] < 0 else "") + "xyz"[i] for row, i in enumerate(at))
+    columns = np.abs(axes).argmax(axis=1)
+    return ",".join(("-" if axes[row, i] < 0 else "") + "xyz"[i] for row, i in enumerate(columns))
 
 
 def check_unit(points_mm: Array, unit: str, name: str) -> None:
@@ -96,9 +96,9 @@ def check_unit(points_mm: Array, unit: str, name: str) -> None:
     points_mm : Array
         (n, 3).
     unit : str
-        That was given.
+        The unit that was assumed.
     name : str
-        Of the scan.
+        Name of the scan, for the error.
 
     Raises
     ------
@@ -124,13 +124,13 @@ def check_unit(points_mm: Array, unit: str, name: str) -> None:
     )
 
 
-#: What a scan may be called.
+#: Endings of scan files.
 SCAN_ENDINGS = (".ply", ".obj")
 #: Fewer points are no scan of a face.
 LEAST_POINTS = 500
-#: Neighbours that the normal of a point without triangles is found by.
+#: Neighbours from which the normal of a point without triangles is computed.
 _NEIGHBOURS = 12
-#: Where a triangle's edge is longer, points are put between: the nearest point must be near.
+#: Coarser triangles are subdivided, so that the nearest point of a surface is near.
 _LONGEST_EDGE_MM = 2.5
 _MOST_POINTS = 400_000
 
@@ -141,9 +141,10 @@ class ScanError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """points_mm (n, 3) and normals (n, 3) of length 1, out of the face; spacing_mm between points.
+    """A surface as points.
 
-    x is to the picture's right, y up, z out of the face.
+    points_mm: (n, 3), x to the picture's right, y up, z out of the face; normals: (n, 3) of length
+    1, outward; spacing_mm: median distance of neighbouring points.
     """
 
     points_mm: Array
@@ -152,7 +153,7 @@ class Scan:
 
 
 def read_scan(path: Path, frame: ScanFrame) -> Scan:
-    """A PLY or OBJ file, triangles or points alone; colours and textures are passed over.
+    """Read a PLY or OBJ file of triangles or points; colours and textures are ignored.
 
     Raises ScanError for a file that is damaged, empty, or holds too few points.
     """
@@ -164,27 +165,27 @@ def read_scan(path: Path, frame: ScanFrame) -> Scan:
 
 
 def scan_of(points_mm: Array, triangles: Indices, name: str = "scan") -> Scan:
-    """Make a scan of points and triangles, of which there may be none. Raises ScanError.
+    """Make a scan of points and triangles. Raises ScanError for too few points.
 
     Parameters
     ----------
     points_mm : Array
         (n, 3).
     triangles : Indices
-        (m, 3).
+        (m, 3) indices of points; m may be 0.
     name : str
-        Of the scan.
+        Name of the scan, for the error.
 
     Returns
     -------
     Scan
-        Refined, without stray parts.
+        Coarse triangles subdivided; without points that are in no triangle.
     """
     if len(triangles):
-        points_mm, triangles = _refined(*_without_strays(points_mm, triangles))
+        points_mm, triangles = _refined(*_used_points(points_mm, triangles))
         normals = vertex_normals(points_mm, triangles)
-        real = np.linalg.norm(normals, axis=1) > 0.5
-        points_mm, normals = points_mm[real], normals[real]
+        has_normal = np.linalg.norm(normals, axis=1) > 0.5
+        points_mm, normals = points_mm[has_normal], normals[has_normal]
     if len(points_mm) < LEAST_POINTS:
         raise ScanError(
             f"{name}: {len(points_mm)} points; a scan of a face has {LEAST_POINTS} at least"
@@ -192,7 +193,7 @@ def scan_of(points_mm: Array, triangles: Indices, name: str = "scan") -> Scan:
     tree = cKDTree(points_mm)
     if not len(triangles):
         normals = _fitted_normals(points_mm, tree)
-    # Winding tells the two sides of a surface apart, but not which is the outer one.
+    # The order of corners gives all normals the same side, but not which side is outside.
     outwards = points_mm - (points_mm.mean(axis=0) - (0.0, 0.0, 60.0))
     if len(triangles):
         normals = normals * (1.0 if np.median((normals * outwards).sum(axis=1)) > 0 else -1.0)
@@ -203,11 +204,9 @@ def scan_of(points_mm: Array, triangles: Indices, name: str = "scan") -> Scan:
 
 
 def vertex_normals(vertices: Array, triangles: Indices) -> Array:
-    """Return the mean normal of the triangles round each vertex by their areas.
+    """Return the normal at each vertex: the mean over its triangles, weighted by area.
 
-    0 where there is none.
-
-    Outward where corners go counter-clockwise as seen from outside.
+    Outward if corners go counter-clockwise as seen from outside; 0 for a vertex without triangles.
 
     Parameters
     ----------
@@ -219,13 +218,13 @@ def vertex_normals(vertices: Array, triangles: Indices) -> Array:
     Returns
     -------
     Array
-        (n, 3).
+        (n, 3), of length 1 or 0.
     """
-    corner = vertices[triangles]
-    doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    corners = vertices[triangles]
+    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sums = np.empty_like(vertices)
     for axis in range(3):
-        weights = np.repeat(doubled[:, axis], 3)
+        weights = np.repeat(area_normals[:, axis], 3)
         sums[:, axis] = np.bincount(triangles.ravel(), weights, minlength=len(vertices))
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.asarray(sums / np.maximum(lengths, np.finfo(float).tiny), dtype=np.float64)
@@ -263,14 +262,14 @@ def _read(path: Path) -> tuple[Array, Indices]:
     return everything, joined
 
 
-def _without_strays(points: Array, triangles: Indices) -> tuple[Array, Indices]:
+def _used_points(points: Array, triangles: Indices) -> tuple[Array, Indices]:
     """Return the points that are in a triangle, and the triangles renumbered."""
     used, renumbered = np.unique(triangles, return_inverse=True)
     return points[used], np.asarray(renumbered.reshape(-1, 3), dtype=np.int64)
 
 
 def _refined(points: Array, triangles: Indices) -> tuple[Array, Indices]:
-    """Subdivide the triangles of a coarse mesh until its edges are short."""
+    """Return the mesh with triangles subdivided until its edges are short, or it is large."""
     from trimesh.remesh import subdivide
 
     split: Callable[[Array, Indices], tuple[Array, Indices]] = subdivide
@@ -283,8 +282,8 @@ def _refined(points: Array, triangles: Indices) -> tuple[Array, Indices]:
 
 
 def _fitted_normals(points: Array, tree: cKDTree) -> Array:
-    """Return normals of the plane through each point's neighbours; either side."""
-    _, near = tree.query(points, k=_NEIGHBOURS)
-    around = points[near] - points[near].mean(axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    """Return the normals of planes through each point's neighbours, to either side, (n, 3)."""
+    _, neighbours = tree.query(points, k=_NEIGHBOURS)
+    offsets = points[neighbours] - points[neighbours].mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
     return np.asarray(vectors[:, :, 0], dtype=np.float64)

@@ -19,18 +19,21 @@ from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.output_file import write_whole
 from lipsync.textgrid import write_tiers
 
-#: A corpus keeps 64ths: here of a millimetre.
+#: A corpus stores 64ths: here of a millimetre.
 _UNITS_PER_MM = 64.0
 #: A corpus has y down and z into the picture.
 _TO_PICTURE_AXES = np.array([1.0, -1.0, -1.0])
 _RIGHT_EYE, _LEFT_EYE = 33, 263
-#: For cross-validation by `lipservo bench motion`, where there are enough sentences.
+#: Folds for cross-validation by `lipservo bench motion`, and the sentences that these need.
 _FOLDS, _LEAST_FOR_FOLDS = 5, 10
 _KIND = "lipservo registered scans"
 
 
 class CorpusWriter:
-    """Writes takes into a folder that is not there yet for others, one after the other."""
+    """Writes takes, one after the other, into a new folder.
+
+    place: the folder, empty. rate_hz: scans a second.
+    """
 
     def __init__(self, place: Path, template: Template, rate_hz: float) -> None:
         self._place = place
@@ -40,12 +43,12 @@ class CorpusWriter:
         for name in ("audio", "landmarks", "labels"):
             (place / name).mkdir()
 
-    def add(self, made: RegisteredTake, sound: TakeSound) -> None:
-        """Write one sentence."""
-        name = made.take.name
-        whole = np.rint(made.points_mm * _TO_PICTURE_AXES * _UNITS_PER_MM)
-        small = np.abs(whole).max() <= np.iinfo(np.int16).max
-        points = whole.astype(np.int16 if small else np.int32)
+    def add(self, registered: RegisteredTake, sound: TakeSound) -> None:
+        """Write the points, sound and labels of one take as a sentence."""
+        name = registered.take.name
+        units = np.rint(registered.points_mm * _TO_PICTURE_AXES * _UNITS_PER_MM)
+        fits_int16 = np.abs(units).max() <= np.iinfo(np.int16).max
+        points = units.astype(np.int16 if fits_int16 else np.int32)
         np.savez_compressed(self._place / "landmarks" / f"{name}.npz", landmarks_64th_px=points)
         soundfile.write(self._place / "audio" / f"{name}.flac", sound.samples, SAMPLE_RATE_HZ)
         write_tiers(self._place / "labels" / f"{name}.TextGrid", sound.tiers)
@@ -58,13 +61,13 @@ class CorpusWriter:
         """
         template = self._template
         eyes = template.vertices_mm[template.rows_of((_RIGHT_EYE, _LEFT_EYE))]
-        listed = {
+        landmarks = {
             "frame_rate_hz": self._rate_hz,
             "landmark_ids": template.landmarks.tolist(),
             "eye_distance_mm": round(float(np.linalg.norm(eyes[0] - eyes[1])), 3),
             "groups": {"rigid": list(RIGID)},
         }
-        self._json("landmarks.json", listed)
+        self._json("landmarks.json", landmarks)
         self._json("layout.json", template.layout.description())
         self._json("import.json", about)
         if len(self._names) >= _LEAST_FOR_FOLDS:
@@ -79,7 +82,7 @@ class CorpusWriter:
 
 def write_motion(
     path: Path,
-    made: Sequence[RegisteredTake],
+    takes: Sequence[RegisteredTake],
     template: Template,
     rate_hz: float,
     about: Mapping[str, object],
@@ -94,7 +97,7 @@ def write_motion(
     header = {
         "kind": _KIND,
         "rate_hz": rate_hz,
-        "takes": [each.take.name for each in made],
+        "takes": [each.take.name for each in takes],
         "names": template.layout.names,
         **about,
     }
@@ -102,8 +105,8 @@ def write_motion(
     buffer = io.BytesIO()
     arrays: dict[str, NDArray[Any]] = {
         "about": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
-        "points_mm": np.concatenate([each.points_mm for each in made]),
-        "borders": np.cumsum([0, *(len(each.points_mm) for each in made)]),
+        "points_mm": np.concatenate([each.points_mm for each in takes]),
+        "borders": np.cumsum([0, *(len(each.points_mm) for each in takes)]),
         "named_points": rows,
         **_mesh(template),
     }

@@ -1,8 +1,6 @@
-"""Takes of scans become motion of one mesh, each scan with a report.
+"""Register takes of scans: each becomes motion of one mesh, with a report for each scan and take.
 
-What became of scans and takes, in figures and in words.
-
-Named points that were seen in scans: painted dots, lipstick, or a tracker's.
+Named points may have been marked in scans: painted dots, lipstick, or a tracker's.
 """
 
 import csv
@@ -32,11 +30,12 @@ from lipsync.markers import FACE_MESH_478, MARKERS_47
 
 @dataclass(frozen=True, slots=True)
 class ScanReport:
-    """One scan.
+    """What became of one scan.
 
-    left_out: why nothing was made of it. error_mm, p95_mm: distance between mesh and scan along the
-    normal where they were matched, median and 95th percentile; it does not tell sliding along the
-    surface. matched: share of the mesh that found its surface. markers: how many were used.
+    left_out: why it is not used; None: it is. error_mm, p95_mm: distance between mesh and scan
+    along the normal where they match, median and 95th percentile; it does not show sliding along
+    the surface. matched: share of the mesh that has its surface in the scan. markers: how many were
+    used.
     """
 
     take: str
@@ -54,7 +53,11 @@ class ScanReport:
 
 @dataclass(frozen=True, slots=True)
 class TakeReport:
-    """One take. phonemes: `labels`, `text` or `recognised`; None without sound."""
+    """What became of one take.
+
+    left_out: why it is not used; None: it is. phonemes: `labels`, `text` or `recognised`; None
+    without sound.
+    """
 
     take: str
     scans: int
@@ -79,12 +82,12 @@ def read_markers(path: Path, template: Template, frame: ScanFrame) -> Mapping[st
     file that cannot be read so, and for a name that the template lacks.
     """
     row_of = {int(number): row for row, number in enumerate(template.landmarks)}
-    known = {str(number): row for number, row in row_of.items()}
+    vertex_of = {str(number): row for number, row in row_of.items()}
     for layout in (MARKERS_47, FACE_MESH_478, template.layout):
         for name, number in zip(layout.names, layout.landmarks, strict=True):
             if number in row_of:
-                known[name] = row_of[number]
-    seen: dict[str, dict[int, list[float]]] = {}
+                vertex_of[name] = row_of[number]
+    points_of: dict[str, dict[int, list[float]]] = {}
     try:
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
@@ -92,41 +95,41 @@ def read_markers(path: Path, template: Template, frame: ScanFrame) -> Mapping[st
                 raise ScanError(f"{path}: its first line must name {','.join(_COLUMNS)}")
             for line in reader:
                 where = f"{path}, line {reader.line_num}"
-                vertex = known.get(str(line["name"]).strip())
+                vertex = vertex_of.get(str(line["name"]).strip())
                 if vertex is None:
                     raise ScanError(
                         f"{where}: the template has no point {line['name']!r}; names are those of "
                         "the layouts, outer_lip_61 for one, or numbers of landmarks"
                     )
-                seen.setdefault(str(line["scan"]).strip(), {})[vertex] = _place(line, where)
+                points_of.setdefault(str(line["scan"]).strip(), {})[vertex] = _point(line, where)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ScanError(f"{path}: cannot be read as CSV: {error}") from error
     return {
         scan: Markers(np.array(list(points)), frame.in_mm(np.array(list(points.values()))))
-        for scan, points in seen.items()
+        for scan, points in points_of.items()
     }
 
 
-def _place(line: Mapping[str, str | None], where: str) -> list[float]:
-    """Return x, y and z of a line of a CSV file; raise ScanError where one is no finite number."""
+def _point(line: Mapping[str, str | None], where: str) -> list[float]:
+    """Return x, y and z of a line of a CSV file; raise ScanError unless all are finite numbers."""
     try:
-        place: Array = np.array([float(line[axis] or "") for axis in "xyz"])
+        point: Array = np.array([float(line[axis] or "") for axis in "xyz"])
     except (TypeError, ValueError):
-        place = np.full(3, np.nan)
-    if not np.isfinite(place).all():
+        point = np.full(3, np.nan)
+    if not np.isfinite(point).all():
         raise ScanError(f"{where}: x, y and z are not three numbers")
-    return [float(each) for each in place]
+    return [float(coordinate) for coordinate in point]
 
 
-#: Scans that are missing for longer are not bridged.
+#: Missing scans are interpolated for at most this long.
 _LONGEST_HOLE_S = 0.1
-#: So many scans of all are kept for the picture sheet, evenly.
+#: Scans that are kept for the picture sheet, evenly spread over all.
 _SAMPLES = 24
 
 
 @dataclass(frozen=True, slots=True)
 class RegisteredTake:
-    """points_mm (n_scans, n_vertices, 3) in the pose of the head, in order of time."""
+    """A take as motion of the mesh: points_mm (n_scans, n_vertices, 3), head motion removed."""
 
     take: Take
     points_mm: NDArray[np.float32]
@@ -134,7 +137,10 @@ class RegisteredTake:
 
 @dataclass(frozen=True, slots=True)
 class SampleScan:
-    """For the picture sheet. errors_mm (n_vertices,): NaN where the scan had no surface."""
+    """A scan for the picture sheet.
+
+    errors_mm: (n_vertices,), NaN where the scan has no surface.
+    """
 
     report: ScanReport
     points_mm: Array
@@ -143,9 +149,10 @@ class SampleScan:
 
 @dataclass(frozen=True)
 class ScanImport:
-    """Goes through all takes; `takes` and `scans` hold the reports of what it has been through.
+    """Registers all takes; `takes` and `scans` collect the reports of those done.
 
-    template: in the shape of the person. neutral: the scan that gave it that shape.
+    template: in the shape of the person. neutral: the scan that its shape is from. given: the takes
+    to register. markers: by take and scan. samples: for the picture sheet.
     """
 
     template: Template
@@ -159,9 +166,9 @@ class ScanImport:
     samples: list[SampleScan] = field(default_factory=list)
 
     def registered(self, advance: Advance) -> Iterator[RegisteredTake]:
-        """Register all takes; yield every take that could be used as soon as it is made."""
+        """Register all takes; yield each take that can be used as soon as it is done."""
         n_all = sum(len(take.scans) for take in self.given)
-        every = max(1, n_all // _SAMPLES)
+        step = max(1, n_all // _SAMPLES)
         registration = Registration(self.template)
         for take in self.given:
             registration.begin()
@@ -171,16 +178,16 @@ class ScanImport:
                 scan, report = _register(registration, take, path, self.frame, markers)
                 found.append(scan)
                 self.scans.append(report)
-                if scan is not None and (len(self.scans) - 1) % every == 0:
+                if scan is not None and (len(self.scans) - 1) % step == 0:
                     self.samples.append(_sample(scan, report))
                 advance("registering", len(self.scans), n_all)
-            made, of_take = _joined(take, found, self.rate_hz)
+            joined, of_take = _join_scans(take, found, self.rate_hz)
             self.takes.append(of_take)
-            if made is not None:
-                yield made
+            if joined is not None:
+                yield joined
 
     def refuse_nothing(self) -> None:
-        """Raises ScanError with the first reasons where no take could be used."""
+        """Raise ScanError, with the first reasons, if no take could be used."""
         if any(report.left_out is None for report in self.takes):
             return
         scans = [f"{r.take}/{r.scan}: {r.left_out}" for r in self.scans if r.left_out]
@@ -200,7 +207,7 @@ def begin_import(
 
     neutral: a scan of the face at rest; None: the first scan that can be read. Raises ScanError and
     ScanFrameError for scans of another size, along other axes, mirrored, or of no face, and for
-    markers that the template has not.
+    markers that the template lacks.
     """
     template = shipped_template()
     markers = {
@@ -209,26 +216,26 @@ def begin_import(
         if take.markers is not None
     }
     for take in takes:
-        strangers = sorted(set(markers.get(take.name, ())) - {path.stem for path in take.scans})
-        if strangers:
-            raise ScanError(f"{take.markers}: take {take.name} has no scan {strangers[0]!r}")
+        unknown = sorted(set(markers.get(take.name, ())) - {path.stem for path in take.scans})
+        if unknown:
+            raise ScanError(f"{take.markers}: take {take.name} has no scan {unknown[0]!r}")
     path, scan = _neutral(takes, frame, neutral)
     check_unit(scan.points_mm, frame.unit, str(path))
     check_face(template.vertices_mm, scan, frame.axes, str(path))
     advance("finding the face", 0, 1)
-    seen = next((m[path.stem] for m in markers.values() if path.stem in m), None)
+    neutral_markers = next((m[path.stem] for m in markers.values() if path.stem in m), None)
     try:
-        worn = worn_template(template, scan, seen)
+        fitted = worn_template(template, scan, neutral_markers)
     except ScanError as error:
         raise ScanError(f"{path}: {error}; give another neutral scan (--template)") from error
     advance("finding the face", 1, 1)
-    return ScanImport(worn, path, rate_hz, frame, tuple(takes), markers)
+    return ScanImport(fitted, path, rate_hz, frame, tuple(takes), markers)
 
 
 def _neutral(takes: Sequence[Take], frame: ScanFrame, neutral: Path | None) -> tuple[Path, Scan]:
     """Return the given neutral scan, or else the first scan of all takes that can be read.
 
-    Raises ScanError where none can.
+    Raises ScanError if none can be read.
     """
     if neutral is not None:
         return neutral, read_scan(neutral, frame)
@@ -249,7 +256,7 @@ def _register(
     frame: ScanFrame,
     markers: Markers | None,
 ) -> tuple[RegisteredScan | None, ScanReport]:
-    """Register one scan; return it with its report, or None and the reason why it is left out."""
+    """Register one scan; return it with its report, or None with a report that says why not."""
     report = ScanReport(
         take.name, path.stem, markers=0 if markers is None else len(markers.seen_mm)
     )
@@ -268,31 +275,33 @@ def _register(
     )
 
 
-def _joined(
+def _join_scans(
     take: Take, found: Sequence[RegisteredScan | None], rate_hz: float
 ) -> tuple[RegisteredTake | None, TakeReport]:
     """Join a take's scans into one array, with short gaps interpolated; return it and a report.
 
-    None for a take with too few scans, or a gap longer than `_LONGEST_HOLE_S`.
+    found: None for a scan that was left out. The result is None for a take with fewer than two
+    scans, or a gap longer than `_LONGEST_HOLE_S`.
     """
     report = TakeReport(take.name, len(found), seconds=round(len(found) / rate_hz, 3))
     there = np.array([scan is not None for scan in found])
     if there.sum() < 2:
         reason = f"a face was found in only {there.sum()} of {len(found)} scans"
         return None, replace(report, left_out=reason)
-    holes = [len(list(group)) for is_there, group in groupby(there.tolist()) if not is_there]
-    if holes and max(holes) / rate_hz > _LONGEST_HOLE_S + 1e-9:
-        reason = f"no face in {max(holes)} scans in a row, {max(holes) / rate_hz:.2f} s"
+    gaps = [len(list(group)) for is_there, group in groupby(there.tolist()) if not is_there]
+    if gaps and max(gaps) / rate_hz > _LONGEST_HOLE_S + 1e-9:
+        reason = f"no face in {max(gaps)} scans in a row, {max(gaps) / rate_hz:.2f} s"
         return None, replace(report, left_out=reason)
-    known = np.flatnonzero(there)
+    present = np.flatnonzero(there)
     seen = np.array([scan.points_mm for scan in found if scan is not None], dtype=np.float32)
-    after = np.clip(np.searchsorted(known, np.arange(len(found))), 0, len(known) - 1)
+    # For each scan the nearest known ones: at or after it, and before it; itself if it is known.
+    after = np.clip(np.searchsorted(present, np.arange(len(found))), 0, len(present) - 1)
     before = np.clip(after - 1, 0, None)
-    before = np.where(known[after] <= np.arange(len(found)), after, before)
-    length = np.maximum(known[after] - known[before], 1)
-    share = np.clip((np.arange(len(found)) - known[before]) / length, 0.0, 1.0)
+    before = np.where(present[after] <= np.arange(len(found)), after, before)
+    length = np.maximum(present[after] - present[before], 1)
+    share = np.clip((np.arange(len(found)) - present[before]) / length, 0.0, 1.0)
     points = seen[before] + share[:, None, None].astype(np.float32) * (seen[after] - seen[before])
-    notes = (f"{sum(holes)} scans bridged",) if holes else ()
+    notes = (f"{sum(gaps)} scans bridged",) if gaps else ()
     return RegisteredTake(take, points.astype(np.float32)), replace(report, notes=notes)
 
 

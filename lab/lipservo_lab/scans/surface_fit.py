@@ -1,19 +1,21 @@
-"""A mesh is bent onto a scan: feature markers first, then closest points with smoothness.
+"""Bend a mesh onto a scan: feature markers first, then closest points with smoothness.
 
 The displacement u of the template's vertices, in the pose of the head, minimises
 
     sum_v A_v w_v (n_v . (x_v + u_v - q_v))^2  +  m sum_k |x_k + u_k - p_k|^2
         +  l^4 u' (L' S M^-1 L - k L) u
 
-with q_v the point of the scan nearest to vertex v and n_v its normal (Chen and Medioni, "Object
-modelling by registration of multiple range images", 1992), A_v the area round the vertex, p_k the
-markers, and the bending and stretching of a thin shell (`lipsync.twin.head_surface`). Closest
-points are looked for anew, and the length l, below which the shell hardly bends, is shortened from
-coarse to fine, as by Amberg, Romdhani and Vetter ("Optimal step nonrigid ICP algorithms for surface
-registration", CVPR 2007). Distances along the surface count nothing: there the shell alone holds
-the vertices, which neither lets them slide as nearest points do nor holds them back.
+with x_v the vertex at rest, q_v the point of the scan nearest to it and n_v its normal (Chen and
+Medioni, "Object modelling by registration of multiple range images", 1992), w_v a weight that is
+small for distant points, A_v the area round the vertex, p_k the markers, and the bending and
+stretching of a thin shell (`lipsync.twin.head_surface`): L the cotangent Laplacian, M the areas, S
+the stiffness. Closest points are searched anew in rounds, and the length l, below which the shell
+hardly bends, is shortened from coarse to fine, as by Amberg, Romdhani and Vetter ("Optimal step
+nonrigid ICP algorithms for surface registration", CVPR 2007). Distances along the surface do not
+count: there the shell alone holds the vertices, so that they neither slide as with nearest points,
+nor are held back.
 
-Scans of one person, one after the other, onto one mesh.
+`Registration` does so for scans of one person, one after the other, onto one mesh.
 """
 
 from collections.abc import Sequence
@@ -31,40 +33,45 @@ from lipservo_lab.scans.scan import Scan, ScanError, vertex_normals
 from lipsync.arrays import Array, Indices
 from lipsync.twin.head_surface import cotangent_laplacian
 
-#: k, per square mm: a tenth of the twin's, which holds motion along the surface back.
+#: k, per square mm: a tenth of the twin's, which would hold back motion along the surface.
 _MEMBRANE_PER_MM2 = 0.005
-#: S in the upper face, against 1 below: speech bends it little, and it would slide otherwise.
+#: S in the upper face, against 1 below: speech hardly bends it, and otherwise it would slide.
 _UPPER_STIFFNESS = 30.0
-#: A surface is matched where it looks the same way, and not across its edge or a hole.
+#: Surfaces match if their normals are this similar; and if the nearest point is not at the scan's
+#: edge or a hole: at most so many point spacings aside.
 _LEAST_COSINE = 0.5
 _WITHIN_SPACINGS = 4.0
-#: m, in square mm of surface that a marker weighs as much as.
+#: m: a marker weighs as much as so many square mm of surface.
 _MARKER_MM2 = 20.0
-#: Keeps what nothing holds in its place.
+#: Weight that keeps vertices in place which nothing else holds.
 _DAMPING = 1e-4
 #: Steps of conjugate gradients for each set of closest points.
 _STEPS = 16
-#: Distances beyond this many medians count less and less.
+#: Distances beyond this many medians, and this many mm, have small weights.
 _FAR, _LEAST_FAR_MM = 3.0, 0.6
 
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """l, how many times closest points are looked for, and how far away."""
+    """One step from coarse to fine.
+
+    length_mm: l of the energy. n_rounds: searches of closest points. reach_mm: their largest
+    distance.
+    """
 
     length_mm: float
     n_rounds: int
     reach_mm: float
 
 
-#: For a face whose shape is known, and for a stranger's.
+#: For a face of known shape, and for that of a new person.
 LEVELS = (Level(10.0, 3, 15.0), Level(5.0, 3, 6.0), Level(3.0, 3, 3.0))
 STRANGER_LEVELS = (Level(30.0, 6, 25.0), Level(12.0, 6, 15.0), *LEVELS)
 
 
 @dataclass(frozen=True, slots=True)
 class Markers:
-    """Vertices (k,) of the template and where they were seen in the scan, (k, 3) in mm."""
+    """Vertices (k,) of the template, and their places in the scan, (k, 3) mm."""
 
     vertices: Indices
     seen_mm: Array
@@ -72,10 +79,11 @@ class Markers:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """displacement_mm (n, 3) in the pose of the head, and the pose in the scan.
+    """A template that was fitted to a scan.
 
-    matched (n,): whether a vertex has its surface in the scan; off_mm (n,): how far the surface of
-    the scan is from it, along the normal; meaningless where there is none.
+    displacement_mm: (n, 3), in the pose of the head. pose: of the head in the scan. matched: (n,),
+    whether a vertex has its surface in the scan; off_mm: (n,), distance of the scan's surface from
+    it along the normal, meaningless without a match.
     """
 
     displacement_mm: Array
@@ -85,9 +93,10 @@ class Fit:
 
 
 class SurfaceFit:
-    """Bends one template onto scans; what all scans have in common is factorised once."""
+    """Fits one template to scans; what all scans share of the equations is factorised once."""
 
     def __init__(self, template: Template, levels: Sequence[Level] = LEVELS) -> None:
+        """Factorise the equations of the template for each level."""
         self._template = template
         self._levels = levels
         laplacian, areas = cotangent_laplacian(template.vertices_mm, template.triangles)
@@ -100,7 +109,7 @@ class SurfaceFit:
             self._factors = [self._factorised(level.length_mm) for level in levels]
 
     def _factorised(self, length_mm: float) -> Any:
-        """Factorise the shell with every vertex held in all directions: the preconditioner."""
+        """Factorise the shell with all vertices held in all directions, as a preconditioner."""
         held = length_mm**4 * self._shell + sparse.diags_array(self._areas)
         return splu(
             sparse.csc_array(held),
@@ -112,14 +121,14 @@ class SurfaceFit:
     def fit(
         self, scan: Scan, pose: Pose, start_mm: Array | None = None, markers: Markers | None = None
     ) -> Fit:
-        """Fit the template to a scan from a pose that is nearly right.
+        """Fit the template to a scan, from a pose that is nearly right.
 
         Parameters
         ----------
         scan : Scan
             The scan.
         pose : Pose
-            Of the face in it.
+            Of the face in the scan.
         start_mm : Array | None
             (n, 3), a displacement to begin with; None: 0.
         markers : Markers | None
@@ -131,20 +140,22 @@ class SurfaceFit:
             Displacements (n, 3) mm.
         """
         rest = self._template.vertices_mm
-        moved = np.zeros_like(rest) if start_mm is None else start_mm
+        shift_mm = np.zeros_like(rest) if start_mm is None else start_mm
         tree = cKDTree(scan.points_mm)
         still = self._template.still
         with threadpool_limits(limits=1):
             for level, factors in zip(self._levels, self._factors, strict=True):
                 for _ in range(level.n_rounds):
-                    match = self._match(moved, pose, scan, tree, level.reach_mm)
-                    moved = self._solved(moved, match, level.length_mm, factors, pose, markers)
-                    turn = rigid_motion((rest + moved)[still], rest[still])
-                    moved = (rest + moved) @ turn[0].T + turn[1] - rest
+                    match = self._match(shift_mm, pose, scan, tree, level.reach_mm)
+                    shift_mm = self._solve(shift_mm, match, level.length_mm, factors, pose, markers)
+                    # Motion of the upper face is motion of the head: it goes from the displacement
+                    # to the pose.
+                    turn = rigid_motion((rest + shift_mm)[still], rest[still])
+                    shift_mm = (rest + shift_mm) @ turn[0].T + turn[1] - rest
                     pose = pose.after(*turn)
-        match = self._match(moved, pose, scan, tree, self._levels[-1].reach_mm)
-        off_mm = ((match.nearest - rest - moved) * match.normals).sum(axis=1)
-        return Fit(moved, pose, match.found, off_mm)
+        match = self._match(shift_mm, pose, scan, tree, self._levels[-1].reach_mm)
+        off_mm = ((match.nearest - rest - shift_mm) * match.normals).sum(axis=1)
+        return Fit(shift_mm, pose, match.found, off_mm)
 
     def _match(
         self, moved: Array, pose: Pose, scan: Scan, tree: cKDTree, reach_mm: float
@@ -152,23 +163,23 @@ class SurfaceFit:
         """Return each vertex's nearest point of the scan, its normal, and whether they match.
 
         moved: (n, 3) mm, displacement of the template so far. A match lies within `reach_mm`, faces
-        the same way, and is not beyond a hole's or the scan's edge.
+        the same way, and is not beyond the edge of a hole or of the scan.
         """
-        places = self._template.vertices_mm + moved
-        in_scan = pose.in_scan(places)
-        distances, at = tree.query(in_scan, distance_upper_bound=reach_mm)
-        found = np.isfinite(distances)
-        at = np.where(found, at, 0)
-        normals = scan.normals[at]
-        across = in_scan - scan.points_mm[at]
-        across = across - (across * normals).sum(axis=1, keepdims=True) * normals
+        places_mm = self._template.vertices_mm + moved
+        in_scan = pose.in_scan(places_mm)
+        distances, nearest = tree.query(in_scan, distance_upper_bound=reach_mm)
+        is_match = np.isfinite(distances)
+        nearest = np.where(is_match, nearest, 0)
+        normals = scan.normals[nearest]
+        aside_mm = in_scan - scan.points_mm[nearest]
+        aside_mm = aside_mm - (aside_mm * normals).sum(axis=1, keepdims=True) * normals
         normals = normals @ pose.rotation
-        alike = (vertex_normals(places, self._template.triangles) * normals).sum(axis=1)
-        found &= alike > _LEAST_COSINE
-        found &= np.linalg.norm(across, axis=1) < _WITHIN_SPACINGS * scan.spacing_mm
-        return _Match(pose.on_face(scan.points_mm[at]), normals, found)
+        cosine = (vertex_normals(places_mm, self._template.triangles) * normals).sum(axis=1)
+        is_match &= cosine > _LEAST_COSINE
+        is_match &= np.linalg.norm(aside_mm, axis=1) < _WITHIN_SPACINGS * scan.spacing_mm
+        return _Match(pose.on_face(scan.points_mm[nearest]), normals, is_match)
 
-    def _solved(
+    def _solve(
         self,
         moved: Array,
         match: "_Match",
@@ -179,54 +190,55 @@ class SurfaceFit:
     ) -> Array:
         """Return the displacement (n, 3), mm, that minimises the energy of the module's docstring.
 
-        Solved by conjugate gradients from `moved` on, `_STEPS` at most. Matches that are far off,
-        beside the median, count less. length_mm: below it the shell hardly bends.
+        Solved by conjugate gradients from `moved` on, `_STEPS` at most. Matches that are much
+        farther off than the median weigh less. length_mm: l. factors: preconditioner of
+        `_factorised`.
         """
         rest, n = self._template.vertices_mm, len(moved)
         normals = match.normals
-        off = ((match.nearest - rest - moved) * normals).sum(axis=1)
-        typical = float(np.median(np.abs(off[match.found]))) if match.found.any() else 0.0
-        far = max(_FAR * typical, _LEAST_FAR_MM)
-        weights = self._areas * match.found / (1.0 + (off / far) ** 2)
-        right = (weights * ((match.nearest - rest) * normals).sum(axis=1))[:, None] * normals
-        held = np.full(n, _DAMPING) * self._areas
+        off_mm = ((match.nearest - rest - moved) * normals).sum(axis=1)
+        median_mm = float(np.median(np.abs(off_mm[match.found]))) if match.found.any() else 0.0
+        far_mm = max(_FAR * median_mm, _LEAST_FAR_MM)
+        weights = self._areas * match.found / (1.0 + (off_mm / far_mm) ** 2)
+        rhs = (weights * ((match.nearest - rest) * normals).sum(axis=1))[:, None] * normals
+        holding = np.full(n, _DAMPING) * self._areas
         if markers is not None:
-            held[markers.vertices] += _MARKER_MM2
-            wanted = pose.on_face(markers.seen_mm) - rest[markers.vertices]
-            right[markers.vertices] += _MARKER_MM2 * wanted
+            holding[markers.vertices] += _MARKER_MM2
+            target_mm = pose.on_face(markers.seen_mm) - rest[markers.vertices]
+            rhs[markers.vertices] += _MARKER_MM2 * target_mm
         shell = length_mm**4 * self._shell
 
-        def applied(flat: Array) -> Array:
+        def apply(flat: Array) -> Array:
             u = flat.reshape(n, 3)
             along = weights * (u * normals).sum(axis=1)
-            return np.asarray(shell @ u + along[:, None] * normals + held[:, None] * u).ravel()
+            return np.asarray(shell @ u + along[:, None] * normals + holding[:, None] * u).ravel()
 
-        def preconditioned(flat: Array) -> Array:
+        def precondition(flat: Array) -> Array:
             return np.asarray(factors.solve(flat.reshape(n, 3))).ravel()
 
         size = (3 * n, 3 * n)
         solved, _ = cg(
-            LinearOperator(size, matvec=applied),
-            right.ravel(),
+            LinearOperator(size, matvec=apply),
+            rhs.ravel(),
             x0=moved.ravel(),
             maxiter=_STEPS,
-            M=LinearOperator(size, matvec=preconditioned),
+            M=LinearOperator(size, matvec=precondition),
         )
         return np.asarray(solved.reshape(n, 3), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class _Match:
-    """For each vertex: the nearest point of the scan and its normal, on the face; found (n,)."""
+    """For each vertex the nearest point of the scan and its normal, on the face; found: (n,)."""
 
     nearest: Array
     normals: Array
     found: np.ndarray
 
 
-#: Where the head is not found, the face is farther from the scan than any mouth moves.
+#: A face farther from the scan was not found: no mouth moves so far.
 _LOST_MM = 8.0
-#: Worse scans teach nothing.
+#: Scans with a smaller share matched, or a larger median error, are left out.
 _LEAST_MATCHED, _MOST_ERROR_MM = 0.5, 1.0
 #: A head that seems smaller or larger than this was not found.
 _SCALES = (0.7, 1.4)
@@ -234,19 +246,22 @@ _SCALES = (0.7, 1.4)
 
 @dataclass(frozen=True, slots=True)
 class RegisteredScan:
-    """points_mm (n_vertices, 3): in the pose of the head; fit: the rest of what is known."""
+    """A scan as points of the mesh.
+
+    points_mm: (n_vertices, 3), head motion removed. fit: pose, matches and distances.
+    """
 
     points_mm: Array
     fit: Fit
 
     @property
     def in_scan_mm(self) -> Array:
-        """The places of the same points in the scan, with head motion.
+        """The same points in the scan, with head motion.
 
         Returns
         -------
         Array
-            (n_vertices, 3).
+            (n_vertices, 3) mm.
         """
         return self.fit.pose.in_scan(self.points_mm)
 
@@ -257,7 +272,7 @@ class RegisteredScan:
 
     @property
     def errors_mm(self) -> Array:
-        """Distances along the normal.
+        """Distances from mesh to scan along the normal, of vertices that match.
 
         Returns
         -------
@@ -268,9 +283,10 @@ class RegisteredScan:
 
 
 def worn_template(template: Template, neutral: Scan, markers: Markers | None = None) -> Template:
-    """The template in the shape and size of the person of a neutral scan; names stay.
+    """Return the template in the shape and size of a person.
 
-    Raises ScanError for a scan that the template does not fit.
+    neutral: a scan of the person at rest. Raises ScanError for a scan that the template does not
+    fit.
     """
     pose = find_pose(template.vertices_mm, neutral, scaled=True)
     if not _SCALES[0] < pose.scale < _SCALES[1]:
@@ -283,7 +299,7 @@ def worn_template(template: Template, neutral: Scan, markers: Markers | None = N
 
 
 def check_registered(scan: RegisteredScan) -> None:
-    """Raises ScanError for a mesh that is not the scan."""
+    """Raise ScanError if too little of the mesh is in the scan, or it is too far off."""
     if scan.matched < _LEAST_MATCHED:
         raise ScanError(f"only {scan.matched:.0%} of the face is in the scan")
     error_mm = float(np.median(scan.errors_mm))
@@ -292,20 +308,26 @@ def check_registered(scan: RegisteredScan) -> None:
 
 
 class Registration:
-    """Registers scan after scan, each from where the one before was."""
+    """Registers scans one after the other, each from the displacement of the one before."""
 
     def __init__(self, template: Template) -> None:
-        """template: of the person, see `worn_template`."""
+        """Prepare to register scans.
+
+        template: in the shape of the person, see `worn_template`.
+        """
         self._template = template
         self._fit = SurfaceFit(template)
         self.begin()
 
     def begin(self) -> None:
-        """A new take: the next scan is found from the face at rest."""
+        """Begin a new take: its first scan is fitted from the face at rest."""
         self._moved: Array | None = None
 
     def register(self, scan: Scan, markers: Markers | None = None) -> RegisteredScan:
-        """Raises ScanError for a scan whose face is not found, or hardly there."""
+        """Return a scan registered to the mesh.
+
+        Raises ScanError if no face is found in it, or too little of one.
+        """
         rest = self._template.vertices_mm
         moved = np.zeros_like(rest) if self._moved is None else self._moved
         pose = find_pose(rest + moved, scan)

@@ -1,6 +1,6 @@
-"""Which takes of scans a folder holds, and what lies beside them: sound, words, labels, markers.
+"""Takes of scans in a folder, with their files: sound, words, labels, markers.
 
-The phonemes of a take and their times: its labels, else its text, else as it is recognised.
+The phonemes of a take and their times are from its labels, else its text, else recognised.
 """
 
 import re
@@ -22,9 +22,9 @@ _SOUND_ENDINGS = (".wav", ".flac")
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """Scans in order of time; None for what is not there.
+    """Scans in order of time, and the take's files; None for a missing one.
 
-    text: its words. labels: a TextGrid with phones. markers: where named points were seen.
+    text: its words. labels: a TextGrid with phones. markers: a CSV file of named points.
     """
 
     name: str
@@ -36,17 +36,17 @@ class Take:
 
 
 def find_takes(folder: Path, template: Path | None = None) -> tuple[Take, ...]:
-    """Return every sub-folder with scans, else the folder itself as one take, in order of names.
+    """Return a take for every sub-folder with scans, or else the folder itself as one take.
 
-    Scans are in order of the numbers in their names. Beside the sub-folder NAME may lie NAME.wav or
-    .flac, NAME.txt, NAME.TextGrid and NAME.markers.csv; of a folder that is one take they lie in
-    it. template: a file that is no scan of a take, wherever it lies. Raises ScanError for a folder
-    that is missing, without scans, or with a single one.
+    Takes are in order of names, scans in order of the numbers in their names. A sub-folder NAME may
+    have NAME.wav or .flac, NAME.txt, NAME.TextGrid and NAME.markers.csv beside it; a folder that is
+    one take has them inside. template: a file that is not a scan of a take, wherever it is. Raises
+    ScanError for a folder that is missing, without scans, or with a single one.
     """
     if not folder.is_dir():
         raise ScanError(f"{folder}: no such folder; give one of scans (.ply, .obj)")
-    inner = sorted(each for each in folder.iterdir() if each.is_dir())
-    takes = [_take(each, folder, each.name, template) for each in inner]
+    subfolders = sorted(subfolder for subfolder in folder.iterdir() if subfolder.is_dir())
+    takes = [_take(subfolder, folder, subfolder.name, template) for subfolder in subfolders]
     takes = [take for take in takes if take.scans]
     if not takes:
         takes = [_take(folder, folder, folder.resolve().name, template)]
@@ -78,31 +78,32 @@ def _take(scans: Path, beside: Path, name: str, template: Path | None) -> Take:
         raise ScanError(f"{text}: cannot be read as text (UTF-8): {error}") from error
     return Take(
         name,
-        tuple(sorted(found, key=lambda path: _in_order(path.stem))),
-        next((each for each in sounds if each.is_file()), None),
+        tuple(sorted(found, key=lambda path: _numerical_key(path.stem))),
+        next((sound for sound in sounds if sound.is_file()), None),
         text_line or None,
-        _there(beside / f"{name}.TextGrid"),
-        _there(beside / f"{name}.markers.csv"),
+        _if_file(beside / f"{name}.TextGrid"),
+        _if_file(beside / f"{name}.markers.csv"),
     )
 
 
-def _there(path: Path) -> Path | None:
+def _if_file(path: Path) -> Path | None:
+    """Return the path if it is a file, else None."""
     return path if path.is_file() else None
 
 
-def _in_order(name: str) -> tuple[tuple[int, str], ...]:
-    """Sort key that puts scan_9 before scan_10."""
+def _numerical_key(name: str) -> tuple[tuple[int, str], ...]:
+    """Return a sort key that puts scan_9 before scan_10."""
     parts = re.split(r"(\d+)", name)
     return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts)
 
 
-#: As a corpus's reader allows.
+#: Allowed difference of sound and scans, as in the reader of a corpus.
 _LENGTH_TOLERANCE_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class TakeSound:
-    """samples (n,) at 16 kHz; tiers of a TextGrid; source: `labels`, `text` or `recognised`."""
+    """Samples (n,) at 16 kHz, tiers of a TextGrid, and their source: labels, text or recognised."""
 
     samples: NDArray[np.float32]
     tiers: dict[str, tuple[Interval, ...]]
@@ -110,10 +111,10 @@ class TakeSound:
 
 
 def take_sound(take: Take, rate_hz: float) -> TakeSound:
-    """Return sound and labels of a take that has a sound.
+    """Return the sound and labels of a take.
 
-    Raises ScanError for sound that is not as long as the scans, or labels without phones; UserError
-    for a sound, labels or text that cannot be used.
+    Raises ScanError for a take without sound, for a sound that is not as long as the scans, and for
+    labels without phones; UserError for a sound, labels or text that cannot be used.
     """
     if take.sound is None:
         raise ScanError(
@@ -135,5 +136,5 @@ def take_sound(take: Take, rate_hz: float) -> TakeSound:
     if not has_phones(labels):
         raise ScanError(f"{take.labels}: no tier 'phones'")
     events = read_phonemes(take.labels, sound_s)
-    phones = tuple((each.phoneme, each.start_s, each.end_s or each.start_s) for each in events)
+    phones = tuple((event.phoneme, event.start_s, event.end_s or event.start_s) for event in events)
     return TakeSound(samples, labels | {"phones": phones}, "labels")

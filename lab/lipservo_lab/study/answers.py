@@ -1,7 +1,7 @@
-"""The answers of a study: one line of JSON each, appended, on the disk before it is confirmed.
+"""The answers of a study: one line of JSON each, on the disk before the answer is confirmed.
 
-One server writes them, which holds a lock on the file. What a crash or a full disk left of a line
-was never confirmed: it is laid beside the file, and the rater's page asks again.
+One server appends them; it holds a lock on the file. An incomplete last line, left by a crash or a
+full disk, was never confirmed: it is moved to another file, and the rater's page sends it again.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from lipservo_lab.study.sheets import StudyError
 
-#: What a rater may type of a sentence; no sentence is longer.
+#: Most characters that a rater may type for a sentence; no sentence is longer.
 MOST_CHARACTERS: Final = 500
 TORN_SUFFIX: Final = ".torn"
 _MOST_RATERS: Final = 10_000
@@ -27,7 +27,11 @@ Record = Mapping[str, Any]
 
 @dataclass(slots=True)
 class RaterRecord:
-    """One rater. answers: records by the number of the item; sheet: the number of theirs."""
+    """One rater.
+
+    sheet: number of the rater's sheet. answers: records by the number of the item on it. has_left:
+    whether the rater withdrew the answers.
+    """
 
     sheet: int
     answers: dict[int, Record] = field(default_factory=dict)
@@ -36,9 +40,10 @@ class RaterRecord:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What a file holds. torn: bytes at its end that are no whole line.
+    """The content of an answer file.
 
-    is_simulated: by a rehearsal.
+    raters: by name. torn: bytes at its end that are no whole line. is_simulated: whether a
+    rehearsal wrote it.
     """
 
     raters: dict[str, RaterRecord]
@@ -47,15 +52,19 @@ class Answers:
 
 
 class AlreadyAnsweredError(StudyError):
-    """Another answer was given to this item before."""
+    """The item has another answer already."""
 
 
 class UnknownRaterError(StudyError):
-    """No such rater has consented."""
+    """No rater of this name has consented."""
 
 
 def parse_answers(path: Path, content: bytes, identity: str) -> Answers:
-    """Read the lines of a study's file. Raises StudyError, naming the line, for a damaged one."""
+    """Return the answers in the content of a study's file.
+
+    identity: of the study. Raises StudyError, naming the line, for a damaged line, and for answers
+    of another study.
+    """
     *lines, torn = content.split(b"\n")
     raters: dict[str, RaterRecord] = {}
     is_simulated = False
@@ -68,7 +77,7 @@ def parse_answers(path: Path, content: bytes, identity: str) -> Answers:
                     "it away, or name the other study"
                 )
             is_simulated |= "simulated" in record
-            _add(raters, record)
+            _apply_record(raters, record)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, StudyError):
                 raise
@@ -79,7 +88,7 @@ def parse_answers(path: Path, content: bytes, identity: str) -> Answers:
 
 
 def read_answers(path: Path, identity: str) -> Answers:
-    """Read a file while it is written or after. Raises StudyError."""
+    """Read a file of answers, also while a server writes it. Raises StudyError."""
     try:
         return parse_answers(path, path.read_bytes(), identity)
     except OSError as error:
@@ -99,12 +108,12 @@ def line_of(record: Record) -> bytes:
 
 
 def now() -> str:
-    """The time to the second, UTC."""
+    """Return the present time to the second, UTC."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def _add(raters: dict[str, RaterRecord], record: Record) -> None:
-    """Apply one line of the answer file to the raters, by name; KeyError for an unknown rater."""
+def _apply_record(raters: dict[str, RaterRecord], record: Record) -> None:
+    """Apply one record of the answer file to `raters`, by name; KeyError for an unknown rater."""
     match record["kind"]:
         case "join":
             raters[record["rater"]] = RaterRecord(int(record["sheet"]))
@@ -115,12 +124,15 @@ def _add(raters: dict[str, RaterRecord], record: Record) -> None:
 
 
 class AnswerFile:
-    """The file of the one server of a study; its methods may be called from any thread."""
+    """The answer file of the one server of a study.
+
+    Its methods may be called from any thread. raters: by name.
+    """
 
     def __init__(self, path: Path, identity: str) -> None:
         """Open or make the answer file and lock it.
 
-        Raises StudyError: another server has it, or it cannot be used.
+        Raises StudyError if another server has it, if it is damaged, or if it cannot be used.
         """
         self.path = path
         self._lock = threading.Lock()
@@ -133,10 +145,10 @@ class AnswerFile:
             content = path.read_bytes()
             answers = parse_answers(path, content, identity)
             self.raters = answers.raters
-            #: So many bytes at the end were no whole line.
+            #: Bytes at the end that were no whole line.
             self.n_torn = len(answers.torn)
             if answers.torn:
-                self._lay_beside(answers.torn)
+                self._save_torn(answers.torn)
                 os.ftruncate(self._file, len(content) - len(answers.torn))
             if len(content) == len(answers.torn):
                 self._append(first_record(identity))
@@ -159,51 +171,54 @@ class AnswerFile:
         os.close(self._file)
 
     def rater(self, name: str) -> RaterRecord:
-        """Return a rater's record. Raises UnknownRaterError."""
+        """Return the record of a rater by name. Raises UnknownRaterError."""
         try:
             return self.raters[name]
         except KeyError:
             raise UnknownRaterError(f"rater {name} has not begun here; begin anew") from None
 
     def join(self, name: str, n_sheets: int) -> RaterRecord:
-        """A rater who consented gets the next sheet; one who is known keeps theirs.
+        """Return the record of a rater who consented; a new rater gets the next sheet.
 
-        Raises StudyError where it cannot be written.
+        Raises StudyError if it cannot be written, or if there are too many raters.
         """
         with self._lock:
             if name not in self.raters:
                 if len(self.raters) >= _MOST_RATERS:
                     raise StudyError(f"{self.path}: has {_MOST_RATERS} raters, and takes no more")
                 sheet = len(self.raters) % n_sheets
-                self._keep({"kind": "join", "rater": name, "sheet": sheet, "at": now()})
+                self._store({"kind": "join", "rater": name, "sheet": sheet, "at": now()})
             return self.raters[name]
 
-    def answer(self, name: str, number: int, given: Record) -> None:
-        """Keep an answer; the same one again is none.
+    def answer(self, name: str, number: int, fields: Record) -> None:
+        """Store an answer; the same answer to the same item again changes nothing.
 
-        given: `answer`, and what else is known of how it came. Raises UnknownRaterError,
-        AlreadyAnsweredError, and StudyError where it cannot be written.
+        number: of the item. fields: `answer`, `seconds`, `plays`. Raises UnknownRaterError,
+        AlreadyAnsweredError for another answer than before, and StudyError if it cannot be written.
         """
         with self._lock:
-            before = self.rater(name).answers.get(number)
-            if before is not None:
-                if before["answer"] == given["answer"]:
+            earlier = self.rater(name).answers.get(number)
+            if earlier is not None:
+                if earlier["answer"] == fields["answer"]:
                     return
                 raise AlreadyAnsweredError(f"rater {name}: item {number + 1} has an answer already")
-            self._keep({"kind": "answer", "rater": name, "number": number, **given, "at": now()})
+            self._store({"kind": "answer", "rater": name, "number": number, **fields, "at": now()})
 
     def leave(self, name: str) -> None:
-        """Note that a rater leaves: none of their answers shall count. Raises as `answer`."""
+        """Note that a rater leaves: none of that rater's answers count.
+
+        Raises UnknownRaterError, and StudyError if it cannot be written.
+        """
         with self._lock:
             if not self.rater(name).has_left:
-                self._keep({"kind": "leave", "rater": name, "at": now()})
+                self._store({"kind": "leave", "rater": name, "at": now()})
 
-    def _keep(self, record: Record) -> None:
+    def _store(self, record: Record) -> None:
         self._append(record)
-        _add(self.raters, record)
+        _apply_record(self.raters, record)
 
     def _append(self, record: Record) -> None:
-        """Append a record: on the disk whole, or not in the file. Raises StudyError."""
+        """Append a record: completely on the disk, or not in the file at all. Raises StudyError."""
         line = line_of(record)
         size = os.fstat(self._file).st_size
         try:
@@ -215,7 +230,8 @@ class AnswerFile:
                 os.ftruncate(self._file, size)
             raise StudyError(f"{self.path}: the answer was not stored: {error.strerror}") from error
 
-    def _lay_beside(self, torn: bytes) -> None:
+    def _save_torn(self, torn: bytes) -> None:
+        """Append bytes of an incomplete line to the file of the same name with `TORN_SUFFIX`."""
         with self.path.with_name(self.path.name + TORN_SUFFIX).open("ab") as file:
             file.write(torn + b"\n")
             file.flush()

@@ -1,8 +1,8 @@
-"""What counts of the answers: whose they are, and as arrays of ratings, pairs and words read.
+"""Which raters of a study count, and their answers as arrays of ratings, pairs and words read.
 
-The rules for leaving raters out are fixed before anybody has answered; none asks what a rater
-thinks of our method. Only `inverted` looks at opinions: a rater whose scale runs against that of
-all others together.
+The rules for leaving raters out are fixed before anyone has answered; none depends on what a rater
+thinks of our method. Only `inverted` uses opinions: a rater whose ratings fall where those of all
+others together rise.
 """
 
 import re
@@ -18,7 +18,7 @@ from lipservo_lab.study.sheets import FIRST, Clip, Key, Study
 from lipsync.arrays import Array, Indices
 
 Reason = Literal["left", "unfinished", "checks", "alike", "hasty", "inverted"]
-#: What the report says of each.
+#: Text of each reason in the report.
 REASONS: Final[Mapping[Reason, str]] = {
     "left": "took their answers back",
     "unfinished": "did less than half",
@@ -31,19 +31,19 @@ _LEAST_DONE = _WRONG_CHECKS = 0.5
 _ALIKE, _HASTY = 0.9, 0.1
 _NAMES = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 _DIGITS: Final = {str(n): name for n, name in enumerate(_NAMES)}
-#: A share of fewer answers says nothing.
+#: With fewer answers no share is tested.
 _FEWEST = 8
 _INVERTED_P = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Tables:
-    """Answers as arrays, a row for each; numbers of methods, raters and sentences are in the lists.
+    """Answers as arrays, one row each, of indices into `raters`, `sentences` and `methods`.
 
-    ratings: rater, sentence, method, and `points`. pairs: rater, sentence, the method that was
-    chosen, the one that was not. readings: rater, sentence, method, and of the sentence's words
-    those read right (`hits`), how many there are, and how many would be right by chance: of the
-    words of all other sentences that are read, in place of these.
+    ratings: rater, sentence, method; points: of each rating. pairs: rater, sentence, the chosen
+    method, the other one. readings: rater, sentence, method; words: for each reading the words read
+    correctly, the words of the sentence, and the words that would be correct by chance: the mean
+    over all other sentences that are read, compared with the same answer.
     """
 
     methods: tuple[str, ...]
@@ -58,10 +58,10 @@ class Tables:
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """What is reported. left_out: the reason, by rater.
+    """The answers that are reported.
 
-    all_tables: with all raters but those who left or did not finish, so that one sees what
-    difference the rules make.
+    tables: of the raters who count. all_tables: of all raters but those who left or did not finish,
+    so that the report shows what difference the rules make. left_out: reason by rater.
     """
 
     tables: Tables
@@ -71,7 +71,7 @@ class Counted:
 
 
 def counted(study: Study, key: Key, answers: Answers) -> Counted:
-    """Decide for every rater whether to count them, and gather the answers of those who count."""
+    """Decide for every rater whether to count them, and collect the answers as tables."""
     left_out = {
         name: reason
         for name, rater in answers.raters.items()
@@ -81,25 +81,25 @@ def counted(study: Study, key: Key, answers: Answers) -> Counted:
     for name in _inverted(tables_of(study, key, careful)):
         left_out[name] = "inverted"
     kept = {name: r for name, r in careful.items() if name not in left_out}
-    present = {
+    finished = {
         name: r
         for name, r in answers.raters.items()
         if left_out.get(name) not in ("left", "unfinished")
     }
     return Counted(
-        tables_of(study, key, kept), tables_of(study, key, present), left_out, len(answers.raters)
+        tables_of(study, key, kept), tables_of(study, key, finished), left_out, len(answers.raters)
     )
 
 
 def _carelessness(study: Study, rater: RaterRecord) -> Reason | None:
-    """Return the first reason not to count a rater; None: there is none."""
+    """Return the first reason not to count a rater, by that rater alone; None: there is none."""
     items = study.sheets[rater.sheet]
     if rater.has_left:
         return "left"
     if len(rater.answers) < _LEAST_DONE * len(items):
         return "unfinished"
     points: list[int] = []
-    in_time: list[bool] = []
+    is_in_time: list[bool] = []
     checks: list[bool] = []
     for number, record in rater.answers.items():
         item = items[number]
@@ -109,33 +109,36 @@ def _carelessness(study: Study, rater: RaterRecord) -> Reason | None:
             points.append(record["answer"])
         if item.clips:
             shown_s = sum(study.duration_s[clip] for clip in item.clips)
-            in_time.append(float(record["seconds"]) >= shown_s)
+            is_in_time.append(float(record["seconds"]) >= shown_s)
     if checks and checks.count(False) >= _WRONG_CHECKS * len(checks) and checks.count(False) > 1:
         return "checks"
     if len(points) >= _FEWEST and max(map(points.count, points)) >= _ALIKE * len(points):
         return "alike"
-    if len(in_time) >= _FEWEST and in_time.count(False) >= _HASTY * len(in_time):
+    if len(is_in_time) >= _FEWEST and is_in_time.count(False) >= _HASTY * len(is_in_time):
         return "hasty"
     return None
 
 
 def _inverted(tables: Tables) -> list[str]:
-    """Return raters whose ratings fall where the means of all others rise, beyond chance."""
+    """Return raters whose ratings fall where the means of all others rise.
+
+    By a correlation below 0 with p < .01, over that rater's ratings.
+    """
     n_methods, found = len(tables.methods), []
     raters, methods = tables.ratings[:, 0], tables.ratings[:, 2]
     sums, counts = np.zeros((2, len(tables.raters), n_methods))
     np.add.at(sums, (raters, methods), tables.points)
     np.add.at(counts, (raters, methods), 1.0)
     for number, name in enumerate(tables.raters):
-        own = raters == number
+        is_own = raters == number
         others = counts.sum(axis=0) - counts[number]
-        if own.sum() < _FEWEST or (others == 0).any():
+        if is_own.sum() < _FEWEST or (others == 0).any():
             continue
         means = (sums.sum(axis=0) - sums[number]) / others
-        expected, points = means[methods[own]], tables.points[own]
-        if np.ptp(points) and np.ptp(expected):
-            against = pearsonr(points, expected, alternative="less")
-            if against.pvalue < _INVERTED_P:
+        others_means, points = means[methods[is_own]], tables.points[is_own]
+        if np.ptp(points) and np.ptp(others_means):
+            correlation = pearsonr(points, others_means, alternative="less")
+            if correlation.pvalue < _INVERTED_P:
                 found.append(name)
     return found
 
@@ -143,7 +146,7 @@ def _inverted(tables: Tables) -> list[str]:
 def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tables:
     """Return all answers of some raters as tables.
 
-    The answers must be to items of the study, else an error such as KeyError is raised.
+    raters: by name. Raises KeyError or similar for answers to items that the study does not have.
     """
     names = tuple(raters)
     sentences = tuple(sorted({clip.sentence for clip in key.clips.values()}))
@@ -152,8 +155,8 @@ def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tabl
     read = _read_sentences(study, key)
     ratings, points, pairs, readings, words = [], [], [], [], []
     for number, rater in enumerate(raters.values()):
-        for at, record in rater.answers.items():
-            item, answer = study.sheets[rater.sheet][at], record["answer"]
+        for index, record in rater.answers.items():
+            item, answer = study.sheets[rater.sheet][index], record["answer"]
             if not item.clips:
                 continue
             clips = [key.clips[name] for name in item.clips]
@@ -180,7 +183,7 @@ def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tabl
 
 
 def _read_sentences(study: Study, key: Key) -> dict[str, list[str]]:
-    """The words of every sentence that is read without sound."""
+    """Return the words of every sentence that is shown without sound, by sentence."""
     clips = {
         clip
         for sheet in study.sheets
@@ -197,7 +200,10 @@ def _read_sentences(study: Study, key: Key) -> dict[str, list[str]]:
 def _words_read(
     answer: str, clip: Clip, sentences: Mapping[str, Sequence[str]]
 ) -> tuple[int, int, float]:
-    """Hits, words, and hits by chance."""
+    """Return words read correctly, words of the sentence, and words correct by chance.
+
+    answer: as typed. sentences: words of all sentences shown without sound.
+    """
     typed = words_in(answer)
     others = [words for name, words in sentences.items() if name != clip.sentence]
     by_chance = [words_in_order(typed, words) for words in others]
@@ -212,11 +218,12 @@ def words_in(text: str) -> list[str]:
 
 
 def words_in_order(typed: Sequence[str], sentence_words: Sequence[str]) -> int:
-    """How many words were read right, in their order: the longest common subsequence."""
-    best = [0] * (len(sentence_words) + 1)
+    """Return how many words were read correctly, in order: the longest common subsequence."""
+    # lengths[n]: of the words typed so far and the first n words of the sentence.
+    lengths = [0] * (len(sentence_words) + 1)
     for word in typed:
         before = 0
         for n, other in enumerate(sentence_words, 1):
-            diagonal, before = before, best[n]
-            best[n] = diagonal + 1 if word == other else max(best[n], best[n - 1])
-    return best[-1]
+            diagonal, before = before, lengths[n]
+            lengths[n] = diagonal + 1 if word == other else max(lengths[n], lengths[n - 1])
+    return lengths[-1]

@@ -1,7 +1,7 @@
-"""The folder of a study: its clips, what raters get, the key, and what two lip readers read.
+"""Make the folder of a study: its clips, what raters get, the key, and what two machines read.
 
-The readers sit the part without sound as people do: they were fitted on the recorded words of
-sentences that the study does not show, and read every clip once.
+The machine readers do the part without sound as people do: they were fitted on the recorded words
+of sentences that the study does not show, and read every clip once.
 """
 
 import shutil
@@ -38,14 +38,17 @@ from lipservo_lab.study.shown_methods import FacesOf, vocabulary_of
 from lipsync.arrays import Array
 from lipsync.output_file import write_whole
 
-#: Films faces (n, n_components), of so many a second, with a sound into a file.
+#: Writes a film of faces (n, n_components), so many a second, with the sound of a file, to a path.
 Film = Callable[[Array, float, Path, Path], None]
 Advance = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a study is to be. seed: decides sheets and names of clips."""
+    """Settings of a study.
+
+    seed: determines sheets and names of clips.
+    """
 
     methods: tuple[str, ...]
     size: Size
@@ -58,7 +61,8 @@ class Plan:
 class Material:
     """The sentences of a study, and their faces, made once for film and readers.
 
-    read: held out, to choose from; learned: what the readers are fitted on.
+    read: held-out sentences to choose from; learned: sentences that the readers are fitted on.
+    faces_of: returns the faces of a method for a sentence.
     """
 
     model: TrainedModel
@@ -68,12 +72,12 @@ class Material:
     _made: dict[tuple[str, str], Array] = field(default_factory=dict)
 
     def faces(self, method: str, utterance: Utterance) -> Array:
-        """Return a method's motion of an utterance, made once.
+        """Return a method's motion of a sentence; it is made at the first call.
 
         Parameters
         ----------
         method : str
-            Its name.
+            Name of the method.
         utterance : Utterance
             The sentence.
 
@@ -89,7 +93,7 @@ class Material:
 
 
 def held_out(corpus: Corpus, test: frozenset[str], seed: str) -> tuple[Utterance, ...]:
-    """The test's sentences whose words are known, in an order that the seed decides."""
+    """Return the test sentences whose words are known, in an order that the seed determines."""
     sentences = [u for u in slotted(corpus.utterances) if u.name in test]
     order = np.random.default_rng(list(seed.encode())).permutation(len(sentences))
     return tuple(sentences[i] for i in order)
@@ -100,7 +104,7 @@ def planned_study(
 ) -> tuple[Study, Key]:
     """Plan a study without its clips. Raises StudyError.
 
-    read, learned: sentences, as in `Material`.
+    read, learned: sentences, as in `Material`; the vocabulary is that of `learned`.
     """
     sentences = [
         Sentence(
@@ -125,9 +129,10 @@ def planned_study(
 def write_made_study(
     folder: Path, study: Study, key: Key, material: Material, film: Film, advance: Advance
 ) -> None:
-    """Write the folder of a study whole or not at all.
+    """Write the folder of a study completely or not at all.
 
-    Raises OutputError, and what the film raises.
+    advance: called with clips done and all clips. Raises OutputError, StudyError for a nearly full
+    disk, and what `film` raises.
     """
     by_name = {u.name: u for u in material.read}
     with folder_written_whole(folder) as partial:
@@ -150,9 +155,12 @@ _LEAST_FREE_BYTES = 100_000_000
 
 
 def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
-    """Let each machine reader read each clip that is shown without sound; return the records."""
+    """Let each machine reader read each clip that is shown without sound; return the records.
+
+    Empty if the study shows no clip without sound.
+    """
     by_name = {u.name: u for u in material.read}
-    shown = sorted(
+    clip_names = sorted(
         {
             clip
             for sheet in study.sheets
@@ -161,15 +169,15 @@ def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
             for clip in item.clips
         }
     )
-    if not shown:
+    if not clip_names:
         return []
-    found: list[Record] = []
-    model, fitted = material.model, list(material.learned)
-    slots = range(len(spoken_words(fitted[0])))
+    records: list[Record] = []
+    model, learned = material.model, list(material.learned)
+    slots = range(len(spoken_words(learned[0])))
     for kind in READERS:
-        recorded = {u.name: kind.view(model, u.markers_mm) for u in fitted}
-        reader = fit_reader(kind, fitted, recorded, slots)
-        for name in shown:
+        recorded = {u.name: kind.view(model, u.markers_mm) for u in learned}
+        reader = fit_reader(kind, learned, recorded, slots)
+        for name in clip_names:
             clip = key.clips[name]
             utterance = by_name[clip.sentence]
             faces = material.faces(clip.method, utterance)
@@ -178,5 +186,5 @@ def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
                 str(reader.classifiers[slot].predict(words_of_slot([utterance], seen, slot))[0])
                 for slot in slots
             ]
-            found.append({"reader": kind.name, "clip": name, "answer": " ".join(words).lower()})
-    return found
+            records.append({"reader": kind.name, "clip": name, "answer": " ".join(words).lower()})
+    return records

@@ -1,9 +1,9 @@
 """Ratings by a linear mixed model, beside the bootstrap: statsmodels, the extra `study`.
 
 points = method + rater + sentence + rater's taste for the method + noise, each but the first a
-normal variable (Baayen, Davidson and Bates, "Mixed-effects modeling with crossed random effects
-for subjects and items", 2008), fitted by restricted maximum likelihood. It takes the scale for even
-and its parts for normal, which the bootstrap does not.
+normal variable (Baayen, Davidson and Bates, "Mixed-effects modeling with crossed random effects for
+subjects and items", 2008), fitted by restricted maximum likelihood. Unlike the bootstrap it assumes
+even steps of the scale, and normal parts.
 """
 
 import warnings
@@ -21,7 +21,11 @@ _NORMAL_95 = 1.959964
 
 @dataclass(frozen=True, slots=True)
 class MixedModel:
-    """own: of each method, on the scale. spread: standard deviations by what they are of."""
+    """A fitted mixed model.
+
+    own: mean of each method, in points; less_reference: differences from the reference. spread:
+    standard deviation of each part of the sum, by name.
+    """
 
     own: tuple[Figure, ...]
     less_reference: tuple[Figure, ...]
@@ -29,12 +33,10 @@ class MixedModel:
 
 
 def mixed_model(tables: Tables, reference: int) -> MixedModel | None:
-    """Fit a mixed model to the ratings; None where there are too few of them.
+    """Fit a mixed model to the ratings; return None if there are too few.
 
     That is: fewer than two raters or sentences, a method without ratings, or fewer than two ratings
-    a method.
-
-    Raises MissingExtraError.
+    a method. reference: index of the method for differences. Raises MissingExtraError.
     """
     check_extra("statsmodels", "a linear mixed model")
     from statsmodels.regression.mixed_linear_model import MixedLM, VCSpec
@@ -48,7 +50,7 @@ def mixed_model(tables: Tables, reference: int) -> MixedModel | None:
     designs = [[_indicators(each)] for each in parts.values()]
     columns = [[[str(k) for k in range(each[0].shape[1])]] for each in designs]
     with warnings.catch_warnings():
-        # A part that is 0 lies on the boundary, which is an answer.
+        # A part without variance lies on the boundary, which is a result.
         warnings.simplefilter("ignore")
         fitted = MixedLM(
             tables.points,
@@ -58,11 +60,11 @@ def mixed_model(tables: Tables, reference: int) -> MixedModel | None:
             exog_vc=VCSpec(list(parts), columns, designs),
         ).fit(reml=True, method="lbfgs")
     own, covariance = np.asarray(fitted.fe_params), np.asarray(fitted.cov_params())[:n, :n]
-    less = np.eye(n) - np.eye(n)[reference]
+    differences = np.eye(n) - np.eye(n)[reference]
     spread = {name: float(np.sqrt(v)) for name, v in zip(parts, fitted.vcomp, strict=True)}
     return MixedModel(
         _figures(own, covariance),
-        _figures(less @ own, less @ covariance @ less.T),
+        _figures(differences @ own, differences @ covariance @ differences.T),
         spread | {"moment": float(np.sqrt(fitted.scale))},
     )
 
@@ -74,8 +76,9 @@ def _indicators(numbers: Indices) -> Array:
 
 
 def _figures(values: Array, covariance: Array) -> tuple[Figure, ...]:
-    far = _NORMAL_95 * np.sqrt(np.diag(covariance))
+    """Return values with 95 % intervals of a normal distribution; none for a variance of 0."""
+    half_widths = _NORMAL_95 * np.sqrt(np.diag(covariance))
     return tuple(
         Figure(float(v), float(v - d), float(v + d)) if d > 0 else Figure(float(v), None, None)
-        for v, d in zip(values, far, strict=True)
+        for v, d in zip(values, half_widths, strict=True)
     )

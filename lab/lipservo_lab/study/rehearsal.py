@@ -1,7 +1,8 @@
-"""Simulated studies, from sheets to report: whether figures hold the truth, and what a study sees.
+"""Simulated studies, from sheets to report.
 
-Nothing is filmed: raters of `simulated_raters.py` answer the items of real sheets, their answers
-are lines of a file, and what is left out and reported is what a study's report would.
+They show how often intervals hold the truth, and which differences a study of a size finds.
+Nothing is filmed: simulated raters (`simulated_raters.py`) answer the items of real sheets; their
+answers are lines of a file, and are counted and reported as those of people.
 """
 
 from collections import Counter
@@ -28,22 +29,23 @@ from lipservo_lab.study.simulated_raters import (
 from lipsync.arrays import Array
 
 Track = Callable[[int], Iterable[int]]
-#: Places of six words each, as in the sentences of GRID.
+#: Words possible at each of six places, as in the sentences of GRID.
 _WORDS: Final = (
     ("bin", "lay", "place", "set"), ("blue", "green", "red", "white"), ("at", "by", "in", "with"),
     tuple("abcdefghijklmnopqrstuvxyz"), tuple("0123456789"), ("again", "now", "please", "soon"),
 )  # fmt: skip
 _SECONDS: Final = 3.0
-#: So many raters show what is read on average.
+#: Number of raters whose mean is taken for the true share of words.
 _MANY_READERS: Final = 1000
-#: Of the comparison of methods that differ by as much, on the latent scale.
+#: Differences of methods from the reference, in points before rounding, for which power is
+#: estimated; the reference has _NATURAL.
 _DIFFERENCES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)
 _NATURAL: Final = 3.9
 
 
 @dataclass(frozen=True, slots=True)
 class Crew:
-    """Who sits a simulated study."""
+    """Number of simulated raters of each character."""
 
     honest: int
     alike: int = 0
@@ -53,7 +55,7 @@ class Crew:
 
     @property
     def characters(self) -> tuple[Character, ...]:
-        """One for each rater, mixed: the first sheets are not all of one kind."""
+        """The character of each rater, in a random but fixed order."""
         kinds: tuple[Character, ...] = ("honest", *LAZY, "inverted")
         counts = {kind: getattr(self, kind) for kind in kinds}
         every = [kind for kind, n in counts.items() for _ in range(n)]
@@ -62,7 +64,7 @@ class Crew:
 
 
 def trial_study(methods: Sequence[str], size: Size, seed: int = 0) -> tuple[Study, Key]:
-    """A study of made-up sentences. Raises StudyError."""
+    """Return a study of made-up sentences, and its key. Raises StudyError."""
     numbers = np.random.default_rng(seed)
     sentences = [
         Sentence(f"s{n}", tuple(str(numbers.choice(place)) for place in _WORDS), _SECONDS)
@@ -86,21 +88,21 @@ def coverage_figures(
 ) -> dict[str, Any]:
     """Simulate many studies; return how often intervals hold the truth, and who is left out.
 
-    Every study has other raters, sentences and instants of the same population. advance: called
-    with the studies done and all of them.
+    Every study has other raters, sentences and answers of the same population. advance: called with
+    the number of studies done, and of all.
     """
     methods = tuple(METHODS)
     study, key = trial_study(methods, size)
     taste = even_taste(methods)
     truth = _truth(study, key, taste)
-    held: dict[str, list[bool]] = {name: [] for name in truth}
-    out: Counter[tuple[Character, bool]] = Counter()
+    is_held: dict[str, list[bool]] = {name: [] for name in truth}
+    n_left_out: Counter[tuple[Character, bool]] = Counter()
     ranks: list[float] = []
     for seed in range(n_studies):
         advance(seed, n_studies)
         found = simulated_study(study, key, taste, crew.characters, seed)
         for number, character in enumerate(crew.characters):
-            out[character, f"{character}-{number}" in found.left_out] += 1
+            n_left_out[character, f"{character}-{number}" in found.left_out] += 1
         ratings, pairs = rated(found.tables, 0, seed), preferred(found.tables, 0, seed)
         words = words_read(found.tables, 0, seed)[0]
         estimated = {
@@ -109,45 +111,47 @@ def coverage_figures(
             "words": words.own,
         }  # fmt: skip
         for name, figures in estimated.items():
-            held[name] += [_holds(f, t) for f, t in zip(figures, truth[name], strict=True)]
+            is_held[name] += [_holds(f, t) for f, t in zip(figures, truth[name], strict=True)]
         means = [figure.value for figure in ratings.own]
         ranks.append(
             float(np.corrcoef(np.argsort(np.argsort(means)), -np.arange(len(means)))[0, 1])
         )
-    every = [each for values in held.values() for each in values]
+    all_held = [held for values in is_held.values() for held in values]
     return {
-        "coverage": _share(every),
-        "coverage_of": {name: _share(values) for name, values in held.items()},
-        "lazy_excluded": _left_share(out, LAZY),
-        "lazy_excluded_of": {kind: _left_share(out, (kind,)) for kind in LAZY},
-        "honest_kept": 1.0 - (_left_share(out, ("honest",)) or 0.0),
-        "inverted_found": _left_share(out, ("inverted",)),
+        "coverage": _share(all_held),
+        "coverage_of": {name: _share(values) for name, values in is_held.items()},
+        "lazy_excluded": _left_share(n_left_out, LAZY),
+        "lazy_excluded_of": {kind: _left_share(n_left_out, (kind,)) for kind in LAZY},
+        "honest_kept": 1.0 - (_left_share(n_left_out, ("honest",)) or 0.0),
+        "inverted_found": _left_share(n_left_out, ("inverted",)),
         "taste_found_r": round(float(np.mean(ranks)), 4),
         "studies": n_studies,
         "raters": len(crew.characters),
-        "intervals": len(every),
+        "intervals": len(all_held),
     }
 
 
 def _truth(study: Study, key: Key, taste: Taste) -> dict[str, Array]:
-    """Return the true figures of methods for a taste.
+    """Return the true figures of methods for a taste, by name.
 
-    Those of words are a large crowd's, since a wrong word may be right by chance.
+    The shares of words are those of a large simulated crowd, since a wrong word may be right by
+    chance.
     """
     means = np.array([taste.mean_rating(method) for method in key.methods])
     odds = strengths(1e6 * strengths_of(taste, key.methods))
     crowd = simulated_study(study, key, taste, Crew(_MANY_READERS).characters, 0)
-    read = words_read(crowd.tables, 0)[0]
+    shares = words_read(crowd.tables, 0)[0]
     return {
         "ratings": means,
         "rating_differences": means[1:] - means[0],
         "strengths": odds,
         "strength_differences": odds[1:] - odds[0],
-        "words": np.array([figure.value for figure in read.own]),
+        "words": np.array([figure.value for figure in shares.own]),
     }
 
 
 def _holds(figure: Figure, truth: float) -> bool:
+    """Return whether the interval of a figure contains the truth; False without an interval."""
     if figure.low is None or figure.high is None:
         return False
     return figure.low <= truth <= figure.high
@@ -157,27 +161,32 @@ def _share(values: Sequence[bool]) -> float:
     return round(float(np.mean(values)), 4)
 
 
-def _left_share(out: Counter[tuple[Character, bool]], kinds: Sequence[Character]) -> float | None:
-    gone, there = (sum(out[kind, is_out] for kind in kinds) for is_out in (True, False))
-    return round(gone / (gone + there), 4) if gone + there else None
+def _left_share(n_of: Counter[tuple[Character, bool]], kinds: Sequence[Character]) -> float | None:
+    """Return the share of raters of some characters that was left out; None without such raters.
+
+    n_of: number of raters by character and by whether they were left out.
+    """
+    left, stayed = (sum(n_of[kind, is_out] for kind in kinds) for is_out in (True, False))
+    return round(left / (left + stayed), 4) if left + stayed else None
 
 
 def power_rows(
     raters: Sequence[int], n_methods: int, size: Size, n_studies: int, track: Track
 ) -> list[dict[str, Any]]:
-    """Return for each number of raters how often a difference from the reference is found.
+    """Return for each number of raters how often differences from the reference are found.
 
-    A difference is found where its interval leaves out 0. smallest_seen: in points of the scale,
-    the difference found in four of five studies; None where none of those tried is.
+    A difference is found if its interval does not contain 0. smallest_seen: the difference, in
+    points of the scale, that is found in four of five studies; None if none of those tried is.
+    track: wraps the seeds of the studies, for progress.
     """
     methods = tuple(f"method {n}" for n in range(n_methods))
-    gaps = np.array([0.0, *_DIFFERENCES, *[_DIFFERENCES[-1]] * n_methods][:n_methods])
-    # With few methods the differences are tried in turns.
-    turns = [gaps] if n_methods > len(_DIFFERENCES) else _in_turns(n_methods)
+    differences_of = np.array([0.0, *_DIFFERENCES, *[_DIFFERENCES[-1]] * n_methods][:n_methods])
+    # With few methods the differences are tried in several studies.
+    turns = [differences_of] if n_methods > len(_DIFFERENCES) else _in_turns(n_methods)
     study, key = trial_study(methods, size)
     rows = []
     for n_raters in raters:
-        seen: dict[float, list[bool]] = {}
+        is_found: dict[float, list[bool]] = {}
         for turn in turns:
             natural = dict(zip(methods, (_NATURAL - turn).tolist(), strict=True))
             taste = Taste(natural, dict.fromkeys(methods, 0.3))
@@ -187,23 +196,27 @@ def power_rows(
                 differences = rated(found.tables, 0, seed).less_reference
                 for figure, gap in zip(differences[1:], (means[0] - means)[1:], strict=True):
                     is_seen = figure.high is not None and not _holds(figure, 0.0)
-                    seen.setdefault(round(float(gap), 3), []).append(is_seen)
-        power = {gap: _share(values) for gap, values in sorted(seen.items())}
+                    is_found.setdefault(round(float(gap), 3), []).append(is_seen)
+        power = {gap: _share(values) for gap, values in sorted(is_found.items())}
         rows.append({"raters": n_raters, "seen": power, "smallest_seen": _smallest(power)})
     return rows
 
 
 def _in_turns(n_methods: int) -> list[Array]:
-    each = n_methods - 1
-    parts = [_DIFFERENCES[i : i + each] for i in range(0, len(_DIFFERENCES), each)]
-    return [np.array([0.0, *part, *[part[-1]] * (each - len(part))]) for part in parts]
+    """Return the differences dealt to studies of few methods, (n_methods,) each, 0 first."""
+    n_each = n_methods - 1
+    parts = [_DIFFERENCES[i : i + n_each] for i in range(0, len(_DIFFERENCES), n_each)]
+    return [np.array([0.0, *part, *[part[-1]] * (n_each - len(part))]) for part in parts]
 
 
 _POWER: Final = 0.8
 
 
 def _smallest(power: dict[float, float]) -> float | None:
-    """Between two differences that were tried, on a straight line."""
+    """Return the difference found with a power of 0.8, interpolated linearly; None: none is.
+
+    power: share of studies that find it, by difference.
+    """
     gaps, shares = list(power), list(power.values())
     if not shares or max(shares) < _POWER:
         return None

@@ -86,6 +86,10 @@ def _headline(figures: Row) -> str:
 
 
 def _left_out(reasons: Mapping[str, str]) -> str:
+    """Return the HTML table of raters that were left out.
+
+    reasons: by rater.
+    """
     if not reasons:
         return "<p>Nobody was left out.</p>"
     rows = [[escape(name), REASONS[reason]] for name, reason in sorted(reasons.items())]  # type: ignore[index]
@@ -118,7 +122,7 @@ def _ratings(figures: Row) -> list[str]:
 
 
 def _pairs(figures: Row) -> list[str]:
-    """Return the HTML of the comparisons of two: heading, picture, table, and who won over whom."""
+    """Return the HTML of the pair comparisons: heading, picture, table, and who won over whom."""
     rows = _ordered(figures["pairs"], "strength")
     cells = [
         [
@@ -217,10 +221,10 @@ def _draw_ratings(axes: "Axes", rows: Sequence[Row]) -> None:
     """Draw each method's mean rating with its 95 % interval, and the mixed model's below it."""
     _dots(axes, rows, "mean")
     if any(row["mixed"] is not None for row in rows):
-        at = np.arange(len(rows)) + 0.26
+        y = np.arange(len(rows)) + 0.26
         ends = [row["mixed_95"] or [np.nan, np.nan] for row in rows]
-        axes.hlines(at, *zip(*ends, strict=True), color=_SOFT, linewidth=0.9)
-        axes.plot(_values(rows, "mixed"), at, "|", color=_SOFT, markersize=5, label="mixed model")
+        axes.hlines(y, *zip(*ends, strict=True), color=_SOFT, linewidth=0.9)
+        axes.plot(_values(rows, "mixed"), y, "|", color=_SOFT, markersize=5, label="mixed model")
         axes.legend(loc="lower right", frameon=False, fontsize=9)
     axes.set_xlim(1, POINTS)
     axes.set_xticks(range(1, POINTS + 1))
@@ -228,6 +232,7 @@ def _draw_ratings(axes: "Axes", rows: Sequence[Row]) -> None:
 
 
 def _draw_pairs(axes: "Axes", rows: Sequence[Row]) -> None:
+    """Draw each method's strength with its 95 % interval."""
     axes.axvline(0.0, color="#93a1ad", linewidth=0.8)
     _dots(axes, rows, "strength")
     axes.set_xlabel("strength, log odds")
@@ -239,13 +244,13 @@ def _draw_reading(axes: "Axes", by_reader: Mapping[str, Sequence[Row]]) -> None:
     for place, mark, (name, rows) in zip(places, "o^s", by_reader.items(), strict=False):
         is_human = name == PEOPLE
         colour = _INK if is_human else _SOFT
-        at = np.arange(len(rows)) + place
+        y = np.arange(len(rows)) + place
         ends = [row["words_right_95"] or [np.nan, np.nan] for row in rows]
-        axes.hlines(at, *zip(*ends, strict=True), color=colour, linewidth=2.0 if is_human else 1.0)
+        axes.hlines(y, *zip(*ends, strict=True), color=colour, linewidth=2.0 if is_human else 1.0)
         fill = colour if is_human else "white"
-        axes.plot(_values(rows, "words_right"), at, mark, color=colour, label=name,
+        axes.plot(_values(rows, "words_right"), y, mark, color=colour, label=name,
                   markersize=6 if is_human else 4.5, markerfacecolor=fill)  # fmt: skip
-        axes.plot(_values(rows, "chance"), at, "|", color=_OTHER, markersize=7)
+        axes.plot(_values(rows, "chance"), y, "|", color=_OTHER, markersize=7)
         axes.set_yticks(range(len(rows)), [row["label"] for row in rows])
     axes.plot([], [], "|", color=_OTHER, label="chance")
     axes.set_xlim(0.0, 1.0)
@@ -258,7 +263,7 @@ def _values(rows: Sequence[Row], name: str) -> list[float]:
 
 
 def _dots(axes: "Axes", rows: Sequence[Row], name: str) -> None:
-    """Draw a value a row, if it has one, with its 95 % interval; label rows by their methods."""
+    """Draw the value of each row that has one, with 95 % interval; label rows by their methods."""
     for at, row in enumerate(rows):
         if row[name] is None:
             continue
@@ -283,6 +288,7 @@ def _ordered(rows: Sequence[Row], name: str) -> list[Row]:
 
 
 def _at(rows: Sequence[Row], method: str) -> int:
+    """Return the index of the row of a method."""
     return [row["method"] for row in rows].index(method)
 
 

@@ -1,7 +1,7 @@
-"""The server of a study: a page for raters, their items one by one, and answers that are kept.
+"""The server of a study: a page for raters, which gets items one by one and sends the answers.
 
-It reads what raters may see and the answers, never the key. Everybody needs the study's token,
-which is not that of a face: who rates clips moves no robot.
+It reads what raters may see and the answers, never the key. Every request needs the study's token,
+which is not that of a face: a rater cannot move a robot.
 """
 
 import json
@@ -48,7 +48,8 @@ from lipservo_lab.study.answers import (
 from lipservo_lab.study.sheets import CLIPS, FIRST, POINTS, SECOND, Item, Study, StudyError
 
 TOKEN_FILE: Final = "token"
-#: From worst to best, as the paper's raters were asked for naturalness on five points.
+#: Labels of the points, from worst to best; the paper's raters too rated naturalness in five
+#: points.
 SCALE: Final = ("not at all natural", "hardly", "halfway", "fairly", "completely natural")
 assert len(SCALE) == POINTS
 _MOST_BODY_BYTES: Final = 8192
@@ -66,11 +67,14 @@ _KINDS: Final = {"study.js": "text/javascript", "study.css": "text/css", "index.
 
 
 class RequestError(StudyError):
-    """A request that cannot be taken: an error of the page, or of another program."""
+    """A request that is invalid, by an error of the page or of another program."""
 
 
 class StudyDesk:
-    """What raters ask for and answer; one for a server."""
+    """The answers to what raters request; one for a server.
+
+    minutes: that a rater will need, for the first page.
+    """
 
     def __init__(self, study: Study, answers: AnswerFile, minutes: int) -> None:
         self.study = study
@@ -88,9 +92,9 @@ class StudyDesk:
         }
 
     def join(self, given: Any) -> Mapping[str, Any]:
-        """Let a rater who agrees join; return the first item that they have not answered.
+        """Let a rater who agrees join; return the first item that the rater has not answered.
 
-        Raises RequestError.
+        given: JSON with `rater` and `agrees`. Raises RequestError.
         """
         name = given.get("rater")
         if given.get("agrees") is not True:
@@ -104,7 +108,11 @@ class StudyDesk:
         return self._next(self._answers.rater(name))
 
     def answer(self, name: str, given: Any) -> Mapping[str, Any]:
-        """Keep an answer; the next item."""
+        """Store an answer; return the next item.
+
+        given: JSON with `number`, `answer`, `seconds` and `plays`. Raises RequestError for invalid
+        values, and what `AnswerFile.answer` raises.
+        """
         rater = self._answers.rater(name)
         number = given.get("number")
         items = self.study.sheets[rater.sheet]
@@ -114,7 +122,7 @@ class StudyDesk:
         return self._next(rater)
 
     def leave(self, name: str, _given: Any) -> Mapping[str, Any]:
-        """Note that a rater leaves: none of their answers shall count."""
+        """Note that a rater leaves: none of that rater's answers count."""
         self._answers.leave(name)
         return {"left": True}
 
@@ -133,25 +141,26 @@ class StudyDesk:
 
 
 def _is_whole(value: object, low: int, high: int) -> bool:
+    """Return whether a JSON value is an integer from `low` to `high`."""
     return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
 
 
-def _checked(item: Item, given: Any) -> Record:
-    """Check an answer to an item; return the fields to keep. Raises RequestError."""
-    answer, seconds, plays = (given.get(key) for key in ("answer", "seconds", "plays"))
+def _checked(item: Item, fields: Any) -> Record:
+    """Check an answer to an item; return the fields to store. Raises RequestError."""
+    answer, seconds, plays = (fields.get(key) for key in ("answer", "seconds", "plays"))
     is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
     if not is_number or not 0 <= seconds < _MOST_S or not _is_whole(plays, 0, _MOST_PLAYS):
         raise RequestError("seconds and plays must be numbers: time taken, times played")
     match item.kind:
         case "pair":
-            fits = answer in (FIRST, SECOND)
+            is_valid = answer in (FIRST, SECOND)
         case "reading":
-            fits = isinstance(answer, str) and len(answer) <= MOST_CHARACTERS
+            is_valid = isinstance(answer, str) and len(answer) <= MOST_CHARACTERS
         case "sound":
-            fits = answer == item.expected
+            is_valid = answer == item.expected
         case _:
-            fits = _is_whole(answer, 1, POINTS)
-    if not fits:
+            is_valid = _is_whole(answer, 1, POINTS)
+    if not is_valid:
         raise RequestError(f"this answer does not fit a {item.kind}")
     return {"answer": answer, "seconds": seconds, "plays": plays}
 
@@ -159,23 +168,23 @@ def _checked(item: Item, given: Any) -> Record:
 def study_app(desk: StudyDesk, folder: Path, token: str) -> App:
     """Return the whole server as an ASGI application.
 
-    folder: of the clips. token: required of every request.
+    folder: of the study, with its clips. token: required in every request.
     """
 
     async def about(_request: Request) -> Response:
         return JSONResponse(desk.about())
 
     async def join(request: Request) -> Response:
-        return await _answered(desk.join, await _body(request))
+        return await _reply(desk.join, await _body(request))
 
     async def next_item(request: Request) -> Response:
-        return await _answered(desk.next_item, request.path_params["rater"])
+        return await _reply(desk.next_item, request.path_params["rater"])
 
     async def answer(request: Request) -> Response:
-        return await _answered(desk.answer, request.path_params["rater"], await _body(request))
+        return await _reply(desk.answer, request.path_params["rater"], await _body(request))
 
     async def leave(request: Request) -> Response:
-        return await _answered(desk.leave, request.path_params["rater"], await _body(request))
+        return await _reply(desk.leave, request.path_params["rater"], await _body(request))
 
     async def clip(request: Request) -> Response:
         name = request.path_params["name"]
@@ -198,18 +207,18 @@ def study_app(desk: StudyDesk, folder: Path, token: str) -> App:
 
 
 def _file_of_page(name: str) -> Callable[[Request], Awaitable[Response]]:
-    """Return an endpoint that serves a file of the page; the file is read once, at the start."""
+    """Return an endpoint that serves a file of the page; the file is read once, here."""
     content = (_PAGE / name).read_bytes()
 
-    async def served(_request: Request) -> Response:
+    async def serve(_request: Request) -> Response:
         headers = {"cache-control": "no-cache"}
         return Response(content, media_type=_KINDS[name], headers=headers)
 
-    return served
+    return serve
 
 
 async def _body(request: Request) -> Any:
-    """One JSON object, or None for anything else."""
+    """Return the JSON object in a request's body; None for anything else, or more than 8 kB."""
     content = b""
     async for chunk in request.stream():
         content += chunk
@@ -222,13 +231,16 @@ async def _body(request: Request) -> Any:
     return found if isinstance(found, dict) else None
 
 
-async def _answered(call: Callable[..., Mapping[str, Any]], *given: Any) -> Response:
-    """Run a call in a thread; return its result as JSON, or its error as one line with a status."""
+async def _reply(call: Callable[..., Mapping[str, Any]], *given: Any) -> Response:
+    """Run a call in a thread; return its result as JSON, or its error as one line with a status.
+
+    given: arguments of the call; the last one None: the request's body was invalid.
+    """
     status = HTTPStatus.OK
     try:
         if given[-1] is None:
             raise RequestError("the body must be one JSON object of at most 8 kB")
-        # Answers go to the disk before they are confirmed; others must not wait for it.
+        # Answers are written to the disk before they are confirmed; other requests must not wait.
         answer = await run_in_threadpool(call, *given)
     except UnknownRaterError as error:
         status, answer = HTTPStatus.NOT_FOUND, {"error": str(error)}
@@ -243,7 +255,7 @@ async def _answered(call: Callable[..., Mapping[str, Any]], *given: Any) -> Resp
 
 
 class _TokenLayer:
-    """Admits who has the token; a page that is opened with it gets a cookie in its place."""
+    """Passes on requests with the token; a page opened with the token gets a cookie instead."""
 
     def __init__(self, app: App, token: str) -> None:
         self.app = app
@@ -253,7 +265,7 @@ class _TokenLayer:
         """Pass a request on if it has the token; else refuse it, on the first page in words.
 
         A page that is opened with the token in its address is redirected, and gets a cookie
-        instead. What is no HTTP request is passed on unchecked.
+        instead. Scopes other than HTTP are passed on unchecked.
         """
         if scope["type"] != "http":
             await self.app(scope, receive, send)
@@ -261,7 +273,7 @@ class _TokenLayer:
         try:
             request = request_of_scope(scope)
             refused = refusal(request, Policy(self._token))
-            given = request.token_in_query
+            token = request.token_in_query
         except ValueError:
             await answer_json(send, HTTPStatus.BAD_REQUEST, {"error": "cannot be read"})
             return
@@ -270,16 +282,18 @@ class _TokenLayer:
             await answer_bytes(send, refused.status, headers, _NO_TOKEN.encode())
         elif refused is not None:
             await answer_json(send, refused.status, {"error": refused.text})
-        elif request.is_page and given is not None and is_same_token(given, self._token):
-            to = redirect_to_cookie(request, self._token)
-            headers = [(b"location", to.location.encode("latin-1", "replace"))]
-            headers += [(b"set-cookie", to.cookie.encode()), (b"cache-control", b"no-store")]
+        elif request.is_page and token is not None and is_same_token(token, self._token):
+            redirect = redirect_to_cookie(request, self._token)
+            headers = [(b"location", redirect.location.encode("latin-1", "replace"))]
+            headers += [(b"set-cookie", redirect.cookie.encode()), (b"cache-control", b"no-store")]
             await answer_bytes(send, HTTPStatus.SEE_OTHER, headers, b"")
         else:
             await self.app(scope, receive, _with_headers(send))
 
 
 def _with_headers(send: Send) -> Send:
+    """Return `send` with security headers added to the start of each response."""
+
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
             message["headers"] = [*message["headers"], *SECURITY_HEADERS]
@@ -289,9 +303,9 @@ def _with_headers(send: Send) -> Send:
 
 
 def study_token(folder: Path) -> str:
-    """Return the token of a study, made at the first start; only its owner can read the file.
+    """Return the token of a study; it is made at the first start.
 
-    Raises StudyError.
+    Only its owner can read the file. Raises StudyError for a file that cannot be used.
     """
     path = folder / TOKEN_FILE
     try:

@@ -1,13 +1,13 @@
-"""Who sees what: the sheets of a study, balanced and blind, and the key that tells what was seen.
+"""Who sees what: the sheets of a study, balanced and blind, and the key to what was seen.
 
-A round of ratings is a Latin square: over as many raters as there are methods, every method is
-seen once with every sentence of the round. Within a round, methods follow each other as in Williams
+A round of ratings is a Latin square: over as many raters as there are methods, every method is seen
+once with every sentence of the round. Within a round, methods follow each other as in Williams
 ("Experimental designs balanced for the estimation of residual effects of treatments", 1949): each
-stands as often at each place, and as often after each other one. Pairs go through all of them, each
-first one way round and then the other. What is read without sound comes first, of sentences that
-are not heard later.
+method is as often at each place, and as often after each other one. Comparisons go through all
+pairs of methods, each first one way round and then the other. Clips without sound come first, of
+sentences that are not heard later.
 
-Raters get the study alone, whose clips have hashed names; methods and sentences are in the key.
+Raters only get the study, whose clips have hashed names; methods and sentences are in the key.
 """
 
 import hashlib
@@ -45,9 +45,10 @@ class StudyError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One thing to do. clips: one, or two of a pair, A first; none of a check.
+    """One task of a rater.
 
-    expected: the point that a check asks for, the beeps of a sound check.
+    clips: one, or two of a pair, A first; none of a check. expected: the point that a check
+    demands, or the number of beeps of a sound check.
     """
 
     kind: Kind
@@ -57,9 +58,10 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What raters get. duration_s: of each clip, by name. sheets: the items of each rater in order.
+    """What raters get.
 
-    vocabulary: the words possible at each place of a sentence; empty: any.
+    vocabulary: the words possible at each place of a sentence; empty: any. duration_s: of each
+    clip, by name. sheets: the items of each rater, in order.
     """
 
     identity: str
@@ -72,7 +74,10 @@ class Study:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """What a clip shows. words: those spoken in it."""
+    """What a clip shows.
+
+    words: the words spoken in it.
+    """
 
     method: str
     sentence: str
@@ -81,7 +86,10 @@ class Clip:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """What no rater may see. clips: by name."""
+    """What no rater may see.
+
+    clips: by the name that raters get.
+    """
 
     identity: str
     seed: str
@@ -93,7 +101,8 @@ class Key:
 class Size:
     """How much there is to do; ratings, readings and sentences are rounded up to whole rounds.
 
-    sentences: that are rated. sheets: of how many raters; later ones get the first ones again.
+    ratings, pairs, readings, checks: of each rater. sentences: that are rated. sheets: number of
+    different ones; raters beyond that get the first ones again.
     """
 
     ratings: int = 40
@@ -106,7 +115,7 @@ class Size:
     def rounds(self, n_methods: int) -> tuple[int, int, int]:
         """Return the number of rounds of ratings, rounds of readings, and sets of rated sentences.
 
-        Raises StudyError for what no square can balance.
+        Raises StudyError for a number that no square can balance.
         """
         ratings, readings, sets = (
             math.ceil(n / n_methods) for n in (self.ratings, self.readings, self.sentences)
@@ -123,7 +132,10 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """A sentence that may be shown. words: those spoken in it."""
+    """A sentence that may be shown.
+
+    words: the words spoken in it.
+    """
 
     name: str
     words: tuple[str, ...]
@@ -131,7 +143,7 @@ class Sentence:
 
 
 def sentences_needed(size: Size, n_methods: int) -> int:
-    """How many sentences a study is made of, heard and read."""
+    """Return how many sentences a study needs, to rate and to read."""
     _, readings, sets = size.rounds(n_methods)
     return (sets + readings) * n_methods
 
@@ -148,7 +160,8 @@ def make_study(
 ) -> tuple[Study, Key]:
     """Plan a study of the first sentences that it needs; the same seed gives the same study.
 
-    Raises StudyError for too few sentences, or a size that no square can balance.
+    Return what raters get, and the key. Raises StudyError for too few sentences, or a size that no
+    square can balance.
     """
     n = len(methods)
     rounds, read_rounds, sets = size.rounds(n)
@@ -175,30 +188,35 @@ def make_study(
 
         Attention checks are mixed in. The same rater and secret always give the same sheet.
         """
-        own = np.random.default_rng([*secret, rater])
-        # The same for the raters of one square, or it were none.
-        square = np.random.default_rng([*secret, 0, rater // n])
+        rng = np.random.default_rng([*secret, rater])
+        # The raters of one Latin square must have the same order of sentences.
+        shared = np.random.default_rng([*secret, 0, rater // n])
         sets_of = [
-            [every[i] for i in square.permutation(n) + first] for first in range(0, len(every), n)
+            [every[i] for i in shared.permutation(n) + first] for first in range(0, len(every), n)
         ]
 
         def of_round(chosen: Sequence[Sentence], number: int, turn: int) -> list[tuple[str, ...]]:
+            """Return the clips of one round, a tuple each, in this rater's order of methods.
+
+            chosen: the sentences of the round. number: of the round. turn: how often these
+            sentences were shown before.
+            """
             row = rows[(rater + number) % len(rows)]
             return [(name_of[methods[m], chosen[(m + rater + turn) % n].name],) for m in row]
 
         rating = [of_round(sets_of[each % sets], each, each // sets) for each in range(rounds)]
         reading = [of_round(sets_of[sets + each], each, 0) for each in range(read_rounds)]
-        compared = [
+        compared_clips = [
             tuple(name_of[methods[m], every[sentence % (sets * n)].name] for m in pair)
             for pair, sentence in pairs.of(rater)
         ]
         listened = [Item("rating", clips) for each in rating for clips in each]
-        listened += [Item("pair", clips) for clips in compared]
-        beeps = int(own.integers(_FEWEST_BEEPS, _MOST_BEEPS + 1))
+        listened += [Item("pair", clips) for clips in compared_clips]
+        beeps = int(rng.integers(_FEWEST_BEEPS, _MOST_BEEPS + 1))
         return (
             *(Item("reading", clips) for each in reading for clips in each),
             *([Item("sound", expected=beeps)] if listened else []),
-            *_with_checks(own, listened, size.checks),
+            *_with_checks(rng, listened, size.checks),
         )
 
     study = Study(
@@ -218,43 +236,50 @@ def make_study(
 
 
 def williams(n: int) -> Indices:
-    """Orders of n things, (n, n) or for odd n (2 n, n): balanced for place and neighbour."""
+    """Return orders of n things, (n, n) or for odd n (2 n, n): balanced for place and neighbour."""
     first = [(i + 1) // 2 if i % 2 else -(i // 2) for i in range(n)]
     rows = (np.array(first)[None] + np.arange(n)[:, None]) % n
     return np.concatenate([rows, rows[:, ::-1]]) if n % 2 else rows
 
 
 class _Pairs:
-    """Every pair of methods in turn, over all raters; then the other way round."""
+    """All pairs of methods in turn, over all raters; then the other way round.
+
+    each: pairs of a rater.
+    """
 
     def __init__(self, numbers: np.random.Generator, n_methods: int, each: int) -> None:
-        flip = numbers.integers(2, size=(n_methods, n_methods))
-        pairs = [(i, j) if flip[i, j] else (j, i) for j in range(n_methods) for i in range(j)]
+        is_flipped = numbers.integers(2, size=(n_methods, n_methods))
+        pairs = [(i, j) if is_flipped[i, j] else (j, i) for j in range(n_methods) for i in range(j)]
         self._pairs = [pairs[k] for k in numbers.permutation(len(pairs))]
         self._each = each
 
     def of(self, rater: int) -> list[tuple[tuple[int, int], int]]:
-        """Methods of A and B and the number of the sentence, which goes on with every turn."""
+        """Return a rater's pairs: methods of A and B, and a number that chooses the sentence.
+
+        The number of the same pair is one higher each time that it comes again.
+        """
         found = []
         for count in range(rater * self._each, (rater + 1) * self._each):
             turn, k = divmod(count, len(self._pairs))
-            one, other = self._pairs[k]
-            found.append(((other, one) if turn % 2 else (one, other), k + turn))
+            first, second = self._pairs[k]
+            found.append(((second, first) if turn % 2 else (first, second), k + turn))
         return found
 
 
 def _with_checks(numbers: np.random.Generator, items: list[Item], n_checks: int) -> list[Item]:
-    """Checks spread over the items, one somewhere in each stretch of the same length."""
+    """Return the items with checks among them, one at random in each of `n_checks` equal parts."""
     found: list[Item] = []
-    edges = np.linspace(0, len(items), n_checks + 1).astype(int)
-    for start, end in itertools.pairwise(edges):
-        at = int(numbers.integers(start, end)) if end > start else start
+    borders = np.linspace(0, len(items), n_checks + 1).astype(int)
+    for start, end in itertools.pairwise(borders):
+        place = int(numbers.integers(start, end)) if end > start else start
         check = Item("check", expected=int(numbers.integers(1, POINTS + 1)))
-        found += [*items[start:at], check, *items[at:end]]
+        found += [*items[start:place], check, *items[place:end]]
     return found or items
 
 
 def _hashed(secret: bytes, text: str) -> str:
+    """Return a name of 16 hexadecimal digits for a text, by a keyed hash."""
     return hashlib.blake2s(text.encode(), key=secret, digest_size=_NAME_BYTES).hexdigest()
 
 
@@ -263,7 +288,10 @@ _KEY: Final = TypeAdapter(Key)
 
 
 def write_study(folder: Path, study: Study, key: Key) -> None:
-    """Both files into a folder; raters get what lies in `served` alone. Raises OutputError."""
+    """Write study and key into a folder; raters only get what is below `served`.
+
+    Raises OutputError.
+    """
     (folder / CLIPS).mkdir(parents=True, exist_ok=True)
     write_whole(folder / STUDY_FILE, json.dumps(asdict(study)))
     write_whole(folder / KEY_FILE, json.dumps(asdict(key), indent=1))
@@ -294,6 +322,6 @@ def _read(path: Path, adapter: "TypeAdapter[T]") -> T:
 
 
 def missing_clips(folder: Path, study: Study) -> list[str]:
-    """Names of files that are not there, or empty."""
+    """Return the names of clip files that are missing or empty."""
     paths = (folder / CLIPS / f"{name}.mp4" for name in study.duration_s)
     return [path.name for path in paths if not path.is_file() or not path.stat().st_size]

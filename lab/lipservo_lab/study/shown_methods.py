@@ -1,7 +1,7 @@
-"""The ways to move a mouth that a study shows, all on one face, at the frames of the recording.
+"""The methods to move a mouth that a study shows, all on one face, at the frames of the recording.
 
-What each knows is what it has when it is used: ours live recognises the sound, without the words or
-with them; all others know every phoneme with its times beforehand, as their papers have it.
+Each gets what it has in use: ours live recognises the sound, with or without knowing the words; all
+others know every phoneme with its times beforehand, as in their papers.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -36,7 +36,7 @@ from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.phonemes import PHONEMES
 
 RECORDED: Final = "recorded"
-#: Of each method, what the report calls it.
+#: Label of each method in the report.
 METHODS: Final[Mapping[str, str]] = MappingProxyType(
     {
         RECORDED: "recorded face",
@@ -52,12 +52,12 @@ METHODS: Final[Mapping[str, str]] = MappingProxyType(
         "still": "still face",
     }
 )
-#: The recorded mouths that a shape is drawn after; X is the mouth at rest.
+#: Phonemes whose recorded mouths a shape is the mean of; X is the mouth at rest.
 _DRAWN_BY: Final[Mapping[Shape, tuple[str, ...]]] = {
     "A": ("P", "B", "M"), "B": ("K", "S", "T", "IY"), "C": ("EH", "AE"), "D": ("AA",),
     "E": ("AO", "ER"), "F": ("UW", "OW", "W"), "G": ("F", "V"), "H": ("L",),
 }  # fmt: skip
-#: From one shape to the next, as whoever shows them on a head does; a drawing jumps.
+#: Time from one shape to the next on a head; a drawing jumps.
 _BLEND_S: Final = 0.08
 
 FacesOf = Callable[[str, Utterance], Array]
@@ -65,7 +65,7 @@ FacesOf = Callable[[str, Utterance], Array]
 
 @dataclass(frozen=True, slots=True)
 class RhubarbMethod:
-    """Shapes by Rhubarb's rules, each the mean recorded mouth that it is drawn after."""
+    """Mouth shapes by Rhubarb's rules; each is the mean recorded mouth of some phonemes."""
 
     name: str = "rhubarb"
     looks_ahead: bool = False
@@ -76,7 +76,7 @@ class RhubarbMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -89,6 +89,8 @@ class RhubarbMethod:
         faces: list[Array] = []
         for cue in cues:
             start_s, stop_s = cue.start_cs * CENTISECOND_S, cue.end_cs * CENTISECOND_S
+            # The mouth moves for half the blend time at each end of a shape, and holds it in
+            # between.
             half_s = min(_BLEND_S, stop_s - start_s) / 2.0
             knots_s += [start_s + half_s, stop_s - half_s]
             faces += [_shape_face(cue.shape, model)] * 2
@@ -97,7 +99,7 @@ class RhubarbMethod:
 
 
 def _shape_face(shape: Shape, model: TrainedModel) -> Array:
-    """Return the face of a mouth shape, (n_components,): the mean of the phonemes it is drawn for.
+    """Return the face of a mouth shape, (n_components,): the mean of its phonemes.
 
     Phonemes are weighted by how often the corpus has them. X is the rest face.
     """
@@ -113,7 +115,7 @@ def _shape_face(shape: Shape, model: TrainedModel) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class StillMethod:
-    """The mouth at rest."""
+    """The mouth at rest throughout."""
 
     name: str = "still"
     looks_ahead: bool = False
@@ -124,7 +126,7 @@ class StillMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -146,8 +148,8 @@ def chosen_methods(text: str) -> tuple[str, ...]:
 def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
     """Return a function from a method's name and a sentence to faces, (n_frames, n_components).
 
-    model: has not learned the test sentences. corpus: labelled, the sentences it has learned.
-    Raises MissingExtraError at once where the offline method's library is missing.
+    model: was not trained on the test sentences. corpus: labelled, with the sentences that it was
+    trained on. Raises MissingExtraError at once if the offline method's library is missing.
     """
     offline = models_of(corpus, "a study with `edge` or `scripted`")
     ours = all_methods()[DEFAULT_STRATEGY]
@@ -176,7 +178,7 @@ def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
 
 
 def vocabulary_of(sentences: Iterable[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
-    """The words that are spoken at each place, where all sentences have as many; else nothing."""
+    """Return the words spoken at each place; nothing if sentences have different lengths."""
     word_lists = [tuple(words) for words in sentences]
     if len({len(words) for words in word_lists}) != 1:
         return ()

@@ -62,18 +62,19 @@ def _ratings(counted: Counted, mixed: MixedModel | None, reference: int) -> list
     reference: index of the method that the others are compared with. mixed: None: not fitted.
     """
     tables = counted.tables
-    found = rated(tables, reference)
-    everybody = rated(counted.all_tables, reference)
-    rows = _rows(tables, tables.ratings[:, 2], found, "mean")
+    estimates = rated(tables, reference)
+    of_all = rated(counted.all_tables, reference)
+    rows = _rows(tables, tables.ratings[:, 2], estimates, "mean")
     for n, row in enumerate(rows):
-        row["all_raters"] = _number(everybody.own[n].value)
-        own = None if mixed is None else mixed.own[n]
-        less = None if mixed is None else mixed.less_reference[n]
-        row |= _named("mixed", own) | _named("mixed_less_reference", less)
+        row["all_raters"] = _number(of_all.own[n].value)
+        mixed_mean = None if mixed is None else mixed.own[n]
+        mixed_difference = None if mixed is None else mixed.less_reference[n]
+        row |= _named("mixed", mixed_mean) | _named("mixed_less_reference", mixed_difference)
     return rows
 
 
 def _pairs(tables: Tables, reference: int) -> list[Row]:
+    """Return a row a method: strength, difference from the reference, times shown and chosen."""
     shown = tables.pairs[:, 2:].ravel()
     rows = _rows(tables, shown, preferred(tables, reference), "strength")
     for n, row in enumerate(rows):
@@ -82,7 +83,7 @@ def _pairs(tables: Tables, reference: int) -> list[Row]:
 
 
 def _won_over(tables: Tables) -> dict[str, dict[str, int]]:
-    """How often the first was chosen over the second."""
+    """Return how often the first method was chosen over the second, by both names."""
     counts = Counter(map(tuple, tables.pairs[:, 2:].tolist()))
     return {
         one: {other: counts[i, j] for j, other in enumerate(tables.methods) if i != j}
@@ -92,21 +93,21 @@ def _won_over(tables: Tables) -> dict[str, dict[str, int]]:
 
 def _readings(tables: Tables, reference: int) -> list[Row]:
     """Return a row a method: share of words read right, that share above chance, and chance."""
-    right, above = words_read(tables, reference)
-    rows = _rows(tables, tables.readings[:, 2], right, "words_right")
+    read_right, above = words_read(tables, reference)
+    rows = _rows(tables, tables.readings[:, 2], read_right, "words_right")
     for n, row in enumerate(rows):
         row |= _named("above_chance", above.own[n])
-        value, less = right.own[n].value, above.own[n].value
-        row["chance"] = _number(value - less)
+        value, above_value = read_right.own[n].value, above.own[n].value
+        row["chance"] = _number(value - above_value)
     return rows
 
 
-def _rows(tables: Tables, shown: Indices, found: Estimates, name: str) -> list[Row]:
+def _rows(tables: Tables, method_of_answers: Indices, found: Estimates, name: str) -> list[Row]:
     """Return a row a method with its name, number of answers, estimate, and difference.
 
-    shown: method index of each answer. name: of the estimate in the row.
+    method_of_answers: method index of each answer. name: of the estimate in the row.
     """
-    counts = np.bincount(shown, minlength=len(tables.methods))
+    counts = np.bincount(method_of_answers, minlength=len(tables.methods))
     return [
         {
             "method": method,
@@ -120,6 +121,7 @@ def _rows(tables: Tables, shown: Indices, found: Estimates, name: str) -> list[R
 
 
 def _named(name: str, figure: Figure | None) -> Row:
+    """Return a figure and its interval as `name` and `name`_95; None: both are None."""
     if figure is None:
         return {name: None, f"{name}_95": None}
     ends = None if figure.low is None else [_number(figure.low), _number(figure.high or 0.0)]
@@ -127,15 +129,15 @@ def _named(name: str, figure: Figure | None) -> Row:
 
 
 def _number(value: float) -> float | None:
-    """JSON knows no NaN: what nothing was measured of is null."""
+    """Return a value rounded for JSON; None for NaN, which JSON does not have."""
     return None if np.isnan(value) else round(float(value), 4)
 
 
 def machine_tables(path: Path, study: Study, key: Key) -> dict[str, Tables]:
     """Return what each machine reader read as tables, by reader; empty if the file is missing.
 
-    Each sentence counts as a rater of its own, since a machine reads always alike: so intervals are
-    over sentences alone. Raises StudyError.
+    Each sentence counts as a rater, since a machine always reads alike: so intervals are over
+    sentences alone. Raises StudyError for a file that is not one of `study make`.
     """
     if not path.exists():
         return {}
@@ -144,10 +146,10 @@ def machine_tables(path: Path, study: Study, key: Key) -> dict[str, Tables]:
         readers = dict.fromkeys(record["reader"] for record in records)
         found = {}
         for reader in readers:
-            own = [r for r in records if r["reader"] == reader]
-            sentences = dict.fromkeys(key.clips[r["clip"]].sentence for r in own)
+            of_reader = [r for r in records if r["reader"] == reader]
+            sentences = dict.fromkeys(key.clips[r["clip"]].sentence for r in of_reader)
             clips_of = {
-                s: [r for r in own if key.clips[r["clip"]].sentence == s] for s in sentences
+                s: [r for r in of_reader if key.clips[r["clip"]].sentence == s] for s in sentences
             }
             found[f"reader of {reader}"] = _tables_of_reader(study, key, clips_of)
     except (ValueError, KeyError, TypeError) as error:

@@ -1,6 +1,6 @@
-"""Packs the head of the shipped face model for pages, when model or head have changed.
+"""`python -m lipservo_lab.twin_making.packed_head`: pack the shipped head for web pages.
 
-`python -m lipservo_lab.twin_making.packed_head`.
+To be run when the model or the head has changed.
 """
 
 import gzip
@@ -13,7 +13,7 @@ from lipsync.twin.twin import make_twin
 
 
 def main() -> None:
-    """Replace the head that is kept beside the shipped model."""
+    """Replace the packed head that is stored beside the shipped model."""
     folder = Path(str(resources.files("lipsync.models")))
     for old in folder.glob("head-*.bin.gz"):
         old.unlink()

@@ -1,4 +1,4 @@
-"""The phonemes of a clip and their times: by its text if there is one, else recognised."""
+"""The phonemes of a clip and their times: aligned with its text, or else recognised."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -21,7 +21,7 @@ from lipsync.recognition.batch import settled_phonemes
 from lipsync.recognition.network import NetworkWeights, load_shipped_weights
 from lipsync.textgrid import Interval
 
-#: Nobody waits: the recogniser may hear on for as long as it has learned to.
+#: Clips need no live answer: the recogniser may use the longest delay that it was trained with.
 _LATENCY_S = 0.145
 _LEAST_SPEECH_S = 0.3
 
@@ -32,9 +32,9 @@ class LabelingError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class ClipLabels:
-    """Phones without gaps, and words; seconds of the clip's sound.
+    """Phones without gaps, and words, with times in the clip's sound.
 
-    source: whether they come from its text or were recognised. score: of the text (`align`).
+    source: whether they are from the text or recognised. score: of the text (`align`).
     """
 
     phones: tuple[PhonemeEvent, ...]
@@ -44,21 +44,21 @@ class ClipLabels:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether words of the text may be missing in the sound, or too many."""
+        """Whether text and sound may differ in some words."""
         return self.score is not None and self.score < DOUBTFUL_SCORE
 
     def within(self, from_s: float, duration_s: float) -> "ClipLabels":
-        """Return the labels of a part of the clip, with times from the part's beginning."""
+        """Return the labels of a part of the clip, with times from the beginning of the part."""
         phones = tuple(
             replace(phone, start_s=start_s, end_s=end_s)
             for phone in self.phones
-            for start_s, end_s in [_inside(phone.start_s, phone.end_s, from_s, duration_s)]
+            for start_s, end_s in [_clipped_times(phone.start_s, phone.end_s, from_s, duration_s)]
             if end_s > start_s
         )
         words = tuple(
             (word, start_s, end_s)
             for word, word_start_s, word_end_s in self.words
-            for start_s, end_s in [_inside(word_start_s, word_end_s, from_s, duration_s)]
+            for start_s, end_s in [_clipped_times(word_start_s, word_end_s, from_s, duration_s)]
             if end_s > start_s
         )
         return replace(self, phones=phones, words=words)
@@ -70,14 +70,15 @@ class ClipLabels:
 
 
 def label_clip(samples: NDArray[np.float32], text: str | None) -> ClipLabels:
-    """Label samples (n,) at 16 kHz with a text, or by the recogniser where it is None.
+    """Label samples (n,) at 16 kHz by their text, or by the recogniser if text is None.
 
-    Raises UserError where text and sound do not match, LabelingError without speech.
+    Raises AlignmentError if the text is not spoken in the sound, and LabelingError if there is too
+    little speech.
     """
     if text is None:
-        heard = next(iter(settled_phonemes(_weights(), [samples], _LATENCY_S)))
+        recognized = next(iter(settled_phonemes(_weights(), [samples], _LATENCY_S)))
         end_s = len(samples) / SAMPLE_RATE_HZ
-        labels = ClipLabels(heard, (), "recognised").within(0.0, end_s)
+        labels = ClipLabels(recognized, (), "recognised").within(0.0, end_s)
     else:
         aligned = align(samples, text)
         score = goodness_of_pronunciation(samples, aligned.phones, _weights())
@@ -95,9 +96,10 @@ def label_clip(samples: NDArray[np.float32], text: str | None) -> ClipLabels:
     return labels
 
 
-def _inside(
+def _clipped_times(
     start_s: float, end_s: float | None, from_s: float, duration_s: float
 ) -> tuple[float, float]:
+    """Return start and end relative to `from_s`, limited to 0 to `duration_s`, s."""
     last_s = start_s if end_s is None else end_s
     return max(0.0, start_s - from_s), min(duration_s, last_s - from_s)
 

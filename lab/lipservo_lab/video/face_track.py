@@ -1,11 +1,10 @@
-"""Where the points of a face are in every picture of a video.
+"""Track the face in a video: the points of the face in every picture, with times.
 
-How far lips are apart in tracked pictures, as a corpus's reader will measure it.
+`tracked_gaps_mm`: how far the lips are apart, as the reader of a corpus will measure it.
 
-Pictures at a constant rate, and the sound that belongs to them.
-
-Cameras of telephones and computers film at the rate that the light allows. Points are interpolated
-between the pictures' time stamps, never the pictures themselves.
+`steady_clip`: pictures at a constant rate, and their sound. Cameras of phones and computers film at
+the rate that the light allows. Points are interpolated between the pictures' time stamps, never the
+pictures themselves.
 """
 
 from collections.abc import Callable
@@ -23,18 +22,21 @@ from lipsync.video.face_detection import FaceBox, Picture, cut_out
 from lipsync.video.face_tracker import FaceTracker
 from lipsync.video.video_file import VideoSound, video_pictures
 
-#: A face narrower than this share of the widest one is somebody in the background.
+#: A face narrower than this share of the widest one is of a person in the background.
 _BACKGROUND = 0.5
-#: One picture in so many seconds is kept for the picture sheet, so large.
+#: One picture every so many seconds is kept for the picture sheet, of so many pixels.
 _SAMPLE_EVERY_S = 2.0
 _SAMPLE_PIXELS = 160
-#: How much of a sample lies around the face.
+#: Size of such a picture, in sizes of the face.
 _SAMPLE_MARGIN = 1.3
 
 
 @dataclass(frozen=True, slots=True)
 class FaceSample:
-    """A face as it was filmed: picture (160, 160, 3), points (478, 2) in its pixels."""
+    """A picture of a face, for the picture sheet.
+
+    picture: (160, 160, 3), 8-bit; points: (478, 2) in its pixels.
+    """
 
     time_s: float
     picture: Picture
@@ -45,8 +47,8 @@ class FaceSample:
 class FaceTrack:
     """The widest face of every picture.
 
-    times_s: (n,), the pictures' time stamps; n_faces: (n,), how many faces are in each, those in
-    the background aside; points: (n, 478, 3), pixels as `FaceTracker` has them, NaN without a face.
+    times_s: (n,), the pictures' time stamps; n_faces: (n,), faces in each, without those in the
+    background; points: (n, 478, 3), pixels as of `FaceTracker`, NaN without a face.
     """
 
     times_s: Array
@@ -55,7 +57,7 @@ class FaceTrack:
     samples: tuple[FaceSample, ...]
 
     def between(self, start_s: float, end_s: float) -> "FaceTrack":
-        """The pictures from start_s to before end_s."""
+        """Return the track of the pictures from start_s to before end_s."""
         inside = (self.times_s >= start_s) & (self.times_s < end_s)
         return replace(
             self,
@@ -67,9 +69,10 @@ class FaceTrack:
 
 
 def track_face(path: Path, tracker: FaceTracker, advance: Callable[[float], None]) -> FaceTrack:
-    """Track a video; `advance` is called with the time of every picture, in s.
+    """Track the face in a video.
 
-    Raises VideoError.
+    advance: called with the time of every picture, s. Raises VideoError for a video that cannot be
+    read.
     """
     times_s: list[float] = []
     n_faces: list[int] = []
@@ -77,7 +80,7 @@ def track_face(path: Path, tracker: FaceTracker, advance: Callable[[float], None
     samples: list[FaceSample] = []
     for time_s, picture in video_pictures(path):
         if times_s and time_s <= times_s[-1]:
-            continue  # a damaged file tells the same moment twice
+            continue  # damaged files have the same time stamp twice
         faces = tracker.faces(picture)
         widths = [float(np.ptp(face[:, 0])) for face in faces]
         times_s.append(time_s)
@@ -92,7 +95,7 @@ def track_face(path: Path, tracker: FaceTracker, advance: Callable[[float], None
 
 
 def _sample(time_s: float, picture: Picture, face: Array) -> FaceSample:
-    """Return a picture cut out around a face, 8-bit, and the face's points in its pixels.
+    """Return the part of a picture around a face, 8-bit, with the face's points in its pixels.
 
     face: (n, 2 or more), columns x and y in pixels of the whole picture.
     """
@@ -100,12 +103,12 @@ def _sample(time_s: float, picture: Picture, face: Array) -> FaceSample:
     x_px, y_px = (low + high) / 2
     size_px = float((high - low).max()) * _SAMPLE_MARGIN
     box = FaceBox(float(x_px), float(y_px), size_px, 0.0)
-    seen = (cut_out(picture, box, _SAMPLE_PIXELS) * 255).astype(np.uint8)
+    cut = (cut_out(picture, box, _SAMPLE_PIXELS) * 255).astype(np.uint8)
     corner = np.array([x_px, y_px]) - size_px / 2
-    return FaceSample(time_s, seen, (face[:, :2] - corner) * (_SAMPLE_PIXELS / size_px))
+    return FaceSample(time_s, cut, (face[:, :2] - corner) * (_SAMPLE_PIXELS / size_px))
 
 
-#: Points that move with the bone alone: bridge and root of the nose, corners of the eyes, forehead,
+#: Points that only move with the skull: bridge and root of the nose, corners of the eyes, forehead,
 #: temples. Head motion is removed by them.
 RIGID = (
     168, 6, 197, 195, 33, 133, 362, 263, 10, 151, 9, 8,
@@ -131,19 +134,20 @@ def tracked_gaps_mm(points: Array32) -> Array:
     return gaps
 
 
-#: Rates that cameras mean when their time stamps are rounded.
+#: Exact rates of cameras, whose time stamps are rounded.
 _USUAL_HZ = (24000 / 1001, 24.0, 25.0, 30000 / 1001, 30.0, 50.0, 60000 / 1001, 60.0)
 _SAME_RATE = 2e-3
-#: Time stamps this far from a constant rate are rounding (Matroska's are whole milliseconds).
+#: Time stamps within this of a constant rate are only rounded (Matroska's are whole milliseconds).
 _STEADY_S = 2.5e-3
 
 
 @dataclass(frozen=True, slots=True)
 class SteadyClip:
-    """Points (n, 478, 3) at i / rate_hz, and samples at 16 kHz from the same moment on, as long.
+    """Points at a constant rate, and the sound from the same instant on, equally long.
 
-    from_s: where in the sound given it begins. was_steady: whether no point had to be interpolated
-    for the sake of the rate.
+    points: (n, 478, 3), at i / rate_hz; samples: at 16 kHz. from_s: time in the original sound at
+    which the clip begins. was_steady: whether the pictures had this rate already, so that points
+    were not interpolated.
     """
 
     points: Array32
@@ -154,27 +158,27 @@ class SteadyClip:
 
 
 def usual_step_s(times_s: Array) -> float:
-    """The mean time from picture to picture, pauses left out. times_s: (n,), n >= 2."""
+    """Return the mean time from picture to picture, without pauses; times_s: (n,), n >= 2."""
     steps_s = np.diff(times_s)
     median_s = float(np.median(steps_s))
     return float(steps_s[steps_s < 1.5 * median_s].mean()) if median_s > 0 else median_s
 
 
 def picture_rate_hz(times_s: Array) -> float:
-    """Return the constant rate nearest to time stamps (n,), Hz: a usual one if close enough."""
+    """Return the rate of time stamps (n,), Hz: a usual camera rate if one is near enough."""
     rate_hz = 1.0 / usual_step_s(times_s)
     nearest = min(_USUAL_HZ, key=lambda usual: abs(usual - rate_hz))
     return nearest if abs(nearest / rate_hz - 1) < _SAME_RATE else round(rate_hz, 2)
 
 
 def steady_clip(track: FaceTrack, sound: VideoSound, rate_hz: float) -> SteadyClip:
-    """Return the pictures and sound that overlap, with pictures at a constant rate.
+    """Return pictures and sound of the time that both have, with pictures at a constant rate.
 
     The clip begins and ends with a picture. Pictures without a face are interpolated from those
     around them. track: has a face in some picture. The clip may be empty (0 frames).
     """
-    seen = track.n_faces > 0
-    times_s, points = track.times_s[seen], track.points[seen]
+    has_face = track.n_faces > 0
+    times_s, points = track.times_s[has_face], track.points[has_face]
     sound_end_s = sound.begins_s + len(sound.samples) / SAMPLE_RATE_HZ
     later = times_s[times_s >= sound.begins_s - 1e-4]
     if not len(later):
@@ -198,7 +202,10 @@ def steady_clip(track: FaceTrack, sound: VideoSound, rate_hz: float) -> SteadyCl
 
 
 def _interpolated(times_s: Array, points: Array32, grid_s: Array) -> Array32:
-    """Linearly between the pictures before and after; points (n, 478, 3)."""
+    """Return points (n, 478, 3) interpolated linearly between the pictures before and after.
+
+    times_s: of the pictures; grid_s: (n,), wanted times.
+    """
     after = np.clip(np.searchsorted(times_s, grid_s), 1, len(times_s) - 1)
     before = after - 1
     step_s = times_s[after] - times_s[before]

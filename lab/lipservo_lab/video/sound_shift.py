@@ -1,11 +1,9 @@
-"""How much later than the picture the sound is: by lips that are seen and lips that are expected.
+"""How much later than the picture the sound is, by comparing tracked lips with predicted ones.
 
-Loudness says little of it: in 60 sentences of grid_s1, filmed in sync, the shift at which lip gap
-and loudness agree best is off by more than 100 ms in 28 %. The gap that the shipped model would
-show for the phonemes in the sound is off by more than 100 ms in 2 % with recognised phonemes, half
-of them within 13 ms; in none with known ones, half within 10 ms.
-
-How far the shipped model would open the lips for phonemes that are known.
+Loudness is a poor measure: in 60 sentences of grid_s1, filmed in sync, the shift at which lip gap
+and loudness agree best is off by more than 100 ms in 28 %. The gap that the shipped model predicts
+from the phonemes in the sound is off by more than 100 ms in 2 % with recognised phonemes, half of
+them within 13 ms; in none with known phonemes, half within 10 ms.
 """
 
 from collections.abc import Sequence
@@ -23,7 +21,7 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 
 class ExpectedLips:
-    """The motion that the shipped model expects for whole sentences."""
+    """The lip gap that the shipped model predicts for the phonemes of a whole sentence."""
 
     def __init__(self) -> None:
         with open_model(None) as file:
@@ -31,7 +29,7 @@ class ExpectedLips:
             self._expectation = read_expectation(file, self._face.n_components)
 
     def gaps_mm(self, phones: Sequence[PhonemeEvent], duration_s: float) -> Array:
-        """Return the expected lip gap, (n,) mm, every `TICK_S` from 0 s on."""
+        """Return the predicted lip gap, (n,) mm, every `TICK_S` from 0 s to `duration_s`."""
         style = Style(lookahead_s=USED_LOOKAHEAD_S)
         synthesizer = LiveSynthesizer(self._face, self._expectation, style)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, tuple(phones)))
@@ -40,34 +38,37 @@ class ExpectedLips:
         return self._face.lip_gaps_mm(self._face.markers_mm(faces))
 
 
-#: Looked for within so much.
+#: Largest shift that is tried, either way.
 LARGEST_SHIFT_S = 0.5
 _STEP_S = 0.01
-#: Of fewer pictures in common nothing can be told.
+#: With fewer pictures in common no correlation is computed.
 _LEAST_PICTURES = 10
-#: Less is neither told nor put right: half a picture at 25 a second.
+#: Smaller shifts are not corrected: half a picture at 25 a second.
 LEAST_CORRECTED_S = 0.02
-#: A clip is taken to have a shift of its own where it differs so much from that of all, and lips
-#: and sound agree so much better there.
+#: A clip has a shift of its own if it differs by more than this from that of all clips, and the
+#: correlation is this much higher there.
 _OWN_SHIFT_S, _OWN_GAIN = 0.1, 0.15
-#: Below this correlation at its best a clip says nothing about its shift.
+#: A clip whose highest correlation is lower does not count for the shift.
 _LEAST_R = 0.4
 
 
 @dataclass(frozen=True, slots=True)
 class ShiftCurve:
-    """correlations: (n,) of seen and expected lips with the sound taken shifts_s (n,) earlier."""
+    """Correlation of tracked and predicted lip gap, by shift.
+
+    correlations: (n,), with the sound moved earlier by shifts_s, (n,).
+    """
 
     shifts_s: Array
     correlations: Array
 
     def at(self, shift_s: float) -> float:
-        """The correlation at a shift."""
+        """Return the correlation at a shift, s, interpolated linearly."""
         return float(np.interp(shift_s, self.shifts_s, self.correlations))
 
     @property
     def best_s(self) -> float:
-        """The shift of the greatest correlation, s, by the parabola through the three highest."""
+        """The shift of the highest correlation, s, by a parabola through the three highest."""
         peak = int(self.correlations.argmax())
         if not 0 < peak < len(self.correlations) - 1:
             return float(self.shifts_s[peak])
@@ -78,18 +79,18 @@ class ShiftCurve:
 
 
 def shift_curve(seen: Array, times_s: Array, expected: Array) -> ShiftCurve:
-    """Correlate a tracked lip gap with the expected one, at every shift of the sound.
+    """Correlate a tracked lip gap with the predicted one, at every shift of the sound.
 
-    seen: (n,) at sound times (n,) by the time stamps; expected: (m,) every 10 ms from 0 on.
+    seen: (n,) at times_s (n,), s of sound by the time stamps; expected: (m,) every 10 ms from 0 on.
     """
     shifts_s = np.arange(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + _STEP_S / 2, _STEP_S)
-    heard_s = np.arange(len(expected)) * TICK_S
+    expected_s = np.arange(len(expected)) * TICK_S
     correlations = []
     for shift_s in shifts_s:
-        at_s = times_s + shift_s
-        common = (at_s >= 0) & (at_s <= heard_s[-1])
+        sound_s = times_s + shift_s
+        common = (sound_s >= 0) & (sound_s <= expected_s[-1])
         correlations.append(
-            correlation(seen[common], np.interp(at_s[common], heard_s, expected))
+            correlation(seen[common], np.interp(sound_s[common], expected_s, expected))
             if common.sum() >= _LEAST_PICTURES
             else 0.0
         )
@@ -105,14 +106,14 @@ def correlation(one: Array, other: Array) -> float:
 
 
 def corrections_s(curves: Sequence[ShiftCurve]) -> list[float]:
-    """Return by how much to take each clip's sound earlier, s: what all share, or its own shift.
+    """Return by how much to move each clip's sound earlier, s: the common shift, or its own.
 
-    What all share is the median of the clips whose curve is clear: cameras and microphones are late
-    by the same every time. 0 where it is less than `LEAST_CORRECTED_S`.
+    The common shift is the median over clips whose curve has a clear maximum, as a camera and its
+    microphone always have the same delay. 0 if it is less than `LEAST_CORRECTED_S`.
     """
-    telling = [curve.best_s for curve in curves if curve.correlations.max() >= _LEAST_R]
-    common_s = float(np.median(telling)) if telling else 0.0
-    found = []
+    clear_s = [curve.best_s for curve in curves if curve.correlations.max() >= _LEAST_R]
+    common_s = float(np.median(clear_s)) if clear_s else 0.0
+    shifts = []
     for curve in curves:
         own_s = curve.best_s
         gain = curve.at(own_s) - curve.at(common_s)
@@ -122,5 +123,5 @@ def corrections_s(curves: Sequence[ShiftCurve]) -> list[float]:
             and gain > _OWN_GAIN
         )
         shift_s = own_s if is_own else common_s
-        found.append(shift_s if abs(shift_s) >= LEAST_CORRECTED_S else 0.0)
-    return found
+        shifts.append(shift_s if abs(shift_s) >= LEAST_CORRECTED_S else 0.0)
+    return shifts

@@ -1,7 +1,4 @@
-"""Whether a face was tracked well enough to learn from, and in figures how well.
-
-What became of a clip, in figures and in words.
-"""
+"""Whether a face was tracked well enough to learn from, and figures and reasons for a report."""
 
 from dataclasses import asdict, dataclass
 
@@ -14,13 +11,13 @@ from lipsync.arrays import Array
 
 @dataclass(frozen=True, slots=True)
 class ClipReport:
-    """One clip, or one part of a long one.
+    """What became of one clip, or of one part of a long one.
 
-    left_out: why a corpus has nothing of it; None where it has. notes: what was put right or is
-    doubtful. phonemes: `text` or `recognised`. text_score: as `lipservo lines align` has it.
-    shift_ms: how much later than the picture the sound was found; corrected_ms: by how much it was
-    put right. gap_r: correlation of the lip gap that is seen with the one that the shipped model
-    expects of the sound, after the correction. Angles: the head's, medians over the pictures.
+    left_out: why it is not in the corpus; None: it is. notes: what was corrected or is doubtful.
+    phonemes: `text` or `recognised`. text_score: as of `lipservo lines align`. shift_ms: how much
+    later than the picture the sound is; corrected_ms: by how much it was moved. gap_r: correlation
+    of the tracked lip gap with the one that the shipped model predicts from the sound, after the
+    correction. Angles: the head's, medians over the pictures.
     """
 
     clip: str
@@ -41,20 +38,21 @@ class ClipReport:
         return asdict(self)
 
 
-#: Pairs of points as far to the speaker's right as to the left: outer eye corners, temples, ears.
+#: Pairs of points, right and left at equal distance: outer eye corners, temples, ears.
 _ACROSS = ((33, 263), (127, 356), (234, 454))
-#: Forehead and chin: the length of the face.
+#: Forehead and chin: the line along the face.
 _FOREHEAD, _CHIN = 10, 152
 _RIGHT_EYE, _LEFT_EYE = 33, 263
-#: Two faces in more than this share of the pictures: nobody knows who speaks.
+#: With two faces in more than this share of the pictures it is unknown who speaks.
 _MOST_DOUBLE = 0.1
-#: Beyond these the lips are seen from the side, from above or from below, and hide each other.
+#: Beyond these angles the lips are seen from the side, from above or from below, and hide each
+#: other.
 _MOST_YAW_DEG, _MOST_PITCH_DEG = 30.0, 35.0
-#: More pictures than this share may not be so.
+#: Largest share of pictures beyond these angles.
 _MOST_TURNED = 0.1
 #: With fewer pixels between the eye corners lips move by less than one; grid_s1 has 67.
 _LEAST_EYE_DISTANCE_PX = 35.0
-#: No picture of a face for longer than this: a whole closure may lie in there.
+#: Longest time without a face: a whole closure may be in a longer one.
 LONGEST_HOLE_S = 0.1
 #: Slower pictures do not show closures, which last 60 ms.
 _SLOWEST_HZ = 20.0
@@ -63,7 +61,7 @@ _ROUNDING_S = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class TrackQuality:
-    """eye_distance_px: medians over the pictures, as the angles; seen: share with a face."""
+    """Medians over the pictures with a face, and the share of those (seen)."""
 
     eye_distance_px: float
     yaw_deg: float
@@ -72,40 +70,40 @@ class TrackQuality:
 
 
 def quality_of(track: FaceTrack) -> TrackQuality:
-    """Figures of the pictures with a face; NaN where none has one."""
-    seen = track.n_faces > 0
-    if not seen.any():
+    """Return the figures of a track; NaN if no picture has a face."""
+    has_face = track.n_faces > 0
+    if not has_face.any():
         return TrackQuality(np.nan, np.nan, np.nan, 0.0)
-    points = track.points[seen].astype(float)
+    points = track.points[has_face].astype(float)
     yaw_deg, pitch_deg = _angles_deg(points)
     return TrackQuality(
         float(np.median(_eye_distances_px(points))),
         float(np.median(yaw_deg)),
         float(np.median(pitch_deg)),
-        float(seen.mean()),
+        float(has_face.mean()),
     )
 
 
 def usable_pictures(track: FaceTrack) -> NDArray[np.bool_]:
-    """Return which pictures show one face that is not turned away, (n,)."""
+    """Return which pictures show exactly one face, not turned away, (n,)."""
     usable: NDArray[np.bool_] = track.n_faces == 1
-    seen = track.n_faces > 0
-    usable[seen] &= ~_turned(track.points[seen].astype(float))
+    has_face = track.n_faces > 0
+    usable[has_face] &= ~_is_turned(track.points[has_face].astype(float))
     return usable
 
 
 def track_fault(track: FaceTrack, median_step_s: float) -> str | None:
-    """Why a corpus cannot use these pictures, and what to do; None where it can.
+    """Return why a corpus cannot use these pictures, and what to do; None if it can.
 
-    median_step_s: the usual time from picture to picture of the video.
+    median_step_s: usual time from picture to picture of the video.
     """
     fault = picture_fault(track, median_step_s)
     return fault or _hole(track.times_s, track.times_s[track.n_faces > 0])
 
 
 def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
-    """Return what is wrong with the pictures, as `track_fault`, but gaps in them are allowed."""
-    n, seen = len(track.times_s), track.n_faces > 0
+    """Return what is wrong with the pictures, as `track_fault`, but allow times without a face."""
+    n, has_face = len(track.times_s), track.n_faces > 0
     if n < 2:
         return "holds fewer than two pictures; film longer"
     if median_step_s > 1.0 / _SLOWEST_HZ + _ROUNDING_S:
@@ -113,13 +111,13 @@ def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
             f"{1.0 / median_step_s:.1f} pictures a second; film at {_SLOWEST_HZ:.0f} or more, with "
             "more light"
         )
-    if not seen.any():
+    if not has_face.any():
         return "no face in any picture; film the face from the front, well lit"
     n_double = int((track.n_faces > 1).sum())
     if n_double > _MOST_DOUBLE * n:
         return f"two faces in {n_double} of {n} pictures; film one person alone"
-    points = track.points[seen].astype(float)
-    n_turned = int(_turned(points).sum())
+    points = track.points[has_face].astype(float)
+    n_turned = int(_is_turned(points).sum())
     if n_turned > _MOST_TURNED * n:
         yaw_deg, pitch_deg = (float(np.median(np.abs(each))) for each in _angles_deg(points))
         return (
@@ -136,7 +134,7 @@ def picture_fault(track: FaceTrack, median_step_s: float) -> str | None:
 
 
 def _hole(times_s: Array, seen_s: Array) -> str | None:
-    """Describe the longest time without a face, if it is too long for interpolation; else None.
+    """Return a description of the longest time without a face if it is too long, else None.
 
     times_s: of all pictures; seen_s: of those with a face.
     """
@@ -151,7 +149,7 @@ def _hole(times_s: Array, seen_s: Array) -> str | None:
     )
 
 
-def _turned(points: Array) -> NDArray[np.bool_]:
+def _is_turned(points: Array) -> NDArray[np.bool_]:
     """Return which faces are turned beyond the angles at which lips are seen, (n,)."""
     yaw_deg, pitch_deg = _angles_deg(points)
     turned: NDArray[np.bool_] = np.abs(yaw_deg) > _MOST_YAW_DEG
@@ -159,7 +157,7 @@ def _turned(points: Array) -> NDArray[np.bool_]:
 
 
 def _angles_deg(points: Array) -> tuple[Array, Array]:
-    """Yaw and pitch (n,) of faces (n, 478, 3), from the depths that the tracker estimates."""
+    """Return yaw and pitch, (n,) each, of faces (n, 478, 3), by the depths that tracking gives."""
     across = np.sum([points[:, left] - points[:, right] for right, left in _ACROSS], axis=0)
     along = points[:, _CHIN] - points[:, _FOREHEAD]
     yaw = np.arctan2(across[:, 2], np.hypot(across[:, 0], across[:, 1]))

@@ -1,7 +1,4 @@
-"""Which videos there are to import, and the words of each.
-
-One video, tracked and heard; cut at pauses where it is long.
-"""
+"""Videos to import, with their words; each is tracked and recognised, and cut at pauses if long."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,7 +35,7 @@ def find_clips(source: Path) -> tuple[VideoClip, ...]:
     transcripts.txt that names none of them.
     """
     if source.is_file():
-        return (VideoClip(source, _text_beside(source) or _listed(source.parent).get(source.stem)),)
+        return (VideoClip(source, _text_beside(source) or _texts(source.parent).get(source.stem)),)
     if not source.is_dir():
         raise VideoError(f"{source}: no such file or folder; give a video, or a folder of videos")
     paths = sorted(p for p in source.iterdir() if p.suffix.lower() in VIDEO_ENDINGS and p.is_file())
@@ -47,21 +44,23 @@ def find_clips(source: Path) -> tuple[VideoClip, ...]:
     names = [path.stem for path in paths]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise VideoError(f"{source}: two videos are called {twice[0]}; rename one")
-    listed = _listed(source)
-    if strangers := sorted(set(listed) - set(names)):
+    listed = _texts(source)
+    if unknown := sorted(set(listed) - set(names)):
         raise VideoError(
-            f"{source / 'transcripts.txt'}: {strangers[0]!r} is no video of the folder; each line "
+            f"{source / 'transcripts.txt'}: {unknown[0]!r} is no video of the folder; each line "
             "is the NAME of one, without its ending, and what is said"
         )
     return tuple(VideoClip(path, _text_beside(path) or listed.get(path.stem)) for path in paths)
 
 
 def _text_beside(video: Path) -> str | None:
+    """Return the text in NAME.txt beside a video NAME; None if it is missing or empty."""
     path = video.with_suffix(".txt")
     return (_read(path).strip() or None) if path.is_file() else None
 
 
-def _listed(folder: Path) -> dict[str, str]:
+def _texts(folder: Path) -> dict[str, str]:
+    """Return the texts in transcripts.txt of a folder by name; empty if the file is missing."""
     path = folder / "transcripts.txt"
     if not path.is_file():
         return {}
@@ -76,15 +75,18 @@ def _read(path: Path) -> str:
         raise VideoError(f"{path}: cannot be read as text (UTF-8): {error}") from error
 
 
-#: A video longer than this is cut, so that a bad second costs a sentence and not all.
+#: A longer video is cut, so that a bad second costs one sentence and not all.
 _LONGEST_WHOLE_S = 15.0
-#: Cut in the middle of a silence so long, once a part is so long.
+#: Cuts are in the middle of silences of at least this length, if the part before is this long.
 _PAUSE_S, _LEAST_PART_S = 0.25, 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """A video whose face and sound are known; step_s: usual time from picture to picture."""
+    """A video with its tracked face, sound and labels.
+
+    step_s: usual time from picture to picture.
+    """
 
     name: str
     track: FaceTrack
@@ -112,9 +114,10 @@ class Take:
 
 
 def record_take(clip: VideoClip, tracker: FaceTracker, advance: Callable[[float], None]) -> Take:
-    """Track, recognise and label a clip; `advance` is called with the time of each picture, in s.
+    """Track, recognise and label a clip.
 
-    Raises VideoError or another UserError with the reason why nothing of the clip can be used.
+    advance: called with the time of each picture, s. Raises VideoError or another UserError with
+    the reason if the clip cannot be used.
     """
     sound = video_sound(clip.path)
     track = track_face(clip.path, tracker, advance)

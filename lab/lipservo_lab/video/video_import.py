@@ -1,6 +1,6 @@
-"""Videos of one talker become the sentences of a corpus, each with a report.
+"""Import videos of one speaker as the sentences of a corpus, each with a report.
 
-Sentences from video, written as a corpus: docs/motion.md, A corpus of your own.
+The corpus: docs/motion.md, A corpus of your own.
 """
 
 import json
@@ -35,16 +35,16 @@ from lipsync.textgrid import write_tiers
 from lipsync.video.face_tracker import FaceTracker
 from lipsync.video.video_file import VideoError, video_duration_s
 
-#: Fewer pictures are no sentence.
+#: A clip with fewer pictures is not used.
 _LEAST_PICTURES = 10
-#: Lips that follow the sound less than this at any shift are somebody else's.
+#: With a lower correlation at every shift the sound is not of these lips.
 _LEAST_GAP_R = 0.2
 _LEAST_SPEECH_S = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """What a corpus keeps of a clip."""
+    """A clip as a corpus stores it."""
 
     name: str
     clip: SteadyClip
@@ -53,7 +53,11 @@ class Sentence:
 
 @dataclass(frozen=True, slots=True)
 class VideoImport:
-    """sentences: what could be used; reports: of every clip, in order; samples: for the sheet."""
+    """The result of an import.
+
+    sentences: the clips that can be used; reports: of every clip, in order; samples: for the
+    picture sheet.
+    """
 
     rate_hz: float
     sentences: tuple[Sentence, ...]
@@ -63,7 +67,10 @@ class VideoImport:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A part of a take that its pictures allow: steady is what it is before the sound is moved."""
+    """A part of a take whose pictures can be used.
+
+    steady: its pictures and sound before the sound is moved. curve: correlation of lips and sound.
+    """
 
     name: str
     take: Take
@@ -76,9 +83,9 @@ class _Part:
 def import_videos(
     clips: Sequence[VideoClip], tracker: FaceTracker, advance: Advance
 ) -> VideoImport:
-    """Track and recognise clips, and align picture and sound.
+    """Track and recognise clips, and synchronise picture and sound.
 
-    Raises VideoError where nothing is usable; MissingExtraError where there are texts and the extra
+    Raises VideoError if nothing is usable; MissingExtraError if there are texts and the extra
     `align` is not installed.
     """
     if any(clip.text is not None for clip in clips):
@@ -94,7 +101,7 @@ def import_videos(
     sentences, samples = [], []
     shifts_s = corrections_s([part.curve for part in parts])
     for part, shift_s in zip(parts, shifts_s, strict=True):
-        sentence, reports[part.name] = _finished(part, shift_s)
+        sentence, reports[part.name] = _as_sentence(part, shift_s)
         if sentence is not None:
             sentences.append(sentence)
     for take in takes:
@@ -113,9 +120,9 @@ def _takes(
     advance: Advance,
     reports: dict[str, ClipReport],
 ) -> list[Take]:
-    """Track the face in each clip; return those that succeed, with their sound and labels.
+    """Track the face in each clip; return the clips that succeed, with sound and labels.
 
-    Clips that fail get a report that says why.
+    Clips that fail get a report with the reason in `reports`.
     """
     lengths_s = [_length_s(clip) for clip in clips]
     takes = []
@@ -134,14 +141,15 @@ def _takes(
 
 
 def _length_s(clip: VideoClip) -> float:
+    """Return the duration of a video, s; 0 if it cannot be read."""
     try:
         return video_duration_s(clip.path)
-    except VideoError:  # told once its turn has come
+    except VideoError:  # reported later, when it is tracked
         return 0.0
 
 
 def _common_rate_hz(takes: Sequence[Take]) -> float:
-    """What most clips are filmed at; of as many the quickest."""
+    """Return the frame rate of most clips; of several equally frequent ones the highest."""
     counts = Counter(picture_rate_hz(take.track.times_s) for take in takes)
     return max(counts, key=lambda rate_hz: (counts[rate_hz], rate_hz), default=25.0)
 
@@ -151,33 +159,33 @@ def _parts(
 ) -> list[_Part]:
     """Return the parts of a take that can be used, each with how its lips follow the sound.
 
-    Parts that cannot be used get a report that says why. lips: the lip gap that phonemes let
-    expect.
+    Parts that cannot be used get a report with the reason. lips: predicts the lip gap from
+    phonemes.
     """
     found = []
-    expected = lips.gaps_mm(take.labels.phones, take.parts()[-1][2])
+    expected_mm = lips.gaps_mm(take.labels.phones, take.parts()[-1][2])
     for name, start_s, end_s in take.parts():
         reports[name] = ClipReport(name)  # keeps the order
         begins_s = take.sound.begins_s
         track = take.track.between(begins_s + start_s, begins_s + end_s)
         fault = track_fault(track, take.step_s)
         if fault is not None:
-            reports[name] = replace(_seen(name, take, start_s, end_s), left_out=fault)
+            reports[name] = replace(_picture_report(name, take, start_s, end_s), left_out=fault)
             continue
         steady = steady_clip(track, take.sound, rate_hz)
         if len(steady.points) < _LEAST_PICTURES:
             reason = f"only {len(steady.points)} pictures have sound; film longer"
             reports[name] = ClipReport(name, left_out=reason)
             continue
-        seen = tracked_gaps_mm(steady.points)
-        times_s = steady.from_s + np.arange(len(seen)) / rate_hz
-        curve = shift_curve(seen, times_s, expected)
+        tracked_mm = tracked_gaps_mm(steady.points)
+        times_s = steady.from_s + np.arange(len(tracked_mm)) / rate_hz
+        curve = shift_curve(tracked_mm, times_s, expected_mm)
         found.append(_Part(name, take, start_s, end_s, steady, curve))
     return found
 
 
-def _seen(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
-    """The report of a part by its pictures alone."""
+def _picture_report(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
+    """Return the report of a part with what its pictures show."""
     begins_s = take.sound.begins_s
     quality = quality_of(take.track.between(begins_s + start_s, begins_s + end_s))
     report = ClipReport(name, phonemes=take.labels.source, text_score=take.labels.score)
@@ -191,10 +199,10 @@ def _seen(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
     )
 
 
-def _finished(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]:
-    """Return a part as a sentence with its sound taken `shift_s` earlier, and its report.
+def _as_sentence(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]:
+    """Return a part as a sentence with its sound moved `shift_s` earlier, and its report.
 
-    The sentence is None where the part cannot be learned from.
+    The sentence is None if the part cannot be learned from.
     """
     take = part.take
     sound = replace(take.sound, begins_s=take.sound.begins_s - shift_s)
@@ -204,7 +212,7 @@ def _finished(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]
     seconds = len(clip.points) / clip.rate_hz
     labels = take.labels.within(clip.from_s, seconds)
     report = replace(
-        _seen(part.name, take, part.start_s, part.end_s),
+        _picture_report(part.name, take, part.start_s, part.end_s),
         seconds=round(seconds, 2),
         shift_ms=round(1e3 * part.curve.best_s),
         corrected_ms=round(1e3 * shift_s),
@@ -218,7 +226,7 @@ def _finished(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]
 
 
 def _unusable(part: _Part, clip: SteadyClip, labels: ClipLabels) -> str | None:
-    """Return why a part cannot be learned from: too short, no speech, lips that do not match."""
+    """Return why a part cannot be learned from (short, no speech, other lips); None: it can."""
     if len(clip.points) < _LEAST_PICTURES:
         return f"only {len(clip.points)} pictures have sound; film longer"
     spoken_s = sum(
@@ -236,9 +244,9 @@ def _unusable(part: _Part, clip: SteadyClip, labels: ClipLabels) -> str | None:
 
 
 def _notes(take: Take, clip: SteadyClip, shift_s: float) -> list[str]:
-    """Return what a person should know of a used part: shift put right, odd rate, doubtful text.
+    """Return notes for a used part: corrected shift, interpolated pictures, doubtful text.
 
-    shift_s: how much later the sound was than the picture, s.
+    shift_s: how much later than the picture the sound was, s.
     """
     notes = []
     if shift_s:
@@ -256,6 +264,7 @@ def _notes(take: Take, clip: SteadyClip, shift_s: float) -> list[str]:
 
 
 def _first_reasons(reports: Sequence[ClipReport]) -> str:
+    """Return the first three reasons for clips left out, and how many more there are."""
     reasons = [f"{report.clip}: {report.left_out}" for report in reports if report.left_out]
     more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     return "; ".join(reasons[:3]) + more
@@ -278,9 +287,10 @@ def write_corpus(
     advance: Advance,
     draw: Callable[[Path], None],
 ) -> None:
-    """Write the whole corpus or nothing. Raises OutputError.
+    """Write the corpus completely or not at all. Raises OutputError.
 
-    about: for import.json, beside the reports; draw: called to draw the picture sheet.
+    about: content of import.json besides the reports. draw: called with the path of the picture
+    sheet, to draw it.
     """
     with folder_written_whole(folder) as place:
         for name in ("audio", "landmarks", "labels"):
@@ -305,9 +315,9 @@ def _write_sentence(place: Path, sentence: Sentence) -> None:
     """
     points = np.rint(sentence.clip.points * _UNITS_PER_PIXEL)
     # A picture more than 511 pixels wide needs more than 16 bits.
-    small = np.abs(points).max() <= np.iinfo(np.int16).max
-    whole = points.astype(np.int16 if small else np.int32)
-    np.savez_compressed(place / "landmarks" / f"{sentence.name}.npz", landmarks_64th_px=whole)
+    fits_int16 = np.abs(points).max() <= np.iinfo(np.int16).max
+    units = points.astype(np.int16 if fits_int16 else np.int32)
+    np.savez_compressed(place / "landmarks" / f"{sentence.name}.npz", landmarks_64th_px=units)
     soundfile.write(
         place / "audio" / f"{sentence.name}.flac", sentence.clip.samples, SAMPLE_RATE_HZ
     )

@@ -38,7 +38,7 @@ def import_video(
     from lipservo_lab.video.video_import import check_corpus_folder, import_videos, write_corpus
     from lipsync.video.face_tracker import open_tracker
 
-    began_s = time.perf_counter()
+    start_s = time.perf_counter()
     check_inputs(source, landmarker)
     check_extra("ai_edge_litert", "learn import-video")
     check_extra("matplotlib", "the picture sheet of import-video")
@@ -49,17 +49,17 @@ def import_video(
         imported = import_videos(clips, tracker, advance)
         about = {"source": str(source), "tracker": tracker.name, **_summary(imported)}
         write_corpus(output, imported, about, advance, partial(draw_sheet, imported.samples))
-    seconds = round(time.perf_counter() - began_s, 1)
+    seconds = round(time.perf_counter() - start_s, 1)
     reports = [report.as_json() for report in imported.reports]
     if as_json:
         print_json({"corpus": str(output), **about, "seconds": seconds, "clips": reports})
         return
-    _tell(imported)
-    RESULTS.print(_in_words(output, about, seconds), soft_wrap=True)
+    _print_reports(imported)
+    RESULTS.print(_summary_line(output, about, seconds), soft_wrap=True)
 
 
 def _summary(imported: "VideoImport") -> dict[str, Any]:
-    """Return an import's figures, of which at least one clip must have been used."""
+    """Return an import's figures; at least one clip must have been used."""
     used = [report for report in imported.reports if report.left_out is None]
     shifts_ms = sorted(report.shift_ms or 0 for report in used)
     return {
@@ -72,7 +72,8 @@ def _summary(imported: "VideoImport") -> dict[str, Any]:
     }
 
 
-def _tell(imported: "VideoImport") -> None:
+def _print_reports(imported: "VideoImport") -> None:
+    """Print notes, and clips left out with the reasons."""
     for report in imported.reports:
         for note in report.notes:
             MESSAGES.print(f"{report.clip}: {note}", soft_wrap=True)
@@ -80,8 +81,11 @@ def _tell(imported: "VideoImport") -> None:
             MESSAGES.print(f"left out: {report.clip}: {report.left_out}", soft_wrap=True)
 
 
-def _in_words(output: Path, about: dict[str, Any], seconds: float) -> str:
-    """Return the closing sentence of `import-video`. about: `_summary` and the tracker's name."""
+def _summary_line(output: Path, about: dict[str, Any], seconds: float) -> str:
+    """Return the last line that `import-video` prints.
+
+    about: figures of `_summary`, and the tracker's name.
+    """
     texts = ""
     if about["recognised"]:
         texts = f"; {about['recognised']} without text: their phonemes were recognised"
@@ -137,7 +141,7 @@ def import_scans(
     from lipservo_lab.scans.takes import find_takes
     from lipsync.output_file import check_output
 
-    began_s = time.perf_counter()
+    start_s = time.perf_counter()
     frame = scan_frame(unit, axes)
     is_corpus = output.suffix != _MOTION_ENDING
     picture = output / "scans.png" if is_corpus else output.with_suffix(".png")
@@ -155,7 +159,7 @@ def import_scans(
             about = _write_corpus(output, imported, takes, sounds, advance)
         else:
             about = _write_motion(output, imported, takes, picture, advance)
-    about["seconds"] = round(time.perf_counter() - began_s, 1)
+    about["seconds"] = round(time.perf_counter() - start_s, 1)
     if as_json:
         print_json({"output": str(output), **about})
         return
@@ -176,7 +180,10 @@ def import_scans(
 def _sounds(
     takes: "tuple[Take, ...]", rate_hz: float, advance: Advance
 ) -> "dict[str, TakeSound | str]":
-    """Return sound and labels of each take, or why it has none. Raises ScanError where none has."""
+    """Return sound and labels of each take, or why it has none.
+
+    Raises ScanError if no take has any.
+    """
     from lipservo_lab.scans.scan import ScanError
     from lipservo_lab.scans.takes import take_sound
 
@@ -200,10 +207,10 @@ def _write_corpus(
     sounds: "dict[str, TakeSound | str]",
     advance: Advance,
 ) -> dict[str, Any]:
-    """Register the scans, write the corpus folder `output` with a picture; return its figures.
+    """Register the scans, write the corpus folder `output` with a picture; return the figures.
 
-    sounds: by take, or why a take has none: such a take is left out. The folder is written whole or
-    not at all.
+    sounds: by take; a take with a reason in place of its sound is left out. The folder is written
+    completely or not at all.
     """
     from lipservo_lab.bench.pictures.import_sheets import draw_scans
     from lipservo_lab.output_folder import folder_written_whole
@@ -211,10 +218,10 @@ def _write_corpus(
 
     with folder_written_whole(output) as place:
         writer = CorpusWriter(place, imported.template, imported.rate_hz)
-        for made in imported.registered(advance):
-            sound = sounds[made.take.name]
+        for registered in imported.registered(advance):
+            sound = sounds[registered.take.name]
             if not isinstance(sound, str):
-                writer.add(made, sound)
+                writer.add(registered, sound)
         imported.refuse_nothing()
         about = _about(imported, takes, sounds)
         writer.finish(about)
@@ -233,10 +240,10 @@ def _write_motion(
     from lipservo_lab.bench.pictures.import_sheets import draw_scans
     from lipservo_lab.scans.scan_corpus import write_motion
 
-    made = list(imported.registered(advance))
+    registered = list(imported.registered(advance))
     imported.refuse_nothing()
     about = _about(imported, takes, {})
-    write_motion(output, made, imported.template, imported.rate_hz, about)
+    write_motion(output, registered, imported.template, imported.rate_hz, about)
     draw_scans(imported.samples, imported.template, picture)
     return about
 
@@ -245,28 +252,28 @@ def _about(
     imported: "ScanImport", takes: "tuple[Take, ...]", sounds: "dict[str, TakeSound | str]"
 ) -> dict[str, Any]:
     """Return figures of the whole import, then the reports of takes and of scans."""
-    done = {report.take: report for report in imported.takes}
-    of_takes = []
+    report_of = {report.take: report for report in imported.takes}
+    take_rows = []
     for take in takes:
         sound = sounds.get(take.name)
         if isinstance(sound, str):
-            of_takes.append(
+            take_rows.append(
                 {"take": take.name, "scans": len(take.scans), "left_out": sound, "notes": ()}
             )
         else:
             text_source = None if sound is None else sound.source
-            of_takes.append({**done[take.name].as_json(), "phonemes": text_source})
+            take_rows.append({**report_of[take.name].as_json(), "phonemes": text_source})
     used = [report for report in imported.scans if report.left_out is None]
     return {
         "template": str(imported.neutral),
         "points": len(imported.template.landmarks),
         "rate_hz": imported.rate_hz,
-        "used_takes": sum(each["left_out"] is None for each in of_takes),
+        "used_takes": sum(row["left_out"] is None for row in take_rows),
         "used_scans": len(used),
         "left_out_scans": len(imported.scans) - len(used),
         "error_mm": round(float(np.median([report.error_mm or 0.0 for report in used])), 3),
         "matched": round(float(np.mean([report.matched or 0.0 for report in used])), 3),
-        "takes": of_takes,
+        "takes": take_rows,
         "scans": [report.as_json() for report in imported.scans],
     }
 

@@ -1,8 +1,6 @@
-"""`learn recognizer` and `learn plot`: the recogniser's weights, and the log of their training.
+"""`learn recognizer` trains weights of the recogniser; `learn adapt` adapts them to one voice.
 
-`adapt`: the recogniser's weights learn one voice.
-
-The picture of a recogniser's training: its loss, and what the validation speakers say.
+`learn plot` draws the log of a training: the loss, and the accuracy on the validation speakers.
 """
 
 import json
@@ -198,12 +196,15 @@ def train_recognizer(
 
 
 def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
-    """Whole numbers with commas between; none: empty. Raises UserError."""
+    """Return the whole numbers in a list with commas; empty for an empty list.
+
+    Raises UserError for anything else, and for numbers out of range.
+    """
     try:
-        numbers = tuple(int(each) for each in listed.split(",") if each.strip())
+        numbers = tuple(int(number) for number in listed.split(",") if number.strip())
     except ValueError:
         numbers = (least - 1,)
-    if not all(least <= each <= most for each in numbers):
+    if not all(least <= number <= most for number in numbers):
         raise UserError(
             f"--dilations, --delays: {listed!r}: give numbers from {least} to {most}, like 1,2,4"
         )
@@ -224,16 +225,16 @@ def plot_training(
 
 
 def _speakers(listed: str) -> frozenset[str]:
-    """Names with commas between; one that ends in .csv is a file of speakers."""
+    """Return names with commas between; a name that ends in .csv is a file of speakers."""
     from lipservo_lab.corpus.transcribed import read_speakers
 
     names: set[str] = set()
-    for name in filter(None, (each.strip() for each in listed.split(","))):
+    for name in filter(None, (entry.strip() for entry in listed.split(","))):
         names |= set(read_speakers(Path(name))) if name.endswith(".csv") else {name}
     return frozenset(names)
 
 
-#: What is graded, in words for the table.
+#: Figures that grade an adaptation, with their labels in the table.
 _GRADED = {
     "viseme_speech": "visemes, frames of speech",
     "viseme_all": "visemes, all frames",
@@ -295,10 +296,10 @@ def adapt(
     )
     with progress_bar(quiet=quiet) as advance:
         voice = read_voice(only_speaker(read_transcribed(voice_folder), speaker), advance, n_jobs)
-        heard = [sentence.speech for sentence in voice.held_out]
-        before = settled_score(start, heard).figures()
+        held_out = [sentence.speech for sentence in voice.held_out]
+        before = settled_score(start, held_out).figures()
         learned = adapted(start, [sentence.speech for sentence in voice.learned], plan, advance)
-        after = settled_score(learned, heard).figures()
+        after = settled_score(learned, held_out).figures()
     is_better = after["viseme_speech"] > before["viseme_speech"]
     figures = {
         "weights": weights,
@@ -314,7 +315,7 @@ def adapt(
     if as_json:
         print_json(figures)
     else:
-        _print(voice, before, after)
+        _print_grades(voice, before, after)
     if not is_better:
         raise VoiceError(
             f"{output}: not written, since the adapted weights do not recognise this voice better "
@@ -334,8 +335,8 @@ def adapt(
     )
 
 
-def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:
-    """Print what a voice was learned from, what was left out, and the grades before and after."""
+def _print_grades(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:
+    """Print what the network was adapted to, what was left out, and figures before and after."""
     for name, reason in voice.left_out.items():
         MESSAGES.print(f"left out: {name}: {reason}", soft_wrap=True)
     RESULTS.print(
@@ -356,7 +357,10 @@ class TrainingLogError(UserError):
 
 
 def read_log(path: Path) -> list[Record]:
-    """The lines of a `log.jsonl`; TrainingLogError for a file that is none."""
+    """Return the records of a `log.jsonl`.
+
+    Raises TrainingLogError for a file that is not one.
+    """
     try:
         records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     except OSError as error:
@@ -375,17 +379,17 @@ def draw_log(records: Sequence[Record], picture: Path) -> None:
     without_screen()
     from matplotlib import pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    left.plot([r["step"] for r in records], [r["loss"] for r in records])
-    left.set(xlabel="step", ylabel="loss", title="training")
-    checked = [r for r in records if len(r) > 2]
-    for key in sorted(checked[-1]) if checked else ():
+    figure, (losses, accuracies) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    losses.plot([r["step"] for r in records], [r["loss"] for r in records])
+    losses.set(xlabel="step", ylabel="loss", title="training")
+    validated = [r for r in records if len(r) > 2]
+    for key in sorted(validated[-1]) if validated else ():
         if key == "score" or key.endswith("_viseme_all"):
-            points = [(r["step"], r[key]) for r in checked if key in r]
+            points = [(r["step"], r[key]) for r in validated if key in r]
             name = key.removesuffix("_viseme_all").removeprefix("corpus_").replace("_", " ")
-            right.plot(*zip(*points, strict=True), marker="o", label=name)
-    right.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
-    if right.lines:
-        right.legend(fontsize="small")
+            accuracies.plot(*zip(*points, strict=True), marker="o", label=name)
+    accuracies.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
+    if accuracies.lines:
+        accuracies.legend(fontsize="small")
     save_picture(figure, picture)
     plt.close(figure)

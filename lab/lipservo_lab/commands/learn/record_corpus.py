@@ -104,7 +104,7 @@ def record_corpus(
             outcome = Session(devices, screen, output).run(sentence_list, recorded)
         finally:
             screen.end()
-    there = recorded_names(output, sentence_list)
+    complete = recorded_names(output, sentence_list)
     if as_json:
         print_json(
             {
@@ -112,16 +112,16 @@ def record_corpus(
                 "recorded": outcome.recorded,
                 "skipped": outcome.skipped,
                 "warnings": outcome.warnings,
-                "there": len(there),
-                "missing": [s.name for s in sentence_list if s.name not in there],
+                "there": len(complete),
+                "missing": [s.name for s in sentence_list if s.name not in complete],
             }
         )
     else:
         RESULTS.print(
-            f"{output}: {len(there)} of {len(sentence_list)} sentences recorded; "
+            f"{output}: {len(complete)} of {len(sentence_list)} sentences recorded; "
             + (
                 f"`lipservo learn import-video {output} -o CORPUS` goes on"
-                if len(there) == len(sentence_list)
+                if len(complete) == len(sentence_list)
                 else "the same command goes on with the rest"
             ),
             soft_wrap=True,
@@ -131,7 +131,7 @@ def record_corpus(
 
 
 def _mode(size: str, rate_hz: float) -> "CameraMode":
-    """Return the camera mode of an option WIDTHxHEIGHT; raise BadParameter for anything else."""
+    """Return the camera mode of an option WIDTHxHEIGHT; raises BadParameter for anything else."""
     from lipservo.calibrating.camera import CameraMode
 
     width, _, height = size.lower().partition("x")
@@ -143,7 +143,7 @@ def _mode(size: str, rate_hz: float) -> "CameraMode":
 
 
 def _check_folder(folder: Path) -> None:
-    """Make it where it is not there. Raises OutputError."""
+    """Make the folder if it does not exist. Raises OutputError."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; name a folder to record into")
     try:

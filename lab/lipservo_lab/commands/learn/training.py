@@ -1,6 +1,7 @@
-"""`train`: a face model is learned from recordings.
+"""`learn face`: a face model is learned from recordings.
 
-`train-offline`: the model that scripted lines are rendered with.
+`learn soft`: a face model is fitted to a recogniser's posteriors. `learn offline`: the model that
+scripted lines are rendered with.
 """
 
 import time
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from lipservo_lab.learning.motion.several_speakers import FaceMap
 
 
-#: What the expectation learns from.
+#: What the predicted mean motion is learned from: labels alone, or recognised phonemes too.
 Phonemes = Literal["both", "true"]
 
 
@@ -109,9 +110,9 @@ def train(
     layout = MARKERS_47 if markers is None else find_layout(markers)
     n_components = DEFAULT_COMPONENTS if components is None else components
     check_components(n_components, layout)
-    weights = _weights(weight or [])
+    weights = _parse_weights(weight or [])
     check_speakers([folder_name(folder) for folder in corpora], face_of, weights)
-    left_out = _named_in(without)
+    left_out = _read_names(without)
     words = frozenset(w.strip() for w in (without_words or "").split(",") if w.strip())
     check_output(output, replaces=is_model, kind="face model")
     with work_bars(quiet=quiet) as bars:
@@ -165,8 +166,11 @@ def train(
         )
 
 
-def _named_in(path: Path | None) -> frozenset[str]:
-    """The sentences that a text file names, one a line; none without a file."""
+def _read_names(path: Path | None) -> frozenset[str]:
+    """Return the sentences that a text file names, one a line; none for path None.
+
+    Raises UserError for a file that cannot be read or names none.
+    """
     if path is None:
         return frozenset()
     try:
@@ -178,18 +182,18 @@ def _named_in(path: Path | None) -> frozenset[str]:
     return names - {""}
 
 
-def _weights(given: list[str]) -> dict[str, float]:
-    """Parse NAME=W options."""
+def _parse_weights(options: list[str]) -> dict[str, float]:
+    """Return the weights of options NAME=W by name; raises BadParameter for another form."""
     weights: dict[str, float] = {}
-    for each in given:
-        name, _, number = each.rpartition("=")
+    for option in options:
+        name, _, number = option.rpartition("=")
         try:
             weights[name] = float(number)
         except ValueError:
             name = ""
         if not name:
             raise typer.BadParameter(
-                f"{each!r}: write NAME=W, such as me=0.3", param_hint="--weight"
+                f"{option!r}: write NAME=W, such as me=0.3", param_hint="--weight"
             )
     return weights
 
@@ -197,7 +201,10 @@ def _weights(given: list[str]) -> dict[str, float]:
 def _speaker_rows(
     corpora: "list[Corpus]", weights: Mapping[str, float], maps: "Mapping[str, FaceMap]"
 ) -> dict[str, object]:
-    """Return how much there is of each speaker, and how their motion was mapped; for JSON."""
+    """Return for JSON how much speech each speaker has, and how the motion was mapped.
+
+    Empty for a single speaker. maps: to the face that is used, by speaker.
+    """
     if len(corpora) == 1:
         return {}
     speakers: dict[str, dict[str, object]] = {}
@@ -255,7 +262,7 @@ def train_soft(
     from lipsync.face.model import is_model
     from lipsync.recognition.network import find_weights, load_weights, weights_digest
 
-    began_s = time.perf_counter()
+    start_s = time.perf_counter()
     face = load_trained_model(model)
     network, digest = find_weights(weights), weights_digest(weights)
     check_output(output, replaces=is_model, kind="face model")
@@ -268,18 +275,18 @@ def train_soft(
 
         bars.tell("posteriors to faces")
         others = [load_weights(path) for path in also or ()]
-        heard_by = ",".join(weights_digest(str(path)) for path in also or ())
+        other_digests = ",".join(weights_digest(str(path)) for path in also or ())
         teacher = None
         if table:
             teacher = ModelTeacher(sentences, weights, bars.track, bars.tell, others)
         copies = (
             hear_copies(network, taught, bars.track, others) if teacher is None else teacher.copies
         )
-        made = with_soft_expectation(face, sentences, copies, digest)
-        made = replace(made, provenance={**made.provenance, "soft_others": heard_by})
-        if made.soft is None:
+        fitted = with_soft_expectation(face, sentences, copies, digest)
+        fitted = replace(fitted, provenance={**fitted.provenance, "soft_others": other_digests})
+        if fitted.soft is None:
             raise UserError(f"{corpus}: too little speech with sound to learn from; record more")
-        save_model(made, output)
+        save_model(fitted, output)
         rows = []
         if teacher is not None:
             rows = soft_table(sentences, parts, teacher, weights, bars.track)
@@ -287,9 +294,9 @@ def train_soft(
         "model": str(output),
         "weights": weights,
         "soft_weights": digest,
-        "sentences": len(made.training_sentences),
+        "sentences": len(fitted.training_sentences),
         "bytes": output.stat().st_size,
-        "seconds": round(time.perf_counter() - began_s, 1),
+        "seconds": round(time.perf_counter() - start_s, 1),
     }
     if table:
         figures["table"] = rows
@@ -350,7 +357,7 @@ def train_offline(
         seed=seed,
     )
     check_output(output, replaces=is_offline_model, kind="offline model", inputs=[model])
-    began_s = time.perf_counter()
+    start_s = time.perf_counter()
     with work_bars(quiet=quiet) as bars:
         sentences = read_grid(
             corpus,
@@ -359,19 +366,19 @@ def train_offline(
             skip_bad=skip_bad,
             progress=bars.read,
         )
-        made = train_model(sentences, face, recipe, progress=bars.tell, listening=bars.listen)
-    save_offline_model(made, output)
-    seconds = time.perf_counter() - began_s
+        trained = train_model(sentences, face, recipe, progress=bars.tell, listening=bars.listen)
+    save_offline_model(trained, output)
+    seconds = time.perf_counter() - start_s
     for line in sentences.skipped:
         MESSAGES.print(f"left out: {line}", soft_wrap=True)
     figures: dict[str, object] = {
         "model": str(output),
-        "face": made.face_checksum,
-        "sentences": len(made.training_sentences),
+        "face": trained.face_checksum,
+        "sentences": len(trained.training_sentences),
         "skipped": len(sentences.skipped),
         "seconds": round(seconds, 1),
         "bytes": output.stat().st_size,
-        **made.provenance,
+        **trained.provenance,
     }
     if as_json:
         print_json(figures)

@@ -39,16 +39,16 @@ def recorded(
     check_output(output, replaces=is_performance, kind="performance", inputs=[])
     face = load_face(model)
     utterances = read_grid(corpus, face.layout, skip_bad=True).utterances
-    one = next((each for each in utterances if each.name == sentence), None)
-    if one is None:
+    found = next((each for each in utterances if each.name == sentence), None)
+    if found is None:
         names = ", ".join(each.name for each in utterances[:5])
         raise UserError(f"{corpus}: no sentence {sentence}; there are {names} ...")
-    shown = face.coefficients(one.markers_mm)
-    known_s = np.arange(len(shown)) / one.frame_rate_hz
-    times_s = np.arange(int(known_s[-1] * RATE_HZ) + 1) / RATE_HZ
-    columns = [np.interp(times_s, known_s, column) for column in shown.T]
+    motion = face.coefficients(found.markers_mm)
+    frames_s = np.arange(len(motion)) / found.frame_rate_hz
+    times_s = np.arange(int(frames_s[-1] * RATE_HZ) + 1) / RATE_HZ
+    columns = [np.interp(times_s, frames_s, column) for column in motion.T]
     faces = np.stack(columns, axis=1).astype(np.float32)
-    sound = performed_sound(one.sound_path, included=True)
-    phones = tuple(each for each in one.phones if each.end_s is not None)
+    sound = performed_sound(found.sound_path, included=True)
+    phones = tuple(each for each in found.phones if each.end_s is not None)
     write_performance(Performance(face.checksum, faces, phones, sound, "recorded"), output)
-    MESSAGES.print(f"{output}: {times_s[-1]:.1f} s, as recorded; its sound is {one.sound_path}")
+    MESSAGES.print(f"{output}: {times_s[-1]:.1f} s, as recorded; its sound is {found.sound_path}")

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from lipservo_lab.study.making import Film
 
 _METHODS = "recorded,ears,words,scripted,wei-deng,edge,cohen-massaro,catmull-rom,rhubarb,still"
-#: Square, so that the face fills it: a mouth is what is judged.
+#: Size of the clips: square, so that the face fills it; raters judge the mouth.
 _SIZE = (640, 640)
 Folder = Annotated[Path, typer.Argument(help="Folder of the study.")]
 Ratings = Annotated[int, typer.Option(min=0, max=400, help="Number of clips a rater rates.")]
@@ -100,20 +100,20 @@ def make(
     plan = Plan(names, size, seed or secrets.token_hex(8), title, _consent_text(consent))
     with work_bars(quiet=quiet) as bars:
         recordings = read_grid(corpus, MARKERS_47, skip_bad=skip_bad, progress=bars.read).labelled()
-        test = _test_of(corpus, recordings)
-        learned = tuple(u for u in recordings.utterances if u.name not in test)
-        read = held_out(recordings, test, plan.seed)
-        study, key = planned_study(plan, read, learned)
-        trained = _model_for(recordings, test, model, bars)
-        material = Material(trained, read, learned, faces_of_methods(trained, recordings))
+        test_names = _test_of(corpus, recordings)
+        learned = tuple(u for u in recordings.utterances if u.name not in test_names)
+        test_sentences = held_out(recordings, test_names, plan.seed)
+        study, key = planned_study(plan, test_sentences, learned)
+        trained = _model_for(recordings, test_names, model, bars)
+        material = Material(trained, test_sentences, learned, faces_of_methods(trained, recordings))
         film = _film_on(face, landmarker, trained)
         write_made_study(folder, study, key, material, film, partial(bars.advance, "filming"))
-    shown = {
+    summary = {
         "study": study.identity, "folder": str(folder), "methods": list(names),
         "clips": len(key.clips), "items_per_rater": len(study.sheets[0]),
     }  # fmt: skip
     if as_json:
-        print_json(shown)
+        print_json(summary)
         return
     RESULTS.print(
         f"{folder}: {len(key.clips)} clips of {len(names)} methods, {len(study.sheets[0])} items a "
@@ -135,6 +135,7 @@ def _consent_text(path: Path | None) -> str:
 
 
 def _test_of(folder: Path, recordings: "Corpus") -> frozenset[str]:
+    """Return the names of the held-out sentences, `random_test` of splits.json."""
     from lipservo_lab.evaluation.readability.reading_scores import KNOWN, reading_parts
 
     return next(part.test for part in reading_parts(folder, recordings) if part.split == KNOWN)
@@ -145,7 +146,8 @@ def _model_for(
 ) -> "TrainedModel":
     """Return the given model, or one trained now, that has not learned the shown sentences.
 
-    A model that has learned a sentence would recite it.
+    A model would repeat a sentence that it has learned. Raises StudyError for a given model that
+    has.
     """
     from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipservo_lab.learning.motion.trained_model import load_trained_model
@@ -161,12 +163,15 @@ def _model_for(
                 "...); give one trained without them, or leave --model out"
             )
         return model
-    known = recordings.keep({u.name for u in recordings.utterances if u.name not in test})
-    return ModelTeacher(known, DEFAULT_WEIGHTS, bars.track, bars.tell)(known)
+    training_part = recordings.keep({u.name for u in recordings.utterances if u.name not in test})
+    return ModelTeacher(training_part, DEFAULT_WEIGHTS, bars.track, bars.tell)(training_part)
 
 
 def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film":
-    """Return a film with the same head for all clips."""
+    """Return a function that films faces, with the same head for all clips.
+
+    face: "twin", or the path of a photograph.
+    """
     from lipservo.display.film import film
     from lipservo.display.filmed_faces import photograph
     from lipservo.display.photo_display import PhotoDisplay
@@ -174,18 +179,18 @@ def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film
     from lipsync.arrays import Array
     from lipsync.face.frame import Frame
 
-    shown = (
+    filmed_face = (
         twin_face(model, _SIZE)
         if face == "twin"
         else photograph(Path(face), None, landmarker, _SIZE, model)
     )
-    display: Display = PhotoDisplay(shown)
+    display: Display = PhotoDisplay(filmed_face)
 
-    def filmed(faces: Array, rate_hz: float, sound: Path, out: Path) -> None:
-        frames = (Frame(n / rate_hz, each) for n, each in enumerate(faces))
+    def film_clip(faces: Array, rate_hz: float, sound: Path, out: Path) -> None:
+        frames = (Frame(n / rate_hz, face) for n, face in enumerate(faces))
         film(frames, sound, display, out, rate_hz=round(rate_hz))
 
-    return filmed
+    return film_clip
 
 
 def serve(
@@ -230,16 +235,16 @@ def serve(
                 MESSAGES.print(f"study: {address_of(listener, token)}", soft_wrap=True)
 
         app = study_app(StudyDesk(study, answers, minutes_of(study)), folder, token)
-        # Ctrl-C is how it ends; the server raises it again when every request is answered.
+        # Ctrl-C ends the server, which raises it again when every request is answered.
         with contextlib.suppress(KeyboardInterrupt):
             server_of(app, ready).run([listener])
         if not quiet:
-            done = sum(
-                len(each.answers) == len(study.sheets[each.sheet])
-                for each in answers.raters.values()
+            n_finished = sum(
+                len(rater.answers) == len(study.sheets[rater.sheet])
+                for rater in answers.raters.values()
             )
             MESSAGES.print(
-                f"{answers.path}: {len(answers.raters)} raters, {done} to the end. "
+                f"{answers.path}: {len(answers.raters)} raters, {n_finished} to the end. "
                 f"lipservo study report {folder}",
                 soft_wrap=True,
             )
@@ -280,16 +285,16 @@ def report(
     check_output(path, replaces=_is_page, kind="page", inputs=[answers])
     study, key = read_study(folder), read_key(folder)
     file = answers or folder / ANSWERS_FILE
-    given = read_answers(file, study.identity)
+    read = read_answers(file, study.identity)
     with work_bars(quiet=quiet) as bars:
         bars.tell("counting")
-        found = counted(study, key, given)
+        counted_answers = counted(study, key, read)
         reference = key.methods.index("recorded") if "recorded" in key.methods else 0
-        fitted = mixed_model(found.tables, reference) if mixed else None
+        fitted = mixed_model(counted_answers.tables, reference) if mixed else None
         machines = machine_tables(folder / MACHINES_FILE, study, key)
-        figures = study_figures(study, key, found, fitted, machines)
+        figures = study_figures(study, key, counted_answers, fitted, machines)
         about = f"Study {study.identity}, answers of {file.name}, reported {now()}"
-        page = report_page(figures, about=about, is_rehearsal=given.is_simulated)
+        page = report_page(figures, about=about, is_rehearsal=read.is_simulated)
         write_whole(path, page)
     if as_json:
         print_json(figures)
@@ -299,10 +304,11 @@ def report(
 
 
 def _is_page(head: bytes) -> bool:
+    """Return whether a file that begins with `head` is an HTML page."""
     return head.startswith(b"<!doctype html>")
 
 
-#: What is printed of a method's ratings.
+#: Columns of the table of ratings, with their headings.
 _RATING_HEADINGS = {
     "method": "method",
     "mean": "mean",
@@ -313,11 +319,11 @@ _RATING_HEADINGS = {
 
 
 def _print_figures(figures: dict[str, object]) -> None:
-    """Print who was counted and the table of ratings; the other parts are on the report's page."""
+    """Print who was counted and the table of ratings; the rest is on the report's page."""
     raters = figures["raters"]
     assert isinstance(raters, dict)
-    left = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"
-    RESULTS.print(f"{raters['began']} raters, {raters['counted']} counted; left out: {left}")
+    left_out = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"
+    RESULTS.print(f"{raters['began']} raters, {raters['counted']} counted; left out: {left_out}")
     rows = figures["ratings"]
     assert isinstance(rows, list)
     print_table(rows, _RATING_HEADINGS)
@@ -364,7 +370,7 @@ def rehearse(
 
 
 def _is_rehearsal(head: bytes) -> bool:
-    """Return whether a file is of simulated answers; those of people are never overwritten."""
+    """Return whether a file is of simulated answers; people's answers are never overwritten."""
     return b'"simulated"' in head.partition(b"\n")[0]
 
 

@@ -1,10 +1,8 @@
 """The figures of a face's expression that `lipservo bench face` prints.
 
-Blinks found in the track of a lid, and how often they come.
-
-What a source of expressions shows to a voice, as arrays.
-
-How much later than the voice a head moves.
+Blinks, found in the position of a lid, and how often they come; how much later than the voice's
+loudness a head nods. Both are measured on what a source of expressions shows to a voice, as arrays.
+A cue is the input of a source every `CUE_PERIOD_S`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,7 +18,7 @@ from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue, ExpressionSource
 from lipsync.face.frame import Expression
 from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
 
-#: A lid that is more than half shut blinks: a gaze down takes it to half at most.
+#: A lid that is more shut than this blinks (1: shut); with the gaze down it is half shut at most.
 _SHUT = 0.66
 
 
@@ -30,24 +28,24 @@ def blink_cues(lid: Array) -> Indices:
     Parameters
     ----------
     lid : Array
-        (n,).
+        (n,), 0 open to 1 shut, at each cue.
 
     Returns
     -------
     Indices
-        (n_blinks,) numbers.
+        (n_blinks,) indices of cues.
     """
     is_shut = lid > _SHUT
     return np.flatnonzero(is_shut[1:] & ~is_shut[:-1]) + 1
 
 
 def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
-    """Return blinks a minute among the cues that count.
+    """Return the number of blinks a minute among the chosen cues.
 
     Parameters
     ----------
-    lid,counts : Array
-        (n,).
+    lid, counts : Array
+        (n,) at each cue: 0 open to 1 shut; and whether the cue counts.
 
     Returns
     -------
@@ -62,16 +60,16 @@ def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
 
 #: Columns of a track of expressions.
 NAMES: Final = tuple(field.name for field in fields(Expression))
-#: As the speech side counts: a pause within a sentence is speech until it has lasted so long.
+#: A pause within a sentence counts as speech until it has lasted so long, as in a running face.
 _PAUSE_S = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class ShownExpression:
-    """A track of n cues, CUE_PERIOD_S apart.
+    """What a source of expressions showed at n cues, CUE_PERIOD_S apart.
 
-    values: (n, 10), columns by NAMES, NaN where absent. is_speaking: (n,). loudness_z, pitch_z:
-    (n,), of the voice.
+    values: (n, 10), columns as in NAMES, NaN for parts that the source leaves alone. is_speaking:
+    (n,). loudness_z, pitch_z: (n,), of the voice in standard deviations; 0 without speech.
     """
 
     values: Array
@@ -80,17 +78,17 @@ class ShownExpression:
     pitch_z: Array
 
     def column(self, name: str) -> Array:
-        """Return one degree of freedom by its name in `Expression`.
+        """Return one degree of freedom over all cues.
 
         Parameters
         ----------
         name : str
-            Of it.
+            A field of `Expression`.
 
         Returns
         -------
         Array
-            (n,).
+            (n,), in the field's unit.
         """
         return self.values[:, NAMES.index(name)]
 
@@ -110,7 +108,10 @@ class ShownExpression:
 
 
 def cues_of(voice: Iterable[VoiceFrame]) -> Iterator[ExpressionCue]:
-    """The cues of a face that speaks with this voice and has no person to look at."""
+    """Yield the cues of a face that speaks with this voice and has no person to look at.
+
+    voice: a frame every CUE_PERIOD_S.
+    """
     silent_s, has_spoken = 0.0, False
     for n, frame in enumerate(voice, start=1):
         silent_s = 0.0 if frame.is_speech else silent_s + CUE_PERIOD_S
@@ -120,7 +121,7 @@ def cues_of(voice: Iterable[VoiceFrame]) -> Iterator[ExpressionCue]:
 
 
 def shown(source: ExpressionSource, cues: Iterable[ExpressionCue]) -> ShownExpression:
-    """Steps a source through cues."""
+    """Feed cues to a source of expressions; return all that it showed."""
     values, speaking, loudness, pitch = [], [], [], []
     for cue in cues:
         expression = source.step(cue)
@@ -135,22 +136,23 @@ def _number(value: float | None) -> float:
     return float("nan") if value is None else value
 
 
-#: Lags looked through, either way.
+#: Largest lag that is tried, either way.
 _MOST_LAG_S: Final = 0.5
 
 
 def lag_ms(shown: ShownExpression) -> float:
-    """Return how much later head pitch velocity follows loudness, ms, by |cross-correlation|.
+    """Return the lag, ms, at which |cross-correlation| of loudness and nodding speed is largest.
 
-    Loudness counts in speech only; both are sampled at cue times. Positive: the head is later.
+    Loudness is 0 outside speech; the speed is that of the neck's pitch. Lags up to half a second
+    either way are tried. Positive: the head moves later than the voice.
     """
     loudness = _centred(np.where(shown.is_speaking, shown.loudness_z, 0.0))
     velocity = _centred(_velocity(shown.column("neck_pitch_deg")))
-    most = round(_MOST_LAG_S / CUE_PERIOD_S)
-    inner = slice(most, len(loudness) - most)
-    lags = np.arange(-most, most + 1)
+    n_most = round(_MOST_LAG_S / CUE_PERIOD_S)
+    inner = slice(n_most, len(loudness) - n_most)
+    lags = np.arange(-n_most, n_most + 1)
     strengths = [
-        abs(float(loudness[inner] @ velocity[most + lag : len(velocity) - most + lag]))
+        abs(float(loudness[inner] @ velocity[n_most + lag : len(velocity) - n_most + lag]))
         for lag in lags
     ]
     return float(lags[int(np.argmax(strengths))]) * CUE_PERIOD_S * 1e3
@@ -169,7 +171,7 @@ _COUNTED_S = 1200.0
 
 @dataclass(frozen=True, slots=True)
 class ExpressionFigures:
-    """Of one source and one voice."""
+    """Figures of one source of expressions with one voice."""
 
     blink_per_min_talking: float
     blink_per_min_silent: float
@@ -179,40 +181,43 @@ class ExpressionFigures:
 def expression_figures(
     make_source: Callable[[], ExpressionSource], voice: Iterable[VoiceFrame]
 ) -> ExpressionFigures:
-    """Return the figures of an expression source, made anew for each measure.
+    """Return the figures of an expression source with a voice.
 
-    The voice is repeated as often as needed; blinks are counted over 20 minutes. Raises ValueError
-    for a voice without a frame.
+    make_source: called anew for each measure. voice: its frames are repeated as often as needed;
+    blinks are counted over 20 minutes. Raises ValueError for a voice without a frame.
     """
     frames = list(voice)
     if not frames:
         raise ValueError("no voice to measure with: 0 frames; one at least is needed")
     n_counted = round(_COUNTED_S / CUE_PERIOD_S)
-    talking = _shown(make_source(), islice(cycle(frames), n_counted))
-    silent = _shown(make_source(), islice(_pauses(frames), n_counted))
-    once = _first(talking, min(len(frames), n_counted))
+    talking = _shown_to(make_source(), islice(cycle(frames), n_counted))
+    silent = _shown_to(make_source(), islice(_long_pauses(frames), n_counted))
+    unrepeated = _first_cues(talking, min(len(frames), n_counted))
     return ExpressionFigures(
         blinks_per_min(talking.column("lid_left"), talking.is_speaking),
         blinks_per_min(silent.column("lid_left"), ~silent.is_speaking),
-        lag_ms(once),
+        lag_ms(unrepeated),
     )
 
 
-def _shown(source: ExpressionSource, voice: Iterable[VoiceFrame]) -> ShownExpression:
+def _shown_to(source: ExpressionSource, voice: Iterable[VoiceFrame]) -> ShownExpression:
     return shown(source, cues_of(voice))
 
 
-def _pauses(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
-    """Half a second of voice every two minutes, so that the face is never at rest."""
-    n_word, n_pause = round(0.5 / CUE_PERIOD_S), round(120.0 / CUE_PERIOD_S)
-    word = [frame for frame in frames if frame.is_speech][:n_word]
+def _long_pauses(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
+    """Yield without end half a second of the voice's speech and two minutes of silence, in turn.
+
+    The short speech keeps the face from going to rest.
+    """
+    n_speech, n_pause = round(0.5 / CUE_PERIOD_S), round(120.0 / CUE_PERIOD_S)
+    speech = [frame for frame in frames if frame.is_speech][:n_speech]
     while True:
-        yield from word
+        yield from speech
         yield from (SILENT_VOICE for _ in range(n_pause))
 
 
-def _first(whole: ShownExpression, n: int) -> ShownExpression:
-    """The first n cues, in which no voice is repeated."""
+def _first_cues(whole: ShownExpression, n: int) -> ShownExpression:
+    """Return the first n cues."""
     return ShownExpression(
         whole.values[:n], whole.is_speaking[:n], whole.loudness_z[:n], whole.pitch_z[:n]
     )

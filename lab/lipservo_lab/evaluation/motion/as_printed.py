@@ -1,7 +1,8 @@
 """Wei and Deng's method as printed: each component is clustered, selected and blended by itself.
 
-Five principal components; an AnimPho is a cluster of all segments, of the phoneme that is commonest
-in it; derivatives of eq. (5) in samples. docs/motion.md names what differs all the same.
+Five principal components; an AnimPho (recorded piece of motion) is a cluster of all segments, with
+the commonest phoneme in it; derivatives of eq. (5) in samples. docs/motion.md says what differs
+from the paper nevertheless.
 """
 
 from dataclasses import dataclass
@@ -25,9 +26,9 @@ COMPONENTS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class PrintedMethod:
-    """The priority strategy, once for each of the first components; the others stay at rest.
+    """The paper's priority strategy, run by itself for each of the first five components.
 
-    units: for each component its AnimPhos, samples (m, 5, 1).
+    units: for each component its AnimPhos, with samples (m, 5, 1). Other components stay at rest.
     """
 
     units: tuple[AnimPhoUnits, ...]
@@ -36,7 +37,10 @@ class PrintedMethod:
 
     @classmethod
     def of(cls, model: TrainedModel, corpus: Corpus, *, seed: int = 0) -> "PrintedMethod":
-        """The AnimPhos of the sentences of a labelled corpus that the model was trained on."""
+        """Return the method with AnimPhos of the sentences that the model was trained on.
+
+        corpus: labelled, with these sentences. seed: of the clustering.
+        """
         learned = corpus.keep(set(model.training_sentences)).utterances
         segments = cut_segments(learned, [model.coefficients(u.markers_mm) for u in learned])
         n = min(COMPONENTS, model.n_components)
@@ -48,7 +52,7 @@ class PrintedMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -57,7 +61,7 @@ class PrintedMethod:
         """
         faces = np.tile(model.rest, (len(times_s), 1))
         for component, units in enumerate(self.units):
-            moving = PublishedSynthesizer(units, STRATEGIES["priority"], published_derivatives=True)
-            moving.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
-            faces[:, component] = [moving.frame_at(float(t)).coefficients[0] for t in times_s]
+            synth = PublishedSynthesizer(units, STRATEGIES["priority"], published_derivatives=True)
+            synth.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
+            faces[:, component] = [synth.frame_at(float(t)).coefficients[0] for t in times_s]
         return faces

@@ -1,7 +1,7 @@
-"""What Edge, Hilton and Jackson say of their recordings and of the modes of lip shape, and ours.
+"""What Edge, Hilton and Jackson print of their recordings and modes of lip shape, and ours.
 
-Their modes are of 20,000 points seen by stereo cameras, of which 100 were computed; ours are of the
-face's points. Shares are of the variance that is held by so many modes.
+Their modes (principal components) are of 20,000 points recorded by stereo cameras, of which 100
+were computed; ours are of the face's points. Shares are of the variance of so many modes.
 """
 
 from collections.abc import Sequence
@@ -16,17 +16,18 @@ from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 
 Row = dict[str, object]
-#: Closed and open jaw, of which their layer is a blend: the means of so many frames at either end.
+#: Share of frames at either end of the lip gap whose means are the closed and the open jaw; the
+#: paper's jaw layer is a blend of the two.
 OUTERMOST: Final = 0.01
-#: So many modes they computed, and what the first of them held.
+#: Number of modes that the paper computed, and the share of their variance in the first N_PRINTED.
 N_MODES, N_PRINTED, PRINTED_SHARE = 100, 10, 0.95
 #: Numbers of modes that have a row.
 SHOWN: Final = (*range(1, 11), 15, 20, 30, 50, 70, N_MODES)
-#: Of their recordings.
+#: The paper's recordings.
 PRINTED_RECORDINGS: Final = {
     "sentences": 103, "minutes": 8.0, "frames_per_s": 60.0, "points": 20_000
 }  # fmt: skip
-#: What their first two modes are, and the measure of lips that says so of ours.
+#: The paper's names of its first two modes, and the measure of our lips that corresponds.
 PRINTED_MEANING: Final = {1: ("jaw opening", "gap"), 2: ("rounding, protrusion", "width")}
 
 
@@ -71,10 +72,11 @@ def edge_tables(face: FaceModel, learned: Sequence[Utterance]) -> dict[str, list
 
 
 def _jaw_rows(face: FaceModel, frames_mm: Array, gaps_mm: Array) -> list[Row]:
-    """Return how well jaw and chin are placed by a blend of open and closed, and by components.
+    """Return how well the paper's blend and our components place points of jaw and chin.
 
-    `rms_mm` is over points and frames. Empty for a face without these points. frames_mm: (n,
-    n_points, 3); gaps_mm: (n,), the lip gap, whose extremes define open and closed.
+    frames_mm: (n, n_points, 3), recorded; gaps_mm: (n,), their lip gaps, whose extremes define
+    closed and open. `rms_mm` is the distance over points and frames. Empty for a face without these
+    points.
     """
     points = [*face.layout.group("jaw"), *face.layout.group("chin")]
     if not points:
@@ -83,16 +85,17 @@ def _jaw_rows(face: FaceModel, frames_mm: Array, gaps_mm: Array) -> list[Row]:
     ours_mm = face.markers_mm(face.coefficients(frames_mm))[:, points].reshape(jaw_mm.shape)
     narrow_mm, wide_mm = np.quantile(gaps_mm, (OUTERMOST, 1.0 - OUTERMOST))
     closed, opened = jaw_mm[gaps_mm <= narrow_mm].mean(0), jaw_mm[gaps_mm >= wide_mm].mean(0)
-    away = opened - closed
-    blend_mm = closed + np.outer((jaw_mm - closed) @ away / (away @ away), away)
+    opening = opened - closed
+    # Each frame's best blend of closed and open: its projection on the line between them.
+    blend_mm = closed + np.outer((jaw_mm - closed) @ opening / (opening @ opening), opening)
     return [
-        {"placed_by": name, "rms_mm": float(np.sqrt(((made - jaw_mm) ** 2).mean() * 3.0))}
-        for name, made in (("blend, eq. (5)", blend_mm), ("components", ours_mm))
+        {"placed_by": name, "rms_mm": float(np.sqrt(((placed - jaw_mm) ** 2).mean() * 3.0))}
+        for name, placed in (("blend, eq. (5)", blend_mm), ("components", ours_mm))
     ]
 
 
 def shares_held(frames: Array) -> Array:
-    """Return the share of the variance of `N_MODES` components that the first 1, 2, ... hold.
+    """Return the shares of variance of the first 1, 2, ... modes, of that of `N_MODES` modes.
 
     Parameters
     ----------

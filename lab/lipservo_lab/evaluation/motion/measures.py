@@ -1,13 +1,14 @@
 """How far synthesised motion is from the recorded one: sums of one sentence, figures of many.
 
-Definitions: docs/motion.md. A sentence yields sums, so that figures of any set of sentences, and
-of any bootstrap sample of them, are cheap.
+Definitions: docs/motion.md. A sentence yields sums, so that figures of any set of sentences, and of
+any bootstrap sample of them, are cheap.
 
-What of the lips anybody sees, and a robot can show: how far apart, how wide, how far forward.
+`lip_shapes_mm`: what everybody sees of lips, and a robot can show: how far apart, how wide, how far
+forward.
 
-How fast the lips go from one tick of 10 ms to the next: steps that 25 frames a second hide.
-
-Of recorded lips (grid_s1, 25 Hz) 99 % of frames are below 200 mm/s and none is above 310.
+`lip_speed`: how fast lips move from one tick of 10 ms to the next, to find jumps that 25 frames a
+second hide. Of recorded lips (grid_s1, 25 Hz) 99 % of frames are below 200 mm/s and none is above
+310.
 """
 
 from collections.abc import Iterable, Sequence
@@ -37,7 +38,7 @@ def lip_shapes_mm(face: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
     Parameters
     ----------
     face : FaceModel
-        The model.
+        The face, with its layout of points.
     markers_mm : NDArray[np.floating]
         (n_frames, n_points, 3).
 
@@ -58,23 +59,23 @@ def lip_shapes_mm(face: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
 
 Mask = NDArray[np.bool_]
 
-#: F and V: 95 % of the recordings' come so near (measured on grid_s1).
+#: Largest lip gap of a closed F or V: 95 % of the recorded ones reach it (measured on grid_s1).
 LABIODENTAL_GAP_MM = 4.6
-#: A closure counts when it comes within this of the phone.
+#: A closure counts when it comes at most this long before or after the phone.
 _CLOSURE_WINDOW_S = 0.04
 _BILABIALS = ("P", "B", "M")
-#: The phones for which the mouth closes: the lips, or lip and teeth.
+#: The phones for which the mouth closes: lips, or lower lip and teeth.
 CLOSING = (*_BILABIALS, "F", "V")
-#: A closed mouth further than this from any P B M and from silence is a false closure.
+#: A closed mouth farther than this from any P, B, M and silence is a false closure.
 _FALSE_WINDOW_S = 0.08
 _ROUNDING_S = 1e-9
-#: The finer components, 5 to 8: what an average over contexts loses first.
+#: The finer components, 5 to 8: a mean over contexts loses these first.
 _FINE = slice(4, 8)
 _FINE_NUMBERS = range(_FINE.start + 1, _FINE.stop + 1)
 
-#: What a sentence's sums are, in this order. free: of the sentence's own mean error. fine: of each
-#: of the finer components its sum and its squares, made and recorded; fine_free: of all of them the
-#: squares about the sentence's own mean.
+#: Names of a sentence's sums, in their order. free: errors less the sentence's mean error. fine: of
+#: each of the finer components its sum and sum of squares, synthesised (made) and recorded;
+#: fine_free: of all of them the squares about the sentence's own mean.
 SUMS = (
     "frames", "squared_mm2", "squared_lips_mm2", "reference_mm2",
     "gap", "gap_recorded", "gap2", "gap_recorded2", "gap_product",
@@ -92,7 +93,7 @@ SUMS = (
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A mouth in motion: markers_mm (n, n_points, 3) and coefficients (n, n_components)."""
+    """A mouth in motion: markers_mm (n, n_points, 3) and face coefficients (n, n_components)."""
 
     markers_mm: NDArray[np.floating]
     coefficients: Array
@@ -111,13 +112,13 @@ def sentence_sums(
     Parameters
     ----------
     face : FaceModel
-        Whose motion it is.
+        The face of all three motions.
     utterance : Utterance
         The sentence.
     scored : Mask
-        (n,), the frames that count.
-    recorded,made,reference : Motion
-        Motions of n frames.
+        (n,), whether a frame counts.
+    recorded, made, reference : Motion
+        n frames each: as recorded, of the method that is scored, of the reference method.
 
     Returns
     -------
@@ -125,36 +126,37 @@ def sentence_sums(
         (len(SUMS),).
     """
     lips = list(face.layout.lips)
+    # Names with 2 are squared distances in mm2. is_far: frames far from any closure.
     n_points, n_lips = face.layout.n_points, len(lips)
-    away_mm = (made.markers_mm - recorded.markers_mm)[scored].astype(np.float64)
-    error = (away_mm**2).sum(axis=2)
-    free = (_without_mean(away_mm) ** 2).sum(axis=2)
+    error_mm = (made.markers_mm - recorded.markers_mm)[scored].astype(np.float64)
+    error2 = (error_mm**2).sum(axis=2)
+    free2 = (_without_mean(error_mm) ** 2).sum(axis=2)
     shape_mm = lip_shapes_mm(face, made.markers_mm) - lip_shapes_mm(face, recorded.markers_mm)
     shape_mm = shape_mm[scored]
     reference_error = ((reference.markers_mm - recorded.markers_mm)[scored] ** 2).sum()
     gap, gap_recorded = face.lip_gaps_mm(made.markers_mm), face.lip_gaps_mm(recorded.markers_mm)
     g, r = gap[scored], gap_recorded[scored]
     times_s = np.arange(len(gap)) / utterance.frame_rate_hz
-    open_ = _far_from_closure(utterance, times_s)
-    lip_error = error[:, lips].sum() / n_lips
+    is_far = _far_from_closure(utterance, times_s)
+    lip_error = error2[:, lips].sum() / n_lips
     has_peak = len(r) > 0 and r.max() > CLOSED_GAP_MM
     return np.array(
         [
-            scored.sum(), error.sum() / n_points, lip_error, reference_error / n_points,
+            scored.sum(), error2.sum() / n_points, lip_error, reference_error / n_points,
             g.sum(), r.sum(), (g * g).sum(), (r * r).sum(), (g * r).sum(),
             *_closure_hits(utterance, times_s, scored, gap),
-            open_.sum(),
-            (open_ & (gap <= CLOSED_GAP_MM)).sum(),
-            (open_ & (gap_recorded <= CLOSED_GAP_MM)).sum(),
+            is_far.sum(),
+            (is_far & (gap <= CLOSED_GAP_MM)).sum(),
+            (is_far & (gap_recorded <= CLOSED_GAP_MM)).sum(),
             float(has_peak), g.max() / r.max() if has_peak else 0.0,
             _acceleration2(made.coefficients, scored),
             _acceleration2(recorded.coefficients, scored),
-            free.sum() / n_points, free[:, lips].sum() / n_lips,
+            free2.sum() / n_points, free2[:, lips].sum() / n_lips,
             *(shape_mm[:, 1:] ** 2).sum(axis=0),
             *(_without_mean(shape_mm) ** 2).sum(axis=0),
             *_fine_sums(made.coefficients[scored]), *_fine_sums(recorded.coefficients[scored]),
-            *((_without_mean(moved.coefficients[scored][:, _FINE]) ** 2).sum()
-              for moved in (made, recorded)),
+            *((_without_mean(motion.coefficients[scored][:, _FINE]) ** 2).sum()
+              for motion in (made, recorded)),
         ],
         dtype=np.float64,
     )  # fmt: skip
@@ -163,17 +165,20 @@ def sentence_sums(
 def _closure_hits(
     utterance: Utterance, times_s: Array, scored: Mask, gap_mm: Array
 ) -> tuple[int, int, int, int]:
-    """P B M wanted and closed, F V wanted and closed; only phones with a scored frame count."""
-    found = [0, 0, 0, 0]
+    """Return how many P B M there are and how many of them close, then the same for F V.
+
+    Only phones with a scored frame count. gap_mm: (n,), the lip gap at times_s (n,).
+    """
+    counts = [0, 0, 0, 0]
     for phone in utterance.phones:
-        labial = is_bilabial(phone.phoneme)
+        is_lips = is_bilabial(phone.phoneme)
         if phone.end_s is None or phone.phoneme not in CLOSING:
             continue
         if not scored[(times_s >= phone.start_s) & (times_s < phone.end_s)].any():
             continue
-        found[0 if labial else 2] += 1
-        found[1 if labial else 3] += closes(phone, times_s, gap_mm)
-    return found[0], found[1], found[2], found[3]
+        counts[0 if is_lips else 2] += 1
+        counts[1 if is_lips else 3] += closes(phone, times_s, gap_mm)
+    return counts[0], counts[1], counts[2], counts[3]
 
 
 def is_bilabial(phoneme: str) -> bool:
@@ -182,19 +187,19 @@ def is_bilabial(phoneme: str) -> bool:
 
 
 def closes(phone: PhonemeEvent, times_s: Array, gap_mm: Array) -> bool:
-    """Return whether the lip gap is small enough around a phone of `CLOSING`.
+    """Return whether the lips close for a phone of `CLOSING`, at most 40 ms before or after it.
 
     Parameters
     ----------
     phone : PhonemeEvent
         The phone.
-    times_s,gap_mm : Array
-        (n,).
+    times_s, gap_mm : Array
+        (n,): times, and the lip gap at each.
 
     Returns
     -------
     bool
-        True within 40 ms of it.
+        Whether the smallest gap in that window is within the phone's limit.
     """
     end_s = phone.start_s if phone.end_s is None else phone.end_s
     window = times_s >= phone.start_s - _CLOSURE_WINDOW_S - _ROUNDING_S
@@ -204,21 +209,24 @@ def closes(phone: PhonemeEvent, times_s: Array, gap_mm: Array) -> bool:
 
 
 def _far_from_closure(utterance: Utterance, times_s: Array) -> Mask:
-    """Return which frames lie farther than `_FALSE_WINDOW_S` from any P, B, M or silence, (n,).
+    """Return which frames are farther than `_FALSE_WINDOW_S` from any P, B, M or silence, (n,).
 
     False after the last label.
     """
-    far = np.ones(len(times_s), dtype=bool)
+    is_far = np.ones(len(times_s), dtype=bool)
     for phone in utterance.phones:
         if phone.phoneme in (*_BILABIALS, SILENCE) and phone.end_s is not None:
-            near = times_s >= phone.start_s - _FALSE_WINDOW_S
-            far &= ~(near & (times_s <= phone.end_s + _FALSE_WINDOW_S))
+            after_start = times_s >= phone.start_s - _FALSE_WINDOW_S
+            is_far &= ~(after_start & (times_s <= phone.end_s + _FALSE_WINDOW_S))
     labelled_until_s = max((p.end_s or 0.0 for p in utterance.phones), default=0.0)
-    return far & (times_s < labelled_until_s)
+    return is_far & (times_s < labelled_until_s)
 
 
 def _acceleration2(coefficients: Array, scored: Mask) -> float:
-    """Squared second differences, summed over runs of three scored frames."""
+    """Return squared second differences, summed over runs of three scored frames.
+
+    coefficients: (n, n_components); scored: (n,).
+    """
     second = coefficients[2:] - 2.0 * coefficients[1:-1] + coefficients[:-2]
     return float((second[scored[2:] & scored[1:-1] & scored[:-2]] ** 2).sum())
 
@@ -241,17 +249,18 @@ def _fine_sums(coefficients: Array) -> Array:
 
 
 def figures(sums: Array) -> dict[str, float]:
-    """Return the figures of many sentences from the total of their sums; NaN where empty.
+    """Return the figures of many sentences from the total of their sums.
 
     Parameters
     ----------
     sums : Array
-        (len(SUMS),).
+        (len(SUMS),), in the order of SUMS.
 
     Returns
     -------
     dict[str, float]
-        By name; errors in mm.
+        By name (docs/motion.md); those in `_mm` in mm, the others shares, ratios and a correlation;
+        NaN where there is nothing to divide by.
     """
     s = dict(zip(SUMS, (float(x) for x in sums), strict=True))
     n = s["frames"]
@@ -259,7 +268,7 @@ def figures(sums: Array) -> dict[str, float]:
     variance = n * s["gap2"] - s["gap"] ** 2
     recorded_variance = n * s["gap_recorded2"] - s["gap_recorded"] ** 2
     product = max(variance, 0.0) * max(recorded_variance, 0.0)
-    # A gap that does not move correlates with nothing; below this its variance is rounding.
+    # A gap that does not move has no correlation; below this its variance is only rounding.
     correlated = product > 1e-12 * max(1.0, s["gap2"] * n) ** 2
     gap_squares = s["gap2"] - 2.0 * s["gap_product"] + s["gap_recorded2"]
     return {
@@ -287,7 +296,10 @@ def figures(sums: Array) -> dict[str, float]:
 
 
 def _fine_variance(s: dict[str, float], whose: str) -> float:
-    """Return the variance of the finer components together, times the squared number of frames."""
+    """Return the summed variances of the finer components, times the squared number of frames.
+
+    s: sums by name. whose: "made" or "recorded".
+    """
     squares = [s[f"fine_{whose}2_{n}"] * s["frames"] for n in _FINE_NUMBERS]
     return max(0.0, sum(squares) - sum(s[f"fine_{whose}_{n}"] ** 2 for n in _FINE_NUMBERS))
 
@@ -295,61 +307,67 @@ def _fine_variance(s: dict[str, float], whose: str) -> float:
 def confidence_intervals(
     sums: Array, names: Sequence[str], *, seed: int = 0, n_samples: int = 1000
 ) -> dict[str, tuple[float, float]]:
-    """Return 95 % intervals by percentile bootstrap over sentences (Efron 1979).
+    """Return 95 % intervals of figures, by percentile bootstrap over sentences (Efron 1979).
 
     Parameters
     ----------
     sums : Array
-        (n_sentences, len(SUMS)).
+        (n_sentences, len(SUMS)), sums of each sentence.
     names : Sequence[str]
-        Of figures.
+        Names of figures.
     seed : int
-        Of the draws.
+        Of the bootstrap samples.
     n_samples : int
-        Draws.
+        Number of bootstrap samples.
 
     Returns
     -------
     dict[str, tuple[float, float]]
-        Low and high by name.
+        Lower and upper end by name; NaN for a figure that is NaN in all samples.
     """
     samples = _bootstrap(sums, seed, n_samples)
-    return {name: _ends(np.array([sample[name] for sample in samples])) for name in names}
+    return {name: _interval(np.array([sample[name] for sample in samples])) for name in names}
 
 
 def paired_differences(
     ours: Array, theirs: Array, names: Sequence[str]
 ) -> dict[str, tuple[float, tuple[float, float]]]:
-    """Return how much more our figures are than others', over the same samples of sentences.
+    """Return how much larger figures of one method are than another's, with 95 % intervals.
+
+    Both are computed on the same bootstrap samples of sentences.
 
     Parameters
     ----------
-    ours,theirs : Array
+    ours, theirs : Array
         (n_sentences, len(SUMS)), the same sentences in the same order.
     names : Sequence[str]
-        Of figures.
+        Names of figures.
 
     Returns
     -------
     dict[str, tuple[float, tuple[float, float]]]
-        Difference and its 95 % interval, as `confidence_intervals` has it, by name.
+        Difference, ours less theirs, and the ends of its interval, by name.
     """
     mine, other = figures(ours.sum(axis=0)), figures(theirs.sum(axis=0))
     pairs = list(zip(_bootstrap(ours), _bootstrap(theirs), strict=True))
     return {
-        name: (mine[name] - other[name], _ends(np.array([a[name] - b[name] for a, b in pairs])))
+        name: (mine[name] - other[name], _interval(np.array([a[name] - b[name] for a, b in pairs])))
         for name in names
     }
 
 
 def _bootstrap(sums: Array, seed: int = 0, n_samples: int = 1000) -> list[dict[str, float]]:
-    """Figures of samples of sentences; the same samples for as many sentences and the same seed."""
+    """Return the figures of bootstrap samples of sentences.
+
+    sums: (n_sentences, len(SUMS)). The same number of sentences and seed give the same samples.
+    """
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), size=n_samples)
     return [figures(total) for total in draws @ sums]
 
 
-def _ends(values: Array) -> tuple[float, float]:
+def _interval(values: Array) -> tuple[float, float]:
+    """Return the 2.5 and 97.5 percentiles of the finite values; NaN without any."""
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
     return float(low), float(high)
@@ -363,16 +381,17 @@ def _root_of(part: float, whole: float) -> float:
     return float((part / whole) ** 0.5) if whole else float("nan")
 
 
-#: No lip that was recorded goes so fast.
+#: Speed above which a step counts as a jump; no recorded lip moves so fast.
 STEP_MM_S = 400.0
 
 
 @dataclass(frozen=True, slots=True)
 class LipSpeed:
-    """Of one piece of motion.
+    """Speed of the lips in one piece of motion.
 
-    n_steps: ticks in which a point of the lips is above STEP_MM_S, n_gap_steps: in which the lip
-    gap widens or narrows faster; widest_gap_step_mm: by how much in one tick.
+    fastest_mm_s: of any lip point. n_steps: ticks in which a lip point is faster than STEP_MM_S.
+    n_gap_steps: ticks in which the lip gap changes faster; widest_gap_step_mm: its largest change
+    in one tick. spoken_s: seconds of speech.
     """
 
     fastest_mm_s: float
@@ -383,16 +402,16 @@ class LipSpeed:
 
 
 def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
-    """Return the speed of the fastest point of the lips.
+    """Return the speed of the fastest lip point, and the number of jumps.
 
     Parameters
     ----------
     model : FaceModel
         The face.
     faces : Array
-        (n, n_components), one a tick.
+        Face coefficients (n, n_components), one a tick of 10 ms.
     spoken_s : float
-        Seconds of speech, which the steps are counted by.
+        Seconds of speech, to which the number of jumps is related.
 
     Returns
     -------
@@ -413,14 +432,14 @@ def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
 
 
 def lip_speed_figures(speeds: Iterable[LipSpeed]) -> dict[str, float | None]:
-    """Return the lip speed figures of many pieces together; steps are None without speech."""
+    """Return lip speed figures of many pieces together; rates are None without speech."""
     found = list(speeds)
-    spoken_s = sum(one.spoken_s for one in found)
-    n_steps, n_gap_steps = sum(one.n_steps for one in found), sum(one.n_gap_steps for one in found)
+    spoken_s = sum(s.spoken_s for s in found)
+    n_steps, n_gap_steps = sum(s.n_steps for s in found), sum(s.n_gap_steps for s in found)
     return {
-        "fastest_lip_mm_s": max((one.fastest_mm_s for one in found), default=0.0),
+        "fastest_lip_mm_s": max((s.fastest_mm_s for s in found), default=0.0),
         "fast_steps_per_s": n_steps / spoken_s if spoken_s else None,
-        "widest_gap_step_mm": max((one.widest_gap_step_mm for one in found), default=0.0),
+        "widest_gap_step_mm": max((s.widest_gap_step_mm for s in found), default=0.0),
         "gap_steps_per_s": n_gap_steps / spoken_s if spoken_s else None,
         "spoken_s": spoken_s,
     }

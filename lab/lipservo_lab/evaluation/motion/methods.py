@@ -1,4 +1,4 @@
-"""The methods that are compared: each turns a heard sentence into faces at given times."""
+"""The methods that are compared: each turns a sentence's phonemes into faces at given times."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +32,8 @@ from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
 
-#: A label that begins at t is known at t: "labels of sound up to t + L", the border included.
+#: A label that begins at t is known at t: labels of sound up to t + look-ahead, the border
+#: included.
 _BORDER_S = 1e-6
 REFERENCE = "cohen-massaro"
 CATMULL_ROM = "catmull-rom"
@@ -40,12 +41,12 @@ CATMULL_ROM = "catmull-rom"
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """A sentence as a listener has it.
+    """The phonemes of a sentence, as a method gets them.
 
-    events: in the end. updates: as they came, for recognised phonemes, in order of
-    `heard_until_s`, and `latency_s`, how much later than its sound a phoneme is settled; without
-    updates a perfect listener yields the events one by one. sound_path: for methods that use
-    the sound itself.
+    events: all of them, as finally decided. updates: for recognised phonemes, as they were reported
+    while the sound went on, in order of `heard_until_s`; empty: the events are labels, known one by
+    one as time goes on. latency_s: how much later than its sound the recogniser settles a phoneme.
+    sound_path: for methods that use the sound itself.
     """
 
     events: tuple[PhonemeEvent, ...]
@@ -55,7 +56,7 @@ class Heard:
 
 
 class Method(Protocol):
-    """A way to move the mouth."""
+    """A method to move the mouth."""
 
     @property
     def name(self) -> str:
@@ -70,8 +71,10 @@ class Method(Protocol):
 
         Parameters
         ----------
-        model,heard : TrainedModel
-            Trained model, and the phonemes of the sentence.
+        model : TrainedModel
+            The face and all that was learned for it.
+        heard : Heard
+            The phonemes of the sentence.
         times_s : Array
             (n,), ascending.
         lookahead_s : float
@@ -80,13 +83,13 @@ class Method(Protocol):
         Returns
         -------
         Array
-            (n, n_components).
+            Face coefficients (n, n_components).
         """
 
 
 @dataclass(frozen=True, slots=True)
 class DominanceMethod:
-    """Cohen and Massaro's: the fixed reference, or tuned by the model's training."""
+    """Cohen and Massaro's dominance functions: tuned in training, or the fixed reference."""
 
     name: str
     tuned: bool
@@ -98,7 +101,7 @@ class DominanceMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -111,7 +114,7 @@ class DominanceMethod:
 
 @dataclass(frozen=True, slots=True)
 class SplineMethod:
-    """Catmull-Rom through the mean of each viseme class."""
+    """Catmull-Rom splines through the mean face of each viseme class."""
 
     name: str = CATMULL_ROM
     looks_ahead: bool = False
@@ -122,7 +125,7 @@ class SplineMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -149,7 +152,7 @@ class MeanFaceMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -164,9 +167,9 @@ class MeanFaceMethod:
 
 @dataclass(frozen=True, slots=True)
 class PublishedMethod:
-    """Wei and Deng's selection and blending; sees a phoneme's own end.
+    """Wei and Deng's selection and blending of AnimPhos; it knows each phone's end at its start.
 
-    published_derivatives: as `PublishedSynthesizer` has it.
+    published_derivatives: as in `PublishedSynthesizer`.
     """
 
     strategy: SelectionStrategy
@@ -175,7 +178,7 @@ class PublishedMethod:
 
     @property
     def name(self) -> str:
-        """The name of the method's selection."""
+        """The name of the strategy that selects AnimPhos."""
         return self.strategy.name
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
@@ -184,7 +187,7 @@ class PublishedMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -196,7 +199,7 @@ class PublishedMethod:
         return np.array([synthesizer.frame_at(float(t)).coefficients for t in times_s])
 
     def synthesizer(self, model: TrainedModel) -> PublishedSynthesizer:
-        """Return a fresh synthesiser."""
+        """Return a new synthesiser for one sentence."""
         return PublishedSynthesizer(
             model.animphos, self.strategy, published_derivatives=self.published_derivatives
         )
@@ -204,34 +207,35 @@ class PublishedMethod:
 
 @dataclass(frozen=True, slots=True)
 class RegressionMethod:
-    """One plain linear regression from phoneme context."""
+    """One linear regression from the phoneme context to the face."""
 
     name: str = "plain-regression"
     looks_ahead: bool = True
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """Return faces from the contexts known at t + L; see `Method`.
+        """Return faces from the contexts known at t + look-ahead; see `Method`.
 
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
         Array
             (n, n_components).
         """
-        phonemes, since_s = contexts(track_of(heard.events), times_s, lookahead_s)
-        known_s = np.full(len(times_s), lookahead_s)
-        return model.baselines.regression.faces(phonemes, since_s, known_s)
+        phonemes, context_times_s = contexts(track_of(heard.events), times_s, lookahead_s)
+        lookaheads_s = np.full(len(times_s), lookahead_s)
+        return model.baselines.regression.faces(phonemes, context_times_s, lookaheads_s)
 
 
 @dataclass(frozen=True, slots=True)
 class LiveMethod:
-    """Ours, as it runs live: every 10 ms it learns what is known by then, and moves on.
+    """The live method: every 10 ms it gets what is known by then, and moves on.
 
-    selection: of AnimPhos; None: the strategy that has none.
+    selection: makes the selection of AnimPhos (recorded pieces of motion); None: the motion is the
+    predicted mean alone. strength, smoothness: as in `Style`.
     """
 
     name: str = LIVE_STRATEGY
@@ -241,12 +245,12 @@ class LiveMethod:
     selection: Callable[[AnimPhoUnits], GuidedSelection] | None = None
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """Return faces decided at t by the sound up to t + L; see `Method`.
+        """Return faces decided at t from the sound up to t + look-ahead; see `Method`.
 
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -258,22 +262,25 @@ class LiveMethod:
         faces, n_ticks = [], 0
         for time_s in times_s:
             while n_ticks * TICK_S < time_s - _BORDER_S:
-                _listen(synthesizer, source, n_ticks * TICK_S)
+                _push_known(synthesizer, source, n_ticks * TICK_S)
                 synthesizer.frame_at(n_ticks * TICK_S)
                 n_ticks += 1
-            _listen(synthesizer, source, float(time_s))
+            _push_known(synthesizer, source, float(time_s))
             faces.append(synthesizer.frame_at(float(time_s)).coefficients)
         return np.array(faces)
 
     def synthesizer(self, model: TrainedModel, lookahead_s: float) -> LiveSynthesizer:
-        """Return a fresh synthesiser."""
+        """Return a new live synthesiser with this look-ahead."""
         style = Style(lookahead_s, self.strength, self.smoothness)
         selection = self.selection and self.selection(model.animphos)
         return LiveSynthesizer(model, model.expectation, style, selection, model.soft)
 
 
 class _RandomSelection(GuidedSelection):
-    """Instead of the nearest AnimPho any, by lot: what the choice is worth."""
+    """Selection that takes a random AnimPho in place of the best: it shows what selecting is worth.
+
+    of_all: draw from all AnimPhos, not only those of the phoneme.
+    """
 
     def __init__(self, units: AnimPhoUnits, *, of_all: bool) -> None:
         super().__init__(units)
@@ -281,28 +288,28 @@ class _RandomSelection(GuidedSelection):
         self._chance = np.random.default_rng(0)
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> Choice:
-        """Return any AnimPho of the phoneme, or of all.
+        """Return a random AnimPho of the phoneme, or of all.
 
         Parameters
         ----------
         phoneme : str
             One of the model's known phonemes.
         target : Array
-            (5, n_components).
+            (5, n_components), the wanted face at even times until the phone's end.
         joint : Joint
-            State of the mouth.
+            State of the mouth that the AnimPho continues.
 
         Returns
         -------
         Choice
-            As `GuidedSelection.choose`.
+            That of `GuidedSelection.choose`, with the random AnimPho in it.
         """
         candidates = range(len(self.units)) if self._of_all else self.units.of_phoneme(phoneme)
-        chosen = super().choose(phoneme, target, joint)
-        return replace(chosen, animpho=int(self._chance.choice(candidates)))
+        best = super().choose(phoneme, target, joint)
+        return replace(best, animpho=int(self._chance.choice(candidates)))
 
 
-#: The default with AnimPhos drawn by lot, from those of the phoneme, or from all.
+#: The live method with AnimPhos drawn at random, from those of the phoneme, or from all.
 RANDOM_UNITS: Final = tuple(
     LiveMethod(
         f"{UNIT_STRATEGY}:random-of-{pool}",
@@ -313,7 +320,7 @@ RANDOM_UNITS: Final = tuple(
 
 
 def all_methods() -> dict[str, Method]:
-    """Return every method by its name, the fixed reference first and ours last."""
+    """Return every method by its name, the fixed reference first and the live one last."""
     methods: Sequence[Method] = (
         DominanceMethod(REFERENCE, tuned=False),
         DominanceMethod("cohen-massaro-tuned", tuned=True),
@@ -328,7 +335,10 @@ def all_methods() -> dict[str, Method]:
 
 
 class _Replayed:
-    """Updates that were recorded, returned again when their sound has been heard."""
+    """Recorded updates of a recogniser, returned again as time goes on.
+
+    ahead_s: how much earlier than their sound they are known.
+    """
 
     def __init__(self, updates: Sequence[PhonemeUpdate], ahead_s: float) -> None:
         self._updates = updates
@@ -336,27 +346,29 @@ class _Replayed:
         self._n_passed = 0
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Return the updates that are known at `until_s` and were not returned before.
+        """Return the updates known at `until_s` that were not returned before.
 
-        An update is known early by the look-ahead and the recogniser's latency.
+        An update is known when its sound is at most `ahead_s` (look-ahead and latency) later than
+        that.
         """
-        due = []
+        known = []
         while self._n_passed < len(self._updates):
             update = self._updates[self._n_passed]
             if update.heard_until_s > until_s + self._ahead_s:
                 break
-            due.append(update)
+            known.append(update)
             self._n_passed += 1
-        return due
+        return known
 
 
 def script_of(heard: Heard, lookahead_s: float) -> PhonemeScript:
-    """The sentence's phonemes as time goes on, as far as a look-ahead allows."""
+    """Return the sentence's phonemes as they become known with a look-ahead."""
     if heard.updates:
         return _Replayed(heard.updates, lookahead_s + heard.latency_s)
     return ScriptedPhonemes(heard.events, lookahead_s)
 
 
-def _listen(synthesizer: LiveSynthesizer, source: PhonemeScript, time_s: float) -> None:
+def _push_known(synthesizer: LiveSynthesizer, source: PhonemeScript, time_s: float) -> None:
+    """Give the synthesiser the phonemes that become known at `time_s`."""
     for update in source.updates(time_s + _BORDER_S):
         synthesizer.push(update)

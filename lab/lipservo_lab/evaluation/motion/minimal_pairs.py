@@ -1,7 +1,8 @@
-"""How long one phoneme is seen in the mouth: sentences that differ in nothing else nearby.
+"""How long one phoneme shows in the mouth, from sentences that differ only in that phoneme.
 
-A wrong phoneme that is not put right looks, from the next one on, like another true sentence. So
-what real coarticulation carries over is the measure of what a method may carry over.
+A wrong phoneme that is never corrected looks, from the next phoneme on, like another true sentence.
+So the effect of a true phoneme on those after it (coarticulation) is the measure for what a method
+may carry over from a wrong one.
 """
 
 from collections import Counter, defaultdict
@@ -19,20 +20,21 @@ from lipsync.phonemes import SILENCE, PhonemeEvent
 
 Indices = NDArray[np.int64]
 
-#: Phonemes after the one that differs; they are the same on both sides, as is the one before.
+#: Number of phonemes compared after the one that differs; they are the same in both sentences, as
+#: is the one before.
 AFTER = 4
-#: Instants looked at in each phoneme, evenly from its start to its end.
+#: Instants compared in each phoneme, evenly from its start to its end.
 _SAMPLES = 5
-#: Of the bootstrap.
+#: Samples of the bootstrap.
 _N_RESAMPLINGS = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Persistence:
-    """shares: (1 + AFTER,), in the phoneme that differs and in each one after it; the first is 1.
+    """How much of a difference remains in the phoneme that differs and in each of those after it.
 
-    intervals: (1 + AFTER, 2), 95 % percentile bootstrap over sentences. counted: how many pairs, or
-    how many wrong phonemes.
+    shares: (1 + AFTER,), of the first one's; the first is 1. intervals: (1 + AFTER, 2), 95 %, by
+    percentile bootstrap over sentences. counted: number of pairs, or of wrong phonemes.
     """
 
     shares: Array
@@ -42,12 +44,12 @@ class Persistence:
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Stretches of 1 + AFTER phonemes that stand in the same surroundings, two by two.
+    """Pairs of stretches of 1 + AFTER phonemes; one phoneme before and AFTER of them are the same.
 
-    sentences: (n, 2), their sentences; phones: (n, 2), the numbers of their first phones there;
+    sentences: (n, 2), their sentences; phones: (n, 2), the indices of their first phones there;
     differ: (n,), whether the first phoneme differs (a minimal pair) or is the same (a repetition).
-    weights: (n,). Two phonemes in one place count as much as any other two in any other place,
-    however often they were spoken, and the repetitions of that place as much as they.
+    weights: (n,): in each surrounding, any two different phonemes weigh 1 together, however often
+    they were spoken, and all repetitions together as much as all minimal pairs.
     """
 
     sentences: Indices
@@ -59,21 +61,23 @@ class Pairs:
 def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
     """Find pairs of stretches from different sentences with the same surrounding phonemes.
 
-    Kept are surroundings that have both minimal pairs (one phoneme differs) and repetitions.
-    Stretches hold no silence.
+    Only surroundings with both minimal pairs (the first phoneme differs) and repetitions are kept.
+    Stretches have no silence.
     """
-    places: dict[tuple[str, ...], list[tuple[int, int]]] = defaultdict(list)
+    stretches_in: dict[tuple[str, ...], list[tuple[int, int]]] = defaultdict(list)
     for sentence, utterance in enumerate(utterances):
         names = [p.phoneme for p in utterance.phones]
         for i in range(1, len(names) - AFTER):
             stretch = names[i : i + 1 + AFTER]
             if SILENCE not in stretch:
-                places[names[i - 1], *stretch[1:]].append((sentence, i))
-    ends: list[tuple[tuple[int, int], tuple[int, int]]] = []
+                stretches_in[names[i - 1], *stretch[1:]].append((sentence, i))
+    kept_pairs: list[tuple[tuple[int, int], tuple[int, int]]] = []
     differ: list[bool] = []
     weights: list[float] = []
-    for alike in places.values():
-        pairs = [(a, b) for n, b in enumerate(alike) for a in alike[:n] if a[0] != b[0]]
+    for same in stretches_in.values():
+        # (sentence, index of the first phone) of both; then the set of their first phonemes: one
+        # for a repetition, two for a minimal pair.
+        pairs = [(a, b) for n, b in enumerate(same) for a in same[:n] if a[0] != b[0]]
         phonemes_of = [
             frozenset(utterances[s].phones[i].phoneme for s, i in pair) for pair in pairs
         ]
@@ -82,13 +86,13 @@ def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
         n_repetitions = len(pairs) - sum(counts[kind] for kind in kinds)
         if not kinds or not n_repetitions:
             continue
-        ends += pairs
+        kept_pairs += pairs
         differ += [len(kind) == 2 for kind in phonemes_of]
         weights += [
             1.0 / counts[kind] if len(kind) == 2 else len(kinds) / n_repetitions
             for kind in phonemes_of
         ]
-    both = np.array(ends, dtype=np.int64).reshape(-1, 2, 2)
+    both = np.array(kept_pairs, dtype=np.int64).reshape(-1, 2, 2)
     return Pairs(
         both[:, :, 0], both[:, :, 1], np.array(differ, dtype=bool), np.array(weights, dtype=float)
     )
@@ -97,16 +101,16 @@ def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
 def recorded_persistence(
     model: TrainedModel, utterances: Sequence[Utterance], pairs: Pairs, *, seed: int = 0
 ) -> Persistence | None:
-    """Return the persistence of a differing phoneme in the recordings.
+    """Return how a difference in one phoneme persists in the recordings; None without any pair.
 
-    Two repetitions differ as well: their mean square is subtracted.
+    Repetitions differ as well: their mean square is subtracted.
     """
     motions = []
     for utterance in utterances:
         faces = model.coefficients(utterance.markers_mm)
-        times_s = _times_s(utterance.phones) * utterance.frame_rate_hz
+        frames = _times_s(utterance.phones) * utterance.frame_rate_hz
         numbers = np.arange(len(faces))
-        motions.append(np.stack([np.interp(times_s, numbers, c) for c in faces.T], axis=2))
+        motions.append(np.stack([np.interp(frames, numbers, c) for c in faces.T], axis=2))
     return _persistence(motions, pairs, seed)
 
 
@@ -119,10 +123,7 @@ def made_persistence(
     lookahead_s: float,
     seed: int = 0,
 ) -> Persistence | None:
-    """Return the persistence of a differing phoneme in a method's motion for the same sentences.
-
-    None without any pair.
-    """
+    """Return how a difference in one phoneme persists in a method's motion; None without pairs."""
     used = set(pairs.sentences.ravel().tolist())
     motions = []
     for sentence, utterance in enumerate(utterances):
@@ -140,17 +141,18 @@ def _times_s(phones: Sequence[PhonemeEvent]) -> Array:
 
 
 def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persistence | None:
-    """Return the persistence of a differing phoneme in motion; None without any pair.
+    """Return how a difference in one phoneme persists in motion; None without any pair.
 
-    motions: (n_phones, _SAMPLES, n_components) of each sentence.
+    motions: (n_phones, _SAMPLES, n_components) of each sentence. seed: of the bootstrap.
     """
     if not len(pairs.differ):
         return None
-    # All sentences end to end; then phones (n_pairs, 2) number into one array.
+    # All sentences are joined; rows (n_pairs, 2): first phones of both stretches in the joined
+    # array.
     begins = np.cumsum([0, *(len(m) for m in motions[:-1])])
-    phones, ends = np.concatenate(motions), begins[pairs.sentences] + pairs.phones
+    phones, rows = np.concatenate(motions), begins[pairs.sentences] + pairs.phones
     distance2 = np.stack(
-        [_distance2(phones[ends[:, 0] + k], phones[ends[:, 1] + k]) for k in range(1 + AFTER)],
+        [_distance2(phones[rows[:, 0] + k], phones[rows[:, 1] + k]) for k in range(1 + AFTER)],
         axis=1,
     )
     rng = np.random.default_rng(seed)
@@ -162,21 +164,21 @@ def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persisten
 
 
 def persistence_of(shares: Array, samples: Sequence[Array], counted: int) -> Persistence | None:
-    """Return shares with the intervals of bootstrap samples.
+    """Return shares with their 95 % intervals over bootstrap samples.
 
     Parameters
     ----------
     shares : Array
-        (k,).
+        (k,), shares of a difference that remain.
     samples : Sequence[Array]
-        (k,) each.
+        Shares (k,) of each bootstrap sample.
     counted : int
-        Pairs.
+        Number of pairs, or of wrong phonemes.
 
     Returns
     -------
     Persistence | None
-        None where nothing was seen to move (NaN).
+        None where nothing moved (NaN).
     """
     finite = np.array([sample for sample in samples if np.isfinite(sample).all()])
     if not len(finite) or not np.isfinite(shares).all():
@@ -185,24 +187,31 @@ def persistence_of(shares: Array, samples: Sequence[Array], counted: int) -> Per
 
 
 def _distance2(one: Array, other: Array) -> Array:
-    """Return squared distances in one phoneme of each pair, means over its instants, (n_pairs,)."""
+    """Return squared distances in one phoneme of each pair, means over its instants, (n_pairs,).
+
+    one, other: (n_pairs, _SAMPLES, n_components).
+    """
     squares: Array = ((one - other) ** 2).sum(axis=2).mean(axis=1)
     return squares
 
 
 def _weights(draw: Indices, pairs: Pairs) -> Array:
-    """Return the pairs' weights in a bootstrap sample that holds each sentence `draw` times."""
+    """Return weights (n_pairs,) in a bootstrap sample that has sentence i draw[i] times."""
     weights: Array = draw[pairs.sentences].prod(axis=1) * pairs.weights
     return weights
 
 
 def _shares(distance2: Array, differ: NDArray[np.bool_], weights: Array) -> Array:
-    """RMS distance beyond that of repetitions, over that in the first phoneme; NaN without any."""
-    total, others = weights[differ].sum(), weights[~differ].sum()
-    if not total or not others:
+    """Return rms distances beyond those of repetitions, divided by that in the first phoneme.
+
+    distance2: (n_pairs, 1 + AFTER); differ, weights: (n_pairs,). The result is (1 + AFTER,); NaN
+    without pairs of both kinds, or if the first phoneme differs no more than repetitions do.
+    """
+    differing, repeated = weights[differ].sum(), weights[~differ].sum()
+    if not differing or not repeated:
         return np.full(distance2.shape[1], np.nan)
-    beyond = weights[differ] @ distance2[differ] / total
-    beyond = beyond - weights[~differ] @ distance2[~differ] / others
+    beyond = weights[differ] @ distance2[differ] / differing
+    beyond = beyond - weights[~differ] @ distance2[~differ] / repeated
     if beyond[0] <= 0.0:
         return np.full(distance2.shape[1], np.nan)
     return np.asarray(np.sqrt(np.maximum(beyond, 0.0) / beyond[0]))

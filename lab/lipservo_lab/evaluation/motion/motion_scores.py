@@ -1,6 +1,6 @@
-"""Methods against recordings: every method, every look-ahead, one model, some sentences.
+"""Scores of methods against recordings: every method, every look-ahead, one model, some sentences.
 
-Which sentences train and which are scored.
+Also which sentences train and which are scored.
 """
 
 import json
@@ -27,9 +27,10 @@ from lipsync.face.model import FaceModel
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One training and what is scored with it.
+    """The sentences of one training, and those that are scored with it.
 
-    split: the figure it belongs to; words: the words whose frames alone count, None for all.
+    split: name of the figure that it belongs to; train, test: names of sentences; words: only
+    frames of these words are scored; None: all.
     """
 
     split: str
@@ -39,7 +40,7 @@ class Part:
 
 
 def read_parts(folder: Path, corpus: Corpus) -> list[Part]:
-    """The splits of a corpus folder's `splits.json`: five folds of `random`, and the new words.
+    """Return the parts of a corpus's `splits.json`: five folds of `random`, and the new words.
 
     Raises CorpusError for a missing or damaged file, and one that names none of the sentences.
     """
@@ -59,10 +60,10 @@ def held_out_parts(
 ) -> list[Part]:
     """Return the parts named by a folder's `splits.json`: those of `split`, and the new words.
 
-    Each set of new words is one part. sets_of: returns the test sentences of each part of `split`
-    from the file's content. new: prefix for the names of sets of words. instead: option named in
-    the error that needs no such file. Raises CorpusError for a missing or damaged file, one that
-    names none of the sentences, and a part that leaves none to train on.
+    Each set of new words is one part. sets_of: returns the test sentences of each part of `split`,
+    from the file's content. new: prefix for the names of sets of words. instead: hint for the error
+    of a missing file, about an option that needs none. Raises CorpusError for a missing or damaged
+    file, one that names none of the sentences, and a part that leaves none to train on.
     """
     path = folder / "splits.json"
     try:
@@ -85,7 +86,10 @@ def held_out_parts(
 
 
 def words_part(split: str, corpus: Corpus, words: frozenset[str]) -> Part:
-    """Return a part trained without sentences that hold the words, scored on the words alone."""
+    """Return a part trained without sentences that contain the words, scored on the words alone.
+
+    Raises CorpusError for a word that no sentence contains.
+    """
     words_of = {u.name: {w.text for w in u.words} for u in corpus.utterances}
     test = frozenset(name for name, texts in words_of.items() if texts & words)
     missing = sorted(words - set().union(*words_of.values()))
@@ -102,23 +106,26 @@ _WITH_INTERVAL = ("ratio", "gap_r", "closure_hits")
 
 
 def true_phonemes(utterance: Utterance) -> Heard:
-    """A perfect listener: the labels, one by one."""
+    """Return the labels of a sentence, as a perfect recogniser would find them."""
     return Heard(utterance.phones, sound_path=utterance.sound_path)
 
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Sums of every sentence by method name and look-ahead in ms; lists may only grow."""
+    """Sums of every sentence (`sentence_sums`), by method name and look-ahead in ms.
+
+    The lists may only grow.
+    """
 
     sums: dict[tuple[str, int], list[Array]] = field(default_factory=dict)
 
     def row(self, strategy: str, lookahead_ms: int) -> dict[str, object]:
-        """Return a method's figures with 95 % intervals, and the amount of speech scored."""
+        """Return a method's figures, 95 % intervals (`NAME_95`) and amount of speech scored."""
         sums = np.array(self.sums[strategy, lookahead_ms])
         intervals = confidence_intervals(sums, _WITH_INTERVAL)
         found = figures(sums.sum(axis=0))
         return {
-            # JSON knows no NaN: what nothing was measured of is null.
+            # JSON has no NaN: figures without data are null.
             **{name: None if math.isnan(value) else value for name, value in found.items()},
             **{
                 f"{name}_95": None if math.isnan(sum(interval)) else list(interval)
@@ -140,9 +147,11 @@ def add_scores(
     listen: Listen = true_phonemes,
     progress: Progress = iter,
 ) -> None:
-    """Play every sentence by every method and add its sums to `scores`.
+    """Compute every sentence's motion by every method, and add its sums to `scores`.
 
-    The reference method always knows the true phonemes: its error is the denominator of ratios.
+    words: score only frames of these words; None: all of speech. listen: returns the phonemes that
+    the methods get; the reference method always gets the labels, as its error is the denominator of
+    ratios. A method that does not look ahead is run once for all look-aheads.
     """
     reference = all_methods()[REFERENCE]
     for utterance in progress(list(utterances)):
@@ -164,13 +173,13 @@ def add_scores(
 
 
 def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
-    """The sentences that a model can be scored on.
+    """Return the labelled sentences of a corpus, on which a model can be scored.
 
     Raises CorpusError for other markers than the model's, and for a folder without labels.
     """
-    names, known = corpus.layout.names, model.layout.names
-    if names != known:
-        odd = sorted(set(names) ^ set(known))[:3]
+    names, model_names = corpus.layout.names, model.layout.names
+    if names != model_names:
+        odd = sorted(set(names) ^ set(model_names))[:3]
         raise CorpusError(f"{corpus.name}: markers other than the model's ({', '.join(odd)}, ...)")
     utterances = corpus.labelled().utterances
     if not utterances:
@@ -179,7 +188,7 @@ def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
 
 
 def seen_in_training(model: TrainedModel, utterances: Iterable[Utterance]) -> list[str]:
-    """Return the names of sentences that the model was trained on: their figures flatter it."""
+    """Return the names of sentences that the model was trained on: scores on them are too good."""
     trained = set(model.training_sentences)
     return [u.name for u in utterances if u.name in trained]
 

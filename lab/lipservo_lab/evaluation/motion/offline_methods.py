@@ -1,7 +1,7 @@
-"""The methods that hear the whole line, among the methods that are compared.
+"""Methods for whole lines, which know all of the sound, among the methods that are compared.
 
-They are made of the same sentences as the face model that is scored: an offline model, and recorded
-phones. Those of `render` need the sound of each sentence too.
+They are trained on the same sentences as the face model that is scored. Those of `render` need the
+sound of each sentence too.
 """
 
 import time
@@ -36,37 +36,40 @@ _Key = tuple[str, tuple[str, ...]]
 
 @dataclass(slots=True)
 class OfflineModels:
-    """The offline model of each face model that is scored, made at the first use."""
+    """The offline model of each face model that is scored, trained at the first use.
+
+    train: trains the offline model on the sentences of a face model.
+    """
 
     train: Train
     _made: dict[_Key, OfflineModel] = field(default_factory=dict)
     _line_s: dict[str, list[float]] = field(default_factory=dict)
 
     def of(self, model: TrainedModel) -> OfflineModel:
-        """That of a face model."""
+        """Return the offline model of a face model; trains it at the first call."""
         key = _key(model)
         if key not in self._made:
             self._made[key] = self.train(model)
         return self._made[key]
 
     def count(self, name: str, seconds: float) -> None:
-        """Note the seconds that a sentence cost."""
+        """Note the processor time, s, that a method took for a sentence."""
         self._line_s.setdefault(name, []).append(seconds)
 
     def seconds_per_sentence(self) -> dict[str, float]:
-        """Return the median processor time of a sentence, s, by method, with the model loaded."""
+        """Return the median processor time of a sentence, s, by method; loading is not in it."""
         return {name: float(np.median(seconds)) for name, seconds in self._line_s.items()}
 
 
 @dataclass(slots=True)
 class RecordedVisemes:
-    """The recorded phones of each face model's training, gathered at the first use."""
+    """The recorded phones of each face model's training sentences, collected at the first use."""
 
     gather: Callable[[TrainedModel], ContextVisemes]
     _gathered: dict[_Key, ContextVisemes] = field(default_factory=dict)
 
     def of(self, model: TrainedModel) -> ContextVisemes:
-        """Return the recorded phones of a face model."""
+        """Return the recorded phones of a face model's training sentences."""
         key = _key(model)
         if key not in self._gathered:
             self._gathered[key] = self.gather(model)
@@ -75,7 +78,7 @@ class RecordedVisemes:
 
 @dataclass(frozen=True, slots=True)
 class ContextVisemeMethod:
-    """Catmull-Rom through context visemes, as Edge, Hilton and Jackson compare theirs with."""
+    """Catmull-Rom through context visemes: Edge, Hilton and Jackson compare theirs with it."""
 
     visemes: RecordedVisemes
     name: str = CATMULL_ROM
@@ -87,7 +90,7 @@ class ContextVisemeMethod:
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -100,9 +103,10 @@ class ContextVisemeMethod:
 
 @dataclass(frozen=True, slots=True)
 class OfflineMethod:
-    """`model-based`: Edge, Hilton and Jackson's to the letter, without closures and rest around it.
+    """A method for whole lines with a state model.
 
-    `heard`: ours, as `render` has it.
+    name: `model-based`, Edge, Hilton and Jackson's exactly, without closures and rest; or `heard`,
+    ours, as in `render`.
     """
 
     name: LineMethod
@@ -112,13 +116,13 @@ class OfflineMethod:
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - hears all
         """Return the faces that a method for whole lines makes of a sentence.
 
-        Those of `model-based` are interpolated linearly between its frames. Raises ValueError for a
+        Faces of `model-based` are interpolated linearly between its frames. Raises ValueError for a
         sentence without sound.
 
         Parameters
         ----------
         times_s : Array
-            (n,).
+            (n,), sound times of the faces.
 
         Returns
         -------
@@ -130,13 +134,13 @@ class OfflineMethod:
         offline = self.models.of(model)
         rate_hz = offline.states.frame_rate_hz
         samples = read_speech(heard.sound_path)
-        # The line is heard to its end, also where its last frames are not asked for.
+        # The method gets the line to its end, even if the last frames are not wanted.
         duration_s = max(float(times_s[-1]) + 1.0 / rate_hz, len(samples) / SAMPLE_RATE_HZ)
-        # Phonemes that are known come without updates, and nobody doubts them.
-        doubted = whole_posteriors(load_shipped_weights(), samples) if heard.updates else None
-        line = Line(joined_phones(heard.events, duration_s), samples, doubted)
+        # Labels have no updates and need no posteriors: they are certain.
+        posteriors = whole_posteriors(load_shipped_weights(), samples) if heard.updates else None
+        line = Line(joined_phones(heard.events, duration_s), samples, posteriors)
         speaker = Speaker(model, model.expectation, offline, model.soft)
-        began_s = time.process_time()
+        start_s = time.process_time()
         if self.name == "model-based":
             n_frames = int(np.ceil(duration_s * rate_hz - 1e-6))
             made = model_based_line(speaker, line, n_frames).faces
@@ -144,9 +148,10 @@ class OfflineMethod:
             faces = np.stack([np.interp(times_s, frames_s, each) for each in made.T], axis=1)
         else:
             faces = shown_faces(line_synthesizer(speaker, line, self.name)[0], times_s)
-        self.models.count(self.name, time.process_time() - began_s)
+        self.models.count(self.name, time.process_time() - start_s)
         return faces
 
 
 def _key(model: TrainedModel) -> _Key:
+    """Return what distinguishes face models: checksum, and names of training sentences."""
     return model.checksum, tuple(model.training_sentences)

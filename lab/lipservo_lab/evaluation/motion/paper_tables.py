@@ -1,17 +1,15 @@
 """Tables 2 and 3, Figures 1 and 6 of Wei and Deng in their own form, beside the printed numbers.
 
-Figure 1: how much of ten sentences a live recogniser labels as the labels have it. Table 2: RMSE of
-three clips, drawn at random, with true phonemes (case 1) and live recognised ones (case 2), over
-the baseline's. Table 3: what a phoneme costs in processor time. Figure 6:
-miss rates of eight phrases. Only ratios compare: the paper's RMSE has no unit.
+Figure 1: the share of ten sentences in which a live recogniser agrees with the labels. Table 2:
+RMSE of three clips, drawn at random, with true phonemes (case 1) and live recognised ones (case 2),
+over the baseline's. Table 3: the processor time of a phoneme, stage by stage; their clips last two
+minutes, ours are sentences of three seconds, and their computer was another one, so only orders of
+magnitude compare. Figure 6: miss rates of eight phrases, that is how often selection finds no
+AnimPho (recorded piece of motion) that is both of the phoneme and connected. Only ratios compare:
+the paper's RMSE has no unit.
 
-What the paper prints of its data beside the model's, and what AnimPhos do to the default motion.
-How often selection finds no AnimPho that is both right and connected.
-
-Table 3 of Wei and Deng: what a phoneme costs, stage by stage, beside the printed numbers.
-
-Their clips were of two minutes, ours are sentences of three seconds, and their machine was another:
-orders of magnitude compare, no more.
+Also what the paper prints of its data beside the model's, and how much AnimPhos change the default
+motion.
 """
 
 import time
@@ -56,7 +54,7 @@ from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, stand_in
 def miss_rate(
     units: AnimPhoUnits, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
 ) -> float:
-    """Misses over all phonemes that follow another; 0 when there is none. See `count_misses`."""
+    """Return misses (`count_misses`) over all phonemes that follow another; 0 without any."""
     misses, total = count_misses(units, strategy, sentences)
     return misses / total if total else 0.0
 
@@ -66,7 +64,7 @@ def count_misses(
 ) -> tuple[int, int]:
     """Return the number of misses, and of the phonemes that follow another phoneme.
 
-    A miss: the chosen AnimPho is not in L(p_t) and T(a_{t-1}) both (Wei and Deng, Figure 6). A
+    A miss: the chosen AnimPho is not in both L(p_t) and T(a_{t-1}) (Wei and Deng, Figure 6). A
     silence begins a new chain, whose first phoneme cannot miss and is not counted.
     """
     misses = total = 0
@@ -88,7 +86,7 @@ def count_misses(
 
 Row = dict[str, object]
 
-#: As printed, of three clips. The total is more than the sum of its parts there too.
+#: Table 3 as printed, of three clips. Its total is more than the sum of its parts in the paper too.
 PRINTED: dict[str, tuple[float, float, float]] = {
     "recognition_ms": (76.73, 90.13, 93.80),
     "synthesis_ms": (38.56, 39.10, 44.89),
@@ -102,13 +100,13 @@ _FRAMES_HZ = 30.0
 
 
 def cost_rows(model: TrainedModel, clip: Utterance, number: int, listen: Listen) -> list[Row]:
-    """Return the rows of Table 3 for a clip: printed, by the priority strategy, by each of ours.
+    """Return rows of Table 3 for a clip: printed, by the priority strategy, by each live method.
 
-    Values are means over the phonemes that the recogniser found in the clip, silences left out, in
-    processor time. synthesis: selection, equations (1) and (2); blending: equations (3) to (5) and
-    Algorithm 1 at 30 Hz; ours have no such parts, all their work is synthesis. phonemes_per_s: how
-    fast the clip is spoken. frames_per_s: equation (6), frames of a phoneme at 30 Hz over its
-    computing time.
+    number: of the clip among the printed ones. Values are means over the phonemes that the
+    recogniser found, without silences, in processor time. synthesis: selection, equations (1) and
+    (2); blending: equations (3) to (5) and Algorithm 1 at 30 Hz; live methods have no such parts,
+    all their work is synthesis. phonemes_per_s: how fast the clip is spoken. frames_per_s: equation
+    (6), frames of a phoneme at 30 Hz over its computing time.
     """
     began = time.process_time()
     heard = listen(clip)
@@ -142,10 +140,7 @@ def cost_rows(model: TrainedModel, clip: Utterance, number: int, listen: Listen)
 
 
 def _published_ms(model: TrainedModel, heard: Heard) -> tuple[float, float]:
-    """Return processor time of selection and of blending by the priority strategy, ms.
-
-    Both are of the whole sentence.
-    """
+    """Return processor times, ms, of selecting and blending a sentence by the priority strategy."""
     strategy = STRATEGIES["priority"]
     selecting = blending = 0.0
     choice: Choice | None = None
@@ -154,16 +149,16 @@ def _published_ms(model: TrainedModel, heard: Heard) -> tuple[float, float]:
         if event.phoneme == SILENCE:
             choice, position = None, model.rest
             continue
-        for part in stand_in(event.phoneme, model.animphos.known_phonemes):
+        for phoneme in stand_in(event.phoneme, model.animphos.known_phonemes):
             began = time.process_time()
-            last = choice
+            before = choice
             choice = (
-                strategy.first(model.animphos, part)
-                if last is None
-                else strategy.following(model.animphos, part, last)
+                strategy.first(model.animphos, phoneme)
+                if before is None
+                else strategy.following(model.animphos, phoneme, before)
             )
             selected = time.process_time()
-            position = _blended(model.animphos, event, last, choice, position)
+            position = _blended(model.animphos, event, before, choice, position)
             selecting += selected - began
             blending += time.process_time() - selected
     return selecting * 1e3, blending * 1e3
@@ -176,7 +171,11 @@ def _blended(
     choice: Choice,
     position: Array,
 ) -> Array:
-    """Compute a phoneme's samples and all its frames, to be timed; return the last sample."""
+    """Compute a phoneme's samples and all its frames, to be timed; return the last sample.
+
+    last: the choice of the phoneme before, None at the beginning. position: (n_components,), where
+    the mouth is.
+    """
     connected = (
         choice.animpho if last is None else choose_connected(units, last.animpho, choice.animpho)
     )
@@ -190,16 +189,13 @@ def _blended(
 
 
 def _ours() -> list[LiveMethod]:
-    """Our methods, the default last."""
+    """Return the live methods, the default last."""
     ours = [method for method in all_methods().values() if isinstance(method, LiveMethod)]
     return sorted(ours, key=lambda method: method.name == DEFAULT_STRATEGY)
 
 
 def _live_ms(method: LiveMethod, model: TrainedModel, heard: Heard) -> float:
-    """Return the processor time, ms, of one of our methods for a sentence at 30 Hz.
-
-    With the default look-ahead.
-    """
+    """Return a live method's processor time for a sentence at 30 Hz, ms."""
     synthesizer = method.synthesizer(model, DEFAULT_LOOKAHEAD_S)
     script = script_of(heard, DEFAULT_LOOKAHEAD_S)
     end_s = heard.events[-1].end_s or 0.0
@@ -212,16 +208,16 @@ def _live_ms(method: LiveMethod, model: TrainedModel, heard: Heard) -> float:
 
 
 N_CLIPS, N_PHRASES, N_HEARD = 3, 8, 10
-#: Figure 1: ten sentences agreed with their forced alignment to between so much.
+#: Figure 1: range of the ten sentences' agreement with their forced alignment.
 PRINTED_AGREEMENT = (0.45, 0.80)
 #: What the paper says of its recordings and of the AnimPhos made of them.
 PRINTED_DATA = {
     "sentences": 166, "phonemes": 43, "components": 5, "successors_of_an_animpho": 3.45
 }  # fmt: skip
-#: Two phonemes are compared so often.
+#: Labels and recognised phonemes are compared every so many seconds.
 _COMPARED_S = 0.01
 LOOKAHEAD_MS = 100
-#: As printed: case 1 and case 2 over the baseline.
+#: Table 2 as printed: the method's RMSE over the baseline's, of three clips, in cases 1 and 2.
 PRINTED_CASE_1 = (0.842, 0.884, 0.985)
 PRINTED_CASE_2 = (1.081, 1.151, 1.063)
 #: Figure 6 has no printed numbers but for "about 50 %" of the priority strategy.
@@ -238,8 +234,8 @@ def paper_tables(
 ) -> dict[str, list[Row]]:
     """Return rows of data, figure_1, table_2, table_3, figure_6, animphos: ours and the paper's.
 
-    printed: the paper's method as printed; None where the model's sentences are missing. listen:
-    returns what the live recogniser finds in a sentence (case 2).
+    printed: the paper's method as printed; None if its training sentences are missing. listen:
+    returns what the live recogniser finds in a sentence (case 2). seed: draws the sentences.
     """
     rng = np.random.default_rng(seed)
     n_drawn = min(len(utterances), N_HEARD)
@@ -260,7 +256,7 @@ def paper_tables(
 
 
 def _data_rows(model: TrainedModel) -> list[Row]:
-    """Return size figures of the paper's data beside the model's, a row each."""
+    """Return figures about the paper's data beside the model's, a row each."""
     units = model.animphos
     ours = {
         "sentences": len(model.training_sentences),
@@ -275,12 +271,16 @@ def _data_rows(model: TrainedModel) -> list[Row]:
 
 
 class _CountedSelection(GuidedSelection):
-    """Counts plans, and those in which b_t is another AnimPho than a_t."""
+    """Selection that counts its plans, and those in which b_t, eq. (3), is not a_t.
+
+    A plan is a choice of an AnimPho a_t for a phoneme; b_t is the one that is connected to the
+    last.
+    """
 
     n_plans = n_used = 0
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> Choice:
-        """Return the choice, counted; see `GuidedSelection.choose`."""
+        """Return the choice of `GuidedSelection.choose`, and count it."""
         chosen = super().choose(phoneme, target, joint)
         self.n_plans += 1
         if joint.previous is not None:
@@ -290,39 +290,39 @@ class _CountedSelection(GuidedSelection):
 
 
 def animpho_use(model: TrainedModel, sentences: Sequence[Utterance]) -> Row:
-    """Return what AnimPhos do to the default motion of sentences.
+    """Return how much AnimPhos change the default motion of sentences.
 
-    animpho_variance: the mean square by which they move it from the expectation, over the variance
-    of the expectation, all components together; transition_used: the share of plans in which b_t,
-    eq. (3), is not a_t. Counted in frames of speech, with true phonemes and `LOOKAHEAD_MS`.
+    animpho_variance: mean square of what they add to the predicted mean motion, over the variance
+    of that motion, all components together; transition_used: share of plans in which b_t, eq. (3),
+    is not a_t. Frames of speech, with true phonemes and `LOOKAHEAD_MS`.
     """
     counted: list[_CountedSelection] = []
 
-    def selection(units: AnimPhoUnits) -> GuidedSelection:
+    def make_selection(units: AnimPhoUnits) -> GuidedSelection:
         counted.append(_CountedSelection(units))
         return counted[-1]
 
-    ours = LiveMethod(UNIT_STRATEGY, selection=selection)
+    ours = LiveMethod(UNIT_STRATEGY, selection=make_selection)
     expected, added = [], []
     for sentence in sentences:
         times_s = np.arange(len(sentence.markers_mm)) / sentence.frame_rate_hz
         heard, spoken = Heard(sentence.phones), speech_frames(sentence)
-        played, alone = (
+        played, mean_motion = (
             method.faces(model, heard, times_s, LOOKAHEAD_MS / 1e3)[spoken]
             for method in (ours, LiveMethod())
         )
-        expected.append(alone)
-        added.append(played - alone)
+        expected.append(mean_motion)
+        added.append(played - mean_motion)
     variance = np.concatenate(expected).var(axis=0).sum()
     return {
         "animpho_variance": float((np.concatenate(added) ** 2).mean(axis=0).sum() / variance),
-        "transition_used": sum(each.n_used for each in counted)
-        / max(1, sum(each.n_plans for each in counted)),
+        "transition_used": sum(counts.n_used for counts in counted)
+        / max(1, sum(counts.n_plans for counts in counted)),
     }
 
 
 def _agreement(sentence: Utterance, listen: Listen) -> Row:
-    """Return the share of a sentence's speech that the recogniser labels as its labels do."""
+    """Return the share of speech in which the recogniser finds the labelled phoneme, as a row."""
     times_s = np.arange(0.0, sentence.phones[-1].start_s, _COMPARED_S)
     spoken = _phonemes_at(sentence.phones, times_s)
     heard = _phonemes_at(listen(sentence).events, times_s)
@@ -332,9 +332,10 @@ def _agreement(sentence: Utterance, listen: Listen) -> Row:
 
 
 def _phonemes_at(events: Sequence[PhonemeEvent], times_s: Array) -> list[str]:
+    """Return the phoneme at each time, SIL in gaps."""
     track = track_of(events)
-    at = np.searchsorted(track.starts_s, times_s, side="right") - 1
-    return [PHONEMES[track.phonemes[i]] for i in at]
+    indices = np.searchsorted(track.starts_s, times_s, side="right") - 1
+    return [PHONEMES[track.phonemes[i]] for i in indices]
 
 
 def _ratios(
@@ -346,7 +347,8 @@ def _ratios(
 ) -> Row:
     """Return a row of Table 2: a clip's error over the baseline's, by method and case.
 
-    case_1: true phonemes; case_2: those of `listen`. printed: the paper's method, or None.
+    number: of the clip among the printed ones. listen: returns the recognised phonemes (case 2).
+    printed: the paper's method as printed, or None.
     """
     row: Row = {
         "clip": clip.name,
@@ -356,16 +358,16 @@ def _ratios(
     methods: list[Method] = [all_methods()["priority"], *_ours()]
     if printed is not None:
         methods.append(printed)
-    for case, hear in {"case_1": true_phonemes, "case_2": listen}.items():
+    for case, phonemes_of in {"case_1": true_phonemes, "case_2": listen}.items():
         scores = Scores()
-        add_scores(scores, model, [clip], methods, (LOOKAHEAD_MS,), listen=hear)
+        add_scores(scores, model, [clip], methods, (LOOKAHEAD_MS,), listen=phonemes_of)
         for method in methods:
             row[f"{method.name}_{case}"] = scores.row(method.name, LOOKAHEAD_MS)["ratio"]
     return row
 
 
 def _misses(model: TrainedModel, phrase: Utterance, printed: PrintedMethod | None) -> Row:
-    """Return a row of Figure 6: shares of phonemes for which each strategy finds no AnimPho."""
+    """Return a row of Figure 6: each strategy's miss rate in a phrase."""
     rates = {
         name: miss_rate(model.animphos, strategy, [phrase.phones])
         for name, strategy in STRATEGIES.items()
@@ -373,15 +375,15 @@ def _misses(model: TrainedModel, phrase: Utterance, printed: PrintedMethod | Non
     rates[UNIT_STRATEGY] = guided_misses(model, phrase.phones)
     if printed is not None:
         priority = STRATEGIES["priority"]
-        each = [miss_rate(units, priority, [phrase.phones]) for units in printed.units]
-        rates[printed.name] = sum(each) / len(each)
+        component_rates = [miss_rate(units, priority, [phrase.phones]) for units in printed.units]
+        rates[printed.name] = sum(component_rates) / len(component_rates)
     return {"phrase": phrase.name, "printed_priority": PRINTED_PRIORITY_MISSES, **rates}
 
 
 def guided_misses(model: TrainedModel, phones: Sequence[PhonemeEvent]) -> float:
-    """Return the miss rate of AnimPhos chosen near the expectation.
+    """Return the miss rate of AnimPhos chosen near the predicted mean motion.
 
-    Each phone is known whole and planned once.
+    Each phone is planned once, when it begins, with its end known.
     """
     units, track = model.animphos, track_of(phones)
     selection = GuidedSelection(units)
@@ -391,17 +393,17 @@ def guided_misses(model: TrainedModel, phones: Sequence[PhonemeEvent]) -> float:
         if event.phoneme == SILENCE or event.end_s is None:
             previous = None
             continue
-        parts = stand_in(event.phoneme, units.known_phonemes)
-        part_s = (event.end_s - event.start_s) / len(parts)
-        for number, part in enumerate(parts):
-            spacing_s = part_s / (SAMPLES_PER_ANIMPHO - 1)
-            begin_s = event.start_s + number * part_s
+        phonemes = stand_in(event.phoneme, units.known_phonemes)
+        phoneme_s = (event.end_s - event.start_s) / len(phonemes)
+        for number, phoneme in enumerate(phonemes):
+            spacing_s = phoneme_s / (SAMPLES_PER_ANIMPHO - 1)
+            begin_s = event.start_s + number * phoneme_s
             times_s = begin_s + spacing_s * np.arange(float(SAMPLES_PER_ANIMPHO))
             known_s = event.start_s + DEFAULT_LOOKAHEAD_S
             target = model.expectation.faces_after(track, times_s, known_s)
             speed = (target[1] - target[0]) / spacing_s
             joint = Joint(0.0, target[0], speed, spacing_s, previous)
-            chosen = selection.choose(part, target, joint)
+            chosen = selection.choose(phoneme, target, joint)
             if previous is not None:
                 misses += chosen.missed
                 total += 1

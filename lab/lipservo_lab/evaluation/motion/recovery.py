@@ -1,8 +1,8 @@
 """Self-correction: how soon the mouth is right again after one wrong phoneme.
 
-Three cases beside one another: the error is never put right; the recogniser puts it right a little
-later, and the mouth was not made to wait for that; and, as the measure of both, what a phoneme
-that truly is another one leaves behind, recorded and made (`minimal_pairs`).
+Three cases: the error is never corrected; the recogniser corrects it a little later, and the mouth
+did not wait for that; and, as a measure for both, what a phoneme that truly is another one leaves
+behind, recorded and synthesised (`minimal_pairs`).
 """
 
 import math
@@ -33,12 +33,12 @@ _SPOKEN = tuple(p for p in PHONEMES if p != SILENCE)
 Row = dict[str, object]
 
 NEVER_S = math.inf
-#: Sentences that a wrong phoneme is put into.
+#: Number of sentences that get a wrong phoneme.
 _MOST_SENTENCES = 40
-#: Fine enough to see a phone of 30 ms.
+#: Frames a second; enough for a phone of 30 ms.
 _RATE_HZ = 100.0
 _N_RESAMPLINGS = 1000
-#: The cases, as rows name them.
+#: Names of the three cases in rows.
 _NEVER, _CORRECTED, _TRUE = "never corrected", "corrected after 95 ms", "another true phoneme"
 
 
@@ -49,24 +49,24 @@ def recovery_rows(
     methods: Sequence[Method],
     lookaheads_ms: Sequence[int],
 ) -> list[Row]:
-    """Return the share of a wrong phoneme's deviation that is left in it and in each phoneme after.
+    """Return what share of a wrong phoneme's deviation remains in it and in each phoneme after.
 
     utterances: sentences that the model has not learned; recorded: all sentences in its head pose,
-    for the share in recordings. `left` is 1 in a wrong phoneme that is never corrected; `left_95`
-    is its 95 % bootstrap interval over sentences.
+    for the share in recordings. In rows, `left` is 1 for a wrong phoneme that is never corrected;
+    `left_95` is its 95 % bootstrap interval over sentences.
     """
     few, pairs = utterances[:_MOST_SENTENCES], find_pairs(utterances)
-    natural = recorded_persistence(model, recorded, find_pairs(recorded))
-    rows = [_row(_TRUE, "recorded", None, natural)]
+    in_recordings = recorded_persistence(model, recorded, find_pairs(recorded))
+    rows = [_row(_TRUE, "recorded", None, in_recordings)]
     for method in methods:
-        # What does not look ahead has the whole sentence at once, right or wrong.
+        # A method that does not look ahead gets the whole sentence at once, right or wrong.
         delays_s = (NEVER_S, LATENCY_S) if method.looks_ahead else (NEVER_S,)
         for ms in lookaheads_ms if method.looks_ahead else lookaheads_ms[:1]:
             made = made_persistence(model, utterances, pairs, method, lookahead_s=ms / 1e3)
             rows.append(_row(_TRUE, method.name, ms, made))
             found = wrong_phoneme_persistence(model, few, method, delays_s, lookahead_s=ms / 1e3)
             cases = zip((_NEVER, _CORRECTED), found, strict=False)
-            rows += [_row(case, method.name, ms, left) for case, left in cases]
+            rows += [_row(case, method.name, ms, persistence) for case, persistence in cases]
     return rows
 
 
@@ -81,35 +81,37 @@ def wrong_phoneme_persistence(
 ) -> list[Persistence | None]:
     """Return how far, and for how long, one wrong phoneme in each sentence moves the mouth.
 
-    RMS distance between the motion with one phoneme replaced, until so long after its beginning,
-    and the motion without; over that during the wrong phoneme when it is never corrected. The
-    motion does not wait for the recogniser: the face at t is decided when the sound up to t +
-    look-ahead was recognised. One result for each delay (None: nothing moved); no result where no
-    sentence is long enough.
+    Shares are rms distances between the motion with and without the wrong phoneme, in it and in the
+    phonemes after it, over that in the wrong phoneme when it is never corrected. corrected_after_s:
+    delays from the wrong phoneme's beginning to its correction; there is one result for each (None:
+    nothing moved), and none if no sentence is long enough. The motion does not wait for
+    corrections: the face at t is decided when the sound up to t + look-ahead was recognised.
     """
     rng = np.random.default_rng(seed)
-    squares, never = [], []
+    squares, uncorrected = [], []
     for utterance in utterances:
         phones = utterance.phones
         spoken = [i for i, p in enumerate(phones) if p.phoneme != SILENCE]
         if len(spoken) < 2 + AFTER:
             continue
-        hit = spoken[int(rng.integers(1, len(spoken) - AFTER))]
-        wrong = str(rng.choice([p for p in _SPOKEN if p != phones[hit].phoneme]))
-        after = phones[hit : hit + 1 + AFTER]
-        times_s = np.arange(0.0, after[-1].end_s or 0.0, 1.0 / _RATE_HZ)
+        index = spoken[int(rng.integers(1, len(spoken) - AFTER))]
+        wrong_phoneme = str(rng.choice([p for p in _SPOKEN if p != phones[index].phoneme]))
+        compared = phones[index : index + 1 + AFTER]
+        times_s = np.arange(0.0, compared[-1].end_s or 0.0, 1.0 / _RATE_HZ)
         faces = {
             delay_s: method.faces(
-                model, _misheard_at(phones, hit, wrong, delay_s), times_s, lookahead_s
+                model, _misheard_at(phones, index, wrong_phoneme, delay_s), times_s, lookahead_s
             )
             for delay_s in {0.0, NEVER_S, *corrected_after_s}
         }
         right = faces[0.0]
-        squares.append([_squares(after, times_s, faces[d] - right) for d in corrected_after_s])
-        never.append(_squares(after, times_s, faces[NEVER_S] - right)[0])
+        squares.append([_squares(compared, times_s, faces[d] - right) for d in corrected_after_s])
+        uncorrected.append(_squares(compared, times_s, faces[NEVER_S] - right)[0])
     if not squares:
         return []
-    n, unit = len(squares), np.array(never)
+    # unit: squares in the wrong phoneme, uncorrected. Bootstrap samples hold sentence i draws[..,
+    # i] times.
+    n, unit = len(squares), np.array(uncorrected)
     draws = rng.multinomial(n, np.full(n, 1.0 / n), size=_N_RESAMPLINGS)
     unit_totals = draws @ unit
     found = []
@@ -120,25 +122,29 @@ def wrong_phoneme_persistence(
     return found
 
 
-def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: float) -> Heard:
-    """Return a recogniser's updates with `wrong` in place of a phone for `until_s` from its start.
+def _misheard_at(phones: Sequence[PhonemeEvent], index: int, wrong: str, until_s: float) -> Heard:
+    """Return a recogniser's updates with one phone as `wrong` for `until_s` from its start.
 
-    Beginnings and ends are known in time; nothing is final that may still be corrected.
+    index: of that phone. Phones are known when they begin and end; only those older than
+    `until_s` are final.
     """
-    wrongly_heard = [*phones[:hit], replace(phones[hit], phoneme=wrong), *phones[hit + 1 :]]
-    put_right_s = phones[hit].start_s + until_s
+    wrongly_heard = [*phones[:index], replace(phones[index], phoneme=wrong), *phones[index + 1 :]]
+    corrected_s = phones[index].start_s + until_s
     updates = []
     for step in range(math.ceil((phones[-1].end_s or 0.0) / BLOCK_S) + 1):
         heard_s = step * BLOCK_S
-        believed = phones if heard_s >= put_right_s else wrongly_heard
-        known = [p for p in believed if p.start_s <= heard_s]
+        recognized = phones if heard_s >= corrected_s else wrongly_heard
+        known = [p for p in recognized if p.start_s <= heard_s]
         events = tuple(p if (p.end_s or 0.0) <= heard_s else replace(p, end_s=None) for p in known)
         updates.append(PhonemeUpdate(0.0, heard_s, max(0.0, heard_s - until_s), events))
     return Heard(tuple(wrongly_heard if until_s == NEVER_S else phones), tuple(updates))
 
 
 def _squares(phones: Sequence[PhonemeEvent], times_s: Array, distance: Array) -> Array:
-    """Return the sum of squares inside each phone, and the number of instants, (n_phones, 2)."""
+    """Return the sum of squared distances in each phone, and the number of instants, (n_phones, 2).
+
+    distance: (n, n_components) at times_s (n,).
+    """
     found = []
     for phone in phones:
         inside = (times_s >= phone.start_s) & (times_s < (phone.end_s or 0.0))
@@ -147,7 +153,10 @@ def _squares(phones: Sequence[PhonemeEvent], times_s: Array, distance: Array) ->
 
 
 def _shares(squares: Array, unit: Array) -> Array:
-    """RMS of each phone (n_phones, 2) over that of `unit` (2,); NaN where nothing moved."""
+    """Return each phone's rms over that of `unit`, (n_phones,); NaN if `unit` is 0.
+
+    squares: (n_phones, 2), unit: (2,): sums of squares and numbers of instants.
+    """
     rms = np.sqrt(squares[:, 0] / np.maximum(squares[:, 1], 1.0))
     return np.asarray(rms / np.sqrt(unit[0] / unit[1]) if unit[0] else np.full(len(rms), np.nan))
 

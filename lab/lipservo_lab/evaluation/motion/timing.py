@@ -25,7 +25,7 @@ from lipsync.phonemes import PhonemeScript, PhonemeUpdate
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """95th percentiles in milliseconds: of deciding a phoneme, of one frame at 100 Hz."""
+    """95th percentiles, ms, of the time to decide a phoneme and to compute a frame at 100 Hz."""
 
     phoneme_p95_ms: float
     frame_p95_ms: float
@@ -43,12 +43,12 @@ class _Synthesizer(Protocol):
 def method_times(
     method: Method, model: TrainedModel, sentences: Iterable[Heard], lookahead_s: float
 ) -> Times | None:
-    """Return a method's times for a phoneme and for a frame, at 100 Hz.
+    """Return a method's computing times for a phoneme and for a frame, at 100 Hz.
 
-    None for methods that exist only for whole sentences. A frame in which a phoneme begins to move
-    the mouth, with what was recognised in it, is that phoneme's cost; all others count as frames.
-    The published method knows a sentence beforehand, as where it is scored, and its look-ahead is
-    the phone's own length.
+    None for methods that exist only for whole sentences. A tick in which a phoneme begins to move
+    the mouth counts as the phoneme's cost, with what was recognised then; all others count as
+    frames. The published method gets a whole sentence beforehand, as when it is scored; its
+    look-ahead is the phone's own length.
     """
     phoneme_ms: list[float] = []
     frame_ms: list[float] = []
@@ -58,14 +58,14 @@ def method_times(
             synthesizer = method.synthesizer(model, lookahead_s)
             script = script_of(heard, lookahead_s)
         elif isinstance(method, PublishedMethod):
-            synthesizer, script = method.synthesizer(model), _Known(heard)
+            synthesizer, script = method.synthesizer(model), _WholeSentence(heard)
         else:
             return None
         _add_times(synthesizer, script, heard, phoneme_ms, frame_ms)
     return Times(_p95(phoneme_ms), _p95(frame_ms))
 
 
-class _Known:
+class _WholeSentence:
     """A sentence that is known as a whole from the beginning."""
 
     def __init__(self, heard: Heard) -> None:
@@ -90,11 +90,11 @@ def _add_times(
     for tick in range(int((heard.events[-1].end_s or 0.0) / TICK_S)):
         time_s = tick * TICK_S
         updates, n_planned = script.updates(time_s), synthesizer.phonemes_planned
-        began = time.perf_counter()
+        start_s = time.perf_counter()
         for update in updates:
             synthesizer.push(update)
         synthesizer.frame_at(time_s)
-        elapsed_ms = (time.perf_counter() - began) * 1e3
+        elapsed_ms = (time.perf_counter() - start_s) * 1e3
         (phoneme_ms if synthesizer.phonemes_planned > n_planned else frame_ms).append(elapsed_ms)
 
 

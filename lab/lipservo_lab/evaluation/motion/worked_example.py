@@ -1,8 +1,10 @@
 """The example of Wei and Deng's Figures 4 and 5: eight AnimPhos of three phonemes.
 
-The figures show which AnimPhos say a phoneme and which follow which; how far apart they are they
-only tell, so positions are ours, chosen so that 6, 5 and 7 are the smoothest where the text says
-so. AnimPhos go by their own numbers, 1 to 8; number 0 is none.
+An AnimPho is a recorded piece of motion.
+
+The figures show which AnimPhos belong to a phoneme and which follow which, but not their positions.
+The positions here are chosen so that 6, 5 and 7 are the smoothest where the text says so. AnimPhos
+have the paper's numbers, 1 to 8; number 0 is none.
 """
 
 from typing import Final
@@ -15,7 +17,7 @@ from lipsync.phonemes import PHONEMES
 
 #: L: the AnimPhos of each phoneme, in the order in which the phonemes are heard.
 SAYS: Final = {"B": (1, 2, 3), "IY": (4, 5, 6), "T": (7, 8)}
-#: T: who follows whom.
+#: T: pairs of an AnimPho and one that may follow it.
 FOLLOWS: Final = ((1, 4), (2, 5), (5, 8))
 #: Begin and end of each AnimPho, in one component. 3 begins at rest; 6 and then 7 go on most
 #: smoothly; of 4 and 5, 5 is the smoother one after 3.
@@ -40,7 +42,7 @@ def example_units() -> AnimPhoUnits:
 
 
 def choices(strategy: SelectionStrategy, units: AnimPhoUnits, *phonemes: str) -> list[Choice]:
-    """Return what a strategy chooses for phonemes heard one after the other."""
+    """Return a strategy's choices for phonemes that follow one another."""
     first, *others = phonemes
     chosen = [strategy.first(units, first)]
     for phoneme in others:

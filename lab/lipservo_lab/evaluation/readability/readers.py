@@ -1,15 +1,14 @@
-"""Readers of words: what they see of a face, and how they tell words apart.
+"""Readers of words: classifiers that read words off the motion of a face, as a lip-reader does.
 
-The words of recorded sentences, slot by slot, and the motion of one word as a reader sees it.
+A sentence has slots, one a word. A reader has a classifier for each slot, and sees a word's motion
+resampled to a fixed number of points. Recorded and synthesised motion is read by one protocol.
 
-What readers read off motion: recorded and made alike, by one protocol.
-
-Known words: a reader fitted on the recorded words of all sentences outside the test reads the
-test. New words: a model has learned no sentence that holds any of a set; the reader must know them,
-so it is fitted on recorded words of such sentences too, but by folds: the sentences that hold words
-of the set are dealt into `N_FOLDS`, by turns in the order of their names, and those of one fold are
-read by a reader fitted on all sentences outside that fold. So no sentence is read by a reader that
-has seen its recording.
+Known words: a reader fitted on the recorded words of all sentences outside the test reads the test.
+New words: a face model was trained without the sentences that contain any of a set of words. The
+reader must know these words, so it is fitted on recorded words of such sentences too, but by folds:
+the sentences with words of the set are dealt into `N_FOLDS`, in turn in the order of their names,
+and those of one fold are read by a reader fitted on all sentences outside that fold. So no sentence
+is read by a reader that was fitted on its recording.
 """
 
 from collections import Counter
@@ -29,23 +28,23 @@ from lipservo_lab.evaluation.motion.measures import lip_shapes_mm
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 
-#: A word is seen from so long before its beginning until so long after its end.
+#: Seconds before and after a word that a reader sees too.
 MARGIN_S = 0.08
-#: And resampled to so many points, so that its duration is not seen.
+#: Number of points that a word's motion is resampled to, so that its duration is not seen.
 N_POINTS = 12
-#: Short pause and silence: how GRID's own labels write what is no word.
+#: Labels of a short pause and of silence in GRID's own label files.
 _PAUSES = ("sp", "sil")
 
 
 def spoken_words(utterance: Utterance) -> tuple[Word, ...]:
-    """Return the words of a sentence without its pauses; the n-th is in slot n."""
+    """Return the words of a sentence without pauses; the word at index n is in slot n."""
     return tuple(word for word in utterance.words if word.text not in _PAUSES)
 
 
 def slotted(utterances: Sequence[Utterance]) -> list[Utterance]:
-    """Return the labelled sentences with the most frequent number of words, thus equal slots.
+    """Return the labelled sentences that have the most frequent number of words, so equal slots.
 
-    Raises CorpusError where no sentence has words.
+    Raises CorpusError if no sentence has both phones and words.
     """
     labelled = [u for u in utterances if u.phones and spoken_words(u)]
     if not labelled:
@@ -60,11 +59,11 @@ def word_motion(values: Array, frame_rate_hz: float, word: Word) -> Array:
     Parameters
     ----------
     values : Array
-        (n_frames, k) of a sentence.
+        (n_frames, k) of the word's sentence.
     frame_rate_hz : float
-        Of it.
+        Of `values`.
     word : Word
-        With its times.
+        The word, with its times.
 
     Returns
     -------
@@ -77,12 +76,12 @@ def word_motion(values: Array, frame_rate_hz: float, word: Word) -> Array:
     return np.stack(columns, axis=1).ravel()
 
 
-#: (n_frames, k) of every sentence, by its name.
+#: Values (n_frames, k) of every sentence, by the sentence's name.
 Motions = Mapping[str, Array]
 
 
 class Classifier(Protocol):
-    """As scikit-learn has it."""
+    """The part of scikit-learn's classifiers that readers use."""
 
     def fit(self, x: Array, y: Sequence[str]) -> object:
         """Learn words from features.
@@ -90,9 +89,9 @@ class Classifier(Protocol):
         Parameters
         ----------
         x : Array
-            (n, d).
+            (n, d), features of n spoken words.
         y : Sequence[str]
-            n words.
+            The n words.
 
         Returns
         -------
@@ -106,7 +105,7 @@ class Classifier(Protocol):
         Parameters
         ----------
         x : Array
-            (n, d).
+            (n, d), features of n spoken words.
 
         Returns
         -------
@@ -117,7 +116,11 @@ class Classifier(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ReaderKind:
-    """view: a model and its markers (n_frames, n_points, 3) -> what is seen (n_frames, k)."""
+    """What a reader sees, and how it classifies.
+
+    view: returns for a model and its markers (n_frames, n_points, 3) what is seen, (n_frames, k).
+    classifier: makes a classifier that is not fitted yet.
+    """
 
     name: str
     view: Callable[[FaceModel, NDArray[np.floating]], Array]
@@ -125,40 +128,41 @@ class ReaderKind:
 
 
 def _components(model: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
+    """Return face coefficients, (n_frames, n_components)."""
     return model.coefficients(markers_mm)
 
 
 def _discriminant() -> Classifier:
-    """Linear discriminants with the shrinkage of Ledoit and Wolf (2004)."""
+    """Return linear discriminants with the shrinkage of Ledoit and Wolf (2004)."""
     classifier: Classifier = LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto")
     return classifier
 
 
 def _lips_from_rest(model: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
-    """Return gap, width and protrusion, mm, less those of the mouth at rest."""
+    """Return gap, width and protrusion of the lips less those at rest, (n_frames, 3) mm."""
     rest_mm = model.markers_mm(model.rest[None])
     return lip_shapes_mm(model, markers_mm) - lip_shapes_mm(model, rest_mm)
 
 
 def _support_vectors() -> Classifier:
-    """Support vectors with Gaussian kernels (scikit-learn's width) on standardised features.
+    """Return support vectors with Gaussian kernels (scikit-learn's width) on standardised features.
 
-    C = 3 read recorded words of grid_s1 best among 1 to 10, on sentences of no test.
+    C = 3 was the best of 1 to 10 for reading recorded words of grid_s1, on sentences of no test.
     """
     classifier: Classifier = make_pipeline(StandardScaler(), SVC(C=3.0))
     return classifier
 
 
-#: Sees the whole face, in the model's components.
+#: This reader sees the whole face, as the model's components.
 COMPONENT_READER = ReaderKind("components", _components, _discriminant)
-#: Of another kind, and sees of the lips only what a robot can show.
+#: This one classifies in another way, and sees only what a robot's lips can show.
 LIP_READER = ReaderKind("lips", _lips_from_rest, _support_vectors)
 READERS = (COMPONENT_READER, LIP_READER)
 
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """One classifier for each slot, and the mean word (d,) of each, as it was fitted."""
+    """A fitted classifier for each slot, and the slot's mean recorded word (d,)."""
 
     classifiers: Mapping[int, Classifier]
     mean_words: Mapping[int, Array]
@@ -167,10 +171,10 @@ class Reader:
 def fit_reader(
     kind: ReaderKind, sentences: Sequence[Utterance], recorded: Motions, slots: Iterable[int]
 ) -> Reader:
-    """Train a reader to tell the words of each slot apart, from recorded sentences.
+    """Fit a reader to the words of each slot in recorded sentences.
 
-    recorded: motion by sentence, of the features that this kind of reader sees. Raises CorpusError
-    for a slot with fewer than two words, or with no word that occurs twice.
+    recorded: motion by sentence name, as this kind of reader sees it. Raises CorpusError for a slot
+    with fewer than two different words, or without a word that occurs twice.
     """
     classifiers: dict[int, Classifier] = {}
     mean_words: dict[int, Array] = {}
@@ -194,16 +198,16 @@ def words_of_slot(sentences: Sequence[Utterance], motions: Motions, slot: int) -
     Parameters
     ----------
     sentences : Sequence[Utterance]
-        n_sentences.
+        Sentences with the words that they have in each slot.
     motions : Motions
-        (n_frames, k) by name.
+        (n_frames, k) by sentence name.
     slot : int
-        Its number.
+        Index of the word.
 
     Returns
     -------
     Array
-        (n_sentences, d).
+        (n_sentences, d), d = N_POINTS * k.
     """
     return np.array(
         [word_motion(motions[u.name], u.frame_rate_hz, spoken_words(u)[slot]) for u in sentences]
@@ -217,8 +221,9 @@ N_FOLDS = 10
 class Reading:
     """One word that was read.
 
-    projection: of the made word's deviation from the slot's mean recorded word, on the recorded
-    word's: their product over d features; recorded_square: the recorded one's with itself.
+    spoken, read: the word, and what the reader took it for. projection: product, summed over d
+    features, of the deviations of the synthesised and of the recorded word from the slot's mean
+    recorded word; recorded_square: the same product of the recorded word with itself.
     """
 
     sentence: str
@@ -240,17 +245,17 @@ class Fold:
 def known_fold(
     kind: ReaderKind, sentences: Sequence[Utterance], test: frozenset[str], recorded: Motions
 ) -> tuple[Fold, ...]:
-    """Return the one fold of known words.
+    """Return the one fold for known words: the test sentences, with a reader fitted on the others.
 
-    sentences: from `slotted`, the test among them. Raises CorpusError where the test holds none of
-    them, or all.
+    sentences: from `slotted`; test: names. Raises CorpusError if the test holds none of the
+    sentences, or all.
     """
-    read = tuple(u for u in sentences if u.name in test)
-    fitted = [u for u in sentences if u.name not in test]
-    if not read or not fitted:
-        raise CorpusError(f"{len(read)} test sentences, {len(fitted)} to learn from; give more")
-    slots = range(len(spoken_words(read[0])))
-    return (Fold(fit_reader(kind, fitted, recorded, slots), read),)
+    tested = tuple(u for u in sentences if u.name in test)
+    others = [u for u in sentences if u.name not in test]
+    if not tested or not others:
+        raise CorpusError(f"{len(tested)} test sentences, {len(others)} to learn from; give more")
+    slots = range(len(spoken_words(tested[0])))
+    return (Fold(fit_reader(kind, others, recorded, slots), tested),)
 
 
 def new_word_folds(
@@ -260,10 +265,10 @@ def new_word_folds(
     recorded: Motions,
     read: frozenset[str] | None = None,
 ) -> tuple[Fold, ...]:
-    """Return folds for new words, with a reader for the slots in which they are spoken.
+    """Return folds for new words, with readers for the slots in which these are spoken.
 
-    read: names of the sentences that are read; None: all that hold one of the words. Raises
-    CorpusError for a word that no such sentence holds.
+    words: the new words. read: names of the sentences that are read; None: all that contain one of
+    the words. Raises CorpusError for a word that no sentence to be read contains.
     """
     holding = [u for u in sentences_with(words, sentences) if read is None or u.name in read]
     slots = slots_of(words, sentences)
@@ -274,44 +279,48 @@ def new_word_folds(
     for first in range(min(N_FOLDS, len(holding))):
         of_fold = tuple(holding[first::N_FOLDS])
         names = {u.name for u in of_fold}
-        fitted = [u for u in sentences if u.name not in names]
-        folds.append(Fold(fit_reader(kind, fitted, recorded, slots), of_fold))
+        others = [u for u in sentences if u.name not in names]
+        folds.append(Fold(fit_reader(kind, others, recorded, slots), of_fold))
     return tuple(folds)
 
 
 def sentences_with(words: frozenset[str], sentences: Iterable[Utterance]) -> list[Utterance]:
-    """Return the sentences that hold any of the words, by name."""
+    """Return the sentences that contain any of the words, in the order of their names."""
     holding = [u for u in sentences if words & {w.text for w in spoken_words(u)}]
     return sorted(holding, key=lambda u: u.name)
 
 
 def slots_of(words: frozenset[str], sentences: Iterable[Utterance]) -> list[int]:
-    """The slots in which any of the words is spoken."""
+    """Return the indices of the slots in which any of the words is spoken, ascending."""
     return sorted({s for u in sentences for s, w in enumerate(spoken_words(u)) if w.text in words})
 
 
 def read_words(folds: Iterable[Fold], made: Motions, recorded: Motions) -> list[Reading]:
-    """Read every sentence of every fold from the motion `made`, and compare it with `recorded`."""
+    """Read every sentence of every fold from its motion in `made`, and compare it with `recorded`.
+
+    Motions are as the readers see them.
+    """
     readings = []
     for fold in folds:
         for slot, classifier in fold.reader.classifiers.items():
-            seen = words_of_slot(fold.sentences, made, slot)
-            away = seen - fold.reader.mean_words[slot]
+            made_words = words_of_slot(fold.sentences, made, slot)
+            made_away = made_words - fold.reader.mean_words[slot]
             recorded_away = words_of_slot(fold.sentences, recorded, slot)
             recorded_away -= fold.reader.mean_words[slot]
-            found = zip(
+            rows = zip(
                 fold.sentences,
-                classifier.predict(seen),
-                _products(away, recorded_away),
+                classifier.predict(made_words),
+                _products(made_away, recorded_away),
                 _products(recorded_away, recorded_away),
                 strict=True,
             )
             readings += [
                 Reading(u.name, slot, spoken_words(u)[slot].text, str(read), product, square)
-                for u, read, product, square in found
+                for u, read, product, square in rows
             ]
     return readings
 
 
 def _products(one: Array, other: Array) -> list[float]:
+    """Return the products of two arrays (n, d), summed over d."""
     return [float(x) for x in np.einsum("nd,nd->n", one, other)]

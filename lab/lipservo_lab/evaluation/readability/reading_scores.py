@@ -1,6 +1,6 @@
-"""Scores of what was read; intervals: 95 % bootstrap over sentences (Efron 1979), percentiles.
+"""Scores of words that readers read; intervals are 95 % bootstrap over sentences (Efron 1979).
 
-What is read: known words of held-out sentences, and sets of words that a model never saw.
+Read are known words of held-out sentences, and sets of words that a model was trained without.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,8 +29,9 @@ KNOWN = "known"
 def reading_parts(folder: Path, corpus: Corpus) -> list[Part]:
     """Return part `known`, the sentences of `random_test`, and `new_a`, ...: sets of new words.
 
-    corpus: labelled. Raises CorpusError for a missing or damaged splits.json, one whose
-    `random_test` holds none or all of the sentences, and a set that leaves none to train on.
+    folder: with a `splits.json`. corpus: labelled. Raises CorpusError for a missing or damaged
+    splits.json, one whose `random_test` holds none or all of the sentences, and a set that leaves
+    none to train on.
     """
     parts = held_out_parts(
         folder,
@@ -48,15 +49,14 @@ _N_SAMPLES = 1000
 
 @dataclass(frozen=True, slots=True)
 class ReadingScore:
-    """How much was read right.
+    """How much was read correctly.
 
-    score: of known words the mean over slots of the share read right; of new words the mean over
-    the set's words of recall less false alarms (the share of a word's places that are read as it,
-    less the share of other words in its slot that are). samples: the score on each bootstrap
-    sample, drawn alike for the same sentences, so that two scores may be compared in pairs.
-    shares: what `score` is the mean of, by slot or by word. whole_sentences: the share of sentences
-    with every word right; None for new words. gain: how far words go from their slot's mean word,
-    projected on how far recorded ones go, over the latter.
+    score: for known words the mean over slots of the share read correctly; for new words the mean
+    over the words of recall less false alarms (share of a word's occurrences that are read as it,
+    less the share of other words in its slots that are). samples: the score on each bootstrap
+    sample; these are the same for the same sentences, so that two scores may be compared in pairs.
+    shares: what `score` is the mean of, by slot or by word. whole_sentences: share of sentences
+    with every word correct; None for new words. gain: see `gain`.
     """
 
     score: float
@@ -68,27 +68,30 @@ class ReadingScore:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % of the score."""
+        """The ends of the 95 % interval of the score."""
         return percentiles(self.samples)
 
 
 def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
-    """Return the score of words that the model has learned; every sentence has every slot."""
+    """Return the score of words that the model has learned.
+
+    Every sentence has a reading in every slot.
+    """
     names = sorted({r.sentence for r in readings})
     slots = sorted({r.slot for r in readings})
-    right = np.zeros((len(names), len(slots)))
+    is_right = np.zeros((len(names), len(slots)))
     for reading in readings:
         place = names.index(reading.sentence), slots.index(reading.slot)
-        right[place] = reading.read == reading.spoken
-    samples = _draws(len(names), seed) @ right.mean(axis=1) / len(names)
+        is_right[place] = reading.read == reading.spoken
+    samples = _draws(len(names), seed) @ is_right.mean(axis=1) / len(names)
     return ReadingScore(
-        float(right.mean()),
+        float(is_right.mean()),
         samples,
         {
             f"slot {slot + 1}": float(share)
-            for slot, share in zip(slots, right.T.mean(axis=1), strict=True)
+            for slot, share in zip(slots, is_right.T.mean(axis=1), strict=True)
         },
-        float(right.all(axis=1).mean()),
+        float(is_right.all(axis=1).mean()),
         gain(readings),
         len(names),
     )
@@ -97,10 +100,11 @@ def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
 def new_word_score(
     readings: Sequence[Reading], words: frozenset[str], *, seed: int = 0
 ) -> ReadingScore:
-    """Return the score of words that the model was not trained on."""
+    """Return the score of `words`, which the model was not trained on."""
     names = {name: n for n, name in enumerate(sorted({r.sentence for r in readings}))}
     ordered = sorted(words)
-    # Of each sentence and word: said, and read; not said in the word's slot, and read.
+    # For each sentence and word: times spoken, of these read as it; times another word was spoken
+    # in a slot of the word, of these read as it.
     counts = np.zeros((len(names), len(ordered), 4))
     slots = {word: {r.slot for r in readings if r.spoken == word} for word in ordered}
     for reading in readings:
@@ -124,18 +128,22 @@ def new_word_score(
 
 
 def gain(readings: Sequence[Reading]) -> float:
-    """1: words differ as much as recorded ones; 0: not at all, or in other ways."""
+    """Return how far words deviate from their slot's mean word, over how far recorded ones do.
+
+    Deviations are projected on the recorded ones. 1: words differ as much as recorded ones; 0: not
+    at all, or in other ways.
+    """
     return sum(r.projection for r in readings) / sum(r.recorded_square for r in readings)
 
 
 def _recall_less_false_alarms(counts: Array) -> Array:
-    """Return recall less false alarms, (...), of counts (..., 4).
+    """Return recall less false alarms, (...), of counts (..., 4) as `new_word_score` makes them.
 
-    NaN where a drawn sample does not hold the word.
+    NaN where the word is never spoken, as in some bootstrap samples.
     """
-    n_spoken, hits, others, alarms = np.moveaxis(counts, -1, 0)
+    n_spoken, hits, n_others, false_alarms = np.moveaxis(counts, -1, 0)
     recall = np.divide(hits, n_spoken, out=np.full_like(hits, np.nan), where=n_spoken > 0)
-    return np.asarray(recall - alarms / np.maximum(others, 1.0))
+    return np.asarray(recall - false_alarms / np.maximum(n_others, 1.0))
 
 
 def _draws(n_sentences: int, seed: int) -> Array:
@@ -146,18 +154,18 @@ def _draws(n_sentences: int, seed: int) -> Array:
 
 
 def percentiles(samples: Array) -> tuple[float, float]:
-    """The 95 % between."""
+    """Return the ends of the 95 % interval of bootstrap samples."""
     low, high = np.percentile(samples, [2.5, 97.5])
     return float(low), float(high)
 
 
 def recorded_motions(model: FaceModel, sentences: Iterable[Utterance], kind: ReaderKind) -> Motions:
-    """Return recorded faces as a reader sees them, at the recording's frames."""
+    """Return recorded faces by sentence, as a reader sees them, at the frames of the recording."""
     return {u.name: kind.view(model, u.markers_mm) for u in sentences}
 
 
 def seen_motions(model: FaceModel, faces: Motions, kind: ReaderKind) -> Motions:
-    """Return faces, (n_frames, n_components) by sentence, as a reader sees them."""
+    """Return faces, (n_frames, n_components) by sentence name, as a reader sees them."""
     return {name: kind.view(model, model.markers_mm(each)) for name, each in faces.items()}
 
 
@@ -169,9 +177,10 @@ def made_faces(
     listen: Listen,
     rate_hz: float | None = None,
 ) -> Motions:
-    """Return a method's motion, (n_frames, n_components), of each sentence.
+    """Return a method's faces, (n_frames, n_components), for each sentence by name.
 
-    Motion ends after the last word. rate_hz: None for the recording's frames.
+    They end after the last word. listen: returns the phonemes that the method gets. rate_hz: frames
+    a second; None: the recording's.
     """
     made = {}
     for utterance in sentences:
@@ -184,5 +193,5 @@ def made_faces(
 
 
 def seen_until_s(utterance: Utterance) -> float:
-    """Return when a reader has seen the last word, and the frame after it, s."""
+    """Return until when a reader needs frames of a sentence, s: one frame after the last margin."""
     return spoken_words(utterance)[-1].end_s + MARGIN_S + 1.0 / utterance.frame_rate_hz

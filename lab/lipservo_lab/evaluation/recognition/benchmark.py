@@ -1,6 +1,6 @@
 """A recogniser measured on a corpus of transcribed speech.
 
-How often a text that was not spoken is taken for one that was, and the reverse.
+Also how often a text that was not spoken passes as spoken, and the reverse.
 """
 
 from collections import Counter, defaultdict
@@ -35,19 +35,22 @@ from lipsync.recognition.features import FRAMES_PER_S
 from lipsync.recognition.network import NetworkWeights
 from lipsync.text_to_speech.pronunciation import PronunciationError
 
-#: Recordings that speak at once in babble noise.
+#: Number of recordings from which babble noise is made.
 _N_VOICES = 20
-#: Over a sound whose cost is measured.
+#: Passes over a sound whose processor time is measured.
 _N_PASSES = 5
-#: Whose servos are heard alone.
+#: Number of robots whose servos are recognised alone.
 _N_ROBOTS = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Everything that was measured; `score.figures()` are the accuracies.
+    """What was measured on a corpus; `score.figures()` are the accuracies.
 
-    groups: the same of some of the speakers, by name.
+    n_phones: phones that the recogniser reported. cost_s: processor time of recognising, in all;
+    block_cost_p50_s, block_cost_p99_s: of a block of 10 ms. n_default, n_labelled: utterances
+    aligned at the default beams, and with labels of their own; these are scored. n_tight: aligned
+    only with other beams; n_failed: not aligned. groups: scores of some of the speakers, by group.
     """
 
     score: Score
@@ -66,7 +69,7 @@ class Figures:
 
     def as_dict(self) -> dict[str, object]:
         """Return the figures by the keys of `lipservo bench recognition`, for JSON."""
-        least, median, most = self.score.agreement()
+        lowest, median, highest = self.score.agreement()
         grouped: dict[str, object] = {
             name: {
                 **score.figures(),
@@ -91,7 +94,7 @@ class Figures:
             "failed_alignments": self.n_failed,
             "block_ms_p50": 1e3 * self.block_cost_p50_s,
             "block_ms_p99": 1e3 * self.block_cost_p99_s,
-            "agreement_min_median_max": [least, median, most],
+            "agreement_min_median_max": [lowest, median, highest],
             **({"groups": grouped} if grouped else {}),
         }
 
@@ -107,9 +110,10 @@ def measure(
 ) -> Figures:
     """Recognise every utterance as a new stream; return the figures against its alignment.
 
-    Scored are utterances that were aligned at the default beams, or labelled; alignments that
-    needed the second try are counted only. groups_of: groups that a speaker is counted in.
-    known_text_of: text that the recogniser gets beforehand; empty: none.
+    Only utterances aligned at the default beams, or labelled, are scored. condition: changes the
+    sound; None: as recorded. progress: called with each utterance's name. groups_of: returns the
+    groups of a speaker. known_text_of: returns the text that the recogniser gets beforehand; empty:
+    none.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
@@ -127,13 +131,13 @@ def measure(
             samples = condition.apply(samples, utterance.name, voices)
             servos_deg = condition.servo_positions_deg(utterance.name, len(samples))
         text = known_text_of(utterance)
-        heard, block_costs = label_frames(recognizer, samples, servos_deg, text)
-        reference = alignments[utterance.name].labels(len(heard.labels))
-        for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
-            each.add(heard.labels, reference)
+        recognized, block_costs = label_frames(recognizer, samples, servos_deg, text)
+        reference = alignments[utterance.name].labels(len(recognized.labels))
+        for group_score in (score, *(groups[name] for name in groups_of(utterance.speaker))):
+            group_score.add(recognized.labels, reference)
         duration_s += len(samples) / SAMPLE_RATE_HZ
-        n_revisions += heard.n_revisions
-        n_reported += len(phone_sequence(heard.labels))
+        n_revisions += recognized.n_revisions
+        n_reported += len(phone_sequence(recognized.labels))
         costs.append(np.array(block_costs.costs_s))
         progress(utterance.name)
     all_costs = np.concatenate(costs) if costs else np.zeros(1)
@@ -160,30 +164,30 @@ def leaving_figures(
     make_recognizer: Callable[[], LiveRecognizer],
     progress: Callable[[str], None] = lambda _name: None,
 ) -> dict[str, object]:
-    """Return how soon a recogniser leaves a known text where the sound departs from it.
+    """Return how soon a recogniser leaves a known text when the sound departs from it.
 
-    Each utterance is followed by the one half the list away, while the text goes on with another
-    one. Times count from the first phone of the second sound on.
+    Each utterance is followed by the one half the list away, while the text goes on with the one
+    after that. Times count from the first phone of the second sound.
     """
-    recognizer, half = make_recognizer(), len(utterances) // 2
+    recognizer, half_away = make_recognizer(), len(utterances) // 2
     times_s: list[float | None] = []
     for number, utterance in enumerate(utterances):
-        other = utterances[(number + half) % len(utterances)]
-        known = utterances[(number + half + 1) % len(utterances)]
+        other = utterances[(number + half_away) % len(utterances)]
+        text_source = utterances[(number + half_away + 1) % len(utterances)]
         sounds = read_speech(utterance.sound), read_speech(other.sound)
         n_frames = round(len(sounds[1]) / SAMPLE_RATE_HZ * FRAMES_PER_S)
         spoken = np.flatnonzero(alignments[other.name].labels(n_frames) != PHONEME_INDEX[SILENCE])
         if alignments[utterance.name].error or not len(spoken):
             continue
         onset_s = float(spoken[0]) / FRAMES_PER_S
-        text = f"{utterance.text} {known.text}".lower()
+        text = f"{utterance.text} {text_source.text}".lower()
         times_s.append(time_to_leave(recognizer, *sounds, onset_s, text).left_s)
         progress(utterance.name)
-    left_s = [each for each in times_s if each is not None]
+    left_s = [time_s for time_s in times_s if time_s is not None]
     return {
         "leaving_ms_p50": 1e3 * float(np.median(left_s)) if left_s else None,
         "leaving_ms_p95": 1e3 * float(np.percentile(left_s, 95)) if left_s else None,
-        "leaving_within_300_ms": sum(each <= 0.3 for each in left_s) / max(1, len(times_s)),
+        "leaving_within_300_ms": sum(time_s <= 0.3 for time_s in left_s) / max(1, len(times_s)),
         "leavings": len(times_s),
         "never_left": len(times_s) - len(left_s),
     }
@@ -192,34 +196,34 @@ def leaving_figures(
 def false_speech(
     recognizer: LiveRecognizer, samples: np.ndarray, servos_deg: np.ndarray | None = None
 ) -> float:
-    """The share of 10 ms frames called speech in sound (n,) that holds none.
+    """Return the share of 10 ms frames recognised as speech in sound (n,) without speech.
 
-    servos_deg: as `label_frames` has it.
+    servos_deg: positions of the robot's servos, as for `label_frames`.
     """
     labels = label_frames(recognizer, samples.astype(np.float32), servos_deg)[0].labels
     return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
 
 
 def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str, float]:
-    """Return the share of frames called speech while a robot's servos move without speech.
+    """Return the share of frames recognised as speech while a robot's servos move without speech.
 
     20 s at -36 dBFS, 10 dB below usual speech: without servo positions; with them (`..._told`),
-    after half a minute of other moves to learn from; and the same for a robot that listens by a
-    microphone and could speak. Means of four robots.
+    after half a minute of other moves to learn from; and the same for a half-duplex robot with a
+    microphone. Means of four robots.
     """
     without_speeds, with_speeds, half_duplex = [], [], []
     level = np.float32(10.0 ** (-36 / 20))
     for robot in range(_N_ROBOTS):
         rng, recognizer = np.random.default_rng(0), make_recognizer()
-        first, first_speeds = servo_noise(rng, 30 * SAMPLE_RATE_HZ, robot)
+        learned, learned_speeds = servo_noise(rng, 30 * SAMPLE_RATE_HZ, robot)
         sound, speeds = servo_noise(rng, 20 * SAMPLE_RATE_HZ, robot)
         without_speeds.append(false_speech(recognizer, level * sound))
-        false_speech(recognizer, level * first, encoder_readings_deg(first_speeds))
+        false_speech(recognizer, level * learned, encoder_readings_deg(learned_speeds))
         servos_deg = encoder_readings_deg(speeds)
         with_speeds.append(false_speech(recognizer, level * sound, servos_deg))
-        # Of its own: what heard this sound above has learned from it.
+        # A new recogniser: the other one has learned from this sound already.
         listener = make_recognizer()
-        half_duplex_false_speech(listener, level * first, encoder_readings_deg(first_speeds))
+        half_duplex_false_speech(listener, level * learned, encoder_readings_deg(learned_speeds))
         half_duplex.append(half_duplex_false_speech(listener, level * sound, servos_deg))
     return {
         "own_servos_speech_share": float(np.mean(without_speeds)),
@@ -229,7 +233,7 @@ def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str
 
 
 def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Half a minute each of sounds that hold no speech, by name."""
+    """Return sounds without speech of half a minute each, by name with their level."""
     n = 30 * SAMPLE_RATE_HZ
     white = noise.white(rng, n)
     return {
@@ -242,17 +246,18 @@ def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def block_costs_s(recognizer: LiveRecognizer, samples: np.ndarray, text: str = "") -> np.ndarray:
-    """Processor time of each 10 ms block (m,): the least of several passes over the sound.
+    """Return the processor time of each 10 ms block, (m,) s: the least of five passes.
 
-    What other programs cost on a shared machine (caches emptied, memory slowed) goes away with the
-    least; what this block costs by itself stays.
+    The least is free of what other programs cost on a shared computer (caches emptied, memory
+    slowed). text: known to the recogniser beforehand; empty: none.
     """
     passes = [label_frames(recognizer, samples, text=text)[1].costs_s for _ in range(_N_PASSES)]
     least: np.ndarray = np.min(passes, axis=0)
     return least
 
 
-#: The false text is one of so many that are nearest in length: aligners refuse others by that.
+#: A false text is drawn from so many that are nearest in length to the true one, as aligners refuse
+#: texts of other lengths.
 _NEAREST = 5
 KINDS = ("true", "other", "half_other", "half_missing")
 
@@ -260,19 +265,25 @@ KINDS = ("true", "other", "half_other", "half_missing")
 def texts_of(
     utterance: TranscribedUtterance, pool: Sequence[TranscribedUtterance], rng: np.random.Generator
 ) -> dict[str, str]:
-    """Return a text of each kind: the spoken one, another's, half of each, half of the spoken."""
+    """Return a text of each of `KINDS`: the spoken one, another, half of each, half of the spoken.
+
+    pool: utterances whose texts may be the other one.
+    """
     others = [u.text for u in pool if u.text != utterance.text]
     nearest = sorted(others, key=lambda text: abs(len(text) - len(utterance.text)))[:_NEAREST]
-    own, other = utterance.text.split(), str(rng.choice(nearest)).split()
-    half = max(1, len(own) // 2)
-    made = (own, other, [*own[:half], *other[half:]], own[:half])
-    return {kind: " ".join(words) for kind, words in zip(KINDS, made, strict=True)}
+    spoken, other = utterance.text.split(), str(rng.choice(nearest)).split()
+    half = max(1, len(spoken) // 2)
+    word_lists = (spoken, other, [*spoken[:half], *other[half:]], spoken[:half])
+    return {kind: " ".join(words) for kind, words in zip(KINDS, word_lists, strict=True)}
 
 
 def score_texts(
     utterances: Sequence[TranscribedUtterance], weights: NetworkWeights, seed: int = 0
 ) -> Iterator[dict[str, float | None]]:
-    """Yield each utterance's score for each kind of text, true and false; None: not aligned."""
+    """Yield for each utterance the score of a text of each kind; None where it cannot be aligned.
+
+    weights: of the network that scores. seed: draws the other texts.
+    """
     rng = np.random.default_rng(seed)
     for utterance in utterances:
         samples = read_speech(utterance.sound)
@@ -288,18 +299,21 @@ def score_texts(
 
 
 def text_figures(scores: Sequence[dict[str, float | None]]) -> dict[str, object]:
-    """Return for each kind of text how many were not aligned, refused, doubted and passed."""
+    """Return for each kind of text how many were not aligned, refused, doubted and passed.
+
+    scores: as `score_texts` yields them.
+    """
     figures: dict[str, object] = {"utterances": len(scores)}
-    counts: dict[str, Callable[[float], bool]] = {
+    classes: dict[str, Callable[[float], bool]] = {
         "refused": lambda score: score < LEAST_SCORE,
         "doubted": lambda score: LEAST_SCORE <= score < DOUBTFUL_SCORE,
         "passed": lambda score: score >= DOUBTFUL_SCORE,
     }
     for kind in KINDS:
-        found = [score for each in scores if (score := each[kind]) is not None]
+        found = [score for text_scores in scores if (score := text_scores[kind]) is not None]
         figures[f"{kind}_not_aligned"] = len(scores) - len(found)
-        for name, counted in counts.items():
-            figures[f"{kind}_{name}"] = sum(map(counted, found))
+        for name, belongs in classes.items():
+            figures[f"{kind}_{name}"] = sum(map(belongs, found))
         figures[f"{kind}_score_min_median_max"] = (
             [round(float(x), 2) for x in np.percentile(found, [0, 50, 100])] if found else None
         )

@@ -1,21 +1,17 @@
-"""What the bench does to speech before it is heard: noise, babble, another level or line.
+"""What the benchmark does to speech before it is recognised: noise, rooms, lines, other levels.
 
-Speech in a room with six walls: the image method of Allen and Berkley (1979).
+Rooms: the image method of Allen and Berkley (1979). Each of six walls is a mirror that absorbs a
+part of the sound; the microphone gets the talker and all mirror images of the talker, each as late
+and as faint as it is far. Training draws rooms of other sizes, with images for 50 ms only
+(noise.py).
 
-Each wall is a mirror that takes a part of the sound; a microphone gets the talker and all mirror
-images of the talker, each as late and as faint as it is far. Training draws rooms of other sizes,
-with images for 50 ms only (noise.py).
-
-The sound of a robot's own servos, and how fast each turned while it was made.
-
-The motion is that of a mouth: every joint goes from place to place along minimum-jerk courses,
-some five a second while the robot talks, and stands still in between. What is heard of a servo is
-made from its speed alone: the mesh of each pair of gears as a tone whose height is the speed, the
-brushes as a rush that the motor's turning modulates, the load as a growl, all through the shell of
-a head. So the same speed always sounds much the same, as it does with real gears.
-
-Made otherwise than the servos of the training (training/nonspeech_sounds.py), in motion, gears
-and shell, so that no network was trained on its like.
+Servos: the sound of a robot's own servos, and how fast each turned. The motion is that of a mouth:
+every joint moves along minimum-jerk courses, about five a second while the robot talks, and stands
+still in between. The sound of a servo is made from its speed alone: the mesh of each pair of gears
+as a tone whose frequency is in proportion to the speed, the brushes as noise modulated by the
+motor's turning, all through the resonances of a head. So the same speed always sounds much the
+same, as it does with real gears. Motion, gears and shell are made in another way than for training
+(nonspeech_sounds.py), so that no network was trained on anything like it.
 """
 
 import zlib
@@ -32,85 +28,94 @@ from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
 from lipsync.recognition.features import FRAMES_PER_S
 
-#: An office: length, width and height, and what part of the pressure each wall gives back. Its
-#: sound falls by 60 dB in half a second.
+#: An office: length, width and height, and the share of the sound pressure that each wall reflects.
+#: Its sound falls by 60 dB in half a second.
 _SIZE_M, _WALLS_KEEP = np.array([5.2, 4.1, 2.7]), 0.85
 _LONGEST_S = 0.6
-#: Where the microphone stands; how far away somebody speaks, and no nearer to a wall than so.
+#: Range of the microphone's place; distance of the talker from it; least distance of the talker
+#: from a wall.
 _LOW_M, _HIGH_M, _AWAY_M, _FROM_WALLS_M = (1.0, 1.0, 1.0), (4.2, 3.1, 1.6), (0.7, 1.8), 0.5
-#: Tried until somebody stands so far away within the walls.
+#: Places that are tried for a talker at the wanted distance within the walls.
 _N_PLACES = 50
 
 
 def in_room(rng: np.random.Generator, speech: Array32) -> Array32:
-    """Return speech as a microphone somewhere in a room gets it.
+    """Return speech as a microphone somewhere in the office gets it.
 
-    Time and level of the direct sound stay.
+    Delay and level are relative to the strongest path from the talker.
 
     Parameters
     ----------
     rng : np.random.Generator
-        Draws the room.
+        Draws where the microphone and the talker are.
     speech : Array32
-        (n,).
+        (n,) at 16 kHz.
 
     Returns
     -------
     Array32
         (n,).
     """
-    heard_m = rng.uniform(_LOW_M, _HIGH_M)
+    microphone_m = rng.uniform(_LOW_M, _HIGH_M)
     direction = rng.normal(size=3) * [1.0, 1.0, 0.2]
-    spoken_m = heard_m + rng.uniform(*_AWAY_M) * direction / np.linalg.norm(direction)
-    spoken_m = np.clip(spoken_m, _FROM_WALLS_M, _SIZE_M - _FROM_WALLS_M)
-    response = impulse_response(spoken_m, heard_m)
-    return _heard_through(response, int(response.argmax()), speech)
+    talker_m = microphone_m + rng.uniform(*_AWAY_M) * direction / np.linalg.norm(direction)
+    talker_m = np.clip(talker_m, _FROM_WALLS_M, _SIZE_M - _FROM_WALLS_M)
+    response = impulse_response(talker_m, microphone_m)
+    return _convolved(response, int(response.argmax()), speech)
 
 
 def in_room_from(rng: np.random.Generator, speech: Array32, away_m: float) -> Array32:
-    """The same, spoken so far away (within 15 %): what comes first is the direct sound."""
-    heard_m = rng.uniform(_LOW_M, _HIGH_M)
+    """Return speech from a talker at a distance from a microphone in the office.
+
+    The distance is `away_m` within 15 %, if a place for it is found. Delay and level are relative
+    to the direct sound, the first that arrives.
+    """
+    microphone_m = rng.uniform(_LOW_M, _HIGH_M)
     for _ in range(_N_PLACES):
         direction = rng.normal(size=3) * [1.0, 1.0, 0.2]
-        spoken_m = heard_m + away_m * direction / np.linalg.norm(direction)
-        spoken_m = np.clip(spoken_m, _FROM_WALLS_M, _SIZE_M - _FROM_WALLS_M)
-        if abs(np.linalg.norm(spoken_m - heard_m) - away_m) < 0.15 * away_m:
+        talker_m = microphone_m + away_m * direction / np.linalg.norm(direction)
+        talker_m = np.clip(talker_m, _FROM_WALLS_M, _SIZE_M - _FROM_WALLS_M)
+        if abs(np.linalg.norm(talker_m - microphone_m) - away_m) < 0.15 * away_m:
             break
-    response = impulse_response(spoken_m, heard_m)
-    return _heard_through(response, int(np.flatnonzero(response)[0]), speech)
+    response = impulse_response(talker_m, microphone_m)
+    return _convolved(response, int(np.flatnonzero(response)[0]), speech)
 
 
-def _heard_through(response: Array, direct: int, speech: Array32) -> Array32:
+def _convolved(response: Array, direct: int, speech: Array32) -> Array32:
+    """Return speech, (n,), convolved with a room's impulse response.
+
+    direct: index of the sample in `response` that becomes 1 at delay 0.
+    """
     n_fft = 1 << (len(speech) + len(response)).bit_length()
     spectrum = np.fft.rfft(speech, n_fft) * np.fft.rfft(response[direct:] / response[direct], n_fft)
     return np.fft.irfft(spectrum, n_fft)[: len(speech)].astype(np.float32)
 
 
 def impulse_response(spoken_m: Array, heard_m: Array) -> Array:
-    """Return what one click is at the microphone, until it has died away.
+    """Return what the microphone gets of one click, until 0.6 s after it.
 
     Parameters
     ----------
-    spoken_m,heard_m : Array
-        (3,): where.
+    spoken_m, heard_m : Array
+        (3,): places of the talker and the microphone.
 
     Returns
     -------
     Array
         (n,) samples at 16 kHz.
     """
-    far_m, n_walls = noise.images(_SIZE_M, spoken_m, heard_m, _LONGEST_S)
-    level = _WALLS_KEEP**n_walls / far_m
-    at = np.rint(far_m / noise.SOUND_M_S * SAMPLE_RATE_HZ).astype(np.int64)
-    in_time = at < round(_LONGEST_S * SAMPLE_RATE_HZ)
-    return np.asarray(np.bincount(at[in_time], weights=level[in_time]), dtype=np.float64)
+    distance_m, n_walls = noise.images(_SIZE_M, spoken_m, heard_m, _LONGEST_S)
+    level = _WALLS_KEEP**n_walls / distance_m
+    delays = np.rint(distance_m / noise.SOUND_M_S * SAMPLE_RATE_HZ).astype(np.int64)
+    is_early = delays < round(_LONGEST_S * SAMPLE_RATE_HZ)
+    return np.asarray(np.bincount(delays[is_early], weights=level[is_early]), dtype=np.float64)
 
 
 _N_SERVOS = 8
 #: A joint of the mouth seldom turns faster (docs/benchmarks.md, the fastest lip apart).
 _WIDEST_DEG = 14.0
-#: Turns of the motor for one of the horn, and teeth that mesh a turn of the motor: XL330 and its
-#: like have ratios of 250 to 350.
+#: Gear ratios of XL330 and similar servos are 250 to 350; teeth of the motor's gear, which mesh at
+#: each of its turns.
 _RATIO, _TEETH = (250.0, 350.0), (9, 12, 14)
 _HOP = SAMPLE_RATE_HZ // FRAMES_PER_S
 
@@ -123,32 +128,32 @@ def servo_noise(rng: np.random.Generator, n: int, robot: int = 0) -> tuple[Array
     rng : np.random.Generator
         Draws the motion.
     n : int
-        Samples.
+        Number of samples.
     robot : int
-        Its number; servos and shell are drawn from it.
+        Number of the robot; its servos and shell are drawn from it.
 
     Returns
     -------
     tuple[Array32, Array]
-        (n,) of unit power; (n // 160, 8), a row each 10 ms, in deg/s.
+        (n,) samples of unit power; speeds (n // 160, 8) in deg/s, a row every 10 ms.
     """
     build = np.random.default_rng(robot)
     n_frames = n // _HOP
-    talks = _talks(rng, n_frames)
+    talks = _talking(rng, n_frames)
     speeds = np.stack([_speeds_deg_s(rng, talks) for _ in range(_N_SERVOS)], axis=1)
     sound = np.zeros(n)
-    at = np.arange(n) / _HOP
+    frames = np.arange(n) / _HOP
     for joint in range(_N_SERVOS):
-        speed = np.abs(np.interp(at, np.arange(n_frames) + 0.5, speeds[:, joint]))
-        sound += build.uniform(0.4, 1.2) * _servo(build, rng, speed)
+        speed = np.abs(np.interp(frames, np.arange(n_frames) + 0.5, speeds[:, joint]))
+        sound += build.uniform(0.4, 1.2) * _servo_sound(build, rng, speed)
     for _ in range(3):
-        sound = _shell(build, sound)
+        sound = _head_resonance(build, sound)
     hiss = 0.01 * np.std(sound) * rng.standard_normal(n)
     return unit_power(sound + hiss), speeds
 
 
 def encoder_readings_deg(speeds_deg_s: Array) -> Array:
-    """Return where encoders of XL330 see the joints at the end of each 10 ms.
+    """Return the positions that XL330 encoders report at the end of each 10 ms.
 
     Parameters
     ----------
@@ -158,66 +163,70 @@ def encoder_readings_deg(speeds_deg_s: Array) -> Array:
     Returns
     -------
     Array
-        (n_frames, n_servos) degrees.
+        (n_frames, n_servos) degrees from the start, rounded to the encoder's steps.
     """
     step_deg = 1.0 / servo_models()["XL330-M288"].pulses_per_deg
-    places_deg = np.cumsum(speeds_deg_s, axis=0) / FRAMES_PER_S
-    return np.asarray(np.rint(places_deg / step_deg) * step_deg)
+    positions_deg = np.cumsum(speeds_deg_s, axis=0) / FRAMES_PER_S
+    return np.asarray(np.rint(positions_deg / step_deg) * step_deg)
 
 
-def _talks(rng: np.random.Generator, n_frames: int) -> Array:
+def _talking(rng: np.random.Generator, n_frames: int) -> Array:
     """Draw when the robot talks, (n_frames,): 1 while it talks, 0 in its pauses."""
     talks = np.zeros(n_frames)
-    at, is_talking = 0, bool(rng.random() < 0.5)
-    while at < n_frames:
+    start, is_talking = 0, bool(rng.random() < 0.5)
+    while start < n_frames:
         length = int(rng.uniform(*((0.8, 3.0) if is_talking else (0.3, 1.2))) * FRAMES_PER_S)
-        talks[at : at + length] = is_talking
-        at, is_talking = at + length, not is_talking
+        talks[start : start + length] = is_talking
+        start, is_talking = start + length, not is_talking
     return talks
 
 
 def _speeds_deg_s(rng: np.random.Generator, talks: Array) -> Array:
-    """Return speeds, (n_frames,) deg/s, of minimum-jerk moves of 80 to 250 ms while it talks."""
+    """Return a joint's speed, (n_frames,) deg/s, in minimum-jerk moves of 80 to 250 ms.
+
+    talks: (n_frames,), 1 while the robot talks; otherwise the joint goes to 0 degrees.
+    """
     speeds = np.zeros(len(talks))
-    widest_deg, place_deg, at = rng.uniform(0.3, 1.0) * _WIDEST_DEG, 0.0, 0
-    while at < len(talks):
+    widest_deg, position_deg, start = rng.uniform(0.3, 1.0) * _WIDEST_DEG, 0.0, 0
+    while start < len(talks):
         length = int(rng.uniform(0.08, 0.25) * FRAMES_PER_S)
-        target_deg = rng.uniform(-widest_deg, widest_deg) if talks[at] else 0.0
+        target_deg = rng.uniform(-widest_deg, widest_deg) if talks[start] else 0.0
         phase = (np.arange(length) + 0.5) / length
-        # The speed of a minimum-jerk move (Flash and Hogan 1985): 30 s^2 (1 - s)^2 a unit of time.
-        course = 30.0 * phase**2 * (1.0 - phase) ** 2 * (target_deg - place_deg)
-        part = course[: len(talks) - at] * FRAMES_PER_S / length
-        speeds[at : at + len(part)] = part
-        place_deg, at = target_deg, at + length
+        # Speed of a minimum-jerk move (Flash and Hogan 1985): 30 s^2 (1 - s)^2 times its length,
+        # with the share of time s from 0 to 1.
+        course = 30.0 * phase**2 * (1.0 - phase) ** 2 * (target_deg - position_deg)
+        move_deg_s = course[: len(talks) - start] * FRAMES_PER_S / length
+        speeds[start : start + len(move_deg_s)] = move_deg_s
+        position_deg, start = target_deg, start + length
     return speeds
 
 
-def _servo(build: np.random.Generator, rng: np.random.Generator, speed_deg_s: Array) -> Array:
+def _servo_sound(build: np.random.Generator, rng: np.random.Generator, speed_deg_s: Array) -> Array:
     """Return the noise of one servo, (n,), from its speed at each sample, (n,) deg/s.
 
     build: draws gears and brushes, the same for the same robot. rng: draws the noise.
     """
     motor_hz = speed_deg_s / 360.0 * build.uniform(*_RATIO)
-    turns = np.cumsum(motor_hz) / SAMPLE_RATE_HZ
+    motor_turns = np.cumsum(motor_hz) / SAMPLE_RATE_HZ
     tones = np.zeros(len(speed_deg_s))
     stages = [float(build.choice(_TEETH))]
     for _ in range(3):
         stages.append(stages[-1] / build.uniform(2.5, 4.0))
     for meshes in stages:
         for k in (1, 2, 3):
-            # What would alias is not there.
-            heard = np.clip((7_600.0 - k * meshes * motor_hz) / 800.0, 0.0, 1.0)
-            phase = 2 * np.pi * k * meshes * turns + build.uniform(0.0, 6.3)
-            tones += build.uniform(0.2, 1.0) / k * heard * np.sin(phase)
-    rush = lfilter([1.0, -0.7], [1.0, -0.3], rng.standard_normal(len(speed_deg_s)))
-    brushes = build.uniform(0.2, 0.8) * rush * (1.0 + 0.5 * np.sin(2 * np.pi * 6 * turns))
+            # Fades out near 7.6 kHz: higher tones would alias.
+            unaliased = np.clip((7_600.0 - k * meshes * motor_hz) / 800.0, 0.0, 1.0)
+            phase = 2 * np.pi * k * meshes * motor_turns + build.uniform(0.0, 6.3)
+            tones += build.uniform(0.2, 1.0) / k * unaliased * np.sin(phase)
+    hiss = lfilter([1.0, -0.7], [1.0, -0.3], rng.standard_normal(len(speed_deg_s)))
+    brushes = build.uniform(0.2, 0.8) * hiss * (1.0 + 0.5 * np.sin(2 * np.pi * 6 * motor_turns))
     # Louder with speed, by 3 to 5 dB each time it doubles.
     loudness = (speed_deg_s / 100.0) ** build.uniform(0.5, 0.85)
     return np.asarray(loudness * (tones + brushes))
 
 
-def _shell(build: np.random.Generator, sound: Array) -> Array:
-    """A resonance of the head."""
+def _head_resonance(build: np.random.Generator, sound: Array) -> Array:
+    """Return the sound with one resonance of the head added; `build` draws it."""
     centre_hz, width_hz = (
         np.exp(build.uniform(np.log(300.0), np.log(5000.0))),
         build.uniform(80, 400),
@@ -228,7 +237,7 @@ def _shell(build: np.random.Generator, sound: Array) -> Array:
 
 
 KINDS = ("white", "music", "babble", "servos", "level", "telephone", "clipped", "room")
-#: Those that are made of the speech alone; a number after the colon is a level, metres, or nothing.
+#: Kinds that need no number after the colon; otherwise it is a level in dB, or metres for a room.
 _OPTIONAL_DB = ("telephone", "clipped", "room")
 
 
@@ -238,9 +247,11 @@ class ConditionError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """How speech is changed. db: signal to noise; of `level` its change; of `room` metres, or 0.
+    """How speech is changed.
 
-    robot: whose servos are heard. tells_servos: the recogniser gets their speeds.
+    db: signal-to-noise ratio; for `level` the change of level; for `room` metres to the talker, 0:
+    any. robot: number of the robot whose servos make the noise. tells_servos: whether the
+    recogniser gets their positions.
     """
 
     kind: str
@@ -249,14 +260,14 @@ class Condition:
     tells_servos: bool = False
 
     def apply(self, samples: Array32, name: str, voices: list[Array32]) -> Array32:
-        """Return the samples in this condition; the utterance's name chooses the random numbers.
+        """Return the samples in this condition.
 
         Parameters
         ----------
         samples : Array32
-            (n,).
+            (n,) at 16 kHz.
         name : str
-            Of the utterance.
+            Name of the utterance; it determines the random numbers.
         voices : list[Array32]
             Other recordings, for babble.
 
@@ -283,19 +294,19 @@ class Condition:
         return noise.add_noise(samples, maker[self.kind](rng, len(samples)), self.db)
 
     def servo_positions_deg(self, name: str, n_samples: int) -> Array | None:
-        """Return encoder readings, a row each 10 ms.
+        """Return the encoder readings that belong to the noise of servos, a row every 10 ms.
 
         Parameters
         ----------
         name : str
-            Of the utterance.
+            Name of the utterance.
         n_samples : int
-            Of it.
+            Its length.
 
         Returns
         -------
         Array | None
-            (n_frames, n_servos) degrees; None: the recogniser gets none.
+            (n_frames, n_servos) degrees; None if the recogniser gets none.
         """
         if not self.tells_servos:
             return None
@@ -322,6 +333,7 @@ def parse_condition(text: str, *, tells_servos: bool = False) -> Condition:
 
 
 def _rng(name: str) -> np.random.Generator:
+    """Return a generator whose random numbers are determined by the name."""
     return np.random.default_rng(zlib.crc32(name.encode()))
 
 

@@ -34,11 +34,11 @@ class PieceMicrophone:
         self._now_s = now_s
 
     def blocks(self, _until_s: float) -> list[AudioBlock]:
-        """Return the blocks of whole pieces that have come by now."""
-        n_come = round(self._now_s / BLOCK_S) - _LATE_BLOCKS
-        n_come = min(max(0, n_come), len(self._samples) // BLOCK_SAMPLES)
-        n_come -= n_come % _PIECE_BLOCKS
-        first, self._n_given = self._n_given, max(n_come, self._n_given)
+        """Return the blocks of 10 ms in whole pieces that the sound card has handed over by now."""
+        n_available = round(self._now_s / BLOCK_S) - _LATE_BLOCKS
+        n_available = min(max(0, n_available), len(self._samples) // BLOCK_SAMPLES)
+        n_available -= n_available % _PIECE_BLOCKS
+        first, self._n_given = self._n_given, max(n_available, self._n_given)
         return [
             AudioBlock(self._samples[n * BLOCK_SAMPLES :][:BLOCK_SAMPLES], n * BLOCK_S)
             for n in range(first, self._n_given)
@@ -53,17 +53,19 @@ class PieceMicrophone:
 def half_duplex_false_speech(
     recognizer: LiveRecognizer, samples: Array32, servos_deg: Array | None
 ) -> float:
-    """Return the share of time in which sound without speech is called speech.
+    """Return the share of time in which sound without speech is recognised as speech.
+
+    The recogniser runs behind a microphone as in a half-duplex robot that stays silent.
 
     Parameters
     ----------
     recognizer : LiveRecognizer
-        What listens.
+        Is reset first.
     samples : Array32
         (n,) at 16 kHz.
     servos_deg : Array | None
-        (n // 160, n_servos), encoder readings each 10 ms, from which the recogniser learns how the
-        servos move; None: it learns nothing of them.
+        (n // 160, n_servos), encoder readings every 10 ms, from which the recogniser gets the
+        servos' speeds; None: it gets none.
 
     Returns
     -------
@@ -74,7 +76,7 @@ def half_duplex_false_speech(
     microphone = PieceMicrophone(samples)
     playout = Playout(None, ListenedMicrophone(microphone))
     source, timeline, speeds = SpokenPhonemes(playout, recognizer), PhonemeTimeline(), ServoSpeeds()
-    spoken = []
+    is_speech = []
     for number in range(len(samples) // BLOCK_SAMPLES):
         now_s = (number + 1) * BLOCK_S
         microphone.advance(now_s)
@@ -85,5 +87,5 @@ def half_duplex_false_speech(
         for update in source.updates(now_s):
             timeline.apply(update)
         event = timeline.event_at(now_s - source.latency_s - BLOCK_S)
-        spoken.append(event is not None and event.phoneme != SILENCE)
-    return float(np.mean(spoken))
+        is_speech.append(event is not None and event.phoneme != SILENCE)
+    return float(np.mean(is_speech))

@@ -1,8 +1,7 @@
-"""The motion at 100 Hz that a recording gives by what is heard of it.
+"""The motion at 100 Hz that a recording causes through the live recogniser.
 
-What the live recogniser gives for a recording, update by update, as the mouth would get it.
-
-How many of the P, B, M and F, V that are spoken, and that are heard, the mouth closes for.
+Also what the recogniser reports for a recording, update by update, as the mouth would get it; and
+for how many of the P, B, M and F, V that are spoken, and recognised, the mouth closes.
 """
 
 import math
@@ -37,9 +36,9 @@ _TAIL_S = 0.5
 def recognize_file(
     recognizer: LiveRecognizer, recording: Path, words: Sequence[PronouncedWord] = ()
 ) -> Heard:
-    """Run a recogniser, which is reset, on a recording; updates are noted every 10 ms.
+    """Run a recogniser, which is reset, on a recording; return its updates of every 10 ms.
 
-    words: of the recording; a recogniser that follows a text gets them beforehand.
+    words: the text, for a recogniser that follows one. Without any phoneme the result is silence.
     """
     recognizer.reset()
     if words and isinstance(recognizer, TextFollower):
@@ -63,10 +62,11 @@ def recognize_file(
 
 @dataclass(frozen=True, slots=True)
 class HeardMotion:
-    """faces: (n, n_components) at times_s (n,), a tick apart; spoken_s: heard as speech.
+    """The motion that a recording caused.
 
-    heard: the phonemes as finally decided. sound_s: how long the recording is; the faces go on a
-    little in the silence after it.
+    faces: coefficients (n, n_components) at times_s (n,), a tick apart. spoken_s: time recognised
+    as speech. heard: phonemes as finally decided. sound_s: length of the recording; the faces go on
+    in half a second of silence after it.
     """
 
     times_s: Array
@@ -79,7 +79,10 @@ class HeardMotion:
 def heard_motion(
     recording: Path, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float
 ) -> HeardMotion:
-    """Play a recording to a recogniser, which is reset; the default strategy by what it says."""
+    """Run a recogniser, which is reset, on a recording, and move the face by what it recognises.
+
+    The motion is that of the default strategy.
+    """
     heard = recognize_file(recognizer, recording)
     n_ticks = round((heard.events[-1].end_s or 0.0) / TICK_S)
     times_s = np.arange(n_ticks, dtype=np.float64) * TICK_S
@@ -93,9 +96,10 @@ def heard_motion(
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """A phone that closes the mouth, as it was spoken, and whether the mouth closed for it.
+    """A spoken phone for which the mouth must close.
 
-    is_heard: whether the recogniser decided for a phone of its viseme class at its time.
+    is_reached: whether the mouth closed for it. is_heard: whether a phone of its viseme class was
+    recognised at its time.
     """
 
     phone: PhonemeEvent
@@ -106,10 +110,11 @@ class Closure:
 def closure_hits(
     motion: HeardMotion, phones: Iterable[PhonemeEvent], model: FaceModel
 ) -> list[Closure]:
-    """Return every closure among the phones spoken in a recording, in order.
+    """Return a closure for each phone that needs one, in order.
 
-    A closure is reached as in `bench motion` (docs/motion.md): lips at most 1 mm apart, or for F V
-    4.6 mm, at some instant from 40 ms before the phone to 40 ms after it.
+    phones: spoken in the recording. A closure is reached as in `bench motion` (docs/motion.md):
+    lips at most 1 mm apart, or for F V 4.6 mm, at any instant from 40 ms before the phone to 40 ms
+    after it.
     """
     gaps_mm = model.lip_gaps_mm(model.markers_mm(motion.faces))
     return [
@@ -122,12 +127,12 @@ def closure_hits(
 def is_heard(phone: PhonemeEvent, events: Iterable[PhonemeEvent]) -> bool:
     """Return whether a phone of the same viseme class was recognised at a phone's time.
 
-    It may be off by `SLACK_FRAMES`, as for the recall of `bench recognition`.
+    It may be off by `SLACK_FRAMES`, as for the recall of `bench recognition`. events: recognised.
     """
 
-    def frames(one: PhonemeEvent) -> tuple[int, int]:
-        end_s = one.start_s if one.end_s is None else one.end_s
-        return round(one.start_s * FRAMES_PER_S), round(end_s * FRAMES_PER_S)
+    def frames(event_or_phone: PhonemeEvent) -> tuple[int, int]:
+        end_s = event_or_phone.start_s if event_or_phone.end_s is None else event_or_phone.end_s
+        return round(event_or_phone.start_s * FRAMES_PER_S), round(end_s * FRAMES_PER_S)
 
     first, end = frames(phone)
     return any(
@@ -139,14 +144,14 @@ def is_heard(phone: PhonemeEvent, events: Iterable[PhonemeEvent]) -> bool:
 
 
 def closure_figures(closures: Iterable[Closure]) -> dict[str, object]:
-    """Counts and shares, P B M and F V apart; None where nothing was spoken that closes.
+    """Return counts and shares of closures, of P B M and of F V; shares are None without any.
 
-    heard_...: of those alone that the recogniser heard.
+    Names that begin with heard_ are of recognised phones only.
     """
     figures: dict[str, object] = {}
     found = list(closures)
-    for name, wanted in (("closure", True), ("labiodental", False)):
-        spoken = [c for c in found if is_bilabial(c.phone.phoneme) == wanted]
+    for name, is_lips in (("closure", True), ("labiodental", False)):
+        spoken = [c for c in found if is_bilabial(c.phone.phoneme) == is_lips]
         figures |= _counts(name, spoken)
         figures |= _counts(f"heard_{name}", [c for c in spoken if c.is_heard])
     return figures

@@ -1,6 +1,6 @@
-"""A folder of sounds that hold no speech, played to the street one by one.
+"""How the mouth answers sounds without speech: how long, how often and how wide it opens.
 
-The mouth without speech: how long, how often and how wide it opens for other sounds.
+The sounds are files of a folder, played to the live recogniser one by one.
 """
 
 from collections import defaultdict
@@ -23,9 +23,10 @@ OPEN_MM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class MouthDuringSound:
-    """A sound that holds no speech, and what the mouth made of it.
+    """What the mouth did during a sound without speech.
 
-    open_s: with open lips; speech_s: heard as speech; widest_mm: lip gap beyond the one at rest.
+    seconds: length of the sound. open_s: time with open lips; speech_s: time recognised as speech;
+    widest_mm: largest lip gap beyond the one at rest.
     """
 
     seconds: float
@@ -77,7 +78,10 @@ class NonspeechError(UserError):
 
 @dataclass(slots=True)
 class NonspeechFolder:
-    """mouths: by the name of the file below the folder; not_sound: what was left out, and why."""
+    """The mouth during the sounds of a folder.
+
+    mouths: by the file's path below the folder; not_sound: error of each file that was left out.
+    """
 
     mouths: dict[str, MouthDuringSound] = field(default_factory=dict)
     not_sound: list[str] = field(default_factory=list)
@@ -127,7 +131,10 @@ def nonspeech_folder(
     lookahead_s: float,
     progress: Callable[[int], None],
 ) -> NonspeechFolder:
-    """Play every file, each as a new stream. Raises NonspeechError where none of them is sound."""
+    """Play every file, each as a new stream, and return what the mouth did.
+
+    progress: called with the number of files done. Raises NonspeechError if none of them is sound.
+    """
     found = NonspeechFolder()
     for number, path in enumerate(files, start=1):
         try:

@@ -1,10 +1,9 @@
-"""How accurate a recogniser is, against forced alignment, in the scoring classes of `phonemes`.
+"""How accurate a recogniser is, against forced alignment, in the viseme classes of `phonemes`.
 
-Frames are 10 ms. 'all' counts every frame, 'speech' those whose reference is not silence.
+Frames are 10 ms. 'all' counts every frame, 'speech' those whose reference is not silence. Closures:
+recall, precision, and how far the onsets recognised and spoken are apart.
 
-Closures heard against closures spoken: recall, precision, and how far their onsets lie apart.
-
-How accurate weights are on recordings whose phonemes are known, by what is settled live.
+`settled_score` scores weights on recordings by the phonemes that a live recogniser settles on.
 """
 
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ from lipsync.recognition.batch import settled_phonemes
 from lipsync.recognition.features import FRAMES_PER_S
 from lipsync.recognition.network import LATENCY_S, NetworkWeights
 
-#: A hit may lie this many frames beside: the boundaries of forced alignment are not better.
+#: A hit may be off by so many frames: boundaries of forced alignment are not more exact.
 SLACK_FRAMES = 2
 _FRAME_MS = 10.0
 
@@ -31,7 +30,9 @@ _FRAME_MS = 10.0
 class HeardClosures:
     """Counts of one kind of closure, or of openings, added up over utterances.
 
-    onset_errors_ms: of each closure found, how much later than spoken it was heard to begin.
+    n_spoken: closures in the reference; n_found: of these recognised. n_reported: closures that the
+    recogniser reported; n_true: of these spoken. onset_errors_ms: of each one found, how much later
+    than spoken it begins.
     """
 
     n_spoken: int = 0
@@ -59,7 +60,10 @@ class HeardClosures:
                 self.onset_errors_ms.append(_FRAME_MS * (nearest[0] - run[0]))
 
     def figures(self, name: str) -> dict[str, float]:
-        """Shares, 0 where nothing was counted; onset errors: median, 95th percentile of sizes."""
+        """Return recall and precision, 0 without any closure, and onset errors in ms.
+
+        Onset errors: their median, and the 95th percentile of their amounts.
+        """
         errors_ms = np.array(self.onset_errors_ms or [0.0])
         return {
             f"{name}_recall": self.n_found / self.n_spoken if self.n_spoken else 0.0,
@@ -71,8 +75,8 @@ class HeardClosures:
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return each run of True: its first index, and that after its last."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    borders = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return list(zip(borders[::2].tolist(), borders[1::2].tolist(), strict=True))
 
 
 def _touches(run: tuple[int, int], flags: NDArray[np.bool_]) -> bool:
@@ -82,7 +86,7 @@ def _touches(run: tuple[int, int], flags: NDArray[np.bool_]) -> bool:
 
 
 def _apart(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, int]:
-    """Return the frames between two runs, 0 where they overlap, and between their onsets."""
+    """Return the frames between two runs, 0 where they overlap, and those between their onsets."""
     return max(0, one[0] - other[1], other[0] - one[1]), abs(one[0] - other[0])
 
 
@@ -91,7 +95,7 @@ Labels = NDArray[np.int64]
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _SILENCE_INDEX = PHONEMES.index(SILENCE)
 _SILENT_CLASS = VISEME_OF[SILENCE]
-#: Where the lips touch each other, and where the lower one touches the teeth.
+#: Viseme classes of touching lips, and of the lower lip at the teeth.
 _CLOSED_CLASS, _BITTEN_CLASS = VISEME_OF["P"], VISEME_OF["F"]
 #: Vowels for which the jaw comes down.
 _OPEN_CLASSES = tuple(VISEME_OF[vowel] for vowel in ("EH", "AA", "AO"))
@@ -101,9 +105,9 @@ _OPEN_CLASSES = tuple(VISEME_OF[vowel] for vowel in ("EH", "AA", "AO"))
 class Score:
     """Counts, added up over utterances; every figure is a quotient of two of them.
 
-    `confusion` (n_visemes, n_visemes): frames by class of reference and hypothesis. bilabials:
-    P B M; labiodentals: F V; openings: vowels for which the jaw comes down, those of the classes
-    of EH, AA and AO, counted in the same way.
+    confusion: (n_visemes, n_visemes) frames by class of reference and of hypothesis. bilabials: P B
+    M; labiodentals: F V; openings: vowels that lower the jaw, of the classes of EH, AA and AO.
+    n_edits: edit distance of phone sequences.
     """
 
     n_frames: int = 0
@@ -122,14 +126,17 @@ class Score:
     )
 
     def add(self, hypothesis: Labels, reference: Labels) -> None:
-        """Count one utterance: phoneme numbers (n,) as in `PHONEMES`."""
+        """Add one utterance.
+
+        hypothesis, reference: phoneme indices (n,) in `PHONEMES`, recognised and spoken.
+        """
         is_speech = reference != _SILENCE_INDEX
-        right = hypothesis == reference
+        is_right = hypothesis == reference
         hypothesis_class, true_class = _CLASS_OF[hypothesis], _CLASS_OF[reference]
         self.n_frames += len(hypothesis)
         self.n_speech += int(is_speech.sum())
-        self.n_phones_right += int(right.sum())
-        self.n_speech_phones_right += int(right[is_speech].sum())
+        self.n_phones_right += int(is_right.sum())
+        self.n_speech_phones_right += int(is_right[is_speech].sum())
         self.n_slack_right += int(_right_nearby(hypothesis_class, true_class)[is_speech].sum())
         np.add.at(self.confusion, (true_class, hypothesis_class), 1)
         self.bilabials.add(hypothesis_class == _CLOSED_CLASS, true_class == _CLOSED_CLASS)
@@ -137,10 +144,10 @@ class Score:
         self.openings.add(
             np.isin(hypothesis_class, _OPEN_CLASSES), np.isin(true_class, _OPEN_CLASSES)
         )
-        found, spoken = phone_sequence(hypothesis), phone_sequence(reference)
-        self.n_phones += len(spoken)
-        self.n_edits += edit_distance(found, spoken)
-        self.phone_all_by_utterance.append(float(right.mean()))
+        found_phones, spoken_phones = phone_sequence(hypothesis), phone_sequence(reference)
+        self.n_phones += len(spoken_phones)
+        self.n_edits += edit_distance(found_phones, spoken_phones)
+        self.phone_all_by_utterance.append(float(is_right.mean()))
 
     def figures(self) -> dict[str, float]:
         """Return how accurate the recognition is, by figure's name; 0 where nothing was counted.
@@ -167,7 +174,7 @@ class Score:
         }
 
     def agreement(self) -> tuple[float, float, float]:
-        """Least, median and most phone accuracy of an utterance: figure 1 of the paper."""
+        """Return least, median and most phone accuracy of an utterance: figure 1 of the paper."""
         if not self.phone_all_by_utterance:
             return 0.0, 0.0, 0.0
         ordered = self.phone_all_by_utterance
@@ -175,25 +182,25 @@ class Score:
 
 
 def phone_sequence(labels: Labels) -> list[int]:
-    """The phones in order, each run of frames once, without silence."""
+    """Return the phones in order, each run of equal frames as one, without silence."""
     return [label for label, _ in groupby(labels.tolist()) if label != _SILENCE_INDEX]
 
 
 def edit_distance(found: Sequence[int], spoken: Sequence[int]) -> int:
-    """Fewest insertions, deletions and substitutions that make one of the other (Levenshtein)."""
-    spoken_row = np.asarray(spoken)
+    """Return the Levenshtein distance: fewest insertions, deletions and substitutions."""
+    spoken_array = np.asarray(spoken)
     steps = np.arange(len(spoken) + 1)
     costs = steps.copy()
     for index, phone in enumerate(found, start=1):
-        steps_down = np.minimum(costs[:-1] + (spoken_row != phone), costs[1:] + 1)
-        best = np.concatenate(([index], steps_down))
-        # Deletions run along the row: the least of what stands to the left plus the way from there.
-        costs = np.minimum.accumulate(best - steps) + steps
+        from_above = np.minimum(costs[:-1] + (spoken_array != phone), costs[1:] + 1)
+        without_deletions = np.concatenate(([index], from_above))
+        # Deletions go along the row: the least of any cost to the left plus the steps from there.
+        costs = np.minimum.accumulate(without_deletions - steps) + steps
     return int(costs[-1])
 
 
 def _right_nearby(hypothesis: Labels, reference: Labels) -> NDArray[np.bool_]:
-    """Whether each class of the hypothesis is the reference's anywhere within the slack."""
+    """Return whether each class of the hypothesis, (n,), is in the reference within the slack."""
     padded = np.pad(reference, SLACK_FRAMES, constant_values=-1)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * SLACK_FRAMES + 1)
     nearby: NDArray[np.bool_] = (windows == hypothesis[:, None]).any(axis=1)
@@ -207,7 +214,7 @@ def _share(part: int, whole: int) -> float:
 def settled_score(
     weights: NetworkWeights, recordings: Sequence[LabelledSamples], latency_s: float = LATENCY_S
 ) -> Score:
-    """The score of what the live recogniser settles on, each recording as a new stream.
+    """Return the score of what the live recogniser settles on, each recording as a new stream.
 
     As `benchmark.measure`, without its streams and costs: many times quicker.
     """
@@ -219,9 +226,9 @@ def settled_score(
 
 
 def _labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
-    """Return phoneme numbers of frames, (n_frames,).
+    """Return the phoneme index of each frame, (n_frames,).
 
-    The events have no gaps and reach to the end.
+    events: without gaps, up to the end.
     """
     labels = np.empty(n_frames, np.int64)
     for event in events:

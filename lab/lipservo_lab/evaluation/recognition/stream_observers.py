@@ -1,6 +1,6 @@
 """What is recorded of a recogniser's stream: frame labels, updates, processor time.
 
-Hours of speech without a pause: a recogniser must not grow, neither in memory nor in cost.
+`endure`: hours of speech without a pause; neither a recogniser's memory nor its cost may grow.
 """
 
 import math
@@ -36,7 +36,10 @@ _UNKNOWN = -1
 
 
 class FrameLabels:
-    """Latest phoneme numbers (n,) of 10 ms frames, and how often a frame's viseme changed."""
+    """The newest phoneme index of each 10 ms frame, and how often a frame's viseme class changed.
+
+    labels: (n_frames,). n_revisions: number of changes.
+    """
 
     def __init__(self, n_frames: int) -> None:
         self.labels: Labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
@@ -44,24 +47,24 @@ class FrameLabels:
         self._visemes = np.full(n_frames, _UNKNOWN)
 
     def observe(self, step: StreamStep) -> None:
-        """Take the updates of one step."""
+        """Apply the updates of one step."""
         for update in step.updates:
-            self._take(update)
+            self._apply(update)
 
-    def _take(self, update: PhonemeUpdate) -> None:
+    def _apply(self, update: PhonemeUpdate) -> None:
         """Write an update's events over the frame labels; count frames whose viseme class changed.
 
-        Frames without a label before do not count as changed.
+        A frame's first label is not a change.
         """
         for event in update.events:
             first = round(max(event.start_s, update.replace_from_s) / BLOCK_S)
             end_s = update.heard_until_s if event.end_s is None else event.end_s
-            part = slice(first, round(end_s / BLOCK_S))
+            frames = slice(first, round(end_s / BLOCK_S))
             viseme = _CLASS_OF[PHONEME_INDEX[event.phoneme]]
-            visemes = self._visemes[part]
+            visemes = self._visemes[frames]
             self.n_revisions += int(np.count_nonzero((visemes != _UNKNOWN) & (visemes != viseme)))
             visemes[:] = viseme
-            self.labels[part] = PHONEME_INDEX[event.phoneme]
+            self.labels[frames] = PHONEME_INDEX[event.phoneme]
 
 
 class StepCosts:
@@ -71,19 +74,19 @@ class StepCosts:
         self.costs_s: list[float] = []
 
     def observe(self, step: StreamStep) -> None:
-        """Take the cost of one step."""
+        """Note the processor time of one step."""
         self.costs_s.append(step.cost_s)
 
 
 class UpdateLog:
-    """All updates in order, and the timeline that they make."""
+    """All updates in order, and the timeline that they result in."""
 
     def __init__(self) -> None:
         self.updates: list[PhonemeUpdate] = []
         self.timeline = PhonemeTimeline(horizon_s=math.inf)
 
     def observe(self, step: StreamStep) -> None:
-        """Take the updates of one step."""
+        """Apply and store the updates of one step."""
         for update in step.updates:
             self.timeline.apply(update)
             self.updates.append(update)
@@ -97,34 +100,34 @@ def label_frames(
 ) -> tuple[FrameLabels, StepCosts]:
     """Run a recogniser on samples as a live stream, and on silence until all labels are final.
 
-    The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start
-    of the frame. So frame t is scored by what was final when the sound up to 10 t ms + latency had
-    come, and nothing later. The costs are those of the blocks.
+    The blocks are 10 ms long and end when the label of a frame is due, latency_s after the start of
+    the frame. So frame t gets the label that was final when the sound up to 10 t ms + latency had
+    come. The costs are those of the blocks.
 
     Parameters
     ----------
     recognizer : LiveRecognizer
-        Reset first.
+        Is reset first.
     samples : Array32
         (n,) at 16 kHz.
     servos_deg : Array | None
-        (n_frames, n_servos), encoder readings each 10 ms, which the recogniser gets when they are
-        read.
+        (n_frames, n_servos), encoder readings every 10 ms, of which the recogniser gets the speeds;
+        None: it gets none.
     text : str
-        The words that it gets beforehand; what follows them is settled later, and scored by that.
+        Words that the recogniser gets beforehand, if it can follow a text; empty: none.
 
     Returns
     -------
     tuple[FrameLabels, StepCosts]
-        Labels and costs in s.
+        Labels, and processor time of each block in s.
     """
     recognizer.reset()
     n_tail = round((recognizer.latency_s + 0.1) * SAMPLE_RATE_HZ)
     padded = np.concatenate((samples, np.zeros(n_tail, np.float32)))
     n_first = round(recognizer.latency_s * SAMPLE_RATE_HZ) % _HOP or _HOP
     labels, costs = FrameLabels(len(samples) // _HOP), StepCosts()
-    whole = padded[: n_first + (len(padded) - n_first - 1) // _HOP * _HOP]
-    blocks = blocks_of(whole, n_first)
+    whole_blocks = padded[: n_first + (len(padded) - n_first - 1) // _HOP * _HOP]
+    blocks = blocks_of(whole_blocks, n_first)
     if servos_deg is not None and isinstance(recognizer, ServoListener):
         blocks = _with_servos(blocks, recognizer, servos_deg)
     if text and isinstance(recognizer, TextFollower):
@@ -135,7 +138,10 @@ def label_frames(
 
 @dataclass(frozen=True, slots=True)
 class Leaving:
-    """How long a text that is not spoken moves the mouth, s; None: to the end of the sound."""
+    """When a known text that is no longer spoken stopped moving the mouth.
+
+    left_s: s after the departure; None: it moved the mouth to the end of the sound.
+    """
 
     left_s: float | None
 
@@ -143,25 +149,25 @@ class Leaving:
 def time_to_leave(
     recognizer: LiveRecognizer, speech: Array32, other: Array32, onset_s: float, text: str
 ) -> Leaving:
-    """Play a sound with its words, and then another whose words differ from the given ones.
+    """Play speech with its text, then another sound that departs from the text.
 
     Parameters
     ----------
     recognizer : LiveRecognizer
-        Reset first.
+        Follows a text; reset first.
     speech : Array32
-        (n,).
+        (n,), whose words begin the text.
     other : Array32
-        (m,).
+        (m,), played after it.
     onset_s : float
-        From the beginning of the other sound to its first phone.
+        Time of the first phone in the other sound.
     text : str
-        The given words.
+        The words that the recogniser gets beforehand.
 
     Returns
     -------
     Leaving
-        Seconds until the given text no longer moves the mouth.
+        Seconds from that phone until the text no longer moves the mouth.
     """
     recognizer.reset()
     assert isinstance(recognizer, TextFollower)
@@ -180,27 +186,32 @@ def time_to_leave(
 def _with_servos(
     blocks: Iterable[AudioBlock], recognizer: ServoListener, servos_deg: Array
 ) -> Iterator[AudioBlock]:
-    """The blocks; before each, the recogniser gets the encoder readings until then."""
-    speeds, n_passed = ServoSpeeds(), 0
+    """Yield the blocks; before each, the recogniser gets the servo speeds until its end."""
+    speeds, n_read = ServoSpeeds(), 0
     for block in blocks:
-        while n_passed < len(servos_deg) and (n_passed + 1) * BLOCK_S <= block.end_s:
-            found = speeds.take((n_passed + 1) * BLOCK_S, servos_deg[n_passed])
+        while n_read < len(servos_deg) and (n_read + 1) * BLOCK_S <= block.end_s:
+            found = speeds.take((n_read + 1) * BLOCK_S, servos_deg[n_read])
             if found is not None:
                 recognizer.note_servo_speeds(*found)
-            n_passed += 1
+            n_read += 1
         yield block
 
 
 Samples = NDArray[np.float32]
 
-#: By then all buffers are full and every path was taken.
+#: By then all buffers are full and every path of the program was run.
 SETTLED_S = 600.0
 _BLOCKS_PER_REPORT = 6_000
 
 
 @dataclass(frozen=True, slots=True)
 class Endurance:
-    """What a long stream cost; costs are processor time of a 10 ms block, medians of a quarter."""
+    """What a long stream cost.
+
+    settled_mb, end_mb: memory after 10 minutes and at the end. first_quarter_s, last_quarter_s:
+    median processor time of a 10 ms block. clock_error_s: sound fed less sound reported on, at the
+    end.
+    """
 
     sound_s: float
     settled_mb: float
@@ -210,10 +221,7 @@ class Endurance:
     clock_error_s: float
 
     def as_dict(self) -> dict[str, float]:
-        """Return the figures for JSON.
-
-        `clock_error_ms`: sound fed less sound reported on, at the end.
-        """
+        """Return the figures for JSON."""
         return {
             "endurance_hours": self.sound_s / 3600.0,
             "endurance_rss_mb_after_10_min": self.settled_mb,
@@ -226,7 +234,7 @@ class Endurance:
 
 
 def without_pauses(recognizer: LiveRecognizer, samples: Samples) -> Samples:
-    """The samples (n,) without the 10 ms frames that the recogniser calls silent."""
+    """Return the samples, (n,), without the 10 ms frames that the recogniser labels silent."""
     labels = label_frames(recognizer, samples)[0].labels
     frames = samples[: len(labels) * _HOP].reshape(-1, _HOP)
     spoken: Samples = frames[labels != PHONEMES.index(SILENCE)].ravel()
@@ -242,29 +250,32 @@ def endure(
 ) -> Endurance:
     """Run a recogniser on speech (n,), repeated for `duration_s` of sound, as fast as possible.
 
-    resident_mb: returns the memory of the process now. Memory for the figures is allocated before
-    the stream begins.
+    resident_mb: returns the memory of the process. progress: called with blocks done and all
+    blocks. Memory for the figures is allocated before the stream begins.
     """
     recognizer.reset()
     n_blocks = round(duration_s / BLOCK_S)
-    watch = _Watch(n_blocks, resident_mb, progress)
+    observer = _EnduranceObserver(n_blocks, resident_mb, progress)
     loop = np.resize(speech, len(speech) // _HOP * _HOP).reshape(-1, _HOP)
-    RecognizerStream(recognizer, (watch,)).run(
+    RecognizerStream(recognizer, (observer,)).run(
         AudioBlock(loop[number % len(loop)], number * BLOCK_S) for number in range(n_blocks)
     )
     quarter = max(1, n_blocks // 4)
     return Endurance(
         sound_s=n_blocks * BLOCK_S,
-        settled_mb=watch.settled_mb,
+        settled_mb=observer.settled_mb,
         end_mb=resident_mb(),
-        first_quarter_s=float(np.median(watch.costs_s[:quarter])),
-        last_quarter_s=float(np.median(watch.costs_s[-quarter:])),
-        clock_error_s=n_blocks * BLOCK_S - watch.heard_until_s,
+        first_quarter_s=float(np.median(observer.costs_s[:quarter])),
+        last_quarter_s=float(np.median(observer.costs_s[-quarter:])),
+        clock_error_s=n_blocks * BLOCK_S - observer.heard_until_s,
     )
 
 
-class _Watch:
-    """Costs of all blocks in memory laid out beforehand; the memory of the process at 10 min."""
+class _EnduranceObserver:
+    """Notes the cost of all blocks, in memory allocated beforehand.
+
+    settled_mb: memory of the process at 10 minutes of sound.
+    """
 
     def __init__(
         self,
@@ -272,6 +283,11 @@ class _Watch:
         resident_mb: Callable[[], float],
         progress: Callable[[int, int], None],
     ) -> None:
+        """Allocate memory for the costs of `n_blocks` blocks.
+
+        resident_mb: returns the memory of the process now. progress: called with blocks done and
+        all.
+        """
         self.costs_s = np.full(n_blocks, np.inf, np.float32)
         self.heard_until_s = 0.0
         self.settled_mb = resident_mb()

@@ -1,8 +1,8 @@
-"""Minutes of one voice with its text, made ready to be learned from, and refused where it is none.
+"""Minutes of one voice with its text, read and checked before the network adapts to that voice.
 
 A forced aligner lays any text over any sound for which it finds a way, so every alignment is scored
 (`goodness_of_pronunciation`), labels of the user too. Sentences that were not spoken so are
-left out; where they are many, the folder is not what it should be.
+left out; where they are many, the folder is refused.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,9 +39,11 @@ class VoiceError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """One recording with the phoneme of every 10 ms, and how long it was.
+    """One recording with the phoneme of every 10 ms.
 
-    is_reference: its times are good enough to be graded on: alignments of the second try are not.
+    duration_s: of the recording as it was, without the silence that `speech` has at its end.
+    is_reference: whether its labels are good enough to grade recognition on; those of an alignment
+    that only succeeded with wider beams are not.
     """
 
     name: str
@@ -53,7 +55,10 @@ class Sentence:
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """What adapts, what grades, and what was left out: name and reason."""
+    """Sentences that the network adapts to, sentences to grade it on, and those left out.
+
+    left_out: the reason by the sentence's name.
+    """
 
     learned: tuple[Sentence, ...]
     held_out: tuple[Sentence, ...]
@@ -61,23 +66,27 @@ class Voice:
 
     @property
     def learned_s(self) -> float:
-        """Seconds of sentences that adapt."""
-        return sum(each.duration_s for each in self.learned)
+        """Seconds of the sentences that the network adapts to."""
+        return sum(sentence.duration_s for sentence in self.learned)
 
     @property
     def held_out_s(self) -> float:
-        """Seconds of sentences that grade."""
-        return sum(each.duration_s for each in self.held_out)
+        """Seconds of the sentences to grade on."""
+        return sum(sentence.duration_s for sentence in self.held_out)
 
 
 def only_speaker(
     utterances: tuple[TranscribedUtterance, ...], speaker: str | None
 ) -> tuple[TranscribedUtterance, ...]:
-    """Return the utterances of one speaker; VoiceError where it is not clear which."""
-    names = sorted({each.speaker for each in utterances})
+    """Return the utterances of one speaker.
+
+    speaker: None where the corpus has only one. Raises VoiceError for a speaker that the corpus
+    does not have, and for None where it has several.
+    """
+    names = sorted({utterance.speaker for utterance in utterances})
     if speaker is None and len(names) > 1:
         raise VoiceError(f"{len(names)} speakers; choose one with --speaker: {', '.join(names)}")
-    chosen = tuple(each for each in utterances if speaker in (None, each.speaker))
+    chosen = tuple(utterance for utterance in utterances if speaker in (None, utterance.speaker))
     if not chosen:
         raise VoiceError(f"no speaker {speaker}; known: {', '.join(names)}")
     return chosen
@@ -90,23 +99,24 @@ def read_voice(
 ) -> Voice:
     """Read, align and split the utterances of one speaker.
 
-    Raises SoundError for a file that is no sound, LabelError for labels that cannot be used, and
-    VoiceError for too little of a voice and for texts that are not spoken.
+    advance: called with "aligning", utterances done and all utterances. Raises SoundError for a
+    file that is no sound, LabelError for labels that cannot be used, and VoiceError for less than
+    two minutes, for texts that are not what is spoken, and for too few different texts.
     """
-    sounds = {each.name: read_speech(each.sound) for each in utterances}
-    check_length(sum(len(samples) for samples in sounds.values()) / SAMPLE_RATE_HZ)
-    done: list[str] = []
+    samples_of = {each.name: read_speech(each.sound) for each in utterances}
+    check_length(sum(len(samples) for samples in samples_of.values()) / SAMPLE_RATE_HZ)
+    done_names: list[str] = []
 
     def count(name: str) -> None:
-        done.append(name)
-        advance("aligning", len(done), len(utterances))
+        done_names.append(name)
+        advance("aligning", len(done_names), len(utterances))
 
     aligned = align_corpus(utterances, None, n_processes=n_processes, progress=count)
     _refuse_bad_labels(utterances, aligned)
     left_out = {
         name: reason
         for name, each in aligned.items()
-        if (reason := why_left_out(each, sounds[name]))
+        if (reason := why_left_out(each, samples_of[name]))
     }
     _refuse_other_texts(len(utterances), left_out)
     sentences = [
@@ -114,7 +124,7 @@ def read_voice(
             each.name,
             each.text,
             read_labelled(each, aligned[each.name]),
-            len(sounds[each.name]) / SAMPLE_RATE_HZ,
+            len(samples_of[each.name]) / SAMPLE_RATE_HZ,
             aligned[each.name].beams in ("default", LABELLED),
         )
         for each in utterances
@@ -125,7 +135,7 @@ def read_voice(
 
 
 def check_length(duration_s: float) -> None:
-    """Raises VoiceError for less than two minutes."""
+    """Raise VoiceError for less than two minutes of speech."""
     if duration_s < LEAST_S:
         raise VoiceError(
             f"needs at least {LEAST_S / 60:.0f} minutes of speech, has {duration_s:.0f} s; "
@@ -134,7 +144,9 @@ def check_length(duration_s: float) -> None:
 
 
 def why_left_out(aligned: AlignedUtterance, samples: Array32) -> str:
-    """Return why an utterance is not learned from, or "".
+    """Return why an utterance is not learned from, in one line; "" if it is learned from.
+
+    An utterance is left out if it could not be aligned, or if its text scores too low.
 
     Parameters
     ----------
@@ -146,7 +158,7 @@ def why_left_out(aligned: AlignedUtterance, samples: Array32) -> str:
     Returns
     -------
     str
-        One line.
+        The aligner's error, or the score of the text below `LEAST_SCORE`; "" if neither.
     """
     if aligned.error:
         return aligned.error
@@ -159,28 +171,29 @@ def why_left_out(aligned: AlignedUtterance, samples: Array32) -> str:
 def split_sentences(
     sentences: Sequence[Sentence],
 ) -> tuple[tuple[Sentence, ...], tuple[Sentence, ...]]:
-    """Split sentences into those to learn from and those to grade on; no text is in both.
+    """Split sentences into those to adapt to and those to grade on; no text is in both.
 
-    Every fifth text is held out, and more if these are shorter than 20 s. Raises VoiceError where
-    20 s cannot be had, or would be more than is left to learn from.
+    Every fifth text is held out, and more texts if these last less than 20 s together. Held out are
+    only sentences with `is_reference`; others of the same text are in neither part. Raises
+    VoiceError if all texts last less than 20 s, or if less is left to adapt to than is held out.
     """
-    texts = list(dict.fromkeys(_same(each.text) for each in sentences if each.is_reference))
-    # The fifth, the tenth and so on first; the others in case these are short.
-    in_order = sorted(range(len(texts)), key=lambda number: (number + 1) % _HELD_OUT_STEP)
-    held: set[str] = set()
+    texts = list(dict.fromkeys(_text_key(each.text) for each in sentences if each.is_reference))
+    # Texts 5, 10 and so on first; the others follow in case these last less than 20 s.
+    by_turn = sorted(range(len(texts)), key=lambda number: (number + 1) % _HELD_OUT_STEP)
+    held_texts: set[str] = set()
     held_s = 0.0
-    n_least = len(texts) // _HELD_OUT_STEP
-    for number, index in enumerate(in_order):
-        if number >= n_least and held_s >= LEAST_HELD_OUT_S:
+    n_usual = len(texts) // _HELD_OUT_STEP
+    for number, index in enumerate(by_turn):
+        if number >= n_usual and held_s >= LEAST_HELD_OUT_S:
             break
-        held.add(texts[index])
+        held_texts.add(texts[index])
         held_s += sum(
             each.duration_s
             for each in sentences
-            if each.is_reference and _same(each.text) == texts[index]
+            if each.is_reference and _text_key(each.text) == texts[index]
         )
-    held_out = tuple(s for s in sentences if _same(s.text) in held and s.is_reference)
-    learned = tuple(s for s in sentences if _same(s.text) not in held)
+    held_out = tuple(s for s in sentences if _text_key(s.text) in held_texts and s.is_reference)
+    learned = tuple(s for s in sentences if _text_key(s.text) not in held_texts)
     if held_s < LEAST_HELD_OUT_S or sum(s.duration_s for s in learned) < held_s:
         raise VoiceError(
             f"only {len(texts)} different texts can be used, too few to grade on others than are "
@@ -189,7 +202,7 @@ def split_sentences(
     return learned, held_out
 
 
-def _same(text: str) -> str:
+def _text_key(text: str) -> str:
     """Return a key that is equal for texts which differ in case and spaces alone."""
     return " ".join(text.lower().split())
 
@@ -197,10 +210,14 @@ def _same(text: str) -> str:
 def _refuse_bad_labels(
     utterances: Sequence[TranscribedUtterance], aligned: Mapping[str, AlignedUtterance]
 ) -> None:
-    """Refuse wrong labels: they are a person's work, and their mistakes that person's to mend."""
-    for each in utterances:
-        if each.labels is not None and aligned[each.name].error:
-            raise LabelError(aligned[each.name].error)
+    """Raise LabelError for the first utterance whose own label file cannot be used.
+
+    A person has written these labels and can correct them, so the utterance is not left out
+    silently.
+    """
+    for utterance in utterances:
+        if utterance.labels is not None and aligned[utterance.name].error:
+            raise LabelError(aligned[utterance.name].error)
 
 
 def _refuse_other_texts(n_all: int, left_out: Mapping[str, str]) -> None:

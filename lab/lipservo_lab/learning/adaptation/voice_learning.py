@@ -1,11 +1,11 @@
-"""Weights go on learning from minutes of one voice, and stay near what they were.
+"""Adapt the weights of the recogniser to minutes of one voice; they stay near what they were.
 
-The whole network learns at a low rate for a hundred steps, from copies of the voice disturbed as in
-training. Two things keep what it knows of other voices. After each step every weight is
-drawn back towards where it began, in proportion to the way: L2-SP of Li, Grandvalet and Davoine
-(Explicit inductive bias for transfer learning, ICML 2018), equation 3, here decoupled from Adam's
-scaling as weight decay is in AdamW. And the norms stay as they were: a single voice says nothing
-about what the layers give for all voices.
+The whole network learns at a low rate for a hundred steps, from copies of the recordings disturbed
+as in training. Two things keep what it knows of other voices. After each step every weight is drawn
+back towards where it began, in proportion to its distance from there: L2-SP of Li, Grandvalet and
+Davoine (Explicit inductive bias for transfer learning, ICML 2018), equation 3, here decoupled from
+Adam's scaling as weight decay is in AdamW. And the statistics of the batch norms stay as they were:
+a single voice says nothing about what the layers give for all voices.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,8 +31,9 @@ from lipsync.recognition.network import NetworkWeights
 class AdaptationPlan:
     """How to learn a voice; chosen by measurement (docs/decisions/training-of-the-ears.md).
 
-    n_copies: of the voice, heavily disturbed. pull: share of the way from the start that a step at
-    a learning rate of 1 would take back.
+    batch: windows a step; window: frames of 10 ms in each. n_copies: of the recordings, heavily
+    disturbed by noise, rooms and lines. pull: after each step at a learning rate r, every weight
+    goes back by the share r * pull of its distance from where it began.
     """
 
     n_steps: int = 100
@@ -45,12 +46,15 @@ class AdaptationPlan:
     n_threads: int = 2
 
     def for_network(self, weights: NetworkWeights) -> TrainingPlan:
-        """The plan of a training of weights of this shape."""
-        usual = TrainingPlan()
+        """Return the plan of a training for a network with the shape of `weights`.
+
+        A network with another number of heads than usual has equal weights of the heads.
+        """
+        default = TrainingPlan()
         n_heads = len(weights.delays)
-        is_usual = n_heads == len(usual.head_weights)
+        is_default = n_heads == len(default.head_weights)
         return TrainingPlan(
-            head_weights=usual.head_weights if is_usual else (1.0 / n_heads,) * n_heads,
+            head_weights=default.head_weights if is_default else (1.0 / n_heads,) * n_heads,
             n_steps=self.n_steps,
             batch=self.batch,
             window=self.window,
@@ -68,8 +72,8 @@ def adapt(
 ) -> NetworkWeights:
     """Return weights adapted to the voice of the recordings.
 
-    advance: called with the work, steps done and all. With one thread the same seed gives the same
-    weights on one kind of processor.
+    advance: called with the work ("disturbing", then "learning"), steps done and all steps. With
+    one thread the same seed gives the same weights on one kind of processor.
     """
     n_arrays = 1 + plan.n_copies
     arrays = []
@@ -92,33 +96,34 @@ def learn_voice(
     plan: AdaptationPlan,
     progress: Callable[[int], None] = lambda _step: None,
 ) -> NetworkWeights:
-    """Adapt weights to arrays (the first one is the light copy).
+    """Adapt weights to training arrays of one voice.
 
     Parameters
     ----------
     start : NetworkWeights
-        Weights.
+        The weights to adapt; they are not changed.
     arrays : Sequence[TrainingArray]
-        Features of shape (n_frames, 40) and targets.
+        Features of shape (n_frames, 40) and targets; the first array is the lightly changed copy.
     plan : AdaptationPlan
-        Of the learning.
+        Steps, rates and seed.
     progress : Callable[[int], None]
-        Called with the steps done.
+        Called after each step with the number of steps done.
 
     Returns
     -------
     NetworkWeights
-        The adapted weights.
+        The running average of the adapted weights.
     """
     schedule = plan.for_network(start)
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)
     network = started_from(start, arrays, schedule)
+    # Batch norms keep their running means and variances.
     network.eval()
     average = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(schedule.averaging)
     )
-    beginning = [parameter.detach().clone() for parameter in network.parameters()]
+    starts = [parameter.detach().clone() for parameter in network.parameters()]
     optimizer = torch.optim.Adam(network.parameters())
     for step in range(plan.n_steps):
         rate = learning_rate(schedule, step)
@@ -134,8 +139,9 @@ def learn_voice(
         nn.utils.clip_grad_norm_(network.parameters(), 2.0)
         optimizer.step()
         with torch.no_grad():
-            for parameter, began in zip(network.parameters(), beginning, strict=True):
-                parameter.lerp_(began, min(1.0, rate * plan.pull))
+            for parameter, started in zip(network.parameters(), starts, strict=True):
+                # L2-SP: back towards the starting value.
+                parameter.lerp_(started, min(1.0, rate * plan.pull))
         average.update_parameters(network)
         progress(step + 1)
     return exported(average.module, start.scale, schedule)

@@ -1,15 +1,14 @@
-"""Components that move too little in the mean move nearly as far as they did in the recordings.
+"""Amplify the predicted mean motion of components that move less than they did in the recordings.
 
-An expectation is a mean over all that a context leaves open, and a mean moves less than what it is
-a mean of: the finer a component, the less. Readers miss it: words that the mouth never learned are
-read better when their fine shapes are as large as recorded ones (docs/motion.md). The gain is a
-constant for each component, as in global variance compensation (Toda and Tokuda, IEICE
-Transactions E90-D(5), 2007), so it costs nothing when the mouth moves.
+An expectation predicts the mean face of all recorded ones with the same phonemes nearby, and a mean
+moves less than what it is a mean of: the finer a component, the less. Lip readers miss that motion:
+words that the mouth never learned are read better when their fine shapes are as large as recorded
+ones (docs/motion.md). The gain is a constant for each component, as in global variance compensation
+(Toda and Tokuda, IEICE Transactions E90-D(5), 2007), so it costs nothing when the mouth moves.
 
-What the live recogniser makes of training sentences: the expectation learns its errors.
-
-The shipped recogniser has heard LibriSpeech only, no sentence with recorded motion: what it
-mishears here it mishears live.
+`hear_sentences`: the phonemes that the live recogniser finds in training sentences, so that the
+expectation learns its errors. The shipped recogniser was trained on LibriSpeech only, on no
+sentence with recorded motion: what it mishears here it mishears live.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -39,24 +38,25 @@ _LOOKAHEAD_S = 0.1
 def with_deviation(
     expectation: Expectation, utterances: Sequence[Utterance], coefficients: Sequence[Array]
 ) -> Expectation:
-    """Return the expectation with each component deviating by at least SHARE of the recorded.
+    """Return the expectation, amplified so that its motion deviates nearly as much as the recorded.
 
-    Deviations are those in speech from the mean of the sentence, since nothing that is heard tells
-    a sentence's own offset.
+    Each component deviates by at least SHARE of the recorded deviation, as far as `_LARGEST_GAIN`
+    allows. Deviations are rms values of frames with speech from the mean of their sentence, since
+    nothing in the sound or text tells a sentence's own offset.
 
     Parameters
     ----------
     expectation : Expectation
-        Learned.
+        Predicts the mean motion of phonemes, as learned.
     utterances : Sequence[Utterance]
-        Labelled.
+        Sentences with phone labels.
     coefficients : Sequence[Array]
-        (n_frames, n_components) of each.
+        Recorded face coefficients (n_frames, n_components) of each sentence.
 
     Returns
     -------
     Expectation
-        Amplified where it deviates less.
+        With larger outputs where it deviates too little; unchanged if no sentence has speech.
     """
     expected, recorded = [], []
     for utterance, motion in zip(utterances, coefficients, strict=True):
@@ -64,9 +64,9 @@ def with_deviation(
         if not spoken.any():
             continue
         times_s = np.flatnonzero(spoken) / utterance.frame_rate_hz
-        phonemes, known_s = contexts(track_of(utterance.phones), times_s, _LOOKAHEAD_S)
-        ahead_s = np.full(len(times_s), _LOOKAHEAD_S)
-        expected.append(expectation.faces(phonemes, known_s, ahead_s))
+        phonemes, context_times_s = contexts(track_of(utterance.phones), times_s, _LOOKAHEAD_S)
+        lookaheads_s = np.full(len(times_s), _LOOKAHEAD_S)
+        expected.append(expectation.faces(phonemes, context_times_s, lookaheads_s))
         recorded.append(motion[spoken])
     if not expected:
         return expectation
@@ -76,22 +76,22 @@ def with_deviation(
 def gain_and_mean(
     expected: Sequence[Array], recorded: Sequence[Array], share: float = SHARE
 ) -> tuple[Array, Array]:
-    """Return by how much each component is to deviate more, and from which mean.
+    """Return the gain that each component needs, and the mean that deviations are amplified from.
 
     Parameters
     ----------
-    expected,recorded : Sequence[Array]
-        (n_frames, n_components) of the speech of each sentence.
+    expected, recorded : Sequence[Array]
+        Predicted and recorded coefficients (n_frames, n_components) of the speech of each sentence.
     share : float
-        Of the recorded deviation that is wanted.
+        The share of the recorded deviation that the predicted one shall reach.
 
     Returns
     -------
     tuple[Array, Array]
-        (n_components,) each.
+        (n_components,) each: gains from 1 to `_LARGEST_GAIN`, and the mean predicted face.
     """
-    wanted = share * _deviation(recorded)
-    gain = np.clip(wanted / np.maximum(_deviation(expected), 1e-9), 1.0, _LARGEST_GAIN)
+    target_deviation = share * _deviation(recorded)
+    gain = np.clip(target_deviation / np.maximum(_deviation(expected), 1e-9), 1.0, _LARGEST_GAIN)
     return gain, np.concatenate(expected).mean(axis=0)
 
 
@@ -102,14 +102,18 @@ def _deviation(sentences: Sequence[Array]) -> Array:
 
 
 def _amplified(expectation: Expectation, gain: Array, mean: Array) -> Expectation:
-    """Faces f become mean + gain (f - mean); both (n_components,)."""
+    """Return the expectation with faces f replaced by mean + gain (f - mean).
+
+    gain, mean: (n_components,). The constant (1 - gain) mean goes into one bias, the last row of
+    `slots.output`, because the outputs of both families of networks are added.
+    """
     slots, windows = expectation.slots, expectation.windows
-    by_slots, by_windows = slots.output * gain, windows.output * gain
-    by_slots[-1] += (1.0 - gain) * mean
+    slots_output, windows_output = slots.output * gain, windows.output * gain
+    slots_output[-1] += (1.0 - gain) * mean
     return replace(
         expectation,
-        slots=replace(slots, output=by_slots),
-        windows=replace(windows, output=by_windows),
+        slots=replace(slots, output=slots_output),
+        windows=replace(windows, output=windows_output),
     )
 
 
@@ -119,15 +123,16 @@ Progress = Callable[[Sequence[Utterance]], Iterable[Utterance]]
 def hear_sentences(
     weights: NetworkWeights, utterances: Sequence[Utterance], progress: Progress = iter
 ) -> dict[str, tuple[PhonemeEvent, ...]]:
-    """Return the final phonemes of a live recogniser for every sentence whose sound can be read.
+    """Return the phonemes that a live recogniser finally decides on, by the sentence's name.
 
-    The keys are the sentences' names.
+    Sentences whose sound cannot be read are left out. weights: of the recogniser. progress: wraps
+    the sentences, to report how far the work is.
     """
     names: list[str] = []
     recordings: list[NDArray[np.float32]] = []
     heard: dict[str, tuple[PhonemeEvent, ...]] = {}
 
-    def hear() -> None:
+    def recognize_batch() -> None:
         with threadpool_limits(limits=1):  # several threads add up in changing order
             heard.update(zip(names, settled_phonemes(weights, recordings), strict=True))
         names.clear()
@@ -140,6 +145,6 @@ def hear_sentences(
             continue  # silent or damaged: its labels still teach
         names.append(utterance.name)
         if len(recordings) == TOGETHER:
-            hear()
-    hear()
+            recognize_batch()
+    recognize_batch()
     return heard

@@ -1,12 +1,13 @@
-"""Learning the expectation from recorded sentences: contexts in, faces out.
+"""Train the expectation, which predicts the mean face from the phonemes around an instant.
 
-What each phoneme asks of the mouth, in numbers, so that sounds never seen resemble seen ones.
+Features of articulation say what each phoneme demands of the mouth, in numbers, so that phonemes
+without recordings resemble recorded ones.
 
 The features are those of the IPA chart (place, manner, voice; for vowels openness, backness and
 rounding, at the beginning and at the end, so that a diphthong moves). Graded values are ours: only
 their order matters to a model that learns from them.
 
-Training a small network with two hidden layers of rectifiers, by Adam, in NumPy.
+The training: a small network with two hidden layers of rectifiers, by Adam, in NumPy.
 
 Squared error, weight decay as part of the gradient, a learning rate that falls to zero over the
 second half. Kingma and Ba, "Adam", ICLR 2015, algorithm 1; initial weights: Glorot and Bengio,
@@ -104,9 +105,10 @@ def articulatory_features() -> Array:
 
 
 def _features(phoneme: str) -> list[float]:
-    """Return a phoneme's features: silence, vowel or consonant, shape, place, manner, voice.
+    """Return the 22 features of a phoneme: kind (3), shape (6), place (7), manner (5), voiced (1).
 
-    Of the six numbers of shape a vowel has all, a consonant only the two of rounding.
+    Of the six numbers of the shape (openness, backness, rounding, each at begin and end) a vowel
+    has all, a consonant only the two of rounding.
     """
     kind = [0.0, 0.0, 0.0]
     shape = [0.0] * 6
@@ -118,9 +120,9 @@ def _features(phoneme: str) -> list[float]:
         shape = list(_VOWELS[phoneme])
     else:
         kind[2] = 1.0
-        where, how, is_voiced, rounding = _CONSONANTS[phoneme]
-        place[_PLACES.index(where)] = 1.0
-        manner[_MANNERS.index(how)] = 1.0
+        phoneme_place, phoneme_manner, is_voiced, rounding = _CONSONANTS[phoneme]
+        place[_PLACES.index(phoneme_place)] = 1.0
+        manner[_MANNERS.index(phoneme_manner)] = 1.0
         shape[4] = shape[5] = rounding
         voiced = float(is_voiced)
     return [*kind, *shape, *place, *manner, voiced]
@@ -138,7 +140,7 @@ _BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-8
 class Schedule:
     """How long and how strictly to train.
 
-    decay: what every weight is pulled by, in units of itself, beside the mean gradient of a batch.
+    decay: weight decay; decay times the weight is added to the weight's mean gradient in a batch.
     """
 
     n_epochs: int
@@ -149,7 +151,10 @@ Layers = list[Array32]
 
 
 def initial_layers(sizes: tuple[int, ...], rng: np.random.Generator) -> Layers:
-    """Weights (n_in, n_out) and bias (n_out,) of each layer, alternating."""
+    """Return random weights (n_in, n_out) and zero biases (n_out,) of each layer, alternating.
+
+    sizes: number of inputs, widths of the hidden layers, number of outputs.
+    """
     layers: Layers = []
     for n_in, n_out in pairwise(sizes):
         bound = np.sqrt(6.0 / (n_in + n_out))
@@ -159,19 +164,19 @@ def initial_layers(sizes: tuple[int, ...], rng: np.random.Generator) -> Layers:
 
 
 def forward(layers: Layers, inputs: Array32) -> list[Array32]:
-    """Return the inputs, and the outputs of every layer; the last one is linear.
+    """Return the inputs and the outputs of every layer; the last layer is linear.
 
     Parameters
     ----------
     layers : Layers
-        Weights and biases.
+        Weights and biases, alternating.
     inputs : Array32
         (n, n_inputs).
 
     Returns
     -------
     list[Array32]
-        (n, width) each.
+        The inputs, then (n, width) for each layer; the last are the network's outputs.
     """
     values = [inputs]
     n_layers = len(layers) // 2
@@ -187,7 +192,7 @@ def gradients(layers: Layers, inputs: Array32, targets: Array32) -> Layers:
     Parameters
     ----------
     layers : Layers
-        Weights and biases.
+        Weights and biases, alternating.
     inputs : Array32
         (n, n_inputs).
     targets : Array32
@@ -196,52 +201,55 @@ def gradients(layers: Layers, inputs: Array32, targets: Array32) -> Layers:
     Returns
     -------
     Layers
-        In the shape of `layers`.
+        Gradients of weights and biases, in the shapes of `layers`.
     """
     values = forward(layers, inputs)
-    slope = (values[-1] - targets) / np.float32(len(inputs))
-    found: Layers = []
+    error = (values[-1] - targets) / np.float32(len(inputs))
+    reversed_gradients: Layers = []
     for i in reversed(range(len(layers) // 2)):
-        found += [slope.sum(axis=0), values[i].T @ slope]
+        reversed_gradients += [error.sum(axis=0), values[i].T @ error]
+        # Back through the rectifiers to the outputs of the layer before.
         if i:
-            slope = (slope @ layers[2 * i].T) * (values[i] > 0.0)
-    return found[::-1]
+            error = (error @ layers[2 * i].T) * (values[i] > 0.0)
+    return reversed_gradients[::-1]
 
 
 def fit(
     layers: Layers, inputs: Array32, targets: Array32, schedule: Schedule, rng: np.random.Generator
 ) -> Layers:
-    """Train in place, and return the layers.
+    """Train the layers in place by Adam (Kingma and Ba, algorithm 1), and return them.
 
     Parameters
     ----------
     layers : Layers
-        Weights and biases.
+        Weights and biases, alternating.
     inputs : Array32
         (n, n_inputs).
     targets : Array32
         (n, n_outputs).
     schedule : Schedule
-        Steps and rates.
+        Epochs and weight decay.
     rng : np.random.Generator
-        Draws batches.
+        Draws the order of the samples in each epoch.
 
     Returns
     -------
     Layers
-        In the shape they had.
+        The same list.
     """
-    first = [np.zeros_like(layer) for layer in layers]
-    second = [np.zeros_like(layer) for layer in layers]
+    # Running means of the gradients and of their squares, m and v in the paper.
+    means = [np.zeros_like(layer) for layer in layers]
+    squares = [np.zeros_like(layer) for layer in layers]
     n_batches = -(-len(inputs) // _BATCH)
     n_steps, step = schedule.n_epochs * n_batches, 0
     for _ in range(schedule.n_epochs):
         for batch in np.array_split(rng.permutation(len(inputs)), n_batches):
             slopes = gradients(layers, inputs[batch], targets[batch])
             step += 1
+            # Constant for half of the steps, then down to zero; then the bias correction of Adam.
             rate = _LEARNING_RATE * min(1.0, 2.0 * (1.0 - (step - 1) / n_steps))
             rate *= np.sqrt(1.0 - _BETA_2**step) / (1.0 - _BETA_1**step)
-            for layer, slope, m, v in zip(layers, slopes, first, second, strict=True):
+            for layer, slope, m, v in zip(layers, slopes, means, squares, strict=True):
                 if layer.ndim == 2:
                     slope += np.float32(schedule.decay) * layer
                 m *= _BETA_1
@@ -263,7 +271,10 @@ NEAR_SPEECH_S = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Networks that read the context in one way."""
+    """Networks that read the phonemes of a context in one way: by slot or by window of time.
+
+    hidden: widths of the two hidden layers.
+    """
 
     name: str
     n_networks: int
@@ -288,9 +299,10 @@ _SMALLEST_SPREAD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class TrainingSet:
-    """What the mouth did in which context: phonemes (n, 5), times (n, 6), faces (n, n_components).
+    """Phoneme contexts of recorded frames, and the face of each frame.
 
-    Contexts are those of every trained look-ahead, one after the other.
+    phonemes (n, 5) and times_s (n, 6): as `contexts` returns them. lookahead_s: (n,). faces:
+    coefficients (n, n_components). The contexts of each trained look-ahead follow one another.
     """
 
     phonemes: Indices
@@ -302,10 +314,10 @@ class TrainingSet:
 def joined(sets: Sequence[TrainingSet]) -> TrainingSet:
     """Join training sets one after the other."""
     return TrainingSet(
-        np.concatenate([one.phonemes for one in sets]),
-        np.concatenate([one.times_s for one in sets]),
-        np.concatenate([one.lookahead_s for one in sets]),
-        np.concatenate([one.faces for one in sets]),
+        np.concatenate([part.phonemes for part in sets]),
+        np.concatenate([part.times_s for part in sets]),
+        np.concatenate([part.lookahead_s for part in sets]),
+        np.concatenate([part.faces for part in sets]),
     )
 
 
@@ -319,19 +331,21 @@ def collect_training_set(
     coefficients: Sequence[Array],
     heard: Mapping[str, Sequence[PhonemeEvent]] | None = None,
 ) -> TrainingSet:
-    """Return all frames in or near speech.
+    """Return the contexts and faces of all frames in or near speech.
+
+    These are the frames from 0.3 s before the first phone to 0.3 s after the last.
 
     Parameters
     ----------
     utterances : Iterable[Utterance]
-        Labelled.
+        Sentences with phone labels.
     coefficients : Sequence[Array]
-        (n_frames, n_components) of each.
+        Face coefficients (n_frames, n_components) of each.
     heard : Mapping[str, Sequence[PhonemeEvent]] | None
-        Phonemes that a recogniser made of some of the sentences, by name; those alone are taken
-        then, in the contexts that were recognised, every frame at one look-ahead in turn: an error
-        teaches less than a label. None takes every sentence as it is labelled, every frame at every
-        look-ahead.
+        None: contexts are of the labels, every frame at every look-ahead. Otherwise the phonemes
+        that a recogniser found, by the sentence's name: only these sentences are used, with
+        contexts of the recognised phonemes, and each frame at one look-ahead in turn, so that an
+        error teaches less than a label.
 
     Returns
     -------
@@ -339,23 +353,23 @@ def collect_training_set(
         Contexts of shape (n, 5), and faces.
     """
     n_components = coefficients[0].shape[1] if coefficients else 0
-    n_turns = 1 if heard is None else len(TRAINED_LOOKAHEADS_S)
-    found = [[_empty_set(n_components)] for _ in TRAINED_LOOKAHEADS_S]
+    n_parts = 1 if heard is None else len(TRAINED_LOOKAHEADS_S)
+    by_lookahead = [[_empty_set(n_components)] for _ in TRAINED_LOOKAHEADS_S]
     for utterance, motion in zip(utterances, coefficients, strict=True):
         spoken = [p for p in utterance.phones if p.phoneme != SILENCE and p.end_s is not None]
         if not spoken or (heard is not None and utterance.name not in heard):
             continue
         times_s = np.arange(len(motion)) / utterance.frame_rate_hz
-        last_s = max(p.end_s or 0.0 for p in spoken)
-        near = times_s >= spoken[0].start_s - NEAR_SPEECH_S
-        near &= times_s <= last_s + NEAR_SPEECH_S
+        end_s = max(p.end_s or 0.0 for p in spoken)
+        is_chosen = times_s >= spoken[0].start_s - NEAR_SPEECH_S
+        is_chosen &= times_s <= end_s + NEAR_SPEECH_S
         track = track_of(utterance.phones if heard is None else heard[utterance.name])
-        for turn, lookahead_s in enumerate(TRAINED_LOOKAHEADS_S):
-            frames = np.flatnonzero(near)[turn % n_turns :: n_turns]
-            phonemes, known_s = contexts(track, times_s[frames], lookahead_s)
+        for number, lookahead_s in enumerate(TRAINED_LOOKAHEADS_S):
+            frames = np.flatnonzero(is_chosen)[number % n_parts :: n_parts]
+            phonemes, context_s = contexts(track, times_s[frames], lookahead_s)
             ahead_s = np.full(len(frames), lookahead_s)
-            found[turn].append(TrainingSet(phonemes, known_s, ahead_s, motion[frames]))
-    return joined([each for list_ in found for each in list_])
+            by_lookahead[number].append(TrainingSet(phonemes, context_s, ahead_s, motion[frames]))
+    return joined([part for sets in by_lookahead for part in sets])
 
 
 def fit_expectation(
@@ -368,16 +382,17 @@ def fit_expectation(
     training_set : TrainingSet
         Contexts and faces.
     centres : Array
-        (40, n_components), what a phoneme looks like where there are too few frames to learn.
+        (40, n_components), the mean face in the middle of each phoneme: with fewer than 200 frames
+        the expectation is the centre of the present phoneme.
     seed : int
-        Of weights and batches.
+        Draws the initial weights and the batches.
     progress : Progress
-        Called with the progress.
+        Called with a line about what is being trained.
 
     Returns
     -------
     Expectation
-        The expectation.
+        Predicts the mean face of a context; without back-off.
     """
     if len(training_set.faces) < _FEWEST_FRAMES * len(TRAINED_LOOKAHEADS_S):
         return constant_expectation(centres)
@@ -409,26 +424,31 @@ def _fit_family(
     seed: Sequence[int],
     progress: Progress,
 ) -> tuple[Array, Stack]:
-    """Train the networks of one family; return the tables of their first layer, and the rest."""
-    mean = inputs.mean(axis=0)
-    spread = inputs.std(axis=0) + _SMALLEST_SPREAD
-    inputs = (inputs - mean) / spread
-    unit = float(faces.std())
-    targets = (faces / unit).astype(np.float32)
+    """Train the networks of one family; return their first layer as tables, and the other layers.
 
-    def learn(number: int) -> Layers:
+    inputs: (n, n_inputs), features by `dictionary`, then timing; not scaled. dictionary: for each
+    slot or window the features (41, n_features) of each phoneme. The tables are (len(dictionary),
+    41, n_networks * h1): what a phoneme adds to the first hidden layer.
+    """
+    mean = inputs.mean(axis=0)
+    deviation = inputs.std(axis=0) + _SMALLEST_SPREAD
+    inputs = (inputs - mean) / deviation
+    face_deviation = float(faces.std())
+    targets = (faces / face_deviation).astype(np.float32)
+
+    def train_network(number: int) -> Layers:
         rng = np.random.default_rng([*seed, number])
         layers = initial_layers((inputs.shape[1], *family.hidden, targets.shape[1]), rng)
         return fit(layers, inputs, targets, _SCHEDULE, rng)
 
     progress(f"expectation by {family.name}, {family.n_networks} networks")
     with ThreadPoolExecutor(_AT_ONCE) as threads:  # NumPy computes outside the interpreter's lock
-        networks = list(threads.map(learn, range(family.n_networks)))
-    return _exported(networks, dictionary, mean, spread, unit)
+        networks = list(threads.map(train_network, range(family.n_networks)))
+    return _exported(networks, dictionary, mean, deviation, face_deviation)
 
 
 def articulation_table() -> Array32:
-    """Return articulatory features of each phoneme, zeros for UNKNOWN.
+    """Return the articulatory features of each phoneme; the last row, for UNKNOWN, is zero.
 
     Returns
     -------
@@ -440,23 +460,29 @@ def articulation_table() -> Array32:
 
 
 def phoneme_features() -> list[Array32]:
-    """Return features for each slot: articulation; in the middle slots class and name as well.
+    """Return for each of the five slots of a context the features of every phoneme.
+
+    All slots have articulation; the middle three, of the present phoneme and its neighbours, also
+    the viseme class and the phoneme itself, one-hot.
 
     Returns
     -------
     list[Array32]
-        (41, n_features) each.
+        (41, n_features) each; the last row is for UNKNOWN.
     """
     articulation = articulation_table()
-    viseme = np.zeros((UNKNOWN + 1, len(VISEME_CLASSES)), dtype=np.float32)
-    viseme[np.arange(len(PHONEMES)), [VISEME_OF[p] for p in PHONEMES]] = 1.0
+    viseme_classes = np.zeros((UNKNOWN + 1, len(VISEME_CLASSES)), dtype=np.float32)
+    viseme_classes[np.arange(len(PHONEMES)), [VISEME_OF[p] for p in PHONEMES]] = 1.0
     names = np.eye(UNKNOWN + 1, len(PHONEMES), dtype=np.float32)
-    named = np.concatenate([articulation, viseme, names], axis=1)
+    named = np.concatenate([articulation, viseme_classes, names], axis=1)
     return [named if slot in _NAMED_SLOTS else articulation for slot in range(SLOTS)]
 
 
 def _window_inputs(training_set: TrainingSet, table: Array32) -> Array32:
-    """Return the mean phoneme features in each window of a context, (n, N_WINDOWS * 22)."""
+    """Return each window's phoneme features, weighted by the shares of time that phonemes fill.
+
+    table: (41, 22) features. The result is (n, N_WINDOWS * 22).
+    """
     shares = window_shares(training_set.times_s, training_set.lookahead_s).astype(np.float32)
     inputs = np.zeros((len(shares), N_WINDOWS, table.shape[1]), dtype=np.float32)
     for slot in range(SLOTS):
@@ -471,13 +497,15 @@ def _exported(
     spread: Array32,
     unit: float,
 ) -> tuple[Array, Stack]:
-    """Fold the first layer into a table for each dictionary entry, and put networks side by side.
+    """Return networks in the form of `Expectation`: tables (n_entries, 41, m h1), and a `Stack`.
 
-    Scaling of inputs and outputs is undone.
+    A phoneme's features times the first layer's weights give its table row; the weights of the
+    timing features and all biases go into the stack. Scaling of inputs (mean, spread) and outputs
+    (unit) is folded in, and the output divided by the number of all networks.
     """
-    first = np.concatenate([n[0] for n in networks], axis=1) / spread[:, None].astype(np.float64)
-    bias = np.concatenate([n[1] for n in networks]) - mean @ first
-    pieces = np.split(first, np.cumsum([table.shape[1] for table in dictionary]))
+    weights = np.concatenate([n[0] for n in networks], axis=1) / spread[:, None].astype(np.float64)
+    bias = np.concatenate([n[1] for n in networks]) - mean @ weights
+    pieces = np.split(weights, np.cumsum([table.shape[1] for table in dictionary]))
     hidden = [np.concatenate([n[2], n[3][None]]) for n in networks]
     output = np.concatenate(
         [*(n[4] for n in networks), np.sum([n[5] for n in networks], axis=0)[None]]

@@ -1,10 +1,11 @@
-"""Learning what the mouth does by a recogniser's posteriors, of a voice disturbed in many ways.
+"""Train the map from a recogniser's phoneme posteriors to faces (`SoftExpectation`).
 
-The recordings are of few talkers; so every sentence is heard as it is and again as other voices in
-other rooms would have spoken it (times stay), and its face is learned from the recogniser's
-posteriors each time; and from those of others, older or adapted, where some are given. Frames are
-seen as they are live: by the heads that have spoken of them when a look-ahead of 100 ms is over,
-and on every other frame when there is less.
+The recordings are of few talkers. So the recogniser also gets every sentence as other voices in
+other rooms would have spoken it (times stay), and the face is learned from its posteriors each
+time; and from those of further recognisers, older or adapted, where some are given. A head with a
+delay of d frames estimates a frame d frames later. So posteriors of frames are used only from heads
+that have estimated them when the face must be decided: with a look-ahead of 100 ms for every frame,
+with less for every other frame.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -41,20 +42,22 @@ from lipsync.recognition.features import HOP
 from lipsync.recognition.network import NetworkWeights
 from lipsync.recognition.posteriors import PosteriorStream
 
-#: All frequencies times so much, or a few percent beside it; the first copy is the sentence itself.
+#: Factor on all frequencies of each copy, varied by a few percent; the first copy is the sentence
+#: itself.
 _VOICES: Final = (1.0, 0.86, 0.93, 1.09, 1.18)
 _VOICE_SPREAD = 0.03
-#: Copies, and how many frames after one have been heard when its face is decided: with 100 ms of
-#: look-ahead, with none, with that of --low-latency.
+#: Copy, and how many frames of posteriors there are beyond a frame when its face is decided: 17
+#: with a look-ahead of 100 ms, 7 with none, 12 with that of --low-latency.
 _SEEN: Final = ((0, 17), (1, 17), (2, 17), (3, 17), (4, 17), (0, 7), (1, 7), (2, 12))
 _FULL_AHEAD = 17
-#: Silence after a sentence, until the last head has spoken of its end, s.
+#: Silence after a sentence, until the head with the longest delay has estimated its end, s.
 _TAIL_S = 0.25
 #: All chosen on two inner splits of left-out words (docs/decisions/motion.md).
 _N_COSINES, _WIDTH, _RIDGE, _COSINE_SCALE = 600, 9.0, 300.0, 10.0
 _HIDDEN, _SCHEDULE = (192, 48), Schedule(n_epochs=3, decay=0.004)
 _SMALLEST_SPREAD = 0.05
-#: Of the recorded deviation; more than the expectation's, since half of a mean is a mean again.
+#: Share of the recorded deviation to reach; more than `SHARE` of the expectation by phonemes, since
+#: half of a mean is a mean again.
 _DEVIATION = 0.95
 #: With fewer rows nothing is learned.
 _FEWEST = 2000
@@ -62,9 +65,10 @@ _FEWEST = 2000
 
 @dataclass(frozen=True, slots=True)
 class HeardCopies:
-    """Posteriors (n_frames, n_heads, n_phonemes) of sentences by name, a mapping for each voice.
+    """Posteriors (n_frames, n_heads, n_phonemes) by sentence name, a mapping for each of `_VOICES`.
 
-    by_others: of the same voices, by other weights in turn; empty where there are none.
+    delays: of the heads, in frames. by_others: the same from further recognisers, which take turns
+    from voice to voice; empty where there are none.
     """
 
     delays: tuple[int, ...]
@@ -80,8 +84,9 @@ def hear_copies(
 ) -> HeardCopies:
     """Return a recogniser's posteriors of every sentence, in each of `_VOICES`.
 
-    Sounds that cannot be read are left out. others: further weights; each voice is also recognised
-    by one of them. Raises UserError where their delays differ from those of `weights`.
+    Sentences whose sound cannot be read are left out. progress: wraps the sentences, with a line
+    about the work. others: weights of further recognisers; each voice is also given to one of them.
+    Raises UserError if their delays differ from those of `weights`.
     """
     if any(other.delays != weights.delays for other in others):
         raise UserError(
@@ -92,27 +97,30 @@ def hear_copies(
     with threadpool_limits(limits=1):  # several threads add up in changing order
         for number, factor in enumerate(_VOICES):
             rng = np.random.default_rng(number)
-            heard: dict[str, Array32] = {}
-            heard_by_other: dict[str, Array32] = {}
+            posteriors_of: dict[str, Array32] = {}
+            posteriors_by_other: dict[str, Array32] = {}
             for utterance in progress(f"listening to voice {number + 1}", utterances):
                 try:
                     samples = read_speech(utterance.sound_path)
                 except SoundError:
                     continue
-                samples = np.concatenate((samples, np.zeros(_tail(), np.float32)))
+                samples = np.concatenate((samples, np.zeros(_n_tail_samples(), np.float32)))
                 if number:
-                    samples = _disturbed(rng, samples, factor)
-                heard[utterance.name] = _believed(weights, samples)
+                    samples = _as_other_voice(rng, samples, factor)
+                posteriors_of[utterance.name] = _half_posteriors(weights, samples)
                 if others:
                     other = others[number % len(others)]
-                    heard_by_other[utterance.name] = _believed(other, samples)
-            voices.append(heard)
-            by_others += [heard_by_other] if others else []
+                    posteriors_by_other[utterance.name] = _half_posteriors(other, samples)
+            voices.append(posteriors_of)
+            by_others += [posteriors_by_other] if others else []
     return HeardCopies(weights.delays, tuple(voices), tuple(by_others))
 
 
-def _believed(weights: NetworkWeights, samples: Array32) -> Array32:
-    """Posteriors in half precision: 60 MB a voice in place of 120, for 44 minutes."""
+def _half_posteriors(weights: NetworkWeights, samples: Array32) -> Array32:
+    """Return posteriors (n_frames, n_heads, n_phonemes) in half precision.
+
+    All sentences of a voice, 44 minutes, take 60 MB in place of 120.
+    """
     return PosteriorStream(weights).push(samples).astype(np.float16)
 
 
@@ -120,12 +128,15 @@ def _delays_ms(weights: NetworkWeights) -> str:
     return ", ".join(f"{1000 * delay / FRAMES_PER_S:.0f}" for delay in weights.delays) + " ms"
 
 
-def _tail() -> int:
+def _n_tail_samples() -> int:
     return round(_TAIL_S * FRAMES_PER_S) * HOP
 
 
-def _disturbed(rng: np.random.Generator, samples: Array32, factor: float) -> Array32:
-    """Return samples as another voice in another room at another level, of the same length."""
+def _as_other_voice(rng: np.random.Generator, samples: Array32, factor: float) -> Array32:
+    """Return samples as of another voice in another room at another level, of the same length.
+
+    factor: on all frequencies, varied by 3 %. Room, noise and telephone line are added by chance.
+    """
     spread = rng.uniform(1.0 - _VOICE_SPREAD, 1.0 + _VOICE_SPREAD)
     samples = warped(samples, factor * spread)
     if rng.random() < 0.4:
@@ -139,46 +150,48 @@ def _disturbed(rng: np.random.Generator, samples: Array32, factor: float) -> Arr
 
 
 def looks() -> Array32:
-    """Return articulation and viseme class, in which unknown words are familiar.
+    """Return features of each phoneme that phonemes without recordings share with recorded ones.
 
     Returns
     -------
     Array32
-        (n_phonemes, k).
+        (n_phonemes, k): articulation, and the viseme class, one-hot.
     """
     classes = np.eye(len(VISEME_CLASSES))[[VISEME_OF[phoneme] for phoneme in PHONEMES]]
     return np.concatenate([articulatory_features(), classes], axis=1).astype(np.float32)
 
 
 def believed_means(values: Array32, delays: Sequence[int], frames: Array, ahead: int) -> Array32:
-    """Return mean posteriors around frames, as they are live `ahead` frames later.
+    """Return the mean posteriors in windows around frames, as known live `ahead` frames later.
 
-    Before the first frame there was silence; where no head has spoken it is 0.
+    For each frame the posterior comes from the head with the longest delay that has estimated it by
+    then. Before the recording there was silence; frames that no head has estimated yet count 0.
 
     Parameters
     ----------
     values : Array32
-        (n_frames, n_heads, n_phonemes).
+        (n_frames, n_heads, n_phonemes) posteriors of a recording.
     delays : Sequence[int]
-        Of the heads, in frames.
+        Of the heads, in frames, rising.
     frames : Array
-        (n,).
+        (n,) frame numbers, whole, at 100 a second.
     ahead : int
-        Frames.
+        Frames that the recogniser has processed beyond each of `frames`.
 
     Returns
     -------
     Array32
         (n, n_windows, n_phonemes).
     """
-    wanted = frames.astype(np.int64)[:, None] + OFFSETS
-    rows = np.zeros((*wanted.shape, values.shape[2]), np.float32)
+    around = frames.astype(np.int64)[:, None] + OFFSETS
+    posteriors = np.zeros((*around.shape, values.shape[2]), np.float32)
     for head, delay in enumerate(delays):
-        columns = np.flatnonzero(ahead >= OFFSETS + delay)
-        heard_at = np.minimum(wanted[:, columns] + delay, len(values) - 1)
-        rows[:, columns] = values[np.maximum(heard_at, 0), head]
-    rows[wanted < 0] = np.eye(len(PHONEMES), dtype=np.float32)[PHONEMES.index(SILENCE)]
-    return window_means(rows)
+        known_offsets = np.flatnonzero(ahead >= OFFSETS + delay)
+        estimated_at = np.minimum(around[:, known_offsets] + delay, len(values) - 1)
+        # Heads with longer delays come later and replace the others.
+        posteriors[:, known_offsets] = values[np.maximum(estimated_at, 0), head]
+    posteriors[around < 0] = np.eye(len(PHONEMES), dtype=np.float32)[PHONEMES.index(SILENCE)]
+    return window_means(posteriors)
 
 
 def fit_soft_expectation(
@@ -188,42 +201,47 @@ def fit_soft_expectation(
     *,
     seed: int = 0,
 ) -> SoftExpectation | None:
-    """Fit the map from posteriors to faces; None for too few frames.
+    """Fit the map from posteriors to faces; return None if there are fewer than 2,000 rows.
 
-    coefficients: (n_frames, n_components) of each sentence. The same sentences, copies and seed
-    give the same map.
+    coefficients: recorded faces (n_frames, n_components) of each sentence. Sentences that are
+    missing in one of the copies are left out. The same sentences, copies and seed give the same
+    map.
     """
     table = looks()
     pairs = list(zip(utterances, coefficients, strict=True))
-    found = [
-        _rows(utterance, motion, copies, table)
+    inputs_and_faces = [
+        _inputs_and_faces(utterance, motion, copies, table)
         for utterance, motion in pairs
         if all(utterance.name in voice for voice in copies.voices)
     ]
-    if sum(len(faces) for _, faces in found) < _FEWEST:
+    if sum(len(faces) for _, faces in inputs_and_faces) < _FEWEST:
         return None
-    inputs = np.concatenate([each for each, _ in found])
-    faces = np.concatenate([each for _, each in found]).astype(np.float32)
+    inputs = np.concatenate([each for each, _ in inputs_and_faces])
+    faces = np.concatenate([each for _, each in inputs_and_faces]).astype(np.float32)
     rng = np.random.default_rng(seed)
     with threadpool_limits(limits=1):  # several threads add up in changing order
-        soft = _fitted(inputs, faces, table, rng)
-        return _deviating(soft, pairs, copies)
+        soft = _fit_map(inputs, faces, table, rng)
+        return _with_deviation(soft, pairs, copies)
 
 
-def _rows(
+def _inputs_and_faces(
     utterance: Utterance, motion: Array, copies: HeardCopies, table: Array32
 ) -> tuple[Array32, Array]:
-    """Return a sentence's inputs (n, n_windows k) and faces (n, n_components) in all its voices."""
+    """Return a sentence's inputs (n, n_windows k) and faces (n, n_components), of all copies.
+
+    motion: recorded faces (n_frames, n_components). table: (n_phonemes, k), of `looks`. Frames are
+    from 0.3 s before the first spoken frame to 0.3 s after the last; none without speech.
+    """
     spoken = np.flatnonzero(speech_frames(utterance))
     if not len(spoken):
         return np.empty((0, len(WINDOWS) * table.shape[1]), np.float32), motion[:0]
     margin = round(NEAR_SPEECH_S * utterance.frame_rate_hz)
     near = np.arange(max(0, spoken[0] - margin), min(len(motion), spoken[-1] + margin + 1))
-    seen = [(copies.voices[voice], ahead, ahead == _FULL_AHEAD) for voice, ahead in _SEEN]
-    seen += [(voice, _FULL_AHEAD, False) for voice in copies.by_others]
+    copies_seen = [(copies.voices[voice], ahead, ahead == _FULL_AHEAD) for voice, ahead in _SEEN]
+    copies_seen += [(voice, _FULL_AHEAD, False) for voice in copies.by_others]
     inputs, faces = [], []
-    for voice, ahead, is_whole in seen:
-        chosen = near if is_whole else near[::2]
+    for voice, ahead, every_frame in copies_seen:
+        chosen = near if every_frame else near[::2]
         frames = np.rint(chosen * (FRAMES_PER_S / utterance.frame_rate_hz))
         values = voice[utterance.name].astype(np.float32)
         means = believed_means(values, copies.delays, frames, ahead)
@@ -232,10 +250,13 @@ def _rows(
     return np.concatenate(inputs), np.concatenate(faces)
 
 
-def _fitted(
+def _fit_map(
     inputs: Array32, faces: Array32, table: Array32, rng: np.random.Generator
 ) -> SoftExpectation:
-    """Fit a ridge over cosines and inputs, and a network of rectifiers; return their mean."""
+    """Fit a ridge regression over cosines and inputs, and a network of rectifiers; average them.
+
+    inputs (n, d) are changed in place; faces (n, n_components); table: of `looks`.
+    """
     d, n_components = inputs.shape[1], faces.shape[1]
     # In the file's precision, so that the ridge is fitted to what will be computed.
     frequencies = (rng.standard_normal((d, _N_COSINES)) / _WIDTH).astype(np.float16)
@@ -244,20 +265,23 @@ def _fitted(
     scale = np.float32(_COSINE_SCALE * np.sqrt(2.0 / _N_COSINES))
     mean = faces.mean(axis=0)
     size = _N_COSINES + d + 1
-    squares, products = np.zeros((size, size)), np.zeros((size, n_components))
+    gram, products = np.zeros((size, size)), np.zeros((size, n_components))
+    # Normal equations, summed over blocks of rows to save memory.
     for first in range(0, len(inputs), 20_000):
-        part = inputs[first : first + 20_000]
-        cosines = scale * np.cos(part @ wide + shifts)
-        ones = np.ones((len(part), 1), np.float32)
-        design = np.concatenate([cosines, part, ones], axis=1)
-        squares += design.T @ design
+        block = inputs[first : first + 20_000]
+        cosines = scale * np.cos(block @ wide + shifts)
+        ones = np.ones((len(block), 1), np.float32)
+        design = np.concatenate([cosines, block, ones], axis=1)
+        gram += design.T @ design
         products += design.T @ (faces[first : first + 20_000] - mean)
     penalty = np.full(size, _RIDGE)
+    # The intercept is not penalised.
     penalty[-1] = 1e-6
-    ridge = np.linalg.solve(squares + np.diag(penalty), products)
+    ridge = np.linalg.solve(gram + np.diag(penalty), products)
     ridge[:_N_COSINES] *= scale
     ridge[-1] += mean
 
+    # The network is trained on scaled inputs; the scaling is then folded into its first layer.
     centre, spread = inputs.mean(axis=0), inputs.std(axis=0) + np.float32(_SMALLEST_SPREAD)
     inputs -= centre
     inputs /= spread
@@ -273,10 +297,13 @@ def _fitted(
     )
 
 
-def _deviating(
+def _with_deviation(
     soft: SoftExpectation, pairs: Sequence[tuple[Utterance, Array]], copies: HeardCopies
 ) -> SoftExpectation:
-    """Return the map, amplified so that components deviate nearly as much as recorded ones."""
+    """Return the map, amplified so that components deviate nearly as much as recorded ones.
+
+    Compared are frames with speech in every fourth sentence, in the sentences' own voice.
+    """
     expected, recorded = [], []
     for utterance, motion in pairs[::4]:
         spoken = np.flatnonzero(speech_frames(utterance))

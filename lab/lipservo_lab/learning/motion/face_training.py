@@ -1,7 +1,9 @@
-"""A corpus becomes a trained model: PCA, segments, k-means, the two tables, and what moves them.
+"""Train a face model from a corpus: principal components, recorded pieces of motion, expectation.
 
-Wei and Deng, sections "data preprocessing" and "AnimPho". The only module of this package that
-loads scikit-learn.
+Segments of motion, one a phoneme, are clustered by k-means into AnimPhos (recorded pieces of
+motion); two tables say which may follow which and which phoneme each belongs to (Wei and Deng,
+sections "data preprocessing" and "AnimPho"). The only module of this package that loads
+scikit-learn.
 """
 
 import math
@@ -39,12 +41,12 @@ from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF, PhonemeEvent, 
 
 Progress = Callable[[str], None]
 
-#: So many components unless asked otherwise. The paper keeps 5, which hold 96.6 % of its variance;
-#: here 5 hold 94.8 %, 7 hold 97.0 %. Of what phonemes say about a face the sixth to eighth hold
-#: more than the fifth (docs/decisions/motion.md).
+#: Number of components unless asked otherwise. The paper keeps 5, which hold 96.6 % of its
+#: variance; here 5 hold 94.8 %, 7 hold 97.0 %. Of the part of a face that phonemes determine, the
+#: sixth to eighth component hold more than the fifth (docs/decisions/motion.md).
 DEFAULT_COMPONENTS = 8
-#: Of each phoneme, for each of its segments. Chosen on inner splits: 0.2 gives an AnimPho the
-#: paper's 3.45 successors, and faces .007 of the ratio farther off.
+#: AnimPhos (clusters) of a phoneme, for each of its segments. Chosen on inner splits: 0.2 gives an
+#: AnimPho the paper's 3.45 successors, and faces whose error ratio is .007 higher.
 _ANIMPHOS_PER_SEGMENT = 0.26
 _KMEANS_ITERATIONS = 20
 
@@ -55,11 +57,11 @@ class TrainingError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Segments:
-    """The corpus cut at its phoneme boundaries.
+    """The corpus cut at its phoneme boundaries, one segment a phone.
 
-    samples: (n, 5, n_components); phonemes: n indices into PHONEMES; sentence: n sentence numbers;
-    weights: (n,), how often each counts. Segments follow one another in order of time within a
-    sentence.
+    samples: face coefficients (n, 5, n_components) of five evenly spaced frames; phonemes: (n,)
+    indices into PHONEMES; sentence: (n,) sentence numbers; weights: (n,), how often each counts.
+    Segments of a sentence are in order of time.
     """
 
     samples: Array
@@ -79,10 +81,11 @@ def train(
     """Learn a model from every labelled sentence; the same corpus and seed give the same model.
 
     corpus: of one speaker, or of several on one face (`several_speakers.on_one_face`).
-    n_components: principal components of the face, from 1 on. heard: recognised phonemes by
-    sentence (`hear_sentences`), from which the expectation learns the errors of a recogniser,
-    beside the labels. Raises TrainingError for a corpus without labelled motion, or with too little
-    of it for so many components.
+    n_components: principal components of the face, 1 or more. heard: recognised phonemes by
+    sentence name (`hear_sentences`); besides the labels, the expectation then learns from them, and
+    so learns a recogniser's errors. progress: called with a line about each step. Raises
+    TrainingError for a corpus without labelled motion, with markers that are not numbers, with a
+    face that never moves, or with too few frames or phones.
     """
     check_components(n_components, corpus.layout)
     labelled = corpus.labelled()
@@ -117,19 +120,22 @@ def train(
         from_hearing = counted_training_set(labelled.utterances, coefficients, heard or {})
         both = joined([from_labels, from_hearing])
         expectation = fit_expectation(both, centres, seed=seed, progress=progress)
-        each = counted_sentences(labelled.utterances)
+        # Sentences again, each as often as its weight says.
+        counted = counted_sentences(labelled.utterances)
         utterances_of, motion = (
-            [labelled.utterances[i] for i in each],
-            [coefficients[i] for i in each],
+            [labelled.utterances[i] for i in counted],
+            [coefficients[i] for i in counted],
         )
         expectation = with_deviation(expectation, utterances_of, motion)
+        # Where phonemes meet that never did in training, the expectation is mixed with their
+        # centres.
         expectation = replace(expectation, back_off=BackOff(centres, diphones(labelled.utterances)))
         progress("baselines")
         dominance = tune_dominance(utterances_of, motion, centres)
         regression = fit_regression(
             from_labels.phonemes, from_labels.times_s, from_labels.lookahead_s, from_labels.faces
         )
-    face = _face(corpus, pca, labelled.utterances, coefficients)
+    face = _make_face(corpus, pca, labelled.utterances, coefficients)
     return TrainedModel(
         **face_fields(face),
         animphos=animphos_of(segments, face.rest, seed),
@@ -148,7 +154,7 @@ def train(
 
 
 def check_components(n_components: int, layout: PointLayout) -> None:
-    """Raises TrainingError for a number that no face of this layout can have."""
+    """Raise TrainingError for a number of components that no face of this layout can have."""
     most = 3 * layout.n_points
     if not 1 <= n_components <= most:
         raise TrainingError(
@@ -169,18 +175,22 @@ def _check_length(corpus: Corpus, utterances: Sequence[Utterance], n_components:
             )
 
 
-def _face(
+def _make_face(
     corpus: Corpus,
     pca: PrincipalComponents,
     utterances: Sequence[Utterance],
     coefficients: list[Array],
 ) -> FaceModel:
-    """Make the face model: basis, rest pose, covariance in speech, and how the lips close."""
-    in_speech = [speech_frames(u) for u in utterances]
-    if sum(map(np.count_nonzero, in_speech)) < 2:
-        in_speech = [np.ones(len(m), dtype=bool) for m in coefficients]
-    spoken = np.concatenate([m[s] for m, s in zip(coefficients, in_speech, strict=True)])
-    weights = np.repeat([u.weight for u in utterances], [np.count_nonzero(s) for s in in_speech])
+    """Make the face model: basis, rest pose, covariance in speech, and how the lips close.
+
+    coefficients: (n_frames, n_components) of each sentence. Without two frames of speech the
+    covariance is that of all frames.
+    """
+    is_speech = [speech_frames(u) for u in utterances]
+    if sum(map(np.count_nonzero, is_speech)) < 2:
+        is_speech = [np.ones(len(m), dtype=bool) for m in coefficients]
+    spoken = np.concatenate([m[s] for m, s in zip(coefficients, is_speech, strict=True)])
+    weights = np.repeat([u.weight for u in utterances], [np.count_nonzero(s) for s in is_speech])
     covariance = np.cov(spoken, rowvar=False, aweights=weights)
     face = FaceModel(
         layout=corpus.layout,
@@ -199,20 +209,20 @@ def _face(
 
 
 def phone_centres(segments: Segments) -> tuple[Array, Array]:
-    """Return the mean middle sample of each phoneme, and how often they count.
+    """Return the mean face in the middle of each phoneme, and the summed weights of its segments.
 
-    A phoneme never heard takes the mean of its viseme class, and where that is empty of what stands
-    in for it.
+    A phoneme without segments has the mean of its viseme class; if that has none either, the mean
+    of the phonemes that stand in for it (`stand_in`).
 
     Parameters
     ----------
     segments : Segments
-        Of the corpus.
+        Of the whole corpus.
 
     Returns
     -------
     tuple[Array, Array]
-        (40, n_components) and (40,).
+        Face coefficients (40, n_components), and weights (40,), 0 without segments.
     """
     middles = segments.samples[:, SAMPLES_PER_ANIMPHO // 2]
     counts = np.bincount(segments.phonemes, segments.weights, len(PHONEMES)).astype(np.float64)
@@ -231,17 +241,20 @@ def phone_centres(segments: Segments) -> tuple[Array, Array]:
 
 
 def diphones(utterances: Iterable[Utterance]) -> NDArray[np.bool_]:
-    """Return which phoneme followed which, as `BackOff` has it; gaps count as silence.
+    """Return which phoneme followed which in the corpus, as `BackOff` needs it.
+
+    Gaps between phones count as silence.
 
     Parameters
     ----------
     utterances : Iterable[Utterance]
-        Labelled.
+        Sentences with phone labels.
 
     Returns
     -------
     NDArray[np.bool_]
-        (41, 41), True for those unknown.
+        (41, 41), True where the second phoneme followed the first; the row and column of UNKNOWN
+        are True.
     """
     followed = np.zeros((UNKNOWN + 1, UNKNOWN + 1), dtype=np.bool_)
     followed[UNKNOWN], followed[:, UNKNOWN] = True, True
@@ -252,17 +265,17 @@ def diphones(utterances: Iterable[Utterance]) -> NDArray[np.bool_]:
 
 
 def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> Segments:
-    """Return one segment a phoneme, resampled to five evenly spaced frames.
+    """Return one segment for each phone, resampled to five evenly spaced frames.
 
-    Neighbours share exactly one frame: the one at their boundary, interpolated, because a phone may
-    be shorter than a frame at 25 Hz.
+    Segments that follow each other share the frame at their boundary. Frames are interpolated,
+    because a phone may be shorter than a frame at 25 Hz.
 
     Parameters
     ----------
     utterances : Iterable[Utterance]
-        Labelled.
+        Sentences with phone labels.
     coefficients : list[Array]
-        (n_frames, n_components) of each.
+        Face coefficients (n_frames, n_components) of each.
 
     Returns
     -------
@@ -280,32 +293,38 @@ def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> 
 
 
 def _five_samples(phone: PhonemeEvent, motion: Array, frame_rate_hz: float) -> Array:
-    """Return five frames of a phone, evenly spaced from start to end, (5, n_components)."""
+    """Return five faces of a phone, evenly spaced from start to end, (5, n_components).
+
+    motion: face coefficients (n_frames, n_components) of its sentence. Raises TrainingError for a
+    phone without end.
+    """
     if phone.end_s is None:
         raise TrainingError(f"phone {phone.phoneme} at {phone.start_s:.2f} s has no end")
-    frame = np.linspace(phone.start_s, phone.end_s, SAMPLES_PER_ANIMPHO) * frame_rate_hz
+    at_frames = np.linspace(phone.start_s, phone.end_s, SAMPLES_PER_ANIMPHO) * frame_rate_hz
     numbers = np.arange(len(motion))
-    return np.stack([np.interp(frame, numbers, component) for component in motion.T], axis=1)
+    return np.stack([np.interp(at_frames, numbers, component) for component in motion.T], axis=1)
 
 
 def animphos_of(segments: Segments, rest: Array, seed: int) -> AnimPhoUnits:
-    """Return the AnimPhos: the centres of k-means over the segments of each phoneme.
+    """Return AnimPhos (recorded pieces of motion): centres of k-means over a phoneme's segments.
 
-    Wei and Deng cluster all segments together, so that half of their AnimPhos have several labels.
+    Each phoneme is clustered alone. Wei and Deng cluster all segments together, so that half of
+    their AnimPhos have several labels.
 
     Parameters
     ----------
     segments : Segments
-        (n, 5, n_components), of the corpus.
+        Of the whole corpus.
     rest : Array
         (n_components,), the closed mouth.
     seed : int
-        Of the clustering.
+        Seed of k-means.
 
     Returns
     -------
     AnimPhoUnits
-        With the tables T, which followed which in a sentence, and L, one phoneme each.
+        With the paper's tables: T, which AnimPhos followed which in a sentence, and L, the AnimPhos
+        of each phoneme.
     """
     cluster = np.empty(len(segments.samples), dtype=np.int64)
     centres: list[Array] = []
@@ -313,33 +332,34 @@ def animphos_of(segments: Segments, rest: Array, seed: int) -> AnimPhoUnits:
     for phoneme in np.unique(segments.phonemes).tolist():
         rows = np.flatnonzero(segments.phonemes == phoneme)
         vectors = segments.samples[rows].reshape(len(rows), -1)
-        found, which = _clustered(vectors, segments.weights[rows], seed)
-        cluster[rows] = len(phonemes) + which
-        centres.append(found)
-        phonemes += [phoneme] * len(found)
+        phoneme_centres, nearest = _clustered(vectors, segments.weights[rows], seed)
+        cluster[rows] = len(phonemes) + nearest
+        centres.append(phoneme_centres)
+        phonemes += [phoneme] * len(phoneme_centres)
     return _units(np.concatenate(centres), np.array(phonemes), cluster, segments, rest)
 
 
 def clustered_alike(segments: Segments, rest: Array, component: int, seed: int) -> AnimPhoUnits:
     """Return the AnimPhos of one component as Wei and Deng print them: clusters of all segments.
 
-    The paper does not say which of the labels in a cluster L holds: here the commonest.
+    A cluster may hold segments of several phonemes. The paper does not say which of them the table
+    L names; here it is the commonest.
 
     Parameters
     ----------
     segments : Segments
-        (n, 5, n_components), of the corpus.
+        Of the whole corpus.
     rest : Array
         (n_components,), the closed mouth.
     component : int
-        Which of the components.
+        Index of the component.
     seed : int
-        Of the clustering.
+        Seed of k-means.
 
     Returns
     -------
     AnimPhoUnits
-        Samples (m, 5, 1).
+        m AnimPhos with samples of this component alone, (m, 5, 1).
     """
     vectors = segments.samples[:, :, component]
     with threadpool_limits(limits=1):
@@ -350,7 +370,11 @@ def clustered_alike(segments: Segments, rest: Array, component: int, seed: int) 
 
 
 def _clustered(vectors: Array, weights: Array, seed: int) -> tuple[Array, NDArray[np.int64]]:
-    """Cluster vectors by k-means; return centres (m, d), and the cluster of each vector."""
+    """Cluster vectors by k-means; return centres (m, d), and the cluster of each vector, (n,).
+
+    vectors: (n, d); weights: (n,). m is 0.26 n, rounded up, or the number of different vectors if
+    that is smaller.
+    """
     m = min(len(np.unique(vectors, axis=0)), math.ceil(_ANIMPHOS_PER_SEGMENT * len(vectors)))
     kmeans = KMeans(m, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=seed)
     cluster = kmeans.fit_predict(vectors, None, weights)
@@ -364,9 +388,11 @@ def _units(
     segments: Segments,
     rest: Array,
 ) -> AnimPhoUnits:
-    """Make AnimPhos of clusters.
+    """Make AnimPhos of clusters of segments, with the tables T and L.
 
-    centres: (m, 5 n_components); phonemes: (m,), the label of each; cluster: of each segment.
+    centres: (m, 5 n_components); phonemes: (m,), the label of each centre; cluster: (n,), the
+    number of each segment's centre. Two AnimPhos may follow each other if two of their segments
+    did.
     """
     m = len(centres)
     same_sentence = segments.sentence[:-1] == segments.sentence[1:]

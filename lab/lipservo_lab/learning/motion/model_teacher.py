@@ -1,7 +1,7 @@
-"""Whole models of parts of one corpus, whose sentences are listened to once for all of them.
+"""Train models of several parts of one corpus; its sentences are recognised once for all of them.
 
-What is scored is left out of a part; the recogniser has never heard a sentence of the corpus, so
-what it makes of them serves every part alike.
+For evaluation, the sentences to be scored are left out of each part. The recogniser was trained on
+no sentence of the corpus, so its output serves every part alike.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -23,51 +23,59 @@ Track = Callable[[str, Sequence[Utterance]], Iterable[Utterance]]
 
 
 class ModelTeacher:
-    """Call it with a part of the corpus for the model that learned it."""
+    """Trains models: called with a part of the corpus, it returns the model of that part."""
 
     def __init__(
         self,
         corpus: Corpus,
         weights: str,
         track: Track,
-        tell: Callable[[str], None],
+        progress: Callable[[str], None],
         others: Sequence[NetworkWeights] = (),
     ) -> None:
-        """Recognise all sentences of a labelled corpus beforehand.
+        """Recognise all sentences of a labelled corpus.
 
-        weights: of the recogniser, a name or a file. track: wraps the sentences, for progress;
-        tell: called with what is being trained. others: further weights that recognise the
-        sentences, for the map from posteriors.
+        weights: of the recogniser, a name or a file. track: returns the sentences again, and shows
+        a bar with a line about the work as they are taken. progress: called with a line about what
+        is being trained. others: weights of further recognisers, whose posteriors of the sentences
+        serve the map from posteriors too.
         """
         self._corpus = corpus
         self._weights = find_weights(weights)
         self._digest = weights_digest(weights)
         self._others = others
         self._track = track
-        self._tell = tell
+        self._progress = progress
         self.heard = hear_sentences(
             self._weights, corpus.utterances, lambda items: track("listening", items)
         )
 
     @cached_property
     def copies(self) -> HeardCopies:
-        """Posteriors of every sentence in every voice: three minutes for 44 of speech."""
+        """Posteriors of every sentence as several voices (`hear_copies`).
+
+        Computed at first use, in three minutes for 44 of speech.
+        """
         return hear_copies(self._weights, self._corpus.utterances, self._track, self._others)
 
     def __call__(self, part: Corpus) -> TrainedModel:
-        """Raises TrainingError for what `train` cannot learn from."""
-        model = train(part, heard=self.heard, progress=self._tell)
-        self._tell("posteriors to faces")
+        """Return a model of a part of the corpus, with a map from posteriors to faces.
+
+        Raises TrainingError for a part that `train` cannot learn from.
+        """
+        model = train(part, heard=self.heard, progress=self._progress)
+        self._progress("posteriors to faces")
         return with_soft_expectation(model, part, self.copies, self._digest)
 
 
 def with_soft_expectation(
     model: TrainedModel, corpus: Corpus, copies: HeardCopies, digest: str
 ) -> TrainedModel:
-    """The model with a map from posteriors, learned from the sentences that taught the model.
+    """Return the model with a map from posteriors to faces, learned from the model's own sentences.
 
-    digest: of the weights that the copies were heard with. A corpus too small for a map leaves the
-    model without one. Raises TrainingError where the model learned other sentences.
+    copies: posteriors of all sentences. digest: of the weights that these were computed with, for
+    the provenance. With too few frames `soft` is None. Raises TrainingError if sentences that the
+    model learned are missing in the corpus.
     """
     utterances = taught_sentences(model, corpus)
     coefficients = [model.coefficients(u.markers_mm) for u in utterances]
@@ -78,7 +86,7 @@ def with_soft_expectation(
 def taught_sentences(model: TrainedModel, corpus: Corpus) -> tuple[Utterance, ...]:
     """Return the sentences of a corpus that a model has learned.
 
-    Raises TrainingError where some are missing.
+    Raises TrainingError if the corpus lacks some of them.
     """
     known = set(model.training_sentences)
     utterances = corpus.labelled().keep(known).utterances

@@ -1,22 +1,23 @@
-"""Corpora of several speakers become one corpus, as if one face had spoken everything.
+"""Join corpora of several speakers into one, as if one face had spoken everything.
 
-One speaker's motion on another speaker's face: a rotation, and a scale for each axis.
+A speaker's motion is mapped to the target speaker's face by a rotation, and a scale for each axis:
 
     y = rest' + A R (x - rest)
 
 x: a marker of the speaker, rest: where it is in the speaker's closed mouth, rest': where it is in
-the other's. Displacements from a rest face are carried over, turned and scaled, as in Noh and
+the target's. Displacements from a rest face are carried over, turned and scaled, as in Noh and
 Neumann, "Expression cloning" (SIGGRAPH 2001, section 3), but with one scale an axis for the whole
-mouth in place of one a vertex. R: Procrustes rotation of rest onto rest', with a scale of its own
-for each axis of the target (Bennani Dosse and Ten Berge, "Anisotropic orthogonal Procrustes
-analysis", Journal of Classification 27, 2010), so that a longer face is not taken for a nodding
-one. A: diagonal; a_i^2 is the ratio of how much phonemes differ on both faces along axis i:
+mouth in place of one a vertex. R: Procrustes rotation of rest onto rest', with a scale for each
+axis of the target (Bennani Dosse and Ten Berge, "Anisotropic orthogonal Procrustes analysis",
+Journal of Classification 27, 2010), so that a longer face is not taken for a nodding one. A:
+diagonal; a_i^2 is the ratio of how much phonemes differ on both faces along axis i:
 
     a_i^2 = sum_p w_p |d'_pi|^2 / sum_p w_p |d_pi|^2
 
-d_p: the mean face in the middle of phoneme p, turned, less the mean over phonemes; w_p: how often
-the rarer of both says p. Phonemes and not frames are compared, because two speakers read different
-texts; and differences between phonemes, not from rest, because a mouth may rest ajar.
+d_p: the mean face in the middle of phoneme p, turned, less the mean over phonemes; d'_p: the same
+of the target; w_p: how often the rarer of both says p. Phonemes and not frames are compared,
+because two speakers read different texts; and differences between phonemes, not from rest, because
+a mouth may rest ajar.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,10 +37,10 @@ from lipsync.phonemes import PHONEMES, SILENCE
 _FEWEST_TIMES = 2
 #: Fewer phonemes span no three axes.
 _FEWEST_PHONEMES = 4
-#: Beyond that it is no other face but another unit, or a face that does not speak.
+#: A larger scale means coordinates in another unit than mm, or a face that does not speak.
 _LARGEST_SCALE = 4.0
-#: Rotation and scales are fitted in turn: exact to rounding on a face turned by 30 degrees and
-#: stretched by a half.
+#: Rounds in which rotation and scales are fitted in turn: exact to rounding on a face turned by 30
+#: degrees and stretched by a half.
 _ROUNDS = 200
 
 
@@ -49,9 +50,10 @@ class FaceMapError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class PhonemeFaces:
-    """The closed mouth, and what each phoneme looks like in its middle, on average.
+    """A speaker's closed mouth, and the mean face in the middle of each phoneme.
 
-    rest_mm: (n_points, 3); means_mm: (40, n_points, 3), 0 for phonemes not spoken; counts: (40,).
+    rest_mm: (n_points, 3); means_mm: (40, n_points, 3), 0 for phonemes not spoken; counts: (40,),
+    phones of each phoneme.
     """
 
     rest_mm: Array
@@ -61,7 +63,11 @@ class PhonemeFaces:
 
 @dataclass(frozen=True, slots=True)
 class FaceMap:
-    """rest_mm, target_rest_mm: (n_points, 3); rotation: (3, 3); scale: (3,), x, y and z."""
+    """The map of a speaker's motion to the target's face, y = rest' + A R (x - rest).
+
+    rest_mm, target_rest_mm: rest and rest' (n_points, 3); rotation: R (3, 3); scale: the diagonal
+    of A, (3,), for x, y and z.
+    """
 
     rest_mm: Array
     target_rest_mm: Array
@@ -74,20 +80,20 @@ class FaceMap:
         return float(np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1.0) / 2.0, -1, 1))))
 
     def on_target(self, markers_mm: NDArray[np.floating]) -> Array:
-        """Return a speaker's markers as the target's face would move.
+        """Return a speaker's motion as markers on the target's face.
 
         Parameters
         ----------
         markers_mm : NDArray[np.floating]
-            (n_frames, n_points, 3).
+            (n_frames, n_points, 3) of the speaker.
 
         Returns
         -------
         Array
             (n_frames, n_points, 3) mm.
         """
-        moved = (markers_mm - self.rest_mm) @ self.rotation.T
-        return np.asarray(self.target_rest_mm + moved * self.scale)
+        turned_mm = (markers_mm - self.rest_mm) @ self.rotation.T
+        return np.asarray(self.target_rest_mm + turned_mm * self.scale)
 
 
 def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFaces:
@@ -96,9 +102,9 @@ def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFac
     Parameters
     ----------
     utterances : Sequence[Utterance]
-        Labelled.
+        Sentences of one speaker, with phone labels.
     rest_mm : Array
-        (n_points, 3).
+        (n_points, 3), the speaker's closed mouth; stored in the result.
 
     Returns
     -------
@@ -107,36 +113,37 @@ def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFac
     """
     counts, sums = np.zeros(len(PHONEMES)), np.zeros((len(PHONEMES), *rest_mm.shape))
     for utterance in utterances:
-        last = len(utterance.markers_mm) - 1
+        last_frame = len(utterance.markers_mm) - 1
         for phone in utterance.phones:
             if phone.phoneme == SILENCE or phone.end_s is None:
                 continue
-            at = min(last, (phone.start_s + phone.end_s) / 2.0 * utterance.frame_rate_hz)
-            before = min(last - 1, int(at))
+            middle = min(last_frame, (phone.start_s + phone.end_s) / 2.0 * utterance.frame_rate_hz)
+            before = min(last_frame - 1, int(middle))
             first, second = utterance.markers_mm[before : before + 2].astype(np.float64)
             index = PHONEMES.index(phone.phoneme)
             counts[index] += 1
-            sums[index] += first + (at - before) * (second - first)
+            sums[index] += first + (middle - before) * (second - first)
     return PhonemeFaces(rest_mm, sums / np.maximum(counts, 1.0)[:, None, None], counts)
 
 
 def fit_face_map(speaker: PhonemeFaces, target: PhonemeFaces) -> FaceMap:
-    """Fit the map from a speaker's motion to a target's face.
+    """Fit the map from a speaker's motion to a target's face (see the module).
 
-    Raises FaceMapError where they have too few phonemes in common, or move too differently.
+    Raises FaceMapError where fewer than four phonemes are said twice by both, or where one face
+    moves more than four times as much as the other along an axis.
     """
-    both = np.minimum(speaker.counts, target.counts)
-    known = np.flatnonzero(both >= _FEWEST_TIMES)
+    common_counts = np.minimum(speaker.counts, target.counts)
+    known = np.flatnonzero(common_counts >= _FEWEST_TIMES)
     if len(known) < _FEWEST_PHONEMES:
         raise FaceMapError(
             f"only {len(known)} phonemes are said {_FEWEST_TIMES} times by both speakers, "
             f"{_FEWEST_PHONEMES} are needed to compare their faces; record more sentences"
         )
     rotation = _rotation(speaker.rest_mm, target.rest_mm)
-    weights = both[known] / both[known].sum()
-    ours = _differences(speaker.means_mm[known] @ rotation.T, weights)
-    theirs = _differences(target.means_mm[known], weights)
-    scale = np.sqrt(theirs / np.maximum(ours, 1e-12))
+    weights = common_counts[known] / common_counts[known].sum()
+    speaker_mm2 = _differences(speaker.means_mm[known] @ rotation.T, weights)
+    target_mm2 = _differences(target.means_mm[known], weights)
+    scale = np.sqrt(target_mm2 / np.maximum(speaker_mm2, 1e-12))
     for axis, factor in zip("xyz", scale, strict=True):
         if not 1.0 / _LARGEST_SCALE <= factor <= _LARGEST_SCALE:
             raise FaceMapError(
@@ -148,15 +155,19 @@ def fit_face_map(speaker: PhonemeFaces, target: PhonemeFaces) -> FaceMap:
 
 
 def _differences(means_mm: Array, weights: Array) -> Array:
-    """Return how much phonemes, (n, n_points, 3), differ along each axis, (3,) mm^2."""
-    apart = means_mm - np.tensordot(weights, means_mm, axes=1)
-    return np.asarray(np.tensordot(weights, apart**2, axes=1).sum(axis=0))
+    """Return how much phonemes differ along each axis, (3,) mm^2, summed over the points.
+
+    means_mm: (n, n_points, 3) mean faces; weights: (n,), of sum 1.
+    """
+    deviations_mm = means_mm - np.tensordot(weights, means_mm, axes=1)
+    return np.asarray(np.tensordot(weights, deviations_mm**2, axes=1).sum(axis=0))
 
 
 def _rotation(source: Array, target: Array) -> Array:
-    """Return the rotation, (3, 3), of `target ~ b R source`, with a scale b for each axis.
+    """Return the rotation R, (3, 3), of `target ~ b R source`, with a scale b for each axis.
 
-    source, target: (n_points, 3) faces, which are centred here.
+    source, target: (n_points, 3) faces, which are centred here. Rotation and scales are fitted in
+    turn.
     """
     source, target = source - source.mean(axis=0), target - target.mean(axis=0)
     stretch = np.ones(3)
@@ -181,23 +192,23 @@ def on_one_face(
 ) -> tuple[Corpus, dict[str, FaceMap]]:
     """Join labelled sentences of several speakers, with all motion on one speaker's face.
 
-    Returns the corpus, and the map of each other speaker to that face, by name.
+    Return the corpus, and the map of each other speaker to that face, by name.
 
     corpora: of one layout, each of one speaker, named as the corpus. face_of: speaker whose face,
     head and frame rate are used; None: the first. weights: how often a frame of a speaker counts;
     default 1. A sentence is named SPEAKER/NAME; a single corpus keeps its names. Raises CorpusError
-    for a name that is given twice or missing, a weight out of range, and a speaker whose face
+    for a name that occurs twice or is unknown, a weight out of range, and a speaker whose face
     cannot be compared.
     """
-    of_speaker = {corpus.name: corpus for corpus in corpora}
+    corpus_of = {corpus.name: corpus for corpus in corpora}
     check_speakers([corpus.name for corpus in corpora], face_of, weights or {})
     for corpus in corpora:
         if not corpus.labelled().utterances:
             raise CorpusError(f"corpus {corpus.name}: no sentence has a tier `phones` in labels/")
-    target = corpora[0] if face_of is None else of_speaker[face_of]
+    target = corpora[0] if face_of is None else corpus_of[face_of]
     if len(corpora) == 1:
         return corpora[0].labelled(), {}
-    faces = {corpus.name: _phoneme_faces(corpus) for corpus in corpora}
+    faces = {corpus.name: _checked_phoneme_faces(corpus) for corpus in corpora}
     maps: dict[str, FaceMap] = {}
     utterances: list[Utterance] = []
     for corpus in corpora:
@@ -207,7 +218,7 @@ def on_one_face(
                 maps[corpus.name] = fit_face_map(faces[corpus.name], faces[target.name])
             except FaceMapError as error:
                 raise CorpusError(f"{corpus.name} beside {target.name}: {error}") from error
-            spoken = _moved(
+            spoken = _on_target_face(
                 spoken, maps[corpus.name], target.labelled().utterances[0].frame_rate_hz
             )
         weight = (weights or {}).get(corpus.name, 1.0)
@@ -215,7 +226,7 @@ def on_one_face(
             replace(u, name=f"{corpus.name}{SEPARATOR}{u.name}", weight=weight) for u in spoken
         ]
     skipped = tuple(line for corpus in corpora for line in corpus.skipped)
-    name = "+".join(of_speaker)
+    name = "+".join(corpus_of)
     return Corpus(name, target.layout, tuple(utterances), target.head_reference_mm, skipped), maps
 
 
@@ -230,9 +241,9 @@ def sentence_name(name: str) -> str:
 
 
 def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[str, float]) -> None:
-    """Raise CorpusError for a corpus name that is there twice or unknown, or a weight out of range.
+    """Raise CorpusError for corpora of the same name, unknown speakers or weights out of range.
 
-    names: of the corpora.
+    names: of the corpora. face_of: the speaker whose face is used, or None. weights: by speaker.
     """
     for name in names:
         if names.count(name) > 1:
@@ -251,17 +262,17 @@ def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[s
             )
 
 
-def _moved(
+def _on_target_face(
     spoken: Sequence[Utterance], face_map: FaceMap, frame_rate_hz: float
 ) -> tuple[Utterance, ...]:
-    """Map a speaker's sentences to the target's face, at the target's frame rate."""
+    """Return a speaker's sentences mapped to the target's face, at the target's frame rate."""
     on_target = [
         replace(u, markers_mm=face_map.on_target(u.markers_mm).astype(np.float32)) for u in spoken
     ]
     return tuple(at_frame_rate(utterance, frame_rate_hz) for utterance in on_target)
 
 
-def _phoneme_faces(corpus: Corpus) -> PhonemeFaces:
+def _checked_phoneme_faces(corpus: Corpus) -> PhonemeFaces:
     """Return a corpus's closed mouth and its mean face in the middle of each phoneme.
 
     Raises CorpusError for a sentence with markers that are not finite.

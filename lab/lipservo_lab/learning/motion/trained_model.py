@@ -1,6 +1,6 @@
-"""Everything that training learns of one speaker, and the file that keeps it.
+"""A trained model of one speaker's face with everything that moves it, and its file.
 
-Who plays a face loads only the parts that it plays; all of them are for evaluation.
+A program that plays a face loads only the parts that it needs; evaluation loads all of them.
 """
 
 from collections.abc import Mapping
@@ -39,8 +39,9 @@ from lipsync.face.model import FACE_PART, face_arrays, open_model, read_face, wr
 class TrainedModel(FaceWithAnimPhos):
     """A face and all that can move it, with the names of the sentences it was learned from.
 
-    soft: None where it was learned without a recogniser's posteriors. provenance: corpus, seed, and
-    how much was learned from, by name.
+    expectation: predicts the mean motion of decided phonemes. soft: the same from a recogniser's
+    phoneme posteriors; None if it was learned without. provenance: corpus, seed, and how much was
+    learned from, by name.
     """
 
     expectation: Expectation
@@ -51,7 +52,10 @@ class TrainedModel(FaceWithAnimPhos):
 
 
 def load_trained_model(path: Path | None = None) -> TrainedModel:
-    """Read all parts of a model file; None: the shipped one. Raises ModelError."""
+    """Read all parts of a model file; path None: the shipped file.
+
+    Raises ModelError for a file that cannot be read or lacks a part (`soft` may be missing).
+    """
     with open_model(path) as file:
         face = read_face(file)
         return TrainedModel(

@@ -1,8 +1,8 @@
-"""A corpus becomes an offline model.
+"""Train an offline model, for lines whose whole sound is known before the mouth moves.
 
-What a voice sounds like on the whole, and how far off lines of the same voice may be.
-
-Learning what to expect of a line from its phonemes and its sound.
+Three parts: a state model (`state_training`); networks that predict the mean motion of a line from
+its phonemes and its sound; and the voice's mean cepstrum with its spread, by which lines of other
+voices are recognised.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -36,15 +36,17 @@ from lipsync.offline.offline_model import (
     mean_cepstrum,
 )
 
-#: Of lines of the talker of grid_s1 that were not learned from 95 % are nearer than 1.5, and 2.5
-#: where words of theirs were never heard; of 72 lines of LibriSpeech none is nearer than 3.6.
+#: Greatest distance at which a line counts as spoken by the voice. Of lines of the talker of
+#: grid_s1 that were not learned from, 95 % are nearer than 1.5, and nearer than 2.5 where training
+#: had none of their words; of 72 lines of LibriSpeech none is nearer than 3.6.
 LIMIT = 3.0
-#: Keeps the inverse finite where there are few lines, as a share of the mean variance.
+#: Added to the diagonal of the covariance, as a share of the mean variance: keeps its inverse
+#: finite where there are few lines.
 _RIDGE = 1e-3
 
 
 def fit_voice_likeness(mean_cepstra: Sequence[Array]) -> VoiceLikeness:
-    """Fit a voice from the mean cepstrum of each line.
+    """Fit a voice from the mean cepstrum of each of its lines.
 
     Parameters
     ----------
@@ -54,7 +56,7 @@ def fit_voice_likeness(mean_cepstra: Sequence[Array]) -> VoiceLikeness:
     Returns
     -------
     VoiceLikeness
-        Mean (m,) and precision (m, m).
+        Mean (m,) and precision (m, m), of the identity as covariance if there is only one line.
     """
     lines = np.array(mean_cepstra)
     covariance = np.atleast_2d(np.cov(lines, rowvar=False)) if len(lines) > 1 else np.eye(12)
@@ -68,11 +70,11 @@ Progress = Callable[[str], None]
 #: Chosen on inner splits (docs/decisions/scripted-lines.md).
 _HIDDEN = (256, 64)
 _EPOCHS = 10
-#: A network each. Less decay serves known words, more serves new ones. Two learn at once, so four
-#: take as long as three.
+#: Weight decay of each network. Less decay serves known words, more serves new ones. Two are
+#: trained at once, so four take as long as three.
 _DECAYS = (0.004, 0.012, 0.03, 0.012)
 _AT_ONCE = 2
-#: How much a millimetre of lip gap counts beside one of a component.
+#: Weight of a millimetre of lip gap in the squared error, against a unit of a face coefficient.
 _GAP_WEIGHT = 3.0
 #: A feature that hardly varies in training must not run away when it does later.
 _SMALLEST_SPREAD = 0.05
@@ -87,30 +89,30 @@ def fit_sound_expectation(
     seed: int,
     progress: Progress = lambda _: None,
 ) -> SoundExpectation:
-    """Learn from labelled sentences, their motion, and cepstra, 100 a second.
+    """Train networks that predict the mean face from a line's phonemes and sound.
 
-    The networks learn to tell the gap beside the face, and what they learn for it serves the face;
-    it is not kept.
+    The networks also learn to predict the lip gap, as what they learn for the gap improves the
+    face; the gap's output is then removed.
 
     Parameters
     ----------
     utterances : Sequence[Utterance]
-        Labelled.
+        Sentences with phone labels.
     coefficients : Sequence[Array]
-        (n_frames, n_components) of each.
+        Face coefficients (n_frames, n_components) of each.
     lip_gaps_mm : Sequence[Array]
         (n_frames,) of each.
     cepstra : Sequence[Array]
-        (m, 13) of each.
+        Normalised cepstra (m, 13) of each, 100 a second.
     seed : int
-        Of weights and batches.
+        Draws initial weights and batches.
     progress : Progress
-        Called with the progress.
+        Called with a line about what is being trained.
 
     Returns
     -------
     SoundExpectation
-        The expectation.
+        Amplified by `with_sound_deviation`.
     """
     articulation = articulatory_features().astype(np.float32)
     inputs = np.concatenate(
@@ -127,14 +129,16 @@ def fit_sound_expectation(
     weighted = _GAP_WEIGHT * (gaps_mm - gaps_mm.mean())
     targets = (np.concatenate([faces, weighted[:, None]], axis=1) / unit).astype(np.float32)
 
-    def learn(number: int) -> Layers:
+    def train_network(number: int) -> Layers:
         rng = np.random.default_rng([seed, number])
         layers = initial_layers((inputs.shape[1], *_HIDDEN, targets.shape[1]), rng)
         return fit(layers, inputs, targets, Schedule(_EPOCHS, _DECAYS[number]), rng)
 
     progress(f"expectation of sound, {len(_DECAYS)} networks")
     with threadpool_limits(limits=1), ThreadPoolExecutor(_AT_ONCE) as threads:
-        networks = list(threads.map(learn, range(len(_DECAYS))))
+        networks = list(threads.map(train_network, range(len(_DECAYS))))
+    # The same layer of all networks in one array. Then: the gap's output goes; biases get shape (m,
+    # 1, n_out); outputs are scaled back.
     layers = [np.stack(each) for each in zip(*networks, strict=True)]
     layers[-2:] = [each[..., :-1] for each in layers[-2:]]
     layers[1::2] = [bias[:, None] for bias in layers[1::2]]
@@ -149,23 +153,25 @@ def with_sound_deviation(
     coefficients: Sequence[Array],
     cepstra: Sequence[Array],
 ) -> SoundExpectation:
-    """Return the expectation with components that deviate as the live one's (`with_deviation`).
+    """Return the expectation, amplified so that its motion deviates nearly as much as the recorded.
+
+    As `with_deviation` does it for the live expectation.
 
     Parameters
     ----------
     expectation : SoundExpectation
-        Learned.
+        Predicts faces from phonemes and sound, as learned.
     utterances : Sequence[Utterance]
-        Labelled.
+        Sentences with phone labels.
     coefficients : Sequence[Array]
-        (n_frames, n_components) of each.
+        Recorded face coefficients (n_frames, n_components) of each.
     cepstra : Sequence[Array]
-        (m, 13) of each.
+        Normalised cepstra (m, 13) of each, 100 a second.
 
     Returns
     -------
     SoundExpectation
-        Amplified where it deviates less.
+        With larger outputs where it deviates too little; unchanged if no sentence has speech.
     """
     expected, recorded = [], []
     for utterance, motion, sound in zip(utterances, coefficients, cepstra, strict=True):
@@ -179,7 +185,7 @@ def with_sound_deviation(
     gain, mean = gain_and_mean(expected, recorded)
     weights, bias = expectation.layers[-2:]
     last = (weights * gain, bias * gain + (1.0 - gain) * mean)
-    layers = (*expectation.layers[:-2], *(each.astype(np.float32) for each in last))
+    layers = (*expectation.layers[:-2], *(layer.astype(np.float32) for layer in last))
     return replace(expectation, layers=layers)
 
 
@@ -196,31 +202,31 @@ def train_offline(
 ) -> OfflineModel:
     """Learn an offline model for a face from every labelled sentence of a corpus.
 
-    The same input gives the same model.
+    The same input gives the same model. recipe: sizes and seed; None: the usual ones. progress:
+    called with a line about each step. listening: wraps the sentences while their sound is read,
+    for progress.
 
     The corpus may have more points than the face (dense scans): states are found in all of them,
-    and what they say of the face's own points is kept, so that lines are projected on the face's
-    components whatever the states were made of.
+    and only their means at the face's points are kept.
 
-    listening: wraps the sentences while their sound is read, for progress. Raises BuildingError for
-    a corpus without labels, too small for the number of states, or without a point of the face's;
-    SoundError for a sound that cannot be read.
+    Raises BuildingError for a corpus without labels, with too few frames for the number of states,
+    or without one of the face's points; SoundError for a sound that cannot be read.
     """
     recipe = recipe or Recipe()
     utterances = corpus.labelled().utterances
     if not utterances:
         raise BuildingError(f"corpus {corpus.name}: no sentence has a tier `phones` in labels/")
     rows = _rows_of_face(corpus, face)
-    sounds, voices = [], []
+    sounds, mean_cepstra = [], []
     for utterance in listening(utterances):
         samples = read_speech(utterance.sound_path)
         sounds.append(cepstra(samples))
-        voices.append(mean_cepstrum(samples))
-    at_frames = [
+        mean_cepstra.append(mean_cepstrum(samples))
+    frame_cepstra = [
         at_times(sound, np.arange(len(u.markers_mm)) / u.frame_rate_hz)
         for u, sound in zip(utterances, sounds, strict=True)
     ]
-    states = build_states(utterances, at_frames, recipe, progress)
+    states = build_states(utterances, frame_cepstra, recipe, progress)
     on_face = [u.markers_mm[:, rows] for u in utterances]
     sound = fit_sound_expectation(
         utterances,
@@ -234,7 +240,7 @@ def train_offline(
         face_checksum=face.checksum,
         states=_at_points(states, rows),
         sound=sound,
-        voice=fit_voice_likeness(voices),
+        voice=fit_voice_likeness(mean_cepstra),
         training_sentences=tuple(u.name for u in utterances),
         provenance={
             "corpus": corpus.name,
@@ -250,24 +256,25 @@ def train_offline(
 
 
 def _rows_of_face(corpus: Corpus, face: FaceModel) -> Indices:
-    """Return which points of the corpus are the face's, (n_points,), by their landmarks.
+    """Return the rows of the corpus's points that are the face's points, in its order, (n_points,).
 
-    Raises BuildingError where one is missing.
+    Points are compared by landmark. Raises BuildingError if the corpus lacks one.
     """
     row_of = {landmark: row for row, landmark in enumerate(corpus.layout.landmarks)}
-    missing = [n for n in face.layout.landmarks if n not in row_of]
+    missing = [number for number in face.layout.landmarks if number not in row_of]
     if missing:
         raise BuildingError(
             f"corpus {corpus.name}: lacks {len(missing)} of the {face.layout.n_points} points of "
             f"the face model, landmark {missing[0]} for one; give the model of this corpus"
         )
-    return np.array([row_of[n] for n in face.layout.landmarks])
+    return np.array([row_of[number] for number in face.layout.landmarks])
 
 
 def _at_points(states: StateModel, rows: Indices) -> StateModel:
-    """The states at some of the points; the components' rows are then not orthonormal.
+    """Return the states with only the points in `rows`.
 
-    Nothing is made of them but points: mean + motion times basis.
+    The rows of their basis are then not orthonormal; it only serves for points = mean + motion
+    times basis.
     """
     columns = (3 * rows[:, None] + np.arange(3)).ravel()
     return replace(states, mean_mm=states.mean_mm[columns], basis=states.basis[:, columns])

@@ -1,28 +1,24 @@
-"""A corpus becomes a state model.
+"""Build a state model of a corpus: states of the mouth, what each looks like, which may follow it.
 
-The speech manifold: frames laid out by how far they are from each other.
+After Edge, Hilton and Jackson, in these steps.
 
-Edge, Hilton and Jackson, steps 3: PCA of the matrix of Euclidean distances between all frames. Each
-row of the matrix is one frame, described by its distances to all others; its principal components
-are the coordinates. (Classical scaling squares and centres the distances first; of Euclidean ones
-that gives back the frames themselves, rotated, and nothing would be gained.)
+The parameters of motion ("Data", steps 1 and 2): principal components, their speed, and one scale
+for each of both. The paper finds the components by EM (Roweis, "EM Algorithms for PCA and SPCA",
+NIPS 1997), which approaches the space of the leading eigenvectors of the covariance without ever
+forming it: necessary for 60,000 coordinates a frame, and used here for dense scans. Markers have
+141: their covariance is formed and its eigenvectors are exact, and the same at every run.
 
-The matrix of 70,000 frames has 4.9e9 entries. Its columns are samples of one smooth function of a
-frame, so that some hundreds of them, taken at landmarks that lie evenly in the recordings, hold
-what all do (de Silva and Tenenbaum, "Sparse multidimensional scaling using landmark points", 2004;
-Nystrom's method for the symmetric case). With every frame a landmark it is the exact form.
+The speech manifold (step 3): frames described by how far they are from each other. PCA of the
+matrix of Euclidean distances between all frames; each row of the matrix is one frame, its principal
+components are the coordinates. (Classical scaling squares and centres the distances first; with
+Euclidean distances that returns the frames themselves, rotated, and nothing would be gained.) The
+matrix of 70,000 frames has 4.9e9 entries. Its columns are samples of one smooth function of a
+frame, so that some hundreds of them, for landmark frames evenly spread over the recordings, suffice
+(de Silva and Tenenbaum, "Sparse multidimensional scaling using landmark points", 2004; Nystrom's
+method for the symmetric case). With every frame a landmark it is the exact form.
 
-The parameters of motion: principal components, their speed, and one scale for each.
-
-Edge, Hilton and Jackson, "Data" and steps 1 and 2 of the digest's numbering. They find the
-components by EM (Roweis, "EM Algorithms for PCA and SPCA", NIPS 1997), which walks towards the
-space of the leading eigenvectors of the covariance without ever forming it: the way to go for
-60,000 coordinates a frame, and taken here for dense scans. Markers have 141: their covariance is
-formed and its eigenvectors are exact, and the same at every run.
-
-States of the mouth: clusters of the manifold, which follows which, and what each looks like.
-
-Edge, Hilton and Jackson, steps 4 and 5 and the Gaussians of step 6.
+The states (steps 4, 5 and the Gaussians of step 6): clusters of the manifold, which follows which,
+and the mean and covariance of each.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -42,7 +38,7 @@ from lipsync.offline.line_synthesis import frames_between, joined_phones, unit_s
 from lipsync.offline.offline_model import StateModel, Units
 from lipsync.phonemes import PHONEMES
 
-#: Coordinates that hold this share of the variance are kept, as in the paper.
+#: The coordinates that are kept hold this share of the variance, as in the paper.
 KEPT_SHARE = 0.99
 #: Of 2,999 frames of grid_s1 the distances by 800 landmarks are those of the exact form within
 #: 0.7 % (root mean square), by 200 within 1.5 %; both keep 8 dimensions.
@@ -50,7 +46,7 @@ N_LANDMARKS = 800
 
 
 def landmark_frames(n_frames: int, n_landmarks: int) -> Indices:
-    """Numbers of the landmarks, evenly over the recordings: (min(n_frames, n_landmarks),)."""
+    """Return evenly spread frame numbers as landmarks, (min(n_frames, n_landmarks),)."""
     if n_frames <= n_landmarks:
         return np.arange(n_frames)
     return np.linspace(0, n_frames - 1, n_landmarks).round().astype(np.int64)
@@ -59,55 +55,56 @@ def landmark_frames(n_frames: int, n_landmarks: int) -> Indices:
 def speech_manifold(
     parameters: Array, n_landmarks: int | None = N_LANDMARKS, kept_share: float = KEPT_SHARE
 ) -> Array:
-    """Return coordinates of frames by PCA of their distances.
+    """Return coordinates of frames by PCA of their distances to landmark frames.
 
-    D_ij = || z_i - z_j || with j over the landmarks, equation (M1); coordinates: the leading
+    D_ij = || z_i - z_j || with j over the landmarks, equation (M1). The coordinates are the leading
     principal components of the rows of D that hold `kept_share` of their variance, equation (M2),
-    divided by the root of the number of landmarks, so that they are as large whatever that is.
+    divided by the root of the number of landmarks, so that their size does not depend on it.
 
     Parameters
     ----------
     parameters : Array
-        (n, m).
+        z, (n, m), parameters of motion of n frames.
     n_landmarks : int | None
-        None takes every frame, the exact form.
+        Number of landmark frames; None takes every frame, the exact form.
     kept_share : float
         0 to 1.
 
     Returns
     -------
     Array
-        (n, d).
+        (n, d), as many coordinates d as hold the share.
     """
-    numbers = landmark_frames(len(parameters), n_landmarks or len(parameters))
-    distances = cdist(parameters, parameters[numbers]).astype(np.float32)
+    landmarks = landmark_frames(len(parameters), n_landmarks or len(parameters))
+    distances = cdist(parameters, parameters[landmarks]).astype(np.float32)
     distances -= distances.mean(axis=0)
     covariance = (distances.T @ distances).astype(np.float64) / len(parameters)
-    values, vectors = np.linalg.eigh(covariance)
-    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    held = np.cumsum(values) / max(float(values.sum()), np.finfo(float).tiny)
-    n_kept = int(np.searchsorted(held, kept_share)) + 1
+    variances, vectors = np.linalg.eigh(covariance)
+    variances, vectors = np.maximum(variances[::-1], 0.0), vectors[:, ::-1]
+    held_shares = np.cumsum(variances) / max(float(variances.sum()), np.finfo(float).tiny)
+    n_kept = int(np.searchsorted(held_shares, kept_share)) + 1
     # A direction has no sign of its own: the largest entry is made positive.
     vectors = vectors[:, :n_kept]
     vectors = vectors * np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(n_kept)])
-    return np.asarray(distances @ vectors / np.sqrt(len(numbers)), dtype=np.float64)
+    return np.asarray(distances @ vectors / np.sqrt(len(landmarks)), dtype=np.float64)
 
 
 #: Up to so many coordinates a frame the covariance is formed: 18 MB, and its eigenvectors 5 s.
 MOST_FOR_COVARIANCE = 1_500
-#: EM carries this many components more than asked for: it comes nearer by the ratio of the variance
-#: of the first that it leaves out to that of the last that is kept, every round.
+#: EM carries this many components more than asked for: each round it comes nearer by the ratio of
+#: two variances, of the first component that it leaves out and of the last that is kept.
 _SPARE = 20
-#: It ends when the variance held grows by less than this share; the space is then off by the root.
+#: EM ends when the variance held grows by less than this share; the space is then off by about its
+#: square root.
 _TOLERANCE = 1e-11
 _MOST_ROUNDS = 300
 
 
 @dataclass(frozen=True, slots=True)
 class Components:
-    """mean_mm (n_coordinates,), basis (n_components, n_coordinates), rows orthonormal.
+    """Principal components: mean_mm (n_coordinates,), basis (n_components, n_coordinates).
 
-    share: of the variance of all frames that the components hold.
+    The rows of the basis are orthonormal. share: of the variance of all frames that they hold.
     """
 
     mean_mm: Array
@@ -115,7 +112,7 @@ class Components:
     share: float
 
     def of(self, frames_mm: NDArray[np.floating]) -> Array:
-        """Return x = B (f - mean), equation (P1).
+        """Return the components of frames, x = B (f - mean), equation (P1).
 
         Parameters
         ----------
@@ -140,7 +137,7 @@ def find_components(sentences_mm: Sequence[NDArray[np.floating]], n_components: 
     sentences_mm : Sequence[NDArray[np.floating]]
         (n_frames, n_coordinates) each.
     n_components : int
-        How many.
+        Number of components.
 
     Returns
     -------
@@ -158,15 +155,16 @@ def components_by_em(sentences_mm: Sequence[NDArray[np.floating]], n_components:
     """Return the leading principal components by EM, one sentence in memory as float64 at a time.
 
     Roweis, section 3.1: X = (C' C)^-1 C' Y, then C = Y X' (X X')^-1. With the columns of C kept
-    orthonormal, both together lead to the space of Y Y' C, which is all that matters of C. It
-    starts from frames that lie evenly in the recordings, so the same frames give the same result.
+    orthonormal, both steps together lead to the space spanned by Y Y' C; only this space matters.
+    The first C is made of frames evenly spread over the recordings, so the same frames give the
+    same result.
 
     Parameters
     ----------
     sentences_mm : Sequence[NDArray[np.floating]]
         (n_frames, n_coordinates) each.
     n_components : int
-        How many.
+        Number of components.
 
     Returns
     -------
@@ -174,40 +172,42 @@ def components_by_em(sentences_mm: Sequence[NDArray[np.floating]], n_components:
         Basis of shape (n_components, n_coordinates).
     """
     n_frames = sum(map(len, sentences_mm))
-    sums = sum(each.sum(axis=0, dtype=np.float64) for each in sentences_mm)
+    sums = sum(points_mm.sum(axis=0, dtype=np.float64) for points_mm in sentences_mm)
     mean_mm = np.asarray(sums / n_frames, dtype=np.float64)
 
-    def centred() -> Iterator[Array]:
-        for each in sentences_mm:
-            yield each.astype(np.float64) - mean_mm
+    def centred_sentences() -> Iterator[Array]:
+        for points_mm in sentences_mm:
+            yield points_mm.astype(np.float64) - mean_mm
 
     n_carried = min(n_components + _SPARE, n_frames, len(mean_mm))
     chosen = np.linspace(0, n_frames - 1, n_carried).round().astype(np.int64)
     starts = np.cumsum([0, *map(len, sentences_mm)])
     at_sentence = np.searchsorted(starts, chosen, side="right") - 1
-    first = [sentences_mm[i][n - starts[i]] for i, n in zip(at_sentence, chosen, strict=True)]
-    scattered = (np.array(first, dtype=np.float64) - mean_mm).T
+    first_mm = [sentences_mm[i][n - starts[i]] for i, n in zip(at_sentence, chosen, strict=True)]
+    scattered = (np.array(first_mm, dtype=np.float64) - mean_mm).T
     held = 0.0
     for _ in range(_MOST_ROUNDS):
         space = np.linalg.qr(scattered)[0]
         scattered = np.zeros_like(space)
-        for y in centred():
-            scattered += y.T @ (y @ space)
+        # Y Y' C, sentence by sentence.
+        for centred_mm in centred_sentences():
+            scattered += centred_mm.T @ (centred_mm @ space)
+        # Eigenvalues within the space: sums of squares along its principal directions.
         within = space.T @ scattered
-        values, turn = np.linalg.eigh((within + within.T) / 2)
+        values, rotation = np.linalg.eigh((within + within.T) / 2)
         before, held = held, float(values[::-1][:n_components].sum())
         if held - before <= _TOLERANCE * held:
             break
-    basis = (space @ turn[:, ::-1])[:, :n_components].T
+    basis = (space @ rotation[:, ::-1])[:, :n_components].T
     # A direction has no sign of its own: the largest entry is made positive.
     signs = np.sign(basis[np.arange(len(basis)), np.abs(basis).argmax(axis=1)])
-    everything = sum(float((y**2).sum()) for y in centred())
-    share = held / max(everything, np.finfo(float).tiny)
+    total_variance = sum(float((centred_mm**2).sum()) for centred_mm in centred_sentences())
+    share = held / max(total_variance, np.finfo(float).tiny)
     return Components(mean_mm, basis * signs[:, None], share)
 
 
 def velocities(positions: Array) -> Array:
-    """Return x'_i = x_{i+1} - x_i, equation (P2); the last frame keeps the last step.
+    """Return speeds x'_i = x_{i+1} - x_i, equation (P2); the last frame repeats the last speed.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def velocities(positions: Array) -> Array:
     Returns
     -------
     Array
-        (n, p).
+        (n, p), per frame; 0 for a single frame.
     """
     steps = np.diff(positions, axis=0)
     last = steps[-1:] if len(steps) else np.zeros_like(positions[:1])
@@ -225,15 +225,15 @@ def velocities(positions: Array) -> Array:
 
 
 def joint_parameters(sentences: Sequence[Array]) -> Array:
-    """Return z_i = (x_i / s, x'_i / s') over all sentences, equation (P3).
+    """Return z_i = (x_i / s, x'_i / s') of the frames of all sentences, equation (P3).
 
-    s and s' make the variance of each block 1 in all: one scale a block. A scale for every
-    component would blow the jitter of the last ones up to the size of the jaw.
+    The scales s and s' make the variance of all positions together 1, and of all speeds. One scale
+    for each component would enlarge the noise of the last ones to the size of the jaw's motion.
 
     Parameters
     ----------
     sentences : Sequence[Array]
-        (n_frames, p) each.
+        Components (n_frames, p) of each.
 
     Returns
     -------
@@ -257,32 +257,32 @@ def bisected_states(coordinates: Array, n_states: int, seed: int) -> Indices:
     Parameters
     ----------
     coordinates : Array
-        (n, d).
+        (n, d) of the manifold.
     n_states : int
-        How many.
+        Number of states.
     seed : int
-        Of the splits.
+        Seed of the splits.
 
     Returns
     -------
     Indices
-        (n,).
+        (n,), 0 to n_states - 1.
     """
     kmeans = BisectingKMeans(n_states, random_state=seed, n_init=1)
     return np.asarray(kmeans.fit_predict(coordinates), dtype=np.int64)
 
 
 def transitions(sentences: Sequence[Indices], n_states: int) -> NDArray[np.bool_]:
-    """Return T, equation (S2): whether a frame in i is anywhere followed by one in j.
+    """Return T, equation (S2): T_ij is whether a frame in state i is ever followed by one in j.
 
-    Binary on purpose: what was seen once is as possible as what is common.
+    Binary on purpose: a transition that occurred once is as possible as a common one.
 
     Parameters
     ----------
     sentences : Sequence[Indices]
-        The states of each sentence in order of time, (n_frames,).
+        The states (n_frames,) of each sentence, in order of time.
     n_states : int
-        How many.
+        Number of states.
 
     Returns
     -------
@@ -298,39 +298,40 @@ def transitions(sentences: Sequence[Indices], n_states: int) -> NDArray[np.bool_
 def state_gaussians(
     positions: Array, speeds: Array, states: Indices, n_states: int, shrinkage: float
 ) -> tuple[Array, Array]:
-    """Return means and covariances of y = (x, x'), equation (S3).
+    """Return mean and covariance of y = (x, x') in each state, equation (S3).
 
-    A state of a few frames cannot tell a covariance of 2 p numbers: it is drawn to the mean one of
-    all states as if `shrinkage` frames of that had been seen as well.
+    A few frames do not determine a covariance of 2 p numbers. So each is mixed with the mean
+    covariance within all states, as if the state had `shrinkage` more frames with that covariance.
 
     Parameters
     ----------
-    positions,speeds : Array
+    positions, speeds : Array
         (n, p).
     states : Indices
-        (n,).
+        (n,), of each frame.
     n_states : int
-        How many.
+        Number of states.
     shrinkage : float
-        Frames.
+        Number of frames.
 
     Returns
     -------
     tuple[Array, Array]
         (n_states, 2 p) and (n_states, 2 p, 2 p).
     """
-    both = np.concatenate([positions, speeds], axis=1)
+    y = np.concatenate([positions, speeds], axis=1)
     counts = np.bincount(states, minlength=n_states).astype(np.float64)
-    means = np.zeros((n_states, both.shape[1]))
-    np.add.at(means, states, both)
+    means = np.zeros((n_states, y.shape[1]))
+    np.add.at(means, states, y)
     means /= np.maximum(counts, 1.0)[:, None]
-    rest = both - means[states]
-    within = rest.T @ rest / len(both)
+    residuals = y - means[states]
+    within = residuals.T @ residuals / len(y)
+    # Small multiple of the identity: keeps every covariance invertible.
     floor = 1e-6 * max(float(np.trace(within)) / len(within), 1e-12) * np.eye(len(within))
-    scatter = np.zeros((n_states, both.shape[1], both.shape[1]))
+    scatter = np.zeros((n_states, y.shape[1], y.shape[1]))
     for state in range(n_states):
-        mine = rest[states == state]
-        scatter[state] = mine.T @ mine
+        of_state = residuals[states == state]
+        scatter[state] = of_state.T @ of_state
     weights = (counts + shrinkage)[:, None, None]
     return means, (scatter + shrinkage * (within + floor)) / weights + floor
 
@@ -359,23 +360,23 @@ def build_states(
     recipe: Recipe | None = None,
     progress: Progress = lambda _: None,
 ) -> StateModel:
-    """Build a state model of labelled sentences, and of the cepstra at each of their frames.
+    """Build a state model of labelled sentences.
 
     Parameters
     ----------
     utterances : Sequence[Utterance]
-        Labelled.
+        Sentences with phone labels.
     cepstra : Sequence[Array]
-        (n_frames, m) of each.
+        Cepstra (n_frames, m) at the frames of each sentence.
     recipe : Recipe | None
-        Sizes; None: the usual ones.
+        Sizes and seed; None: the usual ones.
     progress : Progress
-        Called with the progress.
+        Called with a line about each step.
 
     Returns
     -------
     StateModel
-        The model.
+        The model, with all of the utterances' points.
 
     Raises
     ------
@@ -422,7 +423,7 @@ def build_states(
 def _units(utterances: Sequence[Utterance], borders: Array) -> Units:
     """Return the phones of all sentences as spans of frames of the joined corpus.
 
-    borders: first frame of each sentence in it, and the number of all frames.
+    borders: first frame of each sentence in the joined corpus, and the number of all its frames.
     """
     phonemes, first, end = [], [], []
     for utterance, start in zip(utterances, borders, strict=False):

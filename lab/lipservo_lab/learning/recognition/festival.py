@@ -1,8 +1,8 @@
-"""festival: English by diphone voices, as a `Synthesizer` that tells where each of its phones ends.
+"""The synthesiser festival: English by diphone voices, with the time of each phone's end.
 
 The command runs a Scheme program: the text becomes an utterance, of which wave and segments are
-saved. It takes half a second to start, so that it speaks for training and scoring. Each voice
-sings, too (festival's singing mode): each word begins a note further up or down a scale, and its
+saved. A run takes half a second to start, so festival serves training and scoring only. Each voice
+also sings (festival's singing mode): each word begins a note further up or down a scale, and its
 syllables go on from there.
 """
 
@@ -31,10 +31,10 @@ _LANGUAGE = "en-us"
 _TIMEOUT_S = 60.0
 _DIPHONES = "_diphone"
 _SUNG = "-sung"
-#: C3 to A3 and back, Hz, and how long syllables last in turn at the default rate, s.
+#: C3 to A3 and back, Hz; durations of syllables in turn at the default rate, s.
 _NOTES_HZ = (131, 147, 165, 175, 196, 220, 196, 175, 165, 147)
 _NOTES_S = (0.4, 0.3, 0.3, 0.6, 0.4, 0.8)
-#: No word has more syllables; notes that a word has no syllable for are not sung.
+#: No word has more syllables; further notes of a word are not sung.
 _MOST_SYLLABLES = 8
 
 
@@ -44,6 +44,7 @@ class Festival:
     longest_text = 2000
 
     def __init__(self) -> None:
+        """Find the command. Raises SynthesisError if festival is not installed."""
         found = shutil.which("festival")
         if found is None:
             raise SynthesisError(
@@ -53,22 +54,23 @@ class Festival:
         self._voices: tuple[str, ...] | None = None
 
     def languages(self) -> tuple[str, ...]:
-        """American English alone."""
+        """Return the languages that festival speaks here: American English alone."""
         return (_LANGUAGE,)
 
     def voices(self) -> tuple[str, ...]:
-        """The diphone voices that are installed, as `kal` and `ked`, and `ked-sung`."""
+        """Return the installed diphone voices, such as `kal` and `ked`, and each as `ked-sung`."""
         if self._voices is None:
-            listed = self._run("(print (voice.list))").strip("() \n").split()
-            diphone = (voice for voice in listed if voice.endswith(_DIPHONES))
+            names = self._run("(print (voice.list))").strip("() \n").split()
+            diphone = (voice for voice in names if voice.endswith(_DIPHONES))
             spoken = sorted(voice.removesuffix(_DIPHONES) for voice in diphone)
-            self._voices = tuple(name + how for how in ("", _SUNG) for name in spoken)
+            self._voices = tuple(name + suffix for suffix in ("", _SUNG) for name in spoken)
         return self._voices
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """Return a text's speech with phoneme times, by a run of festival; no times of words.
+        """Return a text's speech with phoneme times, by a run of festival; without times of words.
 
-        Raises SynthesisError.
+        Raises SynthesisError for a voice that is missing or if festival fails, and
+        UnspeakableTextError for a text without a word that it can speak.
         """
         written = checked_text(text, self.longest_text)
         if voice.name not in self.voices():
@@ -77,30 +79,30 @@ class Festival:
                 "(`apt install festvox-kdlpc16k` brings ked)"
             )
         stretch = DEFAULT_VOICE.rate_wpm / voice.rate_wpm
-        diphones = f"(voice_{voice.name.removesuffix(_SUNG)}{_DIPHONES})"
+        voice_call = f"(voice_{voice.name.removesuffix(_SUNG)}{_DIPHONES})"
         with tempfile.TemporaryDirectory(prefix="lipservo-festival-") as folder:
             sound, ends = Path(folder) / "sound.wav", Path(folder) / "segments"
             if voice.name.endswith(_SUNG):
                 song = Path(folder) / "song.xml"
-                song.write_text(_song(written, stretch), "utf-8")
-                spoken = f"(require 'singing-mode)(tts_file \"{song}\" 'singing)"
+                song.write_text(_singing_xml(written, stretch), "utf-8")
+                speak_call = f"(require 'singing-mode)(tts_file \"{song}\" 'singing)"
             else:
                 quoted = written.replace("\\", " ").replace('"', " ")
                 duration = f"(Parameter.set 'Duration_Stretch {stretch:.4f})"
-                spoken = f'{duration}(save (SynthText "{quoted}"))'
+                speak_call = f'{duration}(save (SynthText "{quoted}"))'
             self._run(
                 f'(define (save utt) (utt.save.wave utt "{sound}")'
                 f'(utt.save.segs utt "{ends}") utt)'
-                f"(set! tts_hooks (list utt.synth save)){diphones}{spoken}"
+                f"(set! tts_hooks (list utt.synth save)){voice_call}{speak_call}"
             )
             try:
                 samples, sample_rate_hz = soundfile.read(sound, dtype="float32")
-                printed = ends.read_text("utf-8")
+                segment_lines = ends.read_text("utf-8")
             except (soundfile.LibsndfileError, OSError, RuntimeError):
                 raise UnspeakableTextError(
                     f"festival said nothing of {written[:40]!r}; write English words"
                 ) from None
-        timed = segments(_as_flite_prints(printed), len(samples) / sample_rate_hz)
+        timed = segments(_as_flite_prints(segment_lines), len(samples) / sample_rate_hz)
         return SynthesizedSpeech(
             np.clip(samples, -1.0, 1.0), sample_rate_hz, phoneme_events(timed), ()
         )
@@ -111,7 +113,7 @@ class Festival:
         Raises SynthesisError where festival cannot be run or takes longer than `_TIMEOUT_S`.
         """
         try:
-            done = subprocess.run(
+            finished = subprocess.run(
                 [self._command, "--pipe"],
                 input=program.encode(),
                 capture_output=True,
@@ -121,11 +123,14 @@ class Festival:
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise SynthesisError(f"festival failed: {error}"[:200]) from None
-        return done.stdout.decode("utf-8", "replace")
+        return finished.stdout.decode("utf-8", "replace")
 
 
-def _song(text: str, stretch: float) -> str:
-    """Return a text as XML of festival's singing mode, with more notes a word than syllables."""
+def _singing_xml(text: str, stretch: float) -> str:
+    """Return a text as XML for festival's singing mode, with eight notes for each word.
+
+    stretch: factor on the durations of notes.
+    """
     words = []
     # A full stop would begin another song.
     for number, word in enumerate(re.findall(r"\w[\w']*", text)):
@@ -143,7 +148,11 @@ def _song(text: str, stretch: float) -> str:
 
 
 def _as_flite_prints(segment_file: str) -> str:
-    """`0.2200 100 pau`, a line a segment after one with #, as `pau:0.2200 ...`."""
+    """Return the segments of a festival file in flite's form, `pau:0.2200 ...`.
+
+    After a line with # the file has a line for each segment, `0.2200 100 pau`: its end in s, a
+    colour, its name.
+    """
     lines = segment_file.partition("#")[2].split("\n")
     fields = [line.split() for line in lines if line.strip()]
     return " ".join(f"{name}:{end}" for end, _, name in fields)

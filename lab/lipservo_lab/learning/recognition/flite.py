@@ -26,13 +26,13 @@ from lipsync.text_to_speech.synthesis import (
     phoneme_events,
 )
 
-#: flite's segments that are no phone of ours by the same name: reduced vowels, flaps, pauses.
+#: flite's segments that are not phonemes of ours by the same name: reduced vowels, flaps, pauses.
 _PHONE_OF: Mapping[str, str] = MappingProxyType(
     {"ax": "AH", "axr": "ER", "ix": "IH", "ux": "UW", "dx": "D", "el": "L", "em": "M", "en": "N"}
     | {"nx": "N", "hv": "HH", "pau": SILENCE, "ssil": SILENCE, "h#": SILENCE, "brth": SILENCE}
 )
 _BEST_VOICE = "slt"
-#: It speaks nothing but the time of day.
+#: A voice that can only speak the time of day.
 _TALKING_CLOCK = "awb_time"
 _LANGUAGE = "en-us"
 _RATES_WPM = range(80, 401)
@@ -60,8 +60,8 @@ class Flite:
 
     def voices(self) -> tuple[str, ...]:
         """Return the voices that `flite -lv` lists but the talking clock, in alphabetical order."""
-        listed = self._run("-lv").partition(":")[2].split()
-        return tuple(sorted(set(listed) - {_TALKING_CLOCK}))
+        names = self._run("-lv").partition(":")[2].split()
+        return tuple(sorted(set(names) - {_TALKING_CLOCK}))
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
         """Return a text's speech with phoneme times, by a run of flite. Raises SynthesisError."""
@@ -105,7 +105,7 @@ class Flite:
         Raises SynthesisError where flite fails or takes longer than `_TIMEOUT_S`.
         """
         try:
-            done = subprocess.run(
+            finished = subprocess.run(
                 [self._command, *arguments],
                 capture_output=True,
                 stdin=subprocess.DEVNULL,
@@ -114,31 +114,31 @@ class Flite:
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise SynthesisError(f"flite failed: {error}"[:200]) from None
-        if done.returncode != 0:
-            raise SynthesisError(f"flite failed with status {done.returncode}")
-        return done.stdout.decode("utf-8", "replace")
+        if finished.returncode != 0:
+            raise SynthesisError(f"flite failed with status {finished.returncode}")
+        return finished.stdout.decode("utf-8", "replace")
 
 
 def segments(printed: str, duration_s: float) -> list[TimedPhones]:
     """Return the phones in flite's output `printed`, `pau:0.193 p:0.271 ...`, until `duration_s`.
 
-    The end that flite prints for the last pause is up to 0.12 s off; `duration_s` replaces it.
-    Raises SynthesisError for other output.
+    Each item is a segment and its end in s. The end of the last pause is up to 0.12 s off, so
+    silence is added or cut to reach `duration_s`. Raises SynthesisError for other output.
     """
-    found: list[TimedPhones] = []
+    phones: list[TimedPhones] = []
     start_s = 0.0
-    for word in printed.split():
-        segment, _, end = word.rpartition(":")
+    for item in printed.split():
+        segment, _, end = item.rpartition(":")
         phone = _PHONE_OF.get(segment, segment.upper())
         try:
             end_s = min(float(end), duration_s)
         except ValueError:
             phone = ""
         if phone not in PHONEMES:
-            raise SynthesisError(f"flite printed {word[:40]!r}, which is no segment and its end")
+            raise SynthesisError(f"flite printed {item[:40]!r}, which is no segment and its end")
         if end_s > start_s:
-            found.append(TimedPhones((phone,), start_s, end_s))
+            phones.append(TimedPhones((phone,), start_s, end_s))
             start_s = end_s
     if duration_s > start_s:
-        found.append(TimedPhones((SILENCE,), start_s, duration_s))
-    return found
+        phones.append(TimedPhones((SILENCE,), start_s, duration_s))
+    return phones

@@ -1,8 +1,8 @@
-"""Learning the network's weights with torch (extra `train`); nothing here is needed to run.
+"""Train the network's weights with torch (extra `train`); nothing here is needed at run time.
 
-Random windows of the training arrays, cross entropy of phones and of viseme classes for every
-head, AdamW under a cosine schedule, a running average of the weights. Every step draws its windows
-from (seed, step), so that a run that was interrupted goes on exactly as it would have.
+Random windows of the training arrays, cross entropy of phones and of viseme classes for every head,
+AdamW under a cosine schedule, a running average of the weights. Every step draws its windows from
+(seed, step), so that an interrupted run goes on exactly as it would have.
 """
 
 import hashlib
@@ -45,21 +45,26 @@ _LOG, _BEST = "log.jsonl", "best.npz"
 _NUMBER_BYTES = 4
 #: Processes that draw windows for a GPU.
 _DRAWERS = 4
-#: Posteriors are kept as float16, so that they add up to nearly 1, or to nothing.
+#: Sums of a frame's posteriors below this mean that the frame has none; posteriors are stored as
+#: float16 and add up to nearly 1.
 _NO_POSTERIORS = 0.5
-#: Of the figures of a check: what the best weights have most of.
+#: Name of the figure of a check by which the best weights are chosen.
 SCORE = "score"
 
 Checkpoint = Callable[[int, NetworkWeights], Mapping[str, float]]
 
 
 class TrainingStoppedError(UserError):
-    """Learning was stopped in its midst and can go on; the message is one line."""
+    """Training was stopped before its end and can go on later; the message is one line."""
 
 
 @dataclass(slots=True)
 class _Learner:
-    """All that changes from step to step, and is kept in the state."""
+    """All that changes from step to step; the file of the state contains it.
+
+    average: running average of the network's weights. step: steps done. best: the highest score so
+    far. losses: of the steps since the last line of the log.
+    """
 
     network: TorchNetwork
     average: torch.optim.swa_utils.AveragedModel
@@ -69,7 +74,11 @@ class _Learner:
     losses: list[float] = field(default_factory=list)
 
     def save(self, path: Path, about: str) -> None:
-        """Write the state, whole or not at all. Raises OutputError, for example on a full disk."""
+        """Write the state, completely or not at all.
+
+        about: what the run learns from, as `_about` returns it. Raises OutputError, for example on
+        a full disk.
+        """
         state = {
             "about": about,
             "step": self.step,
@@ -82,18 +91,22 @@ class _Learner:
         write_whole(path, _packed(state))
 
     def load(self, path: Path, about: str) -> None:
-        """Go on from a state; raises TrainingError for a damaged one and one of another run."""
+        """Take over a saved state.
+
+        about: what this run learns from. Raises TrainingError for a damaged file, for one that is
+        not a state, and for the state of a run that learns from something else.
+        """
         try:
             state = _unpacked(path.read_bytes())
-            other = json.loads(state["about"])
+            saved = json.loads(state["about"])
         except (OSError, RuntimeError, ValueError, LookupError, TypeError, EOFError) as error:
             raise TrainingError(f"{path}: damaged or no state; delete it to begin anew") from error
         except pickle.UnpicklingError as error:
             raise TrainingError(f"{path}: no state of a training; choose another folder") from error
         for key, value in json.loads(about).items():
-            if other.get(key) != value:
+            if saved.get(key) != value:
                 raise TrainingError(
-                    f"{path}: is of another run: {key} was {other.get(key)}, now {value}; give "
+                    f"{path}: is of another run: {key} was {saved.get(key)}, now {value}; give "
                     "what it was begun with, or choose another folder"
                 )
         self.network.load_state_dict(state["network"])
@@ -103,7 +116,11 @@ class _Learner:
 
 
 def _packed(state: Mapping[str, object]) -> bytes:
-    """A quarter less: of numbers that lie beside each other, the exponents are nearly the same."""
+    """Return a state as compressed bytes.
+
+    The first bytes of all 4-byte numbers are stored together, then the second ones, and so on: of
+    neighbouring numbers the exponents are nearly the same, which makes the file a quarter smaller.
+    """
     buffer = io.BytesIO()
     torch.save(state, buffer)
     content = buffer.getvalue() + bytes(-buffer.tell() % _NUMBER_BYTES)
@@ -112,7 +129,7 @@ def _packed(state: Mapping[str, object]) -> bytes:
 
 
 def _unpacked(packed: bytes) -> dict[str, Any]:
-    """The other way round; raises ValueError for what was not packed so, or is cut short."""
+    """Return the state in `_packed` bytes; raises ValueError for other or truncated bytes."""
     try:
         planes = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(_NUMBER_BYTES, -1)
     except zlib.error as error:
@@ -133,34 +150,34 @@ def train_network(
     check: Checkpoint = lambda _step, _weights: {},
     after_step: Callable[[int], bool | None] = lambda _step: False,
 ) -> NetworkWeights:
-    """Learn from arrays (the first one is the light copy); return the averaged weights.
+    """Train the network on arrays, the first of which is the lightly changed copy.
 
     Parameters
     ----------
     arrays : Sequence[TrainingArray]
         Features of shape (n_frames, 40), and targets.
     scale : FeatureScale
-        Of the features.
+        Of the features; stored in the weights.
     plan : TrainingPlan
-        Of the training.
+        Shape, schedule and seed.
     folder : Path
-        Keeps the state (`state.pt`) and the run log (`log.jsonl`): a run that finds a state there
-        goes on from it, to the same bits on one thread.
+        Keeps the state (`state.pt`) and the log (`log.jsonl`): a run that finds a state there goes
+        on from it, to the same bits on one thread.
     start : NetworkWeights | None
         Weights to begin with in place of random ones; a smaller network grows.
     taught : Taught | None
-        What targets from len(PHONEMES) on stand for.
+        A teacher's labels and posteriors, for targets of len(PHONEMES) or more.
     check : Checkpoint
-        Scores the weights so far; its figures go into the log, and where it gives a `score` the
-        weights that have most of it are returned, and kept as `best.npz`.
+        Called now and then with the steps done and the averaged weights; its figures go into the
+        log. If `score` is among them, the weights with the highest one are kept as `best.npz`.
     after_step : Callable[[int], bool | None]
-        Called with the steps done; where it is true the state is saved and TrainingStoppedError
+        Called with the steps done; if it returns true, the state is saved and TrainingStoppedError
         raised.
 
     Returns
     -------
     NetworkWeights
-        The weights.
+        The best weights if `check` returned scores, else the running average at the end.
 
     Raises
     ------
@@ -168,6 +185,8 @@ def train_network(
         `start` or the state does not fit.
     OutputError
         The state cannot be written.
+    TrainingStoppedError
+        `after_step` returned true before the last step.
     """
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)
@@ -223,12 +242,15 @@ def _about(
     start: NetworkWeights | None,
     taught: Taught | None,
 ) -> str:
-    """What a state is of, as JSON: a run that goes on must agree in all of it."""
-    learnt = [part for each in arrays for part in (each.features, each.targets)]
-    shape = {key: value for key, value in asdict(plan).items() if key not in _NOT_LEARNT}
+    """Return what a run learns from, as JSON; a state only serves a run with the same.
+
+    It holds the plan, but for `_NOT_LEARNT`, and digests of arrays, starting weights and teacher.
+    """
+    learnt_arrays = [part for each in arrays for part in (each.features, each.targets)]
+    plan_fields = {key: value for key, value in asdict(plan).items() if key not in _NOT_LEARNT}
     about = {
-        **shape,
-        "corpus": _digest(learnt),
+        **plan_fields,
+        "corpus": _digest(learnt_arrays),
         "start": _digest([] if start is None else [start.output]),
         "teacher": _digest([] if taught is None else [taught.posteriors]),
     }
@@ -236,20 +258,24 @@ def _about(
 
 
 def _digest(arrays: Sequence[NDArray[np.generic]]) -> str:
+    """Return a digest of every 17th row of the arrays."""
     digest = hashlib.blake2b(digest_size=8)
-    for each in arrays:
-        digest.update(each[::_DIGEST_STEP].tobytes())
+    for array in arrays:
+        digest.update(array[::_DIGEST_STEP].tobytes())
     return digest.hexdigest()
 
 
-#: A state is told from others by every so manyth frame: a corpus that differs does so in many.
+#: Only every so manyth row is digested: a corpus that differs does so in many rows.
 _DIGEST_STEP = 17
-#: Parts of the plan that change no weights but by rounding.
+#: Fields of the plan that change no weights but by rounding.
 _NOT_LEARNT = ("n_threads", "log_every", "check_every")
 
 
 def _shorten_log(path: Path, step: int) -> None:
-    """Take out what an interrupted run wrote after the state that it goes on from."""
+    """Remove lines of the log that an interrupted run wrote after its last saved state.
+
+    step: steps done in that state.
+    """
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
     kept = []
     for line in lines:
@@ -264,9 +290,10 @@ def _shorten_log(path: Path, step: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Windows on the device: features (b, 40, n), labels (b, n_heads, n), a teacher's posteriors.
+    """Windows of one step on the device: features (b, 40, n), labels (b, n_heads, n).
 
-    soft: (b, n_heads, n, n_phonemes), 0 where the teacher knows nothing; None without a teacher.
+    soft: a teacher's posteriors (b, n_heads, n, n_phonemes), 0 for frames without; None without a
+    teacher.
     """
 
     features: torch.Tensor
@@ -275,14 +302,14 @@ class Batch:
 
 
 class _Windows:
-    """The windows of each step, drawn from (seed, step)."""
+    """The windows of each step, drawn from (seed, step); a dataset for torch's DataLoader."""
 
     def __init__(self, arrays: Sequence[TrainingArray], plan: TrainingPlan) -> None:
         self._arrays = arrays
         self._plan = plan
 
     def __getitem__(self, step: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """Features (b, 40, n) and targets (b, n_heads, n) of a step."""
+        """Return features (b, 40, n) and targets (b, n_heads, n) of a step."""
         rng = np.random.default_rng([self._plan.seed, step])
         return draw_windows(self._arrays, self._plan, rng)
 
@@ -294,49 +321,53 @@ def _batches(
     first: int,
     device: torch.device,
 ) -> Iterator[Batch]:
-    """Yield the batches of all steps from `first` on; for a GPU other processes draw them."""
+    """Yield the batches of all steps from `first` on, on the device.
+
+    For a GPU other processes draw the windows. taught: replaces targets of len(PHONEMES) or more.
+    """
     is_gpu = device.type == "cuda"
-    drawn = torch.utils.data.DataLoader(
+    loader = torch.utils.data.DataLoader(
         _Windows(arrays, plan),
         batch_size=None,
         sampler=range(first, plan.n_steps),
         num_workers=min(_DRAWERS, os.cpu_count() or 1) if is_gpu else 0,
         pin_memory=is_gpu,
     )
-    known = None
+    on_device = None
     if taught is not None:
         parts = (torch.from_numpy(each).to(device) for each in (taught.labels, taught.posteriors))
-        known = TaughtOnDevice(*parts)
-    for features, targets in drawn:
+        on_device = TaughtOnDevice(*parts)
+    for features, targets in loader:
         moved = features.to(device, non_blocking=True), targets.to(device, non_blocking=True)
-        yield Batch(*moved, None) if known is None else known.batch(*moved)
+        yield Batch(*moved, None) if on_device is None else on_device.batch(*moved)
 
 
 @dataclass(frozen=True, slots=True)
 class TaughtOnDevice:
-    """A `Taught` as tensors of one device.
+    """A `Taught` as tensors on one device.
 
-    labels: (n,), posteriors: (n, n_phonemes) of all frames of all recordings; without posteriors
-    (None) labels alone teach.
+    labels: (n,), posteriors: (n, n_phonemes), of all frames of all recordings; posteriors None:
+    only labels are learned.
     """
 
     labels: torch.Tensor
     posteriors: torch.Tensor | None
 
     def batch(self, features: torch.Tensor, targets: torch.Tensor) -> Batch:
-        """Return a batch with labels and posteriors in place of the frame numbers in `targets`.
+        """Return a batch with labels and posteriors in place of frame numbers.
 
         Parameters
         ----------
         features : torch.Tensor
             (b, 40, n).
         targets : torch.Tensor
-            (b, n_heads, n): below len(PHONEMES) labels, from there on frames of `labels`.
+            (b, n_heads, n): labels below len(PHONEMES); from there on, len(PHONEMES) plus a row of
+            `labels`.
 
         Returns
         -------
         Batch
-            Windows on the device; a frame that is none of `labels` has no posteriors.
+            On the same device; targets that are labels already get posteriors 0.
         """
         is_known, rows = targets >= len(PHONEMES), (targets - len(PHONEMES)).clamp(min=0)
         labels = torch.where(is_known, self.labels[rows], targets)
@@ -353,7 +384,7 @@ def learn_from(
     plan: TrainingPlan,
     rate: float,
 ) -> float:
-    """Make one step of the optimizer at a learning rate; return the loss before it.
+    """Take one step of the optimizer; return the loss before it.
 
     Parameters
     ----------
@@ -362,9 +393,9 @@ def learn_from(
     network : TorchNetwork
         Changed by the step.
     optimizer : torch.optim.Optimizer
-        Of the network.
+        Its state is changed by the step.
     plan : TrainingPlan
-        Weights of the loss.
+        Weights of the parts of the loss.
     rate : float
         Learning rate.
 
@@ -386,9 +417,10 @@ def learn_from(
     loss.backward()
     nn.utils.clip_grad_norm_(network.parameters(), 2.0)
     optimizer.step()
-    # In as few bits as the gradients were calculated in: so the state is 2 MB smaller.
-    for kept in optimizer.state.values():
-        kept["exp_avg"] = kept["exp_avg"].bfloat16().float()
+    # Round the running means of gradients to bfloat16, in which gradients are computed: this makes
+    # the saved state 2 MB smaller.
+    for parameter_state in optimizer.state.values():
+        parameter_state["exp_avg"] = parameter_state["exp_avg"].bfloat16().float()
     value: float = loss.item()
     return value
 
@@ -396,30 +428,33 @@ def learn_from(
 def _soft_loss(
     logits: torch.Tensor, labels: torch.Tensor, soft: torch.Tensor, plan: TrainingPlan
 ) -> torch.Tensor:
-    """Cross entropy with the teacher's posteriors (Hinton, Vinyals and Dean, 2015), less labels'.
+    """Return cross entropy with the teacher's posteriors minus that with the labels.
 
-    With `soft_share` of it the labels of phones keep the rest. Frames without posteriors (their sum
-    is 0) count nothing.
+    Added to the loss with factor `soft_share`, it moves that share of the phones' loss from labels
+    to posteriors (Hinton, Vinyals and Dean, 2015). logits: (b, n_heads, n_phonemes, n); labels: (b,
+    n_heads, n); soft: (b, n_heads, n, n_phonemes). Frames without posteriors (sum 0) count nothing;
+    each head is averaged over its other frames, then weighted.
     """
     log_p = torch.log_softmax(logits, dim=2).permute(0, 1, 3, 2)
     is_known = soft.sum(dim=3) > _NO_POSTERIORS
     n_known = is_known.sum(dim=(0, 2)).clamp(min=1)
-    hard = -log_p.gather(3, labels.clamp(min=0).unsqueeze(3)).squeeze(3) * is_known
-    each = (-(soft * log_p).sum(dim=3) - hard).sum(dim=(0, 2)) / n_known
-    return (each * each.new_tensor(plan.head_weights)).sum()
+    label_losses = -log_p.gather(3, labels.clamp(min=0).unsqueeze(3)).squeeze(3) * is_known
+    head_losses = (-(soft * log_p).sum(dim=3) - label_losses).sum(dim=(0, 2)) / n_known
+    return (head_losses * head_losses.new_tensor(plan.head_weights)).sum()
 
 
 def _has_bfloat16() -> bool:
-    """Whether the processor calculates in bfloat16: half the time of float32, else twice as much.
+    """Return whether the processor has instructions for bfloat16.
 
-    The weights stay float32.
+    With them it takes half the time of float32, without them twice as much. The weights stay
+    float32.
     """
     able: dict[str, bool] = getattr(torch.cpu, "get_capabilities", dict)()  # not in older ones
     return bool(able.get("avx512_bf16") or able.get("amx_bf16"))
 
 
 def learning_rate(plan: TrainingPlan, step: int) -> float:
-    """Learning rate: up for the first 4 %, then half a cosine down to nothing."""
+    """Return the learning rate of a step: up for the first 4 %, then half a cosine down to 0."""
     warm = max(1, round(0.04 * plan.n_steps))
     if step < warm:
         return plan.peak_rate * (step + 1) / warm
@@ -428,7 +463,12 @@ def learning_rate(plan: TrainingPlan, step: int) -> float:
 
 
 def training_loss(logits: torch.Tensor, targets: torch.Tensor, plan: TrainingPlan) -> torch.Tensor:
-    """Cross entropy of phones plus half that of viseme classes, weighted over the heads."""
+    """Return the cross entropy of phones plus half that of viseme classes, weighted over the heads.
+
+    logits: (b, n_heads, n_phonemes, n); targets: (b, n_heads, n), NO_TARGET where a frame has none.
+    With `visible_weight` the expected visible distance between the true viseme class and the
+    posteriors is added, per mm.
+    """
     log_p = torch.log_softmax(logits, dim=2)
     members = _viseme_members().to(logits.device)
     weights = _viseme_weights(plan).to(logits.device)
@@ -445,19 +485,19 @@ def training_loss(logits: torch.Tensor, targets: torch.Tensor, plan: TrainingPla
         )
         if plan.visible_weight:
             known = viseme_targets != NO_TARGET
-            far_mm = _seen_mm().to(logits.device)
-            seen_mm = far_mm[viseme_targets[known]] * visemes.permute(0, 2, 1)[known].exp()
-            total = total + weight * plan.visible_weight * seen_mm.sum(dim=1).mean()
+            apart_mm = _viseme_distances_mm().to(logits.device)
+            expected_mm = apart_mm[viseme_targets[known]] * visemes.permute(0, 2, 1)[known].exp()
+            total = total + weight * plan.visible_weight * expected_mm.sum(dim=1).mean()
     return total
 
 
-def _seen_mm() -> torch.Tensor:
-    """Return how far the faces of two viseme classes are apart, mm, (n_visemes, n_visemes)."""
+def _viseme_distances_mm() -> torch.Tensor:
+    """Return how far the faces of two viseme classes are apart, (n_visemes, n_visemes) mm."""
     return torch.tensor(visible_distances_mm(), dtype=torch.float32)
 
 
 def _viseme_members() -> torch.Tensor:
-    """Return 1 where a phone is of a viseme class, else 0, (40, n_visemes)."""
+    """Return 1 where a phoneme belongs to a viseme class, else 0, (n_phonemes, n_visemes)."""
     members = torch.zeros(len(PHONEMES), _N_VISEMES)
     for index, phoneme in enumerate(PHONEMES):
         members[index, VISEME_OF[phoneme]] = 1.0
@@ -465,7 +505,7 @@ def _viseme_members() -> torch.Tensor:
 
 
 def _viseme_weights(plan: TrainingPlan) -> torch.Tensor:
-    """Return the weights of viseme classes in the loss, (n_visemes,): closures count more."""
+    """Return the weights of viseme classes in the loss, (n_visemes,): larger for closures."""
     weights = torch.ones(_N_VISEMES)
     for phoneme in ("P", "F"):
         weights[VISEME_OF[phoneme]] = plan.closure_weight
@@ -473,5 +513,6 @@ def _viseme_weights(plan: TrainingPlan) -> torch.Tensor:
 
 
 def _viseme_targets(targets: torch.Tensor) -> torch.Tensor:
+    """Return the viseme class of each phoneme target; NO_TARGET stays."""
     classes = torch.tensor([VISEME_OF[phoneme] for phoneme in PHONEMES], device=targets.device)
     return torch.where(targets == NO_TARGET, NO_TARGET, classes[targets.clamp(min=0)])

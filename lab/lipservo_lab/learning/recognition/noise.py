@@ -1,9 +1,10 @@
-"""Sounds that are no speech, and what rooms and wires do to speech. For training and scoring.
+"""Sounds without speech, and what rooms and lines do to speech. For training and scoring.
 
-Everything takes its randomness as an argument: the same generator state gives the same samples.
-Samples are (n,) float32 at 16 kHz.
+All randomness comes from an argument: the same generator state gives the same samples. Samples are
+(n,) float32 at 16 kHz.
 
-Sound files of the user's own that hold no speech: music, effects, the robot in its room.
+`read_found_sounds`, `found`: the user's own sound files without speech: music, effects, the robot
+in its room.
 """
 
 import io
@@ -24,7 +25,8 @@ from lipsync.errors import UserError
 Noise = Callable[[np.random.Generator, int], Array32]
 
 SOUND_M_S = 343.0
-#: From beside the talker to across the room; images are reckoned one by one up to so late.
+#: Distance of the talker from the microphone, m; time up to which images are computed one by one,
+#: s; reverberation times, s.
 _AWAY_M, _IMAGES_S, _REVERBERATION_S = (0.25, 4.0), 0.05, (0.15, 0.8)
 
 
@@ -34,9 +36,9 @@ def white(rng: np.random.Generator, n: int) -> Array32:
     Parameters
     ----------
     rng : np.random.Generator
-        Draws it.
+        Draws the noise.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -47,14 +49,14 @@ def white(rng: np.random.Generator, n: int) -> Array32:
 
 
 def coloured(rng: np.random.Generator, n: int) -> Array32:
-    """Return noise whose power falls by 0 to 12 dB an octave, with one random resonance.
+    """Return noise whose power falls by 0 to 6 dB an octave, with one random resonance.
 
     Parameters
     ----------
     rng : np.random.Generator
-        Draws it.
+        Draws the noise.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
@@ -70,19 +72,19 @@ def coloured(rng: np.random.Generator, n: int) -> Array32:
 
 
 def chords(rng: np.random.Generator, n: int) -> Array32:
-    """Return sustained harmonic tones that start, swell, waver and stop: the music of training.
+    """Return sustained harmonic tones that start, swell, waver and stop, as music-like noise.
 
     Parameters
     ----------
     rng : np.random.Generator
-        Draws it.
+        Draws the tones.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
     Array32
-        (n,).
+        (n,), of unit power.
     """
     total = np.zeros(n)
     for _ in range(max(2, round(n / SAMPLE_RATE_HZ * rng.uniform(2.0, 8.0)))):
@@ -103,23 +105,25 @@ def chords(rng: np.random.Generator, n: int) -> Array32:
 
 
 def band(rng: np.random.Generator, n: int) -> Array32:
-    """Return plucked strings, bass and drums at a steady beat: the music-like noise of the bench.
+    """Return plucked strings, bass and drums at a steady beat: the music of the benchmark.
 
-    Made otherwise than `chords`, so that no network was trained on its like. Strings are Karplus
-    and Strong's (Computer Music Journal 7(2), 1983): a loop of noise, averaged each turn.
+    Made in another way than `chords`, so that no network was trained on anything like it. Strings
+    are Karplus and Strong's (Computer Music Journal 7(2), 1983): a loop of noise, averaged each
+    turn.
 
     Parameters
     ----------
     rng : np.random.Generator
-        Draws it.
+        Draws the noise.
     n : int
-        Samples.
+        Number of samples.
 
     Returns
     -------
     Array32
-        (n,).
+        (n,), of unit power.
     """
+    # In samples: half a beat of 90 to 140 a minute.
     beat = round(SAMPLE_RATE_HZ * 60.0 / rng.uniform(90.0, 140.0) / 2)
     scale_hz = 220.0 * 2.0 ** (np.array([0, 2, 4, 5, 7, 9, 11, 12]) / 12.0)
     total = np.zeros(n + 2 * SAMPLE_RATE_HZ)
@@ -137,29 +141,29 @@ def band(rng: np.random.Generator, n: int) -> Array32:
 
 
 def babble(voices: Sequence[Array32], n_voices: int = 6) -> Noise:
-    """Return a noise of several voices at once, each from a random place on.
+    """Return a maker of noise of several voices at once, each from a random place on.
 
     Parameters
     ----------
     voices : Sequence[Array32]
-        (n,) each.
+        (m,) each; those at once are drawn from these.
     n_voices : int
-        At once.
+        Number of voices at once.
 
     Returns
     -------
     Noise
-        Makes (n,) samples.
+        Makes (n,) samples of unit power.
     """
 
-    def together(rng: np.random.Generator, n: int) -> Array32:
+    def make_babble(rng: np.random.Generator, n: int) -> Array32:
         total = np.zeros(n, np.float32)
         for index in rng.choice(len(voices), size=min(n_voices, len(voices)), replace=False):
             voice = unit_power(voices[index])
             total += np.resize(np.roll(voice, -int(rng.integers(len(voice)))), n)
         return unit_power(total)
 
-    return together
+    return make_babble
 
 
 def add_noise(speech: Array32, noise: Array32, snr_db: float) -> Array32:
@@ -167,10 +171,10 @@ def add_noise(speech: Array32, noise: Array32, snr_db: float) -> Array32:
 
     Parameters
     ----------
-    speech,noise : Array32
+    speech, noise : Array32
         (n,).
     snr_db : float
-        dB.
+        Signal-to-noise ratio, dB.
 
     Returns
     -------
@@ -186,7 +190,7 @@ def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
     """Return speech in a room: the talker's images in six walls, then a diffuse tail.
 
     Images (Allen and Berkley 1979) for the first 50 ms; after that they are so many that their sum
-    is noise, whose power falls as Eyring's formula says. The direct sound keeps time and level.
+    is noise, whose power falls as Eyring's formula says. The direct sound keeps its time and level.
 
     Parameters
     ----------
@@ -204,24 +208,25 @@ def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
     surface_m2 = 2.0 * float(np.sum(size_m * np.roll(size_m, 1)))
     volume_m3 = float(np.prod(size_m))
     falls_per_s = np.log(1e6) / np.exp(rng.uniform(*np.log(_REVERBERATION_S)))
-    # Eyring: a ray meets a wall every 4 V / S metres, which keeps walls_keep ** 2 of its power.
-    walls_keep = np.exp(-falls_per_s / SOUND_M_S * 2.0 * volume_m3 / surface_m2)
-    heard_m = size_m * rng.uniform(0.1, 0.9, 3)
+    # Eyring: a ray meets a wall every 4 V / S metres, which reflects reflected ** 2 of its power.
+    reflected = np.exp(-falls_per_s / SOUND_M_S * 2.0 * volume_m3 / surface_m2)
+    microphone_m = size_m * rng.uniform(0.1, 0.9, 3)
     direction = rng.normal(size=3) * [1.0, 1.0, 0.3]
     away_m = np.exp(rng.uniform(*np.log(_AWAY_M)))
-    spoken_m = heard_m + away_m * direction / np.linalg.norm(direction)
-    spoken_m = np.clip(spoken_m, 0.05 * size_m, 0.95 * size_m)
-    far_m, n_walls = images(size_m, spoken_m, heard_m, _IMAGES_S)
-    level = walls_keep**n_walls / far_m
-    direct_m = max(0.1, float(np.linalg.norm(spoken_m - heard_m)))
-    at = np.rint((far_m - direct_m) / SOUND_M_S * SAMPLE_RATE_HZ).astype(np.int64)
-    near = (at > 0) & (at < round(_IMAGES_S * SAMPLE_RATE_HZ))
+    talker_m = microphone_m + away_m * direction / np.linalg.norm(direction)
+    talker_m = np.clip(talker_m, 0.05 * size_m, 0.95 * size_m)
+    distance_m, n_walls = images(size_m, talker_m, microphone_m, _IMAGES_S)
+    level = reflected**n_walls / distance_m
+    direct_m = max(0.1, float(np.linalg.norm(talker_m - microphone_m)))
+    delays = np.rint((distance_m - direct_m) / SOUND_M_S * SAMPLE_RATE_HZ).astype(np.int64)
+    is_early = (delays > 0) & (delays < round(_IMAGES_S * SAMPLE_RATE_HZ))
 
+    # The diffuse tail: noise whose power density falls exponentially.
     time_s = np.arange(round(_REVERBERATION_S[1] * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     power = 4.0 * np.pi * SOUND_M_S / (volume_m3 * SAMPLE_RATE_HZ) * np.exp(-falls_per_s * time_s)
     response = np.sqrt(power) * rng.standard_normal(len(time_s))
     response[: round(_IMAGES_S * SAMPLE_RATE_HZ)] = 0.0
-    np.add.at(response, at[near], level[near])
+    np.add.at(response, delays[is_early], level[is_early])
     response *= direct_m
     response[0] = 1.0
     n_fft = 1 << (len(speech) + len(response)).bit_length()
@@ -232,7 +237,9 @@ def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
 def images(
     size_m: Array, spoken_m: Array, heard_m: Array, longest_s: float
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Return a talker's images in the six walls of a room (Allen and Berkley 1979).
+    """Return distances and reflections of a talker's images in the six walls of a room.
+
+    Allen and Berkley 1979.
 
     Parameters
     ----------
@@ -241,28 +248,28 @@ def images(
     spoken_m, heard_m : Array
         (3,): where the talker and the microphone are, from a corner.
     longest_s : float
-        At least those whose sound takes no longer are returned.
+        At least all images whose sound takes no longer to the microphone are returned.
 
     Returns
     -------
     tuple[Array, NDArray[np.int64]]
-        (n_x, n_y, n_z) each: the distance from each image to the microphone in m, and how many
-        reflections it comes of. The talker is among them, with none.
+        (n_x, n_y, n_z) each: the distance from each image to the microphone in m, and its number of
+        reflections. The talker is the image with none.
     """
-    apart_m, reflections = [], []
-    for length_m, spoken, heard in zip(size_m, spoken_m, heard_m, strict=True):
-        most = int(np.ceil(SOUND_M_S * longest_s / (2 * length_m)))
-        rooms = np.arange(-most, most + 1)
-        places_m = (2 * rooms * length_m + spoken, 2 * rooms * length_m - spoken)
-        apart_m.append(np.concatenate(places_m) - heard)
+    offsets_m, reflections = [], []
+    for length_m, talker, microphone in zip(size_m, spoken_m, heard_m, strict=True):
+        n_each_side = int(np.ceil(SOUND_M_S * longest_s / (2 * length_m)))
+        rooms = np.arange(-n_each_side, n_each_side + 1)
+        places_m = (2 * rooms * length_m + talker, 2 * rooms * length_m - talker)
+        offsets_m.append(np.concatenate(places_m) - microphone)
         reflections.append(np.concatenate((np.abs(2 * rooms), np.abs(2 * rooms - 1))))
-    x_m, y_m, z_m = np.ix_(*apart_m)
+    x_m, y_m, z_m = np.ix_(*offsets_m)
     x, y, z = np.ix_(*reflections)
     return np.sqrt(x_m**2 + y_m**2 + z_m**2), x + y + z
 
 
 def telephone(speech: Array32) -> Array32:
-    """Return speech through an 8 kHz line with 8-bit mu-law samples (ITU-T G.711's curve).
+    """Return speech as through a telephone: sampled at 8 kHz, 8-bit mu-law (ITU-T G.711's curve).
 
     Parameters
     ----------
@@ -272,7 +279,7 @@ def telephone(speech: Array32) -> Array32:
     Returns
     -------
     Array32
-        (n,).
+        (n,) at 16 kHz.
     """
     narrow = np.clip(soxr.resample(speech, SAMPLE_RATE_HZ, 8_000), -1.0, 1.0)
     curve = np.log1p(255.0 * np.abs(narrow)) / np.log(256.0)
@@ -301,8 +308,8 @@ def lossy(rng: np.random.Generator, speech: Array32) -> Array32:
     quality = rng.uniform(0.4, 1.0)
     soundfile.write(stream, speech, SAMPLE_RATE_HZ, format="OGG", compression_level=quality)
     stream.seek(0)
-    heard = soundfile.read(stream, dtype="float32")[0]
-    return np.resize(heard, len(speech)).astype(np.float32)
+    decoded = soundfile.read(stream, dtype="float32")[0]
+    return np.resize(decoded, len(speech)).astype(np.float32)
 
 
 def add_at(total: NDArray[np.float64], start: int, part: NDArray[np.float64]) -> None:
@@ -313,7 +320,7 @@ def add_at(total: NDArray[np.float64], start: int, part: NDArray[np.float64]) ->
     total : NDArray[np.float64]
         (m,), changed in place.
     start : int
-        Sample.
+        Sample of `total` at which `part` begins.
     part : NDArray[np.float64]
         (n,).
     """
@@ -350,9 +357,10 @@ def _string(rng: np.random.Generator, pitch_hz: float, n: int) -> NDArray[np.flo
     return np.concatenate(turns)[:n]
 
 
-#: Of a long file so much is kept, from its middle: memory, and no file should drown the others.
+#: Only the middle 90 s of a long file are kept: to save memory, and so that it does not outweigh
+#: the others.
 _LONGEST_S = 90
-_SAMPLES_S = 16_000
+_SAMPLES_PER_S = 16_000
 
 
 class FoundSoundsError(UserError):
@@ -392,45 +400,47 @@ def read_found_sounds(
         except SoundError as error:
             warn(str(error))
             continue
-        spare = max(0, len(samples) - _LONGEST_S * _SAMPLES_S) // 2
+        spare = max(0, len(samples) - _LONGEST_S * _SAMPLES_PER_S) // 2
         # Float16 would do; half the memory is not worth another type.
-        sounds.append(samples[spare : spare + _LONGEST_S * _SAMPLES_S].copy())
+        sounds.append(samples[spare : spare + _LONGEST_S * _SAMPLES_PER_S].copy())
     if not sounds:
         raise FoundSoundsError(f"{folder}: holds no sound file that can be read")
     return sounds
 
 
 def found(sounds: list[Array32]) -> Noise:
-    """Return a noise of parts of sounds; short ones repeat with pauses, long ones are likelier.
+    """Return a maker of noise from parts of sounds.
+
+    Short sounds are repeated with pauses; long ones are drawn more often.
 
     Parameters
     ----------
     sounds : list[Array32]
-        (n,) each.
+        (n,) each, at 16 kHz.
 
     Returns
     -------
     Noise
-        Makes (n,) samples.
+        Makes (n,) samples of unit power.
     """
     weights = np.sqrt([float(len(sound)) for sound in sounds])
     chances = weights / weights.sum()
 
-    def part(rng: np.random.Generator, n: int) -> Array32:
-        """Return `n` samples of unit power: a piece of a long sound, or a short one repeated.
+    def make_part(rng: np.random.Generator, n: int) -> Array32:
+        """Return `n` samples of unit power: a part of a long sound, or a short one repeated.
 
-        Repetitions are up to two seconds apart.
+        Pauses between repetitions last up to two seconds.
         """
         sound = sounds[int(rng.choice(len(sounds), p=chances))]
         if len(sound) >= n:
             first = int(rng.integers(0, len(sound) - n + 1))
             return unit_power(sound[first : first + n])
         total = np.zeros(n, np.float32)
-        at = int(rng.integers(0, max(1, n - len(sound))))
-        while at < n:
-            end = min(n, at + len(sound))
-            total[at:end] = sound[: end - at]
-            at = end + int(rng.integers(0, 2 * _SAMPLES_S))
+        start = int(rng.integers(0, max(1, n - len(sound))))
+        while start < n:
+            end = min(n, start + len(sound))
+            total[start:end] = sound[: end - start]
+            start = end + int(rng.integers(0, 2 * _SAMPLES_PER_S))
         return unit_power(total)
 
-    return part
+    return make_part

@@ -1,9 +1,10 @@
-"""A teacher's labels: the phones of an alignment, laid anew over a better network's posteriors.
+"""A teacher's labels: the phones of an alignment, timed anew by a better network's posteriors.
 
-The aligner's boundaries are the ceiling of what learns from them. A network that waits long (it
-knows what comes as well as what was) is trained on them, and its posteriors say where the same
-phones are likelier to lie: Viterbi over the phones in order, each of two frames at least, silences
-of which may be left out. What the network cannot find there was not spoken.
+A network cannot learn better phone boundaries than the aligner's that it is trained on. So a
+network with long delays (a teacher: it also uses the sound after a frame) is trained on them, and
+its posteriors say where the same phones more likely lie: by Viterbi over the phones in order, each
+two frames long at least; silences may be left out. Recordings whose phones the teacher does not
+find are left out, as other words were spoken.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,8 +24,9 @@ from lipsync.recognition.network import NetworkWeights
 
 _SMALLEST = 1e-6
 _SILENCE_INDEX = PHONEME_INDEX[SILENCE]
-#: States of each phone; the last one repeats. From a first one back over a silence; the ways into a
-#: state: it stays, from the one before, over a silence.
+#: States of each phone; the last one repeats. _OVER: how many states lie between a phone's first
+#: state and the last state of the phone before a silence. _STEPS: by how many states a path
+#: advances: it stays, moves to the next state, or skips a silence.
 _STATES = 2
 _OVER = 1 + _STATES
 _STEPS = np.array([0, 1, _OVER], np.int8)
@@ -32,7 +34,11 @@ _STEPS = np.array([0, 1, _OVER], np.int8)
 
 @dataclass(frozen=True, slots=True)
 class TaughtRecordings:
-    """Recordings with a teacher's labels, and what it says of each frame of them, in this order."""
+    """Recordings with a teacher's labels.
+
+    taught: the teacher's labels and posteriors of all their frames, in this order. n_unspoken:
+    number of recordings that were left out because the teacher does not find their phones.
+    """
 
     recordings: tuple[LabelledSamples, ...]
     taught: Taught
@@ -44,43 +50,44 @@ def taught_by(
     recordings: Sequence[tuple[LabelledSamples, AlignedUtterance]],
     progress: Callable[[int], None] = lambda _n: None,
 ) -> TaughtRecordings:
-    """Align the phones of recordings anew by a teacher's posteriors.
+    """Return recordings with phones timed anew by a teacher's posteriors, and these posteriors.
 
-    A recording in which the teacher does not find the phones is left out: its score, the mean log
-    ratio of the aligned phone to the likeliest (`goodness_of_pronunciation`), is below
-    `LEAST_SCORE`.
+    progress: called with the number of recordings done. A recording in which the teacher does not
+    find the phones is left out: its score, the mean log ratio of the aligned phone to the likeliest
+    (`goodness_of_pronunciation`), is below `LEAST_SCORE`.
     """
-    kept: list[LabelledSamples] = []
+    relabelled: list[LabelledSamples] = []
     posteriors: list[NDArray[np.float16]] = []
     for number, (recording, aligned) in enumerate(recordings, start=1):
-        heard = _posteriors(teacher, recording)
-        labels = labels_if_spoken([PHONEME_INDEX[name] for name, _, _ in aligned.phones], heard)
+        probs = _posteriors(teacher, recording)
+        labels = labels_if_spoken([PHONEME_INDEX[name] for name, _, _ in aligned.phones], probs)
         if labels is not None:
-            kept.append(replace(recording, labels=labels))
-            posteriors.append(heard.astype(np.float16))
+            relabelled.append(replace(recording, labels=labels))
+            posteriors.append(probs.astype(np.float16))
         progress(number)
-    nothing = np.zeros(0, np.int64)
+    no_labels = np.zeros(0, np.int64)
     taught = Taught(
-        np.concatenate([nothing, *(each.labels for each in kept)]),
+        np.concatenate([no_labels, *(each.labels for each in relabelled)]),
         np.concatenate([np.zeros((0, len(PHONEMES)), np.float16), *posteriors]),
     )
-    return TaughtRecordings(tuple(kept), taught, len(recordings) - len(kept))
+    return TaughtRecordings(tuple(relabelled), taught, len(recordings) - len(relabelled))
 
 
 def labels_if_spoken(phones: Sequence[int], posteriors: Array32) -> NDArray[np.int64] | None:
-    """Return labels laid anew by a teacher's posteriors; None where the phones are not there.
+    """Return labels timed by a teacher's posteriors; None where the phones were not spoken.
 
     Parameters
     ----------
     phones : Sequence[int]
-        Numbers as in PHONEMES.
+        Indices in PHONEMES, in order.
     posteriors : Array32
         (n, n_phonemes).
 
     Returns
     -------
     NDArray[np.int64] | None
-        (n,); None where the phones do not fit in, or score below `LEAST_SCORE`.
+        (n,) indices in PHONEMES; None where n frames are too few for the phones, or where they
+        score below `LEAST_SCORE`.
     """
     logs = np.log(np.maximum(posteriors, np.float32(_SMALLEST)))
     labels = retimed(phones, logs)
@@ -88,55 +95,58 @@ def labels_if_spoken(phones: Sequence[int], posteriors: Array32) -> NDArray[np.i
 
 
 def retimed(phones: Sequence[int], logs: Array32) -> NDArray[np.int64] | None:
-    """Return the likeliest labels that have the phones in order.
+    """Return the likeliest labels of frames in which the phones follow each other in order.
 
-    Silence may stand before and after everything.
+    Silence may stand before and after all phones. By Viterbi.
 
     Parameters
     ----------
     phones : Sequence[int]
-        Numbers as in PHONEMES.
+        Indices in PHONEMES; silences among them may be skipped.
     logs : Array32
         (n, n_phonemes), log posteriors.
 
     Returns
     -------
     NDArray[np.int64] | None
-        (n,); None where they do not fit in.
+        (n,) indices in PHONEMES; None where n frames are too few.
     """
-    whole = np.array([_SILENCE_INDEX, *phones, _SILENCE_INDEX])
-    is_silence = whole == _SILENCE_INDEX
-    is_more_silence = is_silence & np.concatenate(([False], is_silence[:-1]))
-    states = np.repeat(whole[~is_more_silence], _STATES)
+    with_silences = np.array([_SILENCE_INDEX, *phones, _SILENCE_INDEX])
+    is_silence = with_silences == _SILENCE_INDEX
+    repeats_silence = is_silence & np.concatenate(([False], is_silence[:-1]))
+    states = np.repeat(with_silences[~repeats_silence], _STATES)
     n, n_states = len(logs), len(states)
     is_last = np.arange(n_states) % _STATES == _STATES - 1
-    # Into a phone's first state, from the last one before a silence.
-    is_over = np.zeros(n_states, bool)
-    is_over[_OVER:] = ~is_last[_OVER:] & (states[_OVER - _STATES : -_STATES] == _SILENCE_INDEX)
-    nowhere = np.full(_OVER, np.inf)
-    best = np.full(n_states, np.inf)
-    best[[0, *([_STATES] if n_states > _STATES else [])]] = 0.0
-    best -= logs[0, states]
-    steps = np.zeros((n, n_states), np.int8)
+    # States that can be reached over a silence: the first state of the phone behind one.
+    may_skip = np.zeros(n_states, bool)
+    may_skip[_OVER:] = ~is_last[_OVER:] & (states[_OVER - _STATES : -_STATES] == _SILENCE_INDEX)
+    no_way = np.full(_OVER, np.inf)
+    # Cost of the cheapest path that ends in each state: negative log posteriors, summed.
+    costs = np.full(n_states, np.inf)
+    # A path begins in the first silence or in the phone after it.
+    costs[[0, *([_STATES] if n_states > _STATES else [])]] = 0.0
+    costs -= logs[0, states]
+    back_steps = np.zeros((n, n_states), np.int8)
     for frame in range(1, n):
-        ways = np.stack(
+        candidates = np.stack(
             (
-                np.where(is_last, best, np.inf),
-                np.concatenate((nowhere[:1], best[:-1])),
-                np.where(is_over, np.concatenate((nowhere, best))[:n_states], np.inf),
+                np.where(is_last, costs, np.inf),
+                np.concatenate((no_way[:1], costs[:-1])),
+                np.where(may_skip, np.concatenate((no_way, costs))[:n_states], np.inf),
             )
         )
-        chosen = ways.argmin(axis=0)
-        steps[frame] = _STEPS[chosen]
-        best = ways[chosen, np.arange(n_states)] - logs[frame, states]
+        chosen = candidates.argmin(axis=0)
+        back_steps[frame] = _STEPS[chosen]
+        costs = candidates[chosen, np.arange(n_states)] - logs[frame, states]
+    # A path ends in the last silence or in the phone before it.
     ends = [n_states - 1, *([n_states - 1 - _STATES] if n_states > _STATES else [])]
-    at = min(ends, key=lambda state: best[state])
-    if not np.isfinite(best[at]):
+    at_state = min(ends, key=lambda state: costs[state])
+    if not np.isfinite(costs[at_state]):
         return None
     path = np.empty(n, np.int64)
     for frame in range(n - 1, -1, -1):
-        path[frame] = at
-        at -= int(steps[frame, at])
+        path[frame] = at_state
+        at_state -= int(back_steps[frame, at_state])
     return np.asarray(states[path], np.int64)
 
 
@@ -147,6 +157,11 @@ def _posteriors(teacher: NetworkWeights, recording: LabelledSamples) -> Array32:
 
 
 def _score(labels: NDArray[np.int64], logs: Array32) -> float:
+    """Return the mean log ratio of the labels' posteriors to those of the likeliest phonemes.
+
+    labels: (n,); logs: (n, n_phonemes). Frames in which label and likeliest phoneme are both
+    silence do not count; 0 if no frame counts.
+    """
     spoken = (labels != _SILENCE_INDEX) | (logs.argmax(axis=1) != _SILENCE_INDEX)
     ratio = logs[np.arange(len(logs)), labels] - logs.max(axis=1)
     return float(ratio[spoken].mean()) if spoken.any() else 0.0

@@ -1,8 +1,8 @@
-"""Synthetic voices as corpora: texts spoken, with the phone times that the voice itself tells.
+"""Synthetic voices as corpora: spoken texts, with the phone times that the synthesiser reports.
 
-A folder laid out like grid_s1 a voice, called as the voice: `audio/NAME.flac`,
-`labels/NAME.TextGrid`. Whatever reads a corpus takes the tier `phones` for the reference, so that
-nothing here depends on forced alignment.
+Each voice gets a folder of its name, laid out like grid_s1: `audio/NAME.flac`,
+`labels/NAME.TextGrid`. Readers of a corpus use the tier `phones` as the reference, so that nothing
+here depends on forced alignment.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ from lipsync.text_to_speech.synthesis import (
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 from lipsync.textgrid import write_tiers
 
-#: Words a minute, and for espeak-ng the pitch, of voices that train.
+#: Ranges for voices that train: words a minute, and for espeak-ng the pitch.
 _RATES_WPM, _PITCHES = (125, 230), (15, 85)
 
 
@@ -45,20 +45,23 @@ class SyntheticVoice:
         return f"{self.synthesizer}-{self.voice}"
 
     def at(self, rate_wpm: int, pitch: int) -> Voice:
-        """Return the voice as the synthesiser wants it; only espeak-ng has a choice of pitch."""
+        """Return the voice for the synthesiser, at a rate; the pitch only counts for espeak-ng."""
         if self.synthesizer == "espeak":
             return Voice(self.voice, "", rate_wpm, pitch)
         return replace(Voice(name=self.voice), rate_wpm=rate_wpm)
 
 
 def read_voices(listed: str) -> tuple[SyntheticVoice, ...]:
-    """`espeak:en-us,flite:awb,festival:ked`. Raises SyntheticVoiceError for another form."""
+    """Return the voices in a list such as `espeak:en-us,flite:awb,festival:ked`.
+
+    Raises SyntheticVoiceError for another form or an unknown synthesiser.
+    """
     voices = []
-    for each in listed.split(","):
-        synthesizer, _, voice = each.strip().partition(":")
+    for item in listed.split(","):
+        synthesizer, _, voice = item.strip().partition(":")
         if synthesizer not in SYNTHESIZERS.names() or not voice:
             raise SyntheticVoiceError(
-                f"{each.strip()!r} is no SYNTHESISER:VOICE; synthesisers: "
+                f"{item.strip()!r} is no SYNTHESISER:VOICE; synthesisers: "
                 f"{', '.join(SYNTHESIZERS.names())}; for example flite:awb"
             )
         voices.append(SyntheticVoice(synthesizer, voice))
@@ -73,11 +76,12 @@ def write_voice(
     seed: int | None,
     progress: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Speak texts into a corpus below `folder`; return the corpus's own folder.
+    """Write a corpus of spoken texts into a folder below `folder`; return the corpus's folder.
 
-    What is there already stays. seed: draws rate and pitch of each text; None: those of the voice.
-    A text that the voice cannot speak is left out. Raises SynthesisError where synthesiser or voice
-    are missing, or report no times.
+    Texts that have labels there already are skipped. seed: draws rate and pitch of each text; None:
+    175 words a minute and pitch 50. progress: called after each text. Texts that the voice cannot
+    speak are left out. Raises SynthesisError for a synthesiser or voice that is missing or reports
+    no times of phonemes.
     """
     corpus = folder / voice.folder_name
     for part in ("audio", "labels"):
@@ -102,14 +106,14 @@ def _speak(synthesizer: Synthesizer, voice: Voice, text: str, corpus: Path, name
     Raises SynthesisError for a voice that reports no times of phonemes.
     """
     try:
-        spoken = synthesizer.speak(text.lower(), voice)
+        speech = synthesizer.speak(text.lower(), voice)
     except UnspeakableTextError:
         return
-    if not spoken.phonemes:
+    if not speech.phonemes:
         raise SynthesisError(f"{corpus.name}: the voice gives no phoneme times to learn from")
     with written_whole(corpus / "audio" / f"{name}.flac") as path:
-        soundfile.write(path, spoken.samples, spoken.sample_rate_hz, format="FLAC")
-    phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in spoken.phonemes)
+        soundfile.write(path, speech.samples, speech.sample_rate_hz, format="FLAC")
+    phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in speech.phonemes)
     # One interval for all words: the times of words are needed by nobody here.
-    whole = ((text, 0.0, spoken.duration_s),)
-    write_tiers(corpus / "labels" / f"{name}.TextGrid", {"words": whole, "phones": phones})
+    one_interval = ((text, 0.0, speech.duration_s),)
+    write_tiers(corpus / "labels" / f"{name}.TextGrid", {"words": one_interval, "phones": phones})

@@ -1,8 +1,8 @@
-"""How sure posteriors are against how often they are right, and weights that are less sure.
+"""Whether posteriors are as sure as they are right, and weights that are less sure.
 
 Guo, Pleiss, Sun and Weinberger, "On calibration of modern neural networks", ICML 2017: the expected
-calibration error, and logits divided by a temperature, which leaves every decision by the largest
-posterior as it was.
+calibration error, and logits divided by a temperature, which changes no decision for the largest
+posterior.
 """
 
 from dataclasses import replace
@@ -22,8 +22,8 @@ _N_BINS: Final = 15
 
 def tempered(weights: NetworkWeights, temperature: float) -> NetworkWeights:
     """Return weights whose logits are divided by a temperature; above 1 they are less sure."""
-    by = np.float32(temperature)
-    return replace(weights, output=weights.output / by, output_bias=weights.output_bias / by)
+    temp = np.float32(temperature)
+    return replace(weights, output=weights.output / temp, output_bias=weights.output_bias / temp)
 
 
 def calibration_error(confidence: Array, is_right: Array) -> float:
@@ -47,14 +47,14 @@ def calibration_error(confidence: Array, is_right: Array) -> float:
 
 
 def reliability(posteriors: Array32, phones: NDArray[np.int64]) -> tuple[float, float]:
-    """Return the calibration errors of phones and of viseme classes.
+    """Return the expected calibration errors of phones and of viseme classes.
 
     Parameters
     ----------
     posteriors : Array32
         (n, n_phonemes).
     phones : NDArray[np.int64]
-        (n,), numbers in PHONEMES of the spoken phones.
+        (n,), indices in PHONEMES of the spoken phones.
 
     Returns
     -------
@@ -63,8 +63,8 @@ def reliability(posteriors: Array32, phones: NDArray[np.int64]) -> tuple[float, 
     """
     visemes = posteriors @ _MEMBERSHIP
     compared = (posteriors, phones), (visemes, _CLASS_OF[phones])
-    phone, viseme = (
+    phone_error, viseme_error = (
         calibration_error(each.max(axis=1).astype(np.float64), each.argmax(axis=1) == labels)
         for each, labels in compared
     )
-    return phone, viseme
+    return phone_error, viseme_error

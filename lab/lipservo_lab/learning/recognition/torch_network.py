@@ -1,4 +1,4 @@
-"""The network in torch, for training: made by a plan, started from weights, exported to NumPy."""
+"""The recogniser's network in torch, for training: made, loaded with weights, exported."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,7 +20,8 @@ from lipsync.recognition.network import Layer, NetworkWeights
 
 #: Windows from which the norms of a network that goes on from other weights are set.
 _NORM_WINDOWS = 64
-#: So much of what goes into a new layer comes out at first; of nothing it would never learn.
+#: Size of a new layer's initial weights, as a share of the usual: at first it adds next to nothing;
+#: with zeros it would never learn.
 _ADDED_SHARE = 0.003
 
 
@@ -34,7 +35,7 @@ class _Residual(nn.Module):
         self.padding = 2 * dilation
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Add the block's output to its input, (b, channels, n)."""
+        """Return the input plus the output of the block, (b, channels, n)."""
         return x + torch.relu(self.norm(self.conv(nn.functional.pad(x, (self.padding, 0)))))
 
 
@@ -49,13 +50,13 @@ class TorchNetwork(nn.Module):
         self.exit = nn.Conv1d(plan.channels, self.n_heads * len(PHONEMES), 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """See the class."""
+        """Return logits (b, n_heads, 40 phones, n) of features (b, 40, n)."""
         logits = self.exit(self.body(torch.relu(self.entry(nn.functional.pad(x, (2, 0))))))
         return logits.unflatten(1, (self.n_heads, len(PHONEMES)))
 
 
 def exported(network: nn.Module, scale: FeatureScale, plan: TrainingPlan) -> NetworkWeights:
-    """Return a network's weights for NumPy, with batch norm folded into the convolutions."""
+    """Return the network's weights for NumPy, with batch norms folded into the convolutions."""
     assert isinstance(network, TorchNetwork)
     layers = [Layer(_kernel(network.entry.weight), _numpy(network.entry.bias), 1)]
     for block, dilation in zip(network.body, plan.dilations, strict=True):
@@ -80,12 +81,11 @@ def exported(network: nn.Module, scale: FeatureScale, plan: TrainingPlan) -> Net
 def started_from(
     weights: NetworkWeights, arrays: Sequence[TrainingArray], plan: TrainingPlan
 ) -> TorchNetwork:
-    """Return a network with the outputs of `weights`, ready to go on learning.
+    """Return a network with the outputs of `weights`, ready for further training.
 
-    Weights of a smaller network are grown to the plan's size.
-
-    The weights hold no batch norms, which are folded into them; here the norms are set from what
-    the layers give on windows of the arrays, so that the first step finds the network as it was.
+    Weights of a smaller network are grown to the plan's size. Batch norms are folded into the
+    weights; here new norms get the means and variances of what the layers give on windows of the
+    arrays, and such scales that the network's outputs do not change.
 
     Parameters
     ----------
@@ -94,19 +94,19 @@ def started_from(
     arrays : Sequence[TrainingArray]
         Features of shape (n_frames, 40), and targets.
     plan : TrainingPlan
-        Of the training.
+        Shape and seed.
 
     Returns
     -------
     TorchNetwork
-        The network.
+        Of the plan's shape.
     """
     weights = grown(weights, plan)
     network = TorchNetwork(plan)
     layers = [weights.entry, *weights.residuals]
     rng = np.random.default_rng([plan.seed, plan.n_steps])
-    sample = replace(plan, batch=_NORM_WINDOWS)
-    hidden = torch.from_numpy(draw_windows(arrays, sample, rng)[0])
+    norm_plan = replace(plan, batch=_NORM_WINDOWS)
+    hidden = torch.from_numpy(draw_windows(arrays, norm_plan, rng)[0])
     with torch.no_grad():
         network.entry.weight.copy_(_torch_kernel(layers[0].kernel))
         network.entry.bias.copy_(torch.from_numpy(layers[0].bias))
@@ -114,30 +114,30 @@ def started_from(
         for block, layer in zip(network.body, layers[1:], strict=True):
             assert isinstance(block, _Residual)
             block.conv.weight.copy_(_torch_kernel(layer.kernel))
-            given = block.conv(nn.functional.pad(hidden, (block.padding, 0)))
-            mean, variance = given.mean(dim=(0, 2)), given.var(dim=(0, 2))
+            convolved = block.conv(nn.functional.pad(hidden, (block.padding, 0)))
+            mean, variance = convolved.mean(dim=(0, 2)), convolved.var(dim=(0, 2))
             block.norm.running_mean.copy_(mean)
             block.norm.running_var.copy_(variance)
             block.norm.weight.copy_(torch.sqrt(variance + block.norm.eps))
             block.norm.bias.copy_(torch.from_numpy(layer.bias) + mean)
-            hidden = hidden + torch.relu(given + torch.from_numpy(layer.bias)[:, None])
+            hidden = hidden + torch.relu(convolved + torch.from_numpy(layer.bias)[:, None])
         network.exit.weight.copy_(torch.from_numpy(weights.output.T[:, :, None]))
         network.exit.bias.copy_(torch.from_numpy(weights.output_bias))
     return network
 
 
 def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
-    """Return weights in the plan's shape: channels and layers kept, new ones added.
+    """Return weights grown to the plan's number of channels and layers.
 
-    No old weight reads a new channel, and new layers add next to nothing (Net2Net: Chen, Goodfellow
-    and Shlens, ICLR 2016, has the idea), so that the network's outputs stay and it has room to
-    learn. Raises TrainingError for a plan that is narrower, shorter, or of other dilations or
-    delays.
+    No old weight reads a new channel, and new layers add next to nothing, so that the network's
+    outputs stay nearly the same and it can learn more (the idea is Net2Net's: Chen, Goodfellow and
+    Shlens, ICLR 2016). Raises TrainingError for a plan that is narrower or shorter, or has other
+    dilations or delays.
     """
     dilations = tuple(layer.dilation for layer in weights.residuals)
     channels, n_old = len(weights.entry.bias), len(dilations)
-    is_room = plan.channels >= channels and plan.dilations[:n_old] == dilations
-    if not is_room or weights.delays != plan.delays:
+    is_larger = plan.channels >= channels and plan.dilations[:n_old] == dilations
+    if not is_larger or weights.delays != plan.delays:
         raise TrainingError(
             "--start-from does not fit --channels, --dilations or --delays: a network may only "
             f"grow from {channels} channels, dilations {','.join(map(str, dilations))} (more may "
@@ -163,6 +163,7 @@ def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
         return Layer(kernel.reshape(3 * n_in, plan.channels), bias, layer.dilation)
 
     def added(dilation: int) -> Layer:
+        """Return a new layer with small random weights."""
         spread = _ADDED_SHARE * np.sqrt(1.0 / (3 * plan.channels))
         kernel = spread * rng.standard_normal((3 * plan.channels, plan.channels))
         return Layer(kernel.astype(np.float32), np.zeros(plan.channels, np.float32), dilation)
@@ -181,7 +182,7 @@ def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
 
 
 def _kernel(weight: torch.Tensor) -> NDArray[np.float32]:
-    """Return a kernel (out, in, 3 taps) as (3 taps x in, out), for NumPy."""
+    """Return a kernel (out, in, 3 taps) of torch as (3 taps x in, out), for NumPy."""
     return _numpy(weight.permute(2, 1, 0).flatten(0, 1))
 
 

@@ -1,9 +1,7 @@
-"""From aligned speech to the arrays that the network learns from.
+"""From aligned speech to the arrays and windows that the network learns from; the training plan.
 
-Every utterance is augmented several times (`augmentation`); each copy of the corpus is one long
-array, every utterance beginning as a stream does, with a fresh level and mean.
-
-How the network is trained: its shape, the schedule, and the windows that a step learns from.
+Every utterance is augmented several times (`augmentation`). Each copy of the corpus is one long
+array, in which every utterance begins as a new stream, with a fresh level and mean.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -39,10 +37,10 @@ from lipsync.recognition.network import NetworkWeights
 NO_TARGET = -100
 #: Silence put behind every utterance, so that late heads learn its last phones.
 _TAIL_S = 0.15
-#: One sound without speech for so many utterances: a seventh of the time.
+#: Utterances for each sound without speech, which makes these sounds a seventh of the time.
 _UTTERANCES_PER_SOUND = 2
 _SOUND_S = 3.0
-#: Of so many copies one has no noise, so that quiet rooms stay what is heard most often.
+#: Of so many copies one is without noise, so that quiet rooms stay the commonest.
 _LIGHT_EVERY = 4
 
 
@@ -50,7 +48,8 @@ _LIGHT_EVERY = 4
 class TrainingArray:
     """One augmented copy of the whole corpus.
 
-    features: (n, 40) float16; targets: (n, n_heads), the phoneme's number for each head's delay.
+    features: (n, 40) float16; targets: (n, n_heads), the phoneme index that each head shall output
+    at each frame, NO_TARGET where it has none.
     """
 
     features: NDArray[np.float16]
@@ -59,11 +58,11 @@ class TrainingArray:
 
 @dataclass(frozen=True, slots=True)
 class Taught:
-    """What a teacher says of the frames of all recordings, one recording after the other.
+    """A teacher's labels and posteriors of the frames of all recordings, one after the other.
 
-    A target from len(PHONEMES) on is a frame of these: so posteriors go through every change of
-    speed with their labels, and are kept once, not once a copy. labels: (n,), posteriors:
-    (n, n_phonemes) float16.
+    labels: (n,), posteriors: (n, n_phonemes) float16. A target of len(PHONEMES) + i stands for
+    frame i of these: so changes of speed move posteriors with their labels, and they are stored
+    once, not once a copy.
     """
 
     labels: NDArray[np.int64]
@@ -71,7 +70,10 @@ class Taught:
 
 
 def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) -> LabelledSamples:
-    """The utterance's samples, with a tail of silence, and labels."""
+    """Return the utterance's samples, with 150 ms of silence behind them, and its labels.
+
+    Raises SoundError for a sound that cannot be read.
+    """
     samples = read_speech(utterance.sound)
     samples = np.concatenate((samples, np.zeros(round(_TAIL_S * SAMPLE_RATE_HZ), np.float32)))
     return LabelledSamples(samples, aligned.labels(len(samples) // HOP))
@@ -79,25 +81,25 @@ def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) ->
 
 def feature_scale(recordings: Iterable[LabelledSamples]) -> FeatureScale:
     """Return the mean and scale of features over all recordings."""
-    return FeatureScale.of(LogMelStream().push(each.samples) for each in recordings)
+    return FeatureScale.of(LogMelStream().push(recording.samples) for recording in recordings)
 
 
 def delayed(labels: NDArray[np.int64], n_frames: int, delays: Sequence[int]) -> NDArray[np.int64]:
-    """Return targets of all heads: at frame n head h has the label of frame n - delay.
+    """Return the targets of all heads: at frame i, for delay d, the label of frame i - d.
 
     Parameters
     ----------
     labels : NDArray[np.int64]
-        (m,).
+        (m,), of frames.
     n_frames : int
-        n.
+        Number of frames of the targets.
     delays : Sequence[int]
         Of the heads, in frames.
 
     Returns
     -------
     NDArray[np.int64]
-        (n_frames, n_heads).
+        (n_frames, n_heads); NO_TARGET for frames before the first label or after the last.
     """
     targets = np.full((n_frames, len(delays)), NO_TARGET)
     for head, delay in enumerate(delays):
@@ -114,9 +116,9 @@ def as_array(
     Parameters
     ----------
     recordings : Iterable[LabelledSamples]
-        Labelled.
+        Samples with labels.
     scale : FeatureScale
-        Of the features.
+        Scale of the features.
     delays : Sequence[int]
         Of the heads, in frames.
 
@@ -126,10 +128,10 @@ def as_array(
         Features (n, 40), targets (n, n_heads).
     """
     features, targets = [], []
-    for each in recordings:
-        frames = LevelNormalizer(scale).push(LogMelStream().push(each.samples))
+    for recording in recordings:
+        frames = LevelNormalizer(scale).push(LogMelStream().push(recording.samples))
         features.append(frames.astype(np.float16))
-        targets.append(delayed(each.labels, len(frames), delays))
+        targets.append(delayed(recording.labels, len(frames), delays))
     return TrainingArray(np.concatenate(features), np.concatenate(targets))
 
 
@@ -144,28 +146,28 @@ def training_arrays(
     is_taught: bool = False,
     n_processes: int = 1,
 ) -> Iterator[TrainingArray]:
-    """Yield one lightly augmented copy, `n_heavy` heavily, as they are made.
+    """Yield one lightly and `n_heavy` heavily augmented copies of the corpus, as they are made.
 
-    The same for the same seed.
+    The same arguments give the same arrays.
 
     Parameters
     ----------
     clean : Sequence[LabelledSamples]
-        Labelled.
+        The recordings.
     scale : FeatureScale
-        Of the features.
+        Scale of the features.
     delays : Sequence[int]
         Of the heads, in frames.
     n_heavy : int
-        Copies.
+        Number of heavily augmented copies.
     seed : int
-        Of the augmentation.
+        Seed of the augmentation.
     found_sounds : Sequence[Array32]
-        Recordings (n,) without speech, beside those that are made.
+        Recordings (n,) without speech, beside synthetic sounds.
     is_taught : bool
-        Targets are frames of `Taught`, which has those of `clean` in this order.
+        Whether targets are frames of a `Taught` of `clean` in this order, in place of labels.
     n_processes : int
-        At once.
+        Number of copies made at once.
 
     Returns
     -------
@@ -178,11 +180,11 @@ def training_arrays(
     ends = np.cumsum([len(each.labels) for each in clean]) if is_taught else np.zeros(0, np.int64)
     _TAUGHT_ENDS[:] = ends.tolist()
     if n_processes <= 1:
-        yield from map(_one_array, jobs)
+        yield from map(_training_array, jobs)
         return
     # Forked workers see the recordings without copying them.
     with worker_pool(n_processes, get_context("fork")) as pool:
-        yield from pool.map(_one_array, jobs)
+        yield from pool.map(_training_array, jobs)
 
 
 _SHARED: list[LabelledSamples] = []
@@ -191,22 +193,26 @@ _FOUND: list[Array32] = []
 _TAUGHT_ENDS: list[int] = []
 
 
-def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingArray:
+def _training_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingArray:
+    """Return the array of one copy.
+
+    job: number of the copy, seed, scale of features, delays. The recordings are in `_SHARED`, since
+    a forked process has them without copying.
+    """
     copy, seed, scale, delays = job
     return as_array(_augmented(_SHARED, copy, seed), scale, delays)
 
 
 def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterable[LabelledSamples]:
-    """Return one augmented copy of the corpus, for training.
+    """Return one augmented copy of the corpus.
 
-    With a teacher, labels are no phonemes but numbers of the teacher's frames, from `len(PHONEMES)`
-    on.
+    With a teacher, labels are not phonemes but numbers of the teacher's frames plus len(PHONEMES).
     """
     around = surroundings(clean, _FOUND)
     if _TAUGHT_ENDS:
         clean = [
-            replace(each, labels=len(PHONEMES) + np.arange(end - len(each.labels), end))
-            for each, end in zip(clean, _TAUGHT_ENDS, strict=True)
+            replace(recording, labels=len(PHONEMES) + np.arange(end - len(recording.labels), end))
+            for recording, end in zip(clean, _TAUGHT_ENDS, strict=True)
         ]
     return disturbed_copy(clean, around, copy, seed)
 
@@ -214,26 +220,26 @@ def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterab
 def surroundings(
     clean: Sequence[LabelledSamples], found_sounds: Sequence[Array32] = ()
 ) -> Surroundings:
-    """Return what may be heard beside speech: voices and laughter of at most 400 recordings.
+    """Return makers of sounds beside speech; voices and laughter are of at most 400 recordings.
 
     Parameters
     ----------
     clean : Sequence[LabelledSamples]
         Recordings of speech at 16 kHz.
     found_sounds : Sequence[Array32]
-        Recordings (n,) at 16 kHz without speech; none: only made sounds are heard.
+        Recordings (n,) at 16 kHz without speech; none: only synthetic sounds.
 
     Returns
     -------
     Surroundings
-        To draw from.
+        Makers of sounds.
     """
-    some = clean[:: max(1, len(clean) // 200)]
-    voices = [each.samples for each in some]
+    chosen = clean[:: max(1, len(clean) // 200)]
+    voices = [recording.samples for recording in chosen]
     return Surroundings(
         noise.babble(voices),
         noise.babble(voices, 1),
-        laughter_of([(each.samples, each.labels) for each in some]),
+        laughter_of([(recording.samples, recording.labels) for recording in chosen]),
         found(list(found_sounds)) if found_sounds else None,
     )
 
@@ -248,10 +254,10 @@ def disturbed_copy(
     clean : Sequence[LabelledSamples]
         Recordings of speech at 16 kHz.
     around : Surroundings
-        What may be heard beside speech.
+        Makers of sounds beside speech.
     copy : int
-        Number of the copy. Of 0 the loudness is changed, of every fourth the loudness and the
-        voice; the others are augmented heavily.
+        Number of the copy. Copy 0 has other levels, every fourth one other levels and voices; the
+        others are augmented heavily.
     seed : int
         Of all draws, with `copy` and the recording's index.
 
@@ -261,22 +267,22 @@ def disturbed_copy(
         At 16 kHz, a label every 10 ms.
     """
     silence = np.full(round(_SOUND_S * FRAMES_PER_S), PHONEMES.index(SILENCE))
-    for index, each in enumerate(clean):
+    for index, recording in enumerate(clean):
         rng = np.random.default_rng([seed, copy, index])
         if copy == 0:
-            yield augmentation.augment_lightly(rng, each)
+            yield augmentation.augment_lightly(rng, recording)
         elif copy % _LIGHT_EVERY == 0:
-            yield augmentation.augment_lightly(rng, augmentation.by_another_voice(rng, each))
+            yield augmentation.augment_lightly(rng, augmentation.by_another_voice(rng, recording))
         else:
-            yield augmentation.augment_heavily(rng, each, around)
+            yield augmentation.augment_heavily(rng, recording, around)
         if index % _UTTERANCES_PER_SOUND == 0:
             samples = augmentation.no_speech(rng, len(silence) * HOP, around)
             yield LabelledSamples(samples, silence)
 
 
-#: Chance that a window of the lightly changed copy is drawn; the heavily changed share the rest.
+#: Chance that a window is drawn from the lightly changed copy; the heavily changed share the rest.
 _LIGHT_SHARE = 0.25
-#: Of half of the windows up to so many neighbouring bands are blanked.
+#: In half of the windows, fewer than this many neighbouring bands are blanked.
 MASKED_BANDS = 8
 
 
@@ -286,13 +292,14 @@ class TrainingError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class TrainingPlan:
-    """How to learn; the defaults are those of `lipservo learn recognizer`.
+    """How to train; the defaults are those of `lipservo learn recognizer`.
 
-    dilations: of the residual layers; the network sees 2 sum(dilations) + 2 frames back.
-    closure_weight: of a frame of P B M or F V in the loss of the viseme classes. A closure that is
-    missed is seen by everybody, one too many by few, so missing one costs more. visible_weight: of
-    the visible error that is to be expected from the posteriors, a mm (`visible_error`).
-    soft_share: of a teacher's posteriors in place of labels, where a frame has them.
+    delays: of the heads, in frames; head_weights: of the heads in the loss. dilations: of the
+    residual layers; the network sees 2 sum(dilations) + 2 frames back. batch: windows a step;
+    window: frames in each. closure_weight: of a frame of P B M or F V in the loss of the viseme
+    classes: everybody sees a missed closure, few see one too many. visible_weight: of the visible
+    error in mm that the posteriors lead to on average (`visible_error`). soft_share: of a teacher's
+    posteriors in place of labels, for frames that have them. log_every, check_every: in steps.
     """
 
     delays: tuple[int, ...] = (2, 7, 12)
@@ -314,11 +321,11 @@ class TrainingPlan:
 
     @property
     def averaging(self) -> float:
-        """Share of the running average that stays at each step: it spans a quarter of the run."""
+        """Share of the running average that stays at each step; it spans a quarter of the run."""
         return 1.0 - 4.0 / max(8, self.n_steps)
 
     def shaped_as(self, weights: NetworkWeights) -> "TrainingPlan":
-        """Return the schedule for a network of this shape."""
+        """Return the plan for a network with the delays, dilations and channels of `weights`."""
         return replace(
             self,
             delays=weights.delays,
@@ -329,7 +336,10 @@ class TrainingPlan:
     def shaped(
         self, channels: int | None, dilations: tuple[int, ...], delays: tuple[int, ...]
     ) -> "TrainingPlan":
-        """Another shape; None and empty leave what is. Heads of other delays weigh alike."""
+        """Return the plan for another shape; None or an empty tuple keeps what is set.
+
+        With other delays than the default, all heads weigh alike.
+        """
         delays, weights = delays or self.delays, self.head_weights
         if delays != TrainingPlan().delays:
             weights = tuple(1.0 / len(delays) for _ in delays)
@@ -345,16 +355,16 @@ class TrainingPlan:
 def draw_windows(
     arrays: Sequence[TrainingArray], plan: TrainingPlan, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Draw windows of the arrays, some bands blanked.
+    """Draw windows of the arrays; in half of them some neighbouring bands are set to 0.
 
     Parameters
     ----------
     arrays : Sequence[TrainingArray]
-        Features of shape (n, 40), and targets.
+        Features of shape (n, 40), and targets; the first is the lightly changed copy.
     plan : TrainingPlan
-        Sizes.
+        Number and length of windows.
     rng : np.random.Generator
-        Draws.
+        Draws arrays, places and bands.
 
     Returns
     -------
@@ -364,12 +374,12 @@ def draw_windows(
     features = np.empty((plan.batch, N_BANDS, plan.window), np.float32)
     targets = np.empty((plan.batch, len(plan.delays), plan.window), np.int64)
     for index in range(plan.batch):
-        heavy = len(arrays) > 1 and rng.random() > _LIGHT_SHARE
-        array = arrays[int(rng.integers(1, len(arrays)))] if heavy else arrays[0]
+        is_heavy = len(arrays) > 1 and rng.random() > _LIGHT_SHARE
+        array = arrays[int(rng.integers(1, len(arrays)))] if is_heavy else arrays[0]
         first = int(rng.integers(0, max(1, len(array.features) - plan.window)))
-        part = slice(first, first + plan.window)
-        features[index] = array.features[part].T
-        targets[index] = array.targets[part].T
+        frames = slice(first, first + plan.window)
+        features[index] = array.features[frames].T
+        targets[index] = array.targets[frames].T
         if rng.random() < 0.5:
             band = int(rng.integers(0, N_BANDS - MASKED_BANDS))
             features[index, band : band + int(rng.integers(1, MASKED_BANDS))] = 0.0

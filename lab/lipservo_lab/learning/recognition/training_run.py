@@ -1,11 +1,4 @@
-"""One training from corpora to weights: align, split by speaker, disturb, learn, write a log.
-
-The mean of two sets of weights, one of which went on from the other.
-
-Weights that were trained further and those they began with mostly lie in one valley of the loss, so
-that the mean knows what is new and keeps what was known: Wortsman and others, "Robust fine-tuning
-of zero-shot models", CVPR 2022, equation 1.
-"""
+"""One training from corpora to weights: align, split by speaker, augment, train, write a log."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -46,9 +39,9 @@ from lipsync.recognition.network import NetworkWeights, StreamingNetwork
 
 #: The scale needs no more than every sixth utterance.
 _SCALE_STEP = 6
-#: So many validation utterances of a corpus are enough for a curve.
+#: Validation utterances of each corpus; more do not change the curve.
 _MOST_VALIDATION = 40
-#: Conditions of one corpus alone are called so and then as the corpus.
+#: Prefix of the names of conditions that are one corpus each.
 _CORPUS = "corpus_"
 #: Texts that a synthetic voice reads: short enough for every synthesiser, long enough for prosody.
 _TEXT_CHARACTERS = range(20, 200)
@@ -58,14 +51,15 @@ _MEMBERSHIP = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
 
 @dataclass(frozen=True, slots=True)
 class TrainingRun:
-    """What to learn from, and where the run is kept.
+    """What to learn from, and where the run is stored.
 
-    held_out, validation: speakers; left_out: utterances. limit: only so many of each speaker; None:
-    all. voices: synthetic ones, which read texts of the corpora that train, so many each. sounds:
-    folders of files without speech. start: weights to go on from; start_share: how much of
-    them is in the mean that comes out. teacher: lays the labels of what trains anew, leaves out
-    texts that it does not hear, and its posteriors are learned beside them; None: the aligner's.
-    resumes: whether the folder may hold a run already, which then goes on.
+    held_out, validation: names of speakers; left_out: names of utterances. limit: most utterances
+    of each speaker; None: all. voices: synthetic ones, which read n_texts_each texts of the
+    training corpora each. sounds: folders of files without speech. start: weights to go on from;
+    start_share: their share in the mean that is returned. teacher: network that times the labels of
+    training utterances anew, leaves out those whose text it does not find, and whose posteriors are
+    learned too; None: the aligner's labels are learned. resumes: whether a run in the folder goes
+    on.
     """
 
     corpora: tuple[Path, ...]
@@ -89,10 +83,11 @@ class TrainingRun:
 def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     """Train the network; an interrupted run goes on from what its folder holds.
 
-    Utterances that are held or left out are not even aligned. Validation uses the aligner's labels.
-    Raises TrainingError where no speaker is left, for two utterances of one name, and for a folder
-    whose run is not to go on; TrainingStoppedError after SIGTERM or Ctrl-C, with the state saved;
-    TranscriptError for an utterance to be left out that is in none of the corpora.
+    advance: called with the work, the amount done and all. Held-out and left-out utterances are not
+    even aligned. Validation uses the aligner's labels. Raises TrainingError if no utterance is
+    left, if two utterances have one name, and for a folder with a run that is not to go on;
+    TrainingStoppedError after SIGTERM or Ctrl-C, with the state saved; TranscriptError if an
+    utterance to be left out is in none of the corpora.
     """
     run.folder.mkdir(parents=True, exist_ok=True)
     plan = run.plan
@@ -109,14 +104,14 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     clean = [read_labelled(u, alignments[u.name]) for u in training]
     taught = None
     if run.teacher is not None:
-        labels = taught_by(
+        retimed = taught_by(
             run.teacher,
-            [(each, alignments[u.name]) for each, u in zip(clean, training, strict=True)],
+            [(recording, alignments[u.name]) for recording, u in zip(clean, training, strict=True)],
             lambda n: advance("teaching", n, len(training)),
         )
-        if not labels.recordings:
+        if not retimed.recordings:
             raise TrainingError("--teacher finds no text in its sound; give other weights")
-        clean, taught = list(labels.recordings), labels.taught
+        clean, taught = list(retimed.recordings), retimed.taught
     scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
     arrays = []
     for array in training_arrays(
@@ -139,7 +134,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
             advance("learning", n, plan.n_steps)
             return stops.count > 0
 
-        learned = train_network(
+        trained = train_network(
             arrays,
             scale,
             plan,
@@ -149,29 +144,30 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
             check=lambda _step, weights: checked(weights, conditions, plan),
             after_step=after_step,
         )
-    return learned if run.start is None else averaged(learned, run.start, run.start_share)
+    return trained if run.start is None else averaged(trained, run.start, run.start_share)
 
 
 def checked(
     weights: NetworkWeights, conditions: Mapping[str, TrainingArray], plan: TrainingPlan
 ) -> dict[str, float]:
-    """Return the figures, and the score by which weights are kept: the mean over corpora.
+    """Return the validation figures, and the score by which the best weights are chosen.
 
-    Each corpus counts alike: visemes of its speech at the head that counts most in the loss.
+    The score is the mean over corpora, each counting alike, of the accuracy of viseme classes in
+    speech, at the head with the largest weight in the loss.
 
     Parameters
     ----------
     weights : NetworkWeights
-        To score.
+        Of the network to score.
     conditions : Mapping[str, TrainingArray]
         Features of shape (n, 40) and targets, by name.
     plan : TrainingPlan
-        Of the training.
+        With the delays and weights of the heads.
 
     Returns
     -------
     dict[str, float]
-        By name, 0 to 1.
+        0 to 1, by name; without `score` if no condition is a corpus.
     """
     found = figures(weights, conditions)
     delay = plan.delays[int(np.argmax(plan.head_weights))]
@@ -180,31 +176,31 @@ def checked(
 
 
 def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) -> dict[str, float]:
-    """Return frame accuracies without a decoder: phones and viseme classes, condition by condition.
+    """Return frame accuracies without a decoder: phones and viseme classes, for each condition.
 
     Parameters
     ----------
     weights : NetworkWeights
-        To score.
+        Of the network to score.
     conditions : Mapping[str, TrainingArray]
         Features of shape (n, 40) and targets, by name.
 
     Returns
     -------
     dict[str, float]
-        By name, 0 to 1.
+        0 to 1, by `CONDITION_delayD_phone_all`, `_viseme_all` and `_viseme_speech`.
     """
     found: dict[str, float] = {}
     silence = PHONEMES.index(SILENCE)
     for name, array in conditions.items():
         posteriors = StreamingNetwork(weights).push(array.features.astype(np.float32))
         for head, delay in enumerate(weights.delays):
-            known = array.targets[:, head] >= 0
-            targets = array.targets[known, head]
-            phones = posteriors[known, head]
-            visemes_right = (phones @ _MEMBERSHIP).argmax(axis=1) == _CLASS_OF[targets]
+            has_target = array.targets[:, head] >= 0
+            targets = array.targets[has_target, head]
+            head_posteriors = posteriors[has_target, head]
+            visemes_right = (head_posteriors @ _MEMBERSHIP).argmax(axis=1) == _CLASS_OF[targets]
             key = f"{name}_delay{delay}"
-            found[f"{key}_phone_all"] = float(np.mean(phones.argmax(axis=1) == targets))
+            found[f"{key}_phone_all"] = float(np.mean(head_posteriors.argmax(axis=1) == targets))
             found[f"{key}_viseme_all"] = float(np.mean(visemes_right))
             found[f"{key}_viseme_speech"] = float(np.mean(visemes_right[targets != silence]))
     return found
@@ -213,26 +209,27 @@ def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) ->
 def _aligned(
     run: TrainingRun, advance: Advance
 ) -> tuple[list[TranscribedUtterance], dict[str, AlignedUtterance]]:
-    """Return the utterances to train on, synthetic ones among them, and their alignments by name.
+    """Return all utterances to train and validate with, also synthetic ones, and their alignments.
 
-    Alignments are kept in `alignments.jsonl` of the run's folder.
+    Alignments are by utterance name, and kept in `alignments.jsonl` of the run's folder. Raises
+    TrainingError for two utterances of one name.
     """
-    everything = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
-    names = Counter(u.name for u in everything)
+    all_utterances = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
+    names = Counter(u.name for u in all_utterances)
     if twice := [name for name, count in names.items() if count > 1]:
         raise TrainingError(f"utterance {twice[0]!r} is in two corpora; rename it in one of them")
     utterances = [
         utterance
-        for utterance in without_names(everything, run.left_out)
+        for utterance in without_names(all_utterances, run.left_out)
         if utterance.speaker not in run.held_out
     ]
     utterances = list(of_speakers(tuple(utterances), frozenset(), run.limit))
-    utterances += _spoken(run, utterances, advance)
-    done: list[str] = []
+    utterances += _synthetic_utterances(run, utterances, advance)
+    done_names: list[str] = []
 
     def count(name: str) -> None:
-        done.append(name)
-        advance("aligning", len(done), len(utterances))
+        done_names.append(name)
+        advance("aligning", len(done_names), len(utterances))
 
     alignments = align_corpus(
         tuple(utterances),
@@ -244,17 +241,20 @@ def _aligned(
 
 
 def _is_spoken(aligned: AlignedUtterance) -> bool:
-    """Return whether the text was spoken; labels of another text would be wrong.
+    """Return whether the text of an utterance was spoken, by the score of its alignment.
 
-    Learners and children often say other words than their text.
+    Learners and children often say other words than their text, and its labels would be wrong.
     """
     return not aligned.error and (aligned.score is None or aligned.score >= LEAST_SCORE)
 
 
-def _spoken(
+def _synthetic_utterances(
     run: TrainingRun, utterances: Sequence[TranscribedUtterance], advance: Advance
 ) -> list[TranscribedUtterance]:
-    """Let each synthetic voice speak its share of the training texts; return the utterances."""
+    """Let each synthetic voice speak its share of the training texts; return the utterances.
+
+    Sounds and labels are written below `synthetic` in the run's folder.
+    """
     texts = [
         utterance.text
         for utterance in utterances
@@ -282,9 +282,10 @@ def _conditions(
     scale: FeatureScale,
     delays: Sequence[int],
 ) -> dict[str, TrainingArray]:
-    """Return validation arrays: clean, in white noise at 10 dB, and 30 dB quieter, by name.
+    """Return validation arrays by name: clean, in white noise at 10 dB, and 30 dB quieter.
 
-    Also clean for each corpus: the folder above the sound's folder. Empty without utterances.
+    Also one clean array for each corpus, named by `_CORPUS` and the corpus. Empty without
+    utterances.
     """
     if not validation:
         return {}
@@ -293,17 +294,18 @@ def _conditions(
         of_corpus = [u for u in validation if _corpus_of(u) == corpus]
         step = max(1, len(of_corpus) // _MOST_VALIDATION)
         by_corpus[corpus] = [read_labelled(u, alignments[u.name]) for u in of_corpus[::step]]
-    recordings = [each for listed in by_corpus.values() for each in listed]
+    recordings = [recording for listed in by_corpus.values() for recording in listed]
     rng = np.random.default_rng(0)
     noisy = [
         replace(h, samples=noise.add_noise(h.samples, noise.white(rng, len(h.samples)), 10.0))
         for h in recordings
     ]
     quiet = [replace(h, samples=h.samples * np.float32(10.0**-1.5)) for h in recordings]
-    ways = {"clean": recordings, "white_10db": noisy, "level_-30db": quiet}
-    ways |= {f"{_CORPUS}{corpus}": listed for corpus, listed in by_corpus.items()}
-    return {name: as_array(way, scale, delays) for name, way in ways.items()}
+    recordings_of = {"clean": recordings, "white_10db": noisy, "level_-30db": quiet}
+    recordings_of |= {f"{_CORPUS}{corpus}": listed for corpus, listed in by_corpus.items()}
+    return {name: as_array(labelled, scale, delays) for name, labelled in recordings_of.items()}
 
 
 def _corpus_of(utterance: TranscribedUtterance) -> str:
+    """Return the name of an utterance's corpus: the folder above the sound's folder."""
     return utterance.sound.parent.parent.name

@@ -1,8 +1,7 @@
-"""The mean of two sets of weights, one of which went on from the other.
+"""The mean of weights and the weights that their training started from.
 
-Weights that were trained further and those they began with mostly lie in one valley of the loss, so
-that the mean knows what is new and keeps what was known: Wortsman and others, "Robust fine-tuning
-of zero-shot models", CVPR 2022, equation 1.
+Both mostly lie in one valley of the loss, so that the mean has learned what is new and keeps what
+was known: Wortsman and others, "Robust fine-tuning of zero-shot models", CVPR 2022, equation 1.
 """
 
 from dataclasses import replace
@@ -14,9 +13,9 @@ from lipsync.recognition.network import Layer, NetworkWeights
 
 
 def averaged(learned: NetworkWeights, start: NetworkWeights, start_share: float) -> NetworkWeights:
-    """Return the mean of two networks, with share `start_share` of `start`.
+    """Return the weighted mean of two networks' weights; `start` has the share `start_share`.
 
-    learned: was trained from `start`, so both have one shape.
+    learned: was trained from `start`, so both have the same shape.
     """
 
     def mean(one: Array32, other: Array32) -> Array32:
