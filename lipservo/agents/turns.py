@@ -257,12 +257,10 @@ class OpenStreams:
         # that was made before.
         n_dropped = self._drop_waiting(owner, "interrupted")
         streams = [each for each in self._playing.values() if each.owner is owner]
-        others_play = len(self._playing) > len(streams)
+        others = len(self._playing) > len(streams)
         # Speech by the face itself is known by its events, or by what waits in the playout.
         face_speaks = bool(self._own_playing) or not (self._playing or self._playout.is_over)
-        if any(each.ended_by != "interrupt" for each in streams) or (
-            face_speaks and not others_play
-        ):
+        if any(each.ended_by != "interrupt" for each in streams) or (face_speaks and not others):
             self._playout.requests.append(PlayoutRequest("interrupt"))
             self._own_playing.clear()
             self._paused = None
