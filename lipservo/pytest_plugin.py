@@ -45,7 +45,7 @@ class SimulatedFace:
         self._messages = process.stderr
         self._lines: list[str] = []
         self._trace = folder / "trace.jsonl"
-        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader = threading.Thread(target=self._store_messages, daemon=True)
         self.url = ""
         self._is_over = threading.Event()
         giving_up = threading.Timer(_PATIENCE_S, process.kill)
@@ -158,7 +158,7 @@ class SimulatedFace:
             while face.status()["state"] != "driven":
                 time.sleep(_POLL_S)
 
-    def _read(self) -> None:
+    def _store_messages(self) -> None:
         """Store the lines and the URL that the face prints, so that no full pipe blocks it."""
         for line in self._messages:
             self._lines.append(line)
@@ -181,19 +181,19 @@ def simulated_face(simulated_face_config: str) -> Iterator[SimulatedFace]:
 
     Servos that its YAML has at a port are simulated behind pseudo-terminals: none moves.
     """
-    with _started(simulated_face_config) as face:
+    with _running_face(simulated_face_config) as face:
         yield face
 
 
 @pytest.fixture(scope="session")
 def shared_simulated_face(simulated_face_config: str) -> Iterator[SimulatedFace]:
     """Yield one running face for all tests of a session, which connect to it and never end it."""
-    with _started(simulated_face_config) as face:
+    with _running_face(simulated_face_config) as face:
         yield face
 
 
 @contextmanager
-def _started(config: str) -> Iterator[SimulatedFace]:
+def _running_face(config: str) -> Iterator[SimulatedFace]:
     """Yield a running simulated face, with files in a temporary folder; end the face afterwards."""
     # Here, since pytest loads this module for every test of every project.
     from lipservo.runtime.servos.assembly import load_settings
@@ -210,7 +210,7 @@ def _started(config: str) -> Iterator[SimulatedFace]:
             environment.setenv("LIPSERVO_STATE", str(folder / "state"))
             arguments = ["--config", config, "--listen", "127.0.0.1:0", "--play", "silent"]
             arguments += [] if port is None else ["--port", port]
-            with _daemon([*arguments, "--trace", str(folder / "trace.jsonl")]) as process:
+            with _daemon_process([*arguments, "--trace", str(folder / "trace.jsonl")]) as process:
                 face = SimulatedFace(process, folder)
                 yield face
                 if process.poll() is None:
@@ -220,7 +220,7 @@ def _started(config: str) -> Iterator[SimulatedFace]:
 
 
 @contextmanager
-def _daemon(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
+def _daemon_process(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
     """Yield the process `lipservo daemon` with these arguments; kill it when the block ends."""
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "lipservo", "daemon", *arguments],
