@@ -100,6 +100,7 @@ class _Waiting:
 
     @property
     def is_heard(self) -> bool:
+        """Whether the sound before the frame was played, or of a frame of sound its own."""
         speech = self.speech
         if speech is None or speech.was_heard:
             return True
@@ -300,7 +301,11 @@ class PipecatFace(_FaceProcessor):
         return speech
 
     async def _send_text(self, frame: frames.AggregatedTextFrame) -> None:
-        """Send a frame's text to the face: words with times, or sentences before their sound."""
+        """Send a frame's text to the face: words with times, or sentences before their sound.
+
+        Before the turn's stream is open, texts are kept for it. Words without times are not sent if
+        the service has announced their sentence.
+        """
         is_spoken = isinstance(frame, frames.TTSTextFrame)
         n = self._sample_of(frame)
         text = frame.text.strip()

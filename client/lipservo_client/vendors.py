@@ -421,6 +421,7 @@ def _label(value: object, kind: Kind, place: str) -> str | None:
 
 
 def _seconds(value: object, unit_s: float, place: str) -> float:
+    """Return a time of `unit_s` units in s. VendorError, which names `place`, if it is invalid."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise VendorError(f"{place}: time {reprlib.repr(value)} is not a number")
     # Compared before it is multiplied: an integer may be too long for a float.
@@ -430,6 +431,7 @@ def _seconds(value: object, unit_s: float, place: str) -> float:
 
 
 def _sample_rate_hz(here: _Here) -> float:
+    """Return the sample rate stated around an object. VendorError if none or an odd one is."""
     rate_hz = here.rate_hz
     if isinstance(rate_hz, int) and not isinstance(rate_hz, bool) and 4000 <= rate_hz <= 400_000:
         return float(rate_hz)

@@ -68,7 +68,7 @@ class _Handler(AsyncEventHandler):
         return True
 
     async def disconnect(self) -> None:
-        """Disconnect from the face, which cuts off unfinished speech."""
+        """Disconnect from the face, which cuts off unfinished speech; let the next client speak."""
         if self._silence_timer is not None:
             self._silence_timer.cancel()
         try:

@@ -61,7 +61,8 @@ _SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
 def _connection_class(heads: Doorway, stoppers: Doorway) -> type[ServerConnection]:
     """Return a class of connections, each of which counts as waiting in `heads` from its start.
 
-    At its end it leaves `heads` and `stoppers`; in between the server makes it leave or enter.
+    heads: limits the connections whose first message is awaited. stoppers: limits those that may
+    only stop the face. At its end a connection leaves both.
     """
 
     class Connection(ServerConnection):

@@ -77,11 +77,11 @@ class ControlSession:
         streams: OpenStreams,
         may_only_stop: Refusal | None = None,
     ) -> None:
-        """Create a session for one client.
+        """Create the session of one client that is connected to `/control`.
 
-        outbox: receives results; commands: what carries the client's commands out; streams: the
-        speech of all clients. may_only_stop: why all commands but stops are refused; None: none is
-        refused.
+        outbox: queue of the messages to this client. commands: socket, functions and thread pools
+        that carry commands out. streams: the speech of all clients. may_only_stop: why all commands
+        but stops are refused; None: none is refused.
         """
         self._outbox = outbox
         self._commands = commands

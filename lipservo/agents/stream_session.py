@@ -57,6 +57,10 @@ class StreamSession:
     def __init__(
         self, outbox: Outbox, streams: OpenStreams, playout: Playout, delay_ms: Callable[[], float]
     ) -> None:
+        """Create a session without streams. outbox: queue of the messages to this client.
+
+        streams: the speech of all clients, which `playout` plays.
+        """
         self._outbox = outbox
         self._streams = streams
         self._playout = playout

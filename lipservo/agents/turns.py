@@ -196,6 +196,7 @@ class OpenStreams:
     """The streams of all clients in the order in which they are spoken, for one event loop."""
 
     def __init__(self, playout: Playout, settings: AgentSettings) -> None:
+        """Start without streams. playout: plays them. settings: limits, and who may speak when."""
         self._playout = playout
         self._settings = settings
         self._numbers = itertools.count(1)

@@ -166,6 +166,7 @@ def motion_options(
         )
 
     def style(name: str, default: float) -> float:
+        """Return a style setting: as typed, else from the YAML, else, or if not used, `default`."""
         if name not in STYLES_OF[strategy]:
             return default
         for value in (getattr(chosen, name, None), getattr(of_the_face, name)):

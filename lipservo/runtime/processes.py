@@ -256,6 +256,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     about, can = requested.about, settings.capabilities
 
     def release(timeout_s: float) -> FaceRelease:
+        """Return a release, to be stepped, that switches torque off at all ports of the face."""
         return FaceRelease(
             [
                 (TorqueRelease(opener, list(names), timeout_s=timeout_s), names)

@@ -291,6 +291,7 @@ class SpeechQueue:
     """
 
     def __init__(self, playout: Playout) -> None:
+        """Create an empty queue, whose items `playout` plays; no thread runs before the first."""
         self._playout = playout
         self._changed = threading.Condition()
         #: Items that are spoken or wait; those in `_unfinished` are still to be decoded or

@@ -92,6 +92,7 @@ class Tally:
     """A counter of ticks, delays, and goals at joint limits during a run."""
 
     def __init__(self, clock: Clock, street: Street) -> None:
+        """Start with all counts 0. clock: measures lateness. street: the pipeline observed."""
         self._clock = clock
         self._street = street
         self._lateness = Histogram()

@@ -83,7 +83,10 @@ def _check_lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
 
 
 def _check_cpu(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
-    """Yield what this computer can do for the face; nothing for servos on several buses."""
+    """Yield findings on whether this computer is fast enough for the face; takes some seconds.
+
+    Nothing for servos on several buses, which cannot be simulated by their bytes.
+    """
     from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.commands.build.within_reach import face_cost, within_reach
 
@@ -234,6 +237,7 @@ def _make_report(
 
 
 def _move_question(joint: str) -> str:
+    """Return the question, for a person, whether `joint` may be moved."""
     from lipservo.health.hardware_report import STEP_DEG
 
     return (

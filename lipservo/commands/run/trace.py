@@ -173,6 +173,7 @@ def _print_difference(
 
 
 def _servo_table(first: Trace, found: Difference) -> Table:
+    """Return a table of each servo's largest and RMS difference in degrees."""
     table = Table(box=None)
     for header in ("servo", "off deg, most", "rms"):
         table.add_column(header, justify="left" if header == "servo" else "right")

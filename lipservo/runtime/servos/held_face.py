@@ -142,7 +142,7 @@ class HeldFace:
 
     @property
     def has_place(self) -> NDArray[np.bool_]:
-        """Whether the servo of each posed joint reports its position.
+        """Whether the servo of each posed joint (the constructor's `joints`) reports its position.
 
         Returns
         -------
@@ -166,7 +166,7 @@ class HeldFace:
 
     @property
     def goal_deg(self) -> Array:
-        """The goal positions of the posed joints; known even of servos that report no position.
+        """The goals of the posed joints (the constructor's `joints`); known without an encoder, too.
 
         Returns
         -------
@@ -269,6 +269,10 @@ class HeldFace:
         is_over = threading.Event()
 
         def in_servo_thread(call: Callable[[], Any]) -> Any:
+            """Queue a call for the servos' thread, wait until it was run, return its result.
+
+            Raises the call's error; RuntimeError once the face is held no more.
+            """
             result: Future[Any] = Future()
             queued_calls.put((call, result))
             while not is_over.is_set():
@@ -485,17 +489,20 @@ class HeldFace:
         return np.where(feedback.age_s == 0.0, feedback.positions_deg, np.nan)[self._has_place]
 
     def _position_deg(self) -> Array:
+        """Return the angles (n_servos,) measured; the goal sent last where none is measured."""
         feedback = self._feedback()
         sent_deg = self._sent_deg(feedback)
         return np.asarray(np.where(self._has_place, feedback.positions_deg, sent_deg))
 
     def _sent_deg(self, feedback: Feedback) -> Array:
+        """Return the goals (n_servos,) sent last: as the bus reports, else as the gate passed."""
         if feedback.sent_deg is None:
             return self._last_sent_deg
         sent_deg = feedback.sent_deg
         return np.asarray(np.where(np.isnan(sent_deg), self._last_sent_deg, sent_deg))
 
     def _feedback(self) -> Feedback:
+        """Return the servos' last readings. Raises PortGone, with a remedy, without the port."""
         try:
             return self._driven.bus.feedback()
         except PortError as error:

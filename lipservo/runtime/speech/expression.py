@@ -144,6 +144,7 @@ class ExpressionClaims:
     """
 
     def __init__(self, servos: Sequence[ExpressionServo], period_s: float) -> None:
+        """Start at neutral. period_s: seconds from one call of `claims` to the next."""
         self._head = [servo for servo in servos if not servo.is_mouth]
         self._corners = [servo for servo in servos if servo.is_mouth]
         self._head_indices = _indices(self._head)

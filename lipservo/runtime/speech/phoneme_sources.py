@@ -171,7 +171,8 @@ class SpokenPhonemes:
     def moved_by(self) -> MovedBy | None:
         """The source of the motion: sound, text, words, phonemes or visemes; None: not known.
 
-        Phonemes and visemes come with the stream, all else from the recogniser.
+        Of the sound that has just become final. Phonemes and visemes come with the stream; text and
+        words are followed by the recogniser, in the units that the client sent.
         """
         now_s = self._playout.committed_s - self.latency_s
         if self._playout.knows_phonemes(now_s):

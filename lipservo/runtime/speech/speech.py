@@ -422,7 +422,7 @@ class Speech:
         self._n_computed = self._n_published = max(self._n_computed, n_due)
 
     def hold(self, now_s: float) -> None:
-        """Publish the last goals again, as due at monotonic `now_s`, for a mouth that `is_still`.
+        """Publish the last goals again for each 10 ms until monotonic `now_s`, while `is_still`.
 
         Nothing is recognised or computed: the next `advance` does that for the time passed.
         """

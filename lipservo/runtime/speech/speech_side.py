@@ -397,7 +397,11 @@ class SpeechSide:
 
 
 def mouth_plan(face: Face) -> JointPlan:
-    """Return a planner of the calibrated joints' goals, keeping to set and measured top speeds."""
+    """Return a planner of goals, every 10 ms, for the mouth's joints, in the calibration's order.
+
+    It keeps to the speed and acceleration limits of the face's YAML, and to the top speed that the
+    calibration has measured, if any.
+    """
     servos = [face.settings.servos[name] for name in face.calibration.servo_names]
     speeds_deg_s = np.array([servo.max_speed_deg_s for servo in servos])
     if face.calibration.following is not None:

@@ -161,6 +161,7 @@ class MoverNews:
     """A reporter, by events of the playout, of how the text and units of a stream are used."""
 
     def __init__(self, playout: Playout) -> None:
+        """Start with nothing reported. playout: its list `events` gets the reports."""
         self._playout = playout
         self._stream: str | None = None
         self._reported: MovedBy | None = None

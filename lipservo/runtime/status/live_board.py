@@ -89,6 +89,7 @@ class _Ring:
     """
 
     def __init__(self, memory: mmap.mmap, offset: int, kind: np.dtype[Any]) -> None:
+        """Use `memory` from byte `offset` on; its records stay. kind: NumPy type of a record."""
         self._memory = memory
         self._offset = offset
         self._kind = kind
