@@ -51,6 +51,7 @@ class SpokenWords:
     def part(self, number: int, n_played: int, *, is_complete: bool = True) -> str:
         """Return the words of piece `number` that count as heard after `n_played` samples.
 
+        Pieces are texts or words of the stream, as added, with their samples where known.
         is_complete: no more samples will come. A piece without a start shares the sound of those
         before it; a word may begin in one piece and end in the next, as in the deltas of a text.
         """
@@ -83,6 +84,8 @@ class SpokenWords:
         usual = round(n_characters / _CHARACTERS_PER_S * self.rate_hz)
         begins = start or 0
         sound_end = self.n_samples if is_complete else max(self.n_samples, begins + usual)
+        # Without a known end: until the next piece, else until the end of the sound, which is estimated
+        # while more may come. A single word that is followed by a pause ends before the next piece.
         if end is None:
             end = (self._pieces[stop][1] or 0) if stop < len(self._pieces) else sound_end
             if start is not None and stop == first + 1:

@@ -100,7 +100,10 @@ class _Waiting:
 
     @property
     def is_heard(self) -> bool:
-        """Whether the sound before the frame was played, or of a frame of sound its own."""
+        """Whether the sound before the frame was played; for a frame of sound, its own.
+
+        A word with a time is heard once all of its text counts as heard. True without speech.
+        """
         speech = self.speech
         if speech is None or speech.was_heard:
             return True
@@ -159,6 +162,7 @@ class PipecatFace(_FaceProcessor):
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
         super().__init__(url, token)
         self._speech: AsyncSpeech | None = None
+        # Samples of the open stream; and the frames that wait until sound before them was played.
         self._n_samples = 0
         self._line: list[_Waiting] = []
         self._releasing = asyncio.Lock()
@@ -179,6 +183,7 @@ class PipecatFace(_FaceProcessor):
         self._is_complete = False
         #: Whether the turn was cut off at the face, so that the rest of its sound is dropped.
         self._is_cut_off = False
+        #: Event loop time until which the transport plays sound that went on to it.
         self._transport_until_s = 0.0
         self.last_played: Played | None = None
 
@@ -342,6 +347,7 @@ class PipecatFace(_FaceProcessor):
         n = self._sample_of(frame)
         words, piece = self._spoken_words, None
         if n is not None:
+            # Before the frames of this stream that wait for later samples.
             index = len(self._line)
             while index and self._line[index - 1].speech is speech and self._line[index - 1].n > n:
                 index -= 1

@@ -431,7 +431,7 @@ def _seconds(value: object, unit_s: float, place: str) -> float:
 
 
 def _sample_rate_hz(here: _Here) -> float:
-    """Return the sample rate stated around an object. VendorError if none or an odd one is."""
+    """Return the sample rate stated around an object. VendorError for none, or an invalid one."""
     rate_hz = here.rate_hz
     if isinstance(rate_hz, int) and not isinstance(rate_hz, bool) and 4000 <= rate_hz <= 400_000:
         return float(rate_hz)

@@ -29,6 +29,7 @@ class Wire:
         on_event: Callable[[Event], None],
         on_close: Callable[[FaceError], None],
     ) -> None:
+        """Read from an open `socket` in a task: `on_event` gets each event, `on_close` the end."""
         self._socket = socket
         self._on_event = on_event
         self._on_close = on_close

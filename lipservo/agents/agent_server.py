@@ -289,11 +289,11 @@ class AgentServer:
 
     async def _send_news(self) -> None:
         """Send clients events of playing, and positions every `position_s`, until cancelled."""
-        sent_s = 0.0
+        positions_sent_s = 0.0
         while True:
             now_s = time.monotonic()
-            is_due = now_s - sent_s >= self._settings.position_s
-            sent_s = now_s if is_due else sent_s
+            is_due = now_s - positions_sent_s >= self._settings.position_s
+            positions_sent_s = now_s if is_due else positions_sent_s
             try:
                 self._send_news_once(now_s, positions=is_due)
             except Exception as error:

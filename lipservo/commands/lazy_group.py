@@ -154,6 +154,7 @@ def _click_command(path: str, target: Any, command: Command) -> Any:
     """Return the click command of a function or a `typer.Typer`; path: the command's full name."""
     if isinstance(target, typer.Typer):
         return typer.main.get_group(target)
+    # Typer makes a click command of a program that has this command alone.
     alone = typer.Typer(pretty_exceptions_enable=False)
     epilog = f"Example: lipservo {path} {command.example}" if command.example else None
     settings = _NEGATIVE_NUMBERS if command.takes_numbers else None

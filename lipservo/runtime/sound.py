@@ -378,6 +378,7 @@ class SpeechQueue:
         item.pieces.close()
         for stream in item.streams:
             stream.end()
+        # The playout need not wait for further streams of it.
         item.is_whole = True
         self._playout.announced.discard(item)
         with self._changed:

@@ -57,7 +57,11 @@ def voice_agents(
     side: "SpeechSide",
     requested: RequestedFace,
 ) -> Iterator[str | None]:
-    """Serve voice agents on a bound listener; yield its URL, or None if no agent is served."""
+    """Serve voice agents on a bound listener; yield its URL, or None if no agent is served.
+
+    side: the speech side of the face, whose own voice plays the agents' speech; without one no
+    agent is served. requested: the face, with the options for agents in its request.
+    """
     options = requested.request.voice
     if listener is None or side.voice is None or options is None:
         yield None

@@ -195,6 +195,7 @@ def _make_report(
     joint = move or next(iter(settings.servos))
     for each in (file, text_file):
         check_output(each)
+    # Secrets: names and paths, which the report must not contain.
     names, secrets = ", ".join(settings.servos), secrets_of(settings, config)
     _require_consent(f"The servos are let go, and what they hold falls: {names}. Go on", yes=yes)
     status = 0

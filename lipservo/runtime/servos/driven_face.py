@@ -142,6 +142,7 @@ def guarded(settings: FaceSettings) -> Iterator[list[int]]:
     that all of them have ended.
     """
     with ExitStack() as stack:
+        # `alone` has each bus as a face of its own.
         yield [
             stack.enter_context(
                 port_guard(

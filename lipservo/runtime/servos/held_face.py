@@ -166,7 +166,7 @@ class HeldFace:
 
     @property
     def goal_deg(self) -> Array:
-        """The goals of the posed joints (the constructor's `joints`); known without an encoder, too.
+        """The goals of the posed joints (the constructor's `joints`), with or without an encoder.
 
         Returns
         -------
@@ -382,16 +382,16 @@ class HeldFace:
         After an error all is closed again. With `config`, a live board (shared memory) is made,
         from which the dashboard's page shows the face.
         """
-        with ExitStack() as leaving:
+        with ExitStack() as exit_stack:
             control = ControlOptions()
             if self._config is not None:
                 watched = SilentBoard.create(self._settings, self._config)
-                self._board = leaving.enter_context(watched)
+                self._board = exit_stack.enter_context(watched)
                 about = {"config": self._config}
                 control = ControlOptions(about=about, watched_fd=self._board.fileno)
-            how = DriveOptions(rate_hz=self.rate_hz, control=control)
-            opening = driven_face(self._settings, self._clock, self._channel, how, self._bus)
-            self._driven_face = leaving.enter_context(opening)
+            options = DriveOptions(rate_hz=self.rate_hz, control=control)
+            opening = driven_face(self._settings, self._clock, self._channel, options, self._bus)
+            self._driven_face = exit_stack.enter_context(opening)
             self._ticks = self.life.ticks()
             self.life.start()
             bus = self._driven_face.bus
@@ -400,7 +400,8 @@ class HeldFace:
             if self._from_neutral:
                 self._move_all(np.zeros_like(self._goal_deg))
                 self._settle()
-            self._exit_stack = leaving.pop_all()
+            # All has been opened: it stays open until `__exit__`.
+            self._exit_stack = exit_stack.pop_all()
 
     def _await_torque(self) -> None:
         """Tick until every servo is known to hold. Raises ServoError for those that stay limp."""

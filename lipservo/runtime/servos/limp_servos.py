@@ -79,7 +79,10 @@ class LimpServos:
         return StopReport(tuple(confirmed), unconfirmed)
 
     def read_pose(self) -> LimpPose:
-        """Return positions (degrees) and obstacles read from the servos now. Raises PortGone."""
+        """Read the servos' positions, in degrees, now. Raises PortGone.
+
+        Obstacles in the result: servos that did not answer, or whose torque is on.
+        """
         feedback = self._bus.read()
         positions_deg = feedback.positions_deg[self._indices]
         silent, held = feedback.missing[self._indices], feedback.torque[self._indices] == Torque.ON

@@ -58,6 +58,7 @@ def move_to(
     with HeldFace(
         settings, clock, bus=bus, joints=names, from_neutral=False, end=StopLevel.LIMP
     ) as face:
+        # Joints that are not named stay where they are measured, else at their goals.
         goal_deg = np.where(has_place, face.stands_deg, face.goal_deg)
         if wanted_deg is None:
             goal_deg = np.zeros(len(joints))

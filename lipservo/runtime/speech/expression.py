@@ -264,7 +264,7 @@ class ExpressionLayer:
         """Create the layer with the face at neutral.
 
         source: of live expression; None: affect only, in the mouth. voice: prosody of the sound.
-        requests: the settings set last. rest_after_s: seconds of silence after which a face without
+        servos: those that show the expression; empty: only displays do. requests: the settings set last. rest_after_s: seconds of silence after which a face without
         source counts as resting.
         """
         self.voice = voice
@@ -277,7 +277,7 @@ class ExpressionLayer:
         self._silent_s = 0.0
         self._arousal = self._valence = 0.0
         self._is_speaking = False
-        #: What is shown now.
+        #: The expression that is shown now.
         self.expression: Expression = NO_EXPRESSION
 
     @property

@@ -523,14 +523,15 @@ class Speech:
         phoneme, frame = self.shown_at(sound_s)
         window = frame_alone(frame) if self._plan is None else self._synthesizer.window_after(frame)
         goal_s, shown_s = self._times_s(sound_s)
-        # At rest the synthesiser returns the same window again, and nothing needs to be computed.
         self._newest_goal_s, self._newest_sound_s = goal_s, sound_s
+        # At rest the synthesiser returns the same window again, and nothing need be computed.
         is_same, self._last_window = window is self._last_window, window
         if is_same and self.is_still and self._plan is not None:
             self._plan.stay()
             self._express(sound_s, shown_s, phoneme, frame.expression)
             return ServoTargets(goal_s, self._still_deg)
-        # Faces now and later, and last the one with pressed lips, all become joint angles.
+        # Faces now and later, and last the present one with pressed lips, become joint angles. After
+        # a cut-off the present pose is still on its way back from rest.
         faces = np.concatenate([window.faces, window.shut[None]])
         if self.lip_gap is not None:
             faces = self.lip_gap.feed(faces)
