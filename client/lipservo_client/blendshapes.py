@@ -94,6 +94,7 @@ def _nearest_phone(weights: Mapping[str, float]) -> str:
     lips = mean(
         "mouthlowerdownleft", "mouthlowerdownright", "mouthupperupleft", "mouthupperupright"
     )
+    # Opening, rounding, spreading, lower lip drawn in, as in `_MOUTHS`.
     mouth = (
         max(0.0, mean("jawopen") - mean("mouthclose")) + lips,
         max(mean("mouthfunnel"), mean("mouthpucker")),

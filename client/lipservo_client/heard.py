@@ -84,8 +84,8 @@ class SpokenWords:
         usual = round(n_characters / _CHARACTERS_PER_S * self.rate_hz)
         begins = start or 0
         sound_end = self.n_samples if is_complete else max(self.n_samples, begins + usual)
-        # Without a known end: until the next piece, else until the end of the sound, which is estimated
-        # while more may come. A single word that is followed by a pause ends before the next piece.
+        # Without a known end: until the next piece, else to the end of the sound, estimated while
+        # more may come; but a single piece lasts at most twice as long as is usual.
         if end is None:
             end = (self._pieces[stop][1] or 0) if stop < len(self._pieces) else sound_end
             if start is not None and stop == first + 1:

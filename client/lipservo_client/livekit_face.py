@@ -177,6 +177,7 @@ class LiveKitFace(AudioOutput):
         """
         turn.n_samples += words.n_samples
         turn.n_played += n_played
+        # Without words beside the sound, `_cut_to_heard` estimates later which words were heard.
         is_known = not is_whole and (turn.has_words or n_played == 0)
         if not is_whole:
             turn.is_cut = True
@@ -231,7 +232,10 @@ class LiveKitFace(AudioOutput):
 
 
 def _frame_words(frame: rtc.AudioFrame) -> list[tuple[str, int | None]]:
-    """Return the texts that the synthesiser sent with a frame's sound, with samples if known."""
+    """Return the words that the synthesiser sent with a frame's sound, as (word, start sample).
+
+    Samples count from the beginning of the segment; None: not known.
+    """
     words: list[tuple[str, int | None]] = []
     for word in frame.userdata.get(USERDATA_TIMED_TRANSCRIPT, ()):
         start_s = getattr(word, "start_time", NOT_GIVEN) if word.strip() else NOT_GIVEN

@@ -266,6 +266,7 @@ class PipecatFace(_FaceProcessor):
         if self._is_cut_off:
             return
         face_plays = self._face.is_connected and self._has_loudspeaker
+        # No face can play it, or the transport still plays what came before: the transport plays it.
         if self._speech is None and (now_s < self._transport_until_s or not face_plays):
             self._transport_until_s = max(now_s, self._transport_until_s) + seconds
             await self.push_frame(frame)
@@ -399,6 +400,8 @@ class PipecatFace(_FaceProcessor):
         are dropped too.
         """
         async with self._releasing:
+            # Unplayed sound, and of that the part that must not be interrupted. The face is not
+            # interrupted if there is no other speech.
             sound = [each for each in self._line if each.is_sound and not each.is_heard]
             kept = [each for each in sound if not (each.frame.interruptible or everything)]
             is_spoken = bool(sound) or self._speech is not None

@@ -195,9 +195,11 @@ def _objects_in(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
             yield from _objects_in(each, here.inside({}, f"[{number}]"))
     elif isinstance(value, dict):
         node = {_key(key): each for key, each in value.items()}
+        # Times that are in an object of their own belong to the unit beside it.
         if isinstance(time := node.get("time"), dict):
             node |= {_key(key): each for key, each in time.items()}
         yield node, here.inside(node, "")
+        # VOICEVOX: the silence before the first phoneme.
         if "accentphrases" in node:
             silence = {"vowel": "pau", "vowellength": node.get("prephonemelength", 0.0)}
             yield silence, here.inside(node, ".prePhonemeLength")

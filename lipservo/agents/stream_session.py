@@ -217,8 +217,8 @@ class StreamSession:
             return
         if len(self._applying) >= _MOST_APPLYING:
             raise MessageError("bad_text", f"{_MOST_APPLYING} texts already wait; send more later")
-        taking = self._apply_units(units, stream, self._last_applied)
-        self._last_applied = asyncio.get_running_loop().create_task(taking)
+        applying = self._apply_units(units, stream, self._last_applied)
+        self._last_applied = asyncio.get_running_loop().create_task(applying)
         self._applying.add(self._last_applied)
         self._last_applied.add_done_callback(self._applying.discard)
 

@@ -156,6 +156,7 @@ def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
     for address in targets.addresses():
         with _connected_socket(address) as sender:
             found.append(None if sender is None else "{}:{}".format(*sender.getpeername()))
+    # The suffix `/vowels` belongs to the target, not to its address.
     osc, live_link = found
     return AvatarTargets(osc and osc + VOWELS * targets.has_vowels, live_link)
 

@@ -217,8 +217,9 @@ def _save_calibration(
     from lipservo.settings.edited_yaml import edited
 
     output = Path(request["output"])
-    calibration, kept = saved(setup, result, output)
+    calibration, kept_notes = saved(setup, result, output)
     edited(Path(request["config"]), {("calibration",): output.name}).write()
+    # The file of the measurements so far is not needed any more.
     if setup.keep is not None:
         setup.keep.unlink(missing_ok=True)
     lines = report_lines(calibration, output.name, result.fit)
@@ -226,7 +227,7 @@ def _save_calibration(
     page.tell(
         "graded",
         lines=lines,
-        warnings=[*result.warnings, *kept],
+        warnings=[*result.warnings, *kept_notes],
         closing=closing_values(calibration),
     )
 

@@ -125,6 +125,7 @@ class KeyedJoint:
             return not had_order
         if self._is_within(self.place) and time_s - self._ordered_s >= _RENEW_S:
             self._ordered_s = time_s
+            # Keeps the present order in force.
             bridge.obey(ArmJog(), time_s)
         return True
 

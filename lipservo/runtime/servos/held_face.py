@@ -473,7 +473,11 @@ class HeldFace:
         return self.stands_deg
 
     def _await_goals_sent(self) -> None:
-        """Tick, 5 s at most, until servos that are eased up to their goals were sent them."""
+        """Tick, 5 s at most, until the bus has sent all servos their goals.
+
+        A bus of servos without encoders eases goals in after the start, and reports those sent last;
+        other buses report none, and nothing is waited for.
+        """
         latest_s = self._clock.now() + _CATCHES_UP_S
         while (sent_deg := self._feedback().sent_deg) is not None and self._clock.now() < latest_s:
             if np.nanmax(np.abs(sent_deg - self._goal_deg), initial=0.0) < _CAUGHT_UP_DEG:

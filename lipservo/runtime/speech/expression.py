@@ -264,8 +264,8 @@ class ExpressionLayer:
         """Create the layer with the face at neutral.
 
         source: of live expression; None: affect only, in the mouth. voice: prosody of the sound.
-        servos: those that show the expression; empty: only displays do. requests: the settings set last. rest_after_s: seconds of silence after which a face without
-        source counts as resting.
+        servos: those that show the expression; empty: only displays do. requests: the settings set
+        last. rest_after_s: seconds of silence after which a face without source counts as resting.
         """
         self.voice = voice
         self._source = source

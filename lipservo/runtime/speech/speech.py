@@ -530,8 +530,8 @@ class Speech:
             self._plan.stay()
             self._express(sound_s, shown_s, phoneme, frame.expression)
             return ServoTargets(goal_s, self._still_deg)
-        # Faces now and later, and last the present one with pressed lips, become joint angles. After
-        # a cut-off the present pose is still on its way back from rest.
+        # Faces now and later, and last the present one with pressed lips, become joint angles. The
+        # present pose may still be on its way back from rest, after a cut-off.
         faces = np.concatenate([window.faces, window.shut[None]])
         if self.lip_gap is not None:
             faces = self.lip_gap.feed(faces)

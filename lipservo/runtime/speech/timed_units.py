@@ -167,8 +167,9 @@ class MoverNews:
         self._reported: MovedBy | None = None
         # What moves the mouth now, and the timeline position since which it does.
         self._mover_since: tuple[MovedBy | None, float] = (None, 0.0)
+        # Seconds of speech that the text did not move; and the timeline position seen last.
         self._unspoken_s: float = 0.0
-        self._heard_s = 0.0
+        self._reported_s = 0.0
 
     def report_shift(self, stream: str, by_s: float) -> None:
         """Report that units of a stream sound `by_s` seconds later than sent."""
@@ -184,7 +185,7 @@ class MoverNews:
         agree with the sound. A text is reported once, after 1 s of speech that it did not move.
         """
         stream, now_s = self._playout.speaking, self._playout.committed_s
-        passed_s, self._heard_s = now_s - self._heard_s, now_s
+        passed_s, self._reported_s = now_s - self._reported_s, now_s
         if stream != self._stream:
             self._stream, self._reported, self._unspoken_s = stream, None, 0.0
             self._mover_since = (None, now_s)

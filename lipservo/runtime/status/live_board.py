@@ -151,6 +151,7 @@ class LiveBoard:
 
     def __init__(self, fd: int, *, writable: bool) -> None:
         """Map the memory of descriptor `fd`. Raises ValueError if that contains no board."""
+        # The memory holds the layout as JSON, the ring of servo records, that of speech records.
         self._fd = fd
         access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
         self._memory = mmap.mmap(fd, 0, access=access)
