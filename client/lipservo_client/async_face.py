@@ -50,6 +50,7 @@ class AsyncSpeech:
     """
 
     def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
+        """Prepare a stream. stream: its id. start: fields of the message that will start it."""
         self._face = face
         self._start = start
         self._is_complete = False
@@ -191,7 +192,7 @@ class AsyncSpeech:
         if not self._ready.done():
             self._ready.set_exception(error)
             self._ready.exception()  # or asyncio logs it if nobody waits
-            if not self.is_over:  # it never began, and an interruption waits for no end of it
+            if not self.is_over:  # it never began: `interrupt` must not wait for its end
                 self._end_of_play.set_result(Played(finished=False, played_s=0.0))
         else:
             self._error = self._error or error
@@ -284,6 +285,7 @@ class AsyncFace:
     """
 
     def __init__(self, url: str, token: str | None) -> None:
+        """Prepare a client of the face at `url`; arguments as of `connect`."""
         self._url = url.rstrip("/")
         self._token = token
         self._numbers = itertools.count(1)
@@ -441,21 +443,21 @@ class AsyncFace:
         Raises FaceError: 60 s without an answer, or no end of the speech 310 s after its duration.
         """
         number = next(self._numbers)
-        heard: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
-        self._ends_of_speech[number] = heard
+        ended_event: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
+        self._ends_of_speech[number] = ended_event
         try:
             answer = await self._request(kind, number, _READING_S, **fields)
             if not wait:
                 return answer
-            done, _ = await asyncio.wait([heard], timeout=STILL_S + answer["duration_s"])
+            done, _ = await asyncio.wait([ended_event], timeout=STILL_S + answer["duration_s"])
             if not done:
                 raise FaceError("not_answering", f"the face did not report the end of {kind}")
-            event = heard.result()
+            event = ended_event.result()
         finally:
             del self._ends_of_speech[number]
-        ended = {"finished": event["type"] == "finished", "played_s": event["played_s"]}
-        is_whole = ended["finished"] or answer["is_whole"]
-        return {**answer, **ended, "duration_s": event["duration_s"], "is_whole": is_whole}
+        result = {"finished": event["type"] == "finished", "played_s": event["played_s"]}
+        is_whole = result["finished"] or answer["is_whole"]
+        return {**answer, **result, "duration_s": event["duration_s"], "is_whole": is_whole}
 
     async def _request(
         self, kind: str, number: int | None = None, limit_s: float = PATIENCE_S, **fields: object

@@ -50,6 +50,7 @@ class LiveKitFace(AudioOutput):
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
+        """Prepare the output for the face at `url`. token: as of `lipservo.connect`."""
         super().__init__(label="lipservo", capabilities=AudioOutputCapabilities(pause=True))
         self._face = AsyncFace(url, token)
         self._speech: AsyncSpeech | None = None

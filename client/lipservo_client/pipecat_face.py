@@ -266,7 +266,7 @@ class PipecatFace(_FaceProcessor):
         if self._is_cut_off:
             return
         face_plays = self._face.is_connected and self._has_loudspeaker
-        # No face can play it, or the transport still plays what came before: the transport plays it.
+        # No face can play it, or the transport still plays earlier sound: the transport gets it.
         if self._speech is None and (now_s < self._transport_until_s or not face_plays):
             self._transport_until_s = max(now_s, self._transport_until_s) + seconds
             await self.push_frame(frame)
@@ -536,7 +536,10 @@ class PipecatFollower(_FaceProcessor):
 
 
 def _unplayed_rest(sound: _Waiting) -> frames.TTSAudioRawFrame:
-    """Return a waiting frame of sound without the part that was played."""
+    """Return a waiting frame of sound without the part that was played.
+
+    The frame ends at sample `sound.n` of its stream.
+    """
     frame_bytes = 2 * sound.frame.num_channels
     n_played = 0 if sound.speech is None else sound.speech.n_played
     n_rest = min(sound.n - n_played, len(sound.frame.audio) // frame_bytes)

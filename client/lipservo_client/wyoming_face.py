@@ -44,6 +44,7 @@ class _Handler(AsyncEventHandler):
         reader: StreamReader,
         writer: StreamWriter,
     ) -> None:
+        """Serve one client, which has connected. url, token: of the face; turn: as of the class."""
         super().__init__(reader, writer)
         self._face = AsyncFace(url, token)
         self._turn = turn

@@ -158,7 +158,10 @@ def cookie_of(token: str) -> tuple[str, str]:
 
 
 def redirect_to_cookie(request: Request, token: str) -> Redirect:
-    """Return the redirect for a page's request with the token in its query."""
+    """Return the redirect for a page's request with the token in its query.
+
+    It leads to the same page without the token, and sets the cookie that replaces the token.
+    """
     name, value = cookie_of(token)
     age = f"Max-Age={_YEAR_S}; Path=/; HttpOnly; SameSite=Strict"
     fields = parse_qsl(request.query, max_num_fields=_MOST_FIELDS)

@@ -230,6 +230,7 @@ class AgentServer:
             session = StreamSession(outbox, self._streams, self._playout, self._delay_ms)
         else:
             session = ControlSession(outbox, self._commands, self._streams, may_only_stop)
+        # Connections that may only stop the face do not count as clients.
         is_client = may_only_stop is None
         if is_client:
             self._heads.leave(connection.transport)

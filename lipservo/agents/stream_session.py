@@ -76,17 +76,17 @@ class StreamSession:
 
     async def hear(self, message: str | bytes) -> None:
         """Handle a message of the client, PCM bytes or JSON; send an error for a mistake."""
-        about = self._open_stream.stream_id if self._open_stream is not None else None
+        stream_id = self._open_stream.stream_id if self._open_stream is not None else None
         try:
             if isinstance(message, bytes):
                 await self._append_audio(message)
             elif (parsed := stream_message(message)) is not None:
-                about = parsed.stream if isinstance(parsed, Start) else about
+                stream_id = parsed.stream if isinstance(parsed, Start) else stream_id
                 await self._carry_out(parsed)
         except MessageError as error:
             fields = {} if isinstance(message, bytes) else {"id": id_of(message)}
             ids = {name: value for name, value in fields.items() if value is not None}
-            self._outbox.error(error.code, str(error), stream=about, **ids)
+            self._outbox.error(error.code, str(error), stream=stream_id, **ids)
 
     def leave(self) -> None:
         """Interrupt the speech of a client that left a stream open or paused; it has disconnected.

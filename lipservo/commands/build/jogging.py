@@ -253,7 +253,10 @@ def _show_positions(
     signals: "DeferredSignals",
     config: str,
 ) -> None:
-    """Show the joints' positions until q or w is pressed; with w write their ranges to the YAML."""
+    """Show the limp joints' positions and ranges until q or w is pressed; r begins them anew.
+
+    w writes the ranges into the YAML of the face, `config`.
+    """
     from rich.live import Live
 
     from lipservo.runtime.servos.limp_servos import READ_EVERY_S

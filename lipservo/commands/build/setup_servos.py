@@ -124,6 +124,7 @@ def _set_up_servos(work: _Work, signals: "DeferredSignals", *, ask: bool) -> Non
     tools, servos = work.tools, work.servos
     with tools.unhurried_line(work.port, work.baud_rate) as line:
         found = tools.find_servos(line, [servo.joint.servo_id for servo in servos], work.baud_rate)
+        # All at once if each answers at its own id; else one that may not be asked for, alone.
         if tools.chain_is_complete(servos, found):
             work.plans = tools.plan_chain(line, servos, found, work.baud_rate)
         elif not ask or sum(map(len, found.values())) > 1:

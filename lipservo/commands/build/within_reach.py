@@ -84,6 +84,7 @@ def within_reach(
 
     Hearing, loop and page are processes of their own, each on one of `n_cores` at a time.
     """
+    # Seconds of processor time in one second, of each of the three processes.
     hearing, loop, page = cost.speech_s, cost.tick_s * rate_hz, _PAGE_RATIO * cost.speech_s
     takes = f"hearing and moving the mouth live takes {hearing:.2f} s a second, measured now"
     if hearing <= _MOST:

@@ -46,9 +46,8 @@ def ask_faces(
     """Send a request to each chosen face; print its answer as a line, or all answers as JSON.
 
     face, control: as of `chosen_faces`. ask_one: sends the request to one face, and returns the
-    answer, {"error": one line} if refused;
-    line: returns an answer as text. Raises UserError where no face runs, typer.Exit with 1 where
-    one refused or did not answer.
+    answer, {"error": one line} if it was refused. line: returns an answer as text. Raises UserError
+    where no face runs, typer.Exit with 1 where one refused or did not answer.
     """
     faces = chosen_faces(face, control)
     if not faces:

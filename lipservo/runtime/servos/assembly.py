@@ -122,6 +122,7 @@ def bus_for(
     unknown position may jump to neutral; a person must have agreed before.
     """
     if not face.buses:
+        # Recorded, so that torque at the port can be switched off without the face's settings.
         if face.servo_port is not None:
             note_port(face.bus)
         wiring = replace(wiring_of(face), may_jump=may_jump)

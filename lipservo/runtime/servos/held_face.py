@@ -321,9 +321,9 @@ class HeldFace:
     def drive(self, goals_deg: Array, rate_hz: float) -> Array:
         """Send goals, one a tick, through the gate, and return the positions measured after each.
 
-        Moves to the first goal before. Encoders are read half a tick after a goal was sent: goals
-        that are held for a tick are on average half a tick old. Positions of ticks that the
-        computer missed are interpolated.
+        The joints are moved to the first goal beforehand. Encoders are read half a tick after a
+        goal was sent: goals that are held for a tick are on average half a tick old. Positions of
+        ticks that the computer missed are interpolated.
 
         Parameters
         ----------
@@ -475,8 +475,8 @@ class HeldFace:
     def _await_goals_sent(self) -> None:
         """Tick, 5 s at most, until the bus has sent all servos their goals.
 
-        A bus of servos without encoders eases goals in after the start, and reports those sent last;
-        other buses report none, and nothing is waited for.
+        A bus of servos without encoders eases goals in after the start, and reports those sent
+        last; other buses report none, and nothing is waited for.
         """
         latest_s = self._clock.now() + _CATCHES_UP_S
         while (sent_deg := self._feedback().sent_deg) is not None and self._clock.now() < latest_s:

@@ -231,6 +231,7 @@ class PerformedExpression:
         mixed = {}
         for name, fade_s in _FADES_S.items():
             value = None if is_still or stored is NO_EXPRESSION else getattr(stored, name)
+            # The amount scales the motion of a performance, but a blink always closes the lids.
             if value is not None:
                 self._stored[name] = value if name.startswith("lid") else self._amount * value
             goal = float(value is not None)

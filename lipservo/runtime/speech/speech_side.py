@@ -173,6 +173,7 @@ class OwnVoice:
         ahead_s = (
             self._clock.sound_s(now_s) - self._clock.lead_s - position_s - (now_s - reported_s)
         )
+        # A stall begins when the position stays, and ends when it moves again and the clock agrees.
         if position_s != self._reported_position_s:
             self._reported_position_s, self._position_moved_s = position_s, now_s
             self._has_stalled = self._has_stalled and ahead_s > _CAUGHT_UP_S
