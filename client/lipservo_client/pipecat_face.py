@@ -463,6 +463,7 @@ class PipecatFollower(_FaceProcessor):
         self._line: deque[tuple[float, frames.Frame]] = deque()
         self._unplayed: deque[AsyncSpeech] = deque()
         self._frame_came = asyncio.Event()
+        #: Event loop time since which the transport plays the bot's speech; None: it does not.
         self._began_s: float | None = None
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:

@@ -316,7 +316,7 @@ class _UnitCollector:
     ) -> tuple[float, float | None]:
         """Return start and end in s of a unit's values [start, end, duration]; end None if unknown.
 
-        unit_s: seconds per unit of the values; reached_s: end of the unit before, in s, which is
+        unit_s: seconds per unit of the values; last_end_s: end of the unit before, in s, which is
         the start where none is given; place: names the unit in a VendorError.
         """
         start, end, lasts = values

@@ -472,9 +472,9 @@ class OpenStreams:
 
 
 def _retried(query: Callable[[], _Request | None]) -> _Request | None:
-    """Return `ask()`, tried once more if the live loop changes the playout meanwhile.
+    """Return `query()`, tried once more if the live loop changes the playout meanwhile.
 
-    None: it changed both times, or `ask` returned None.
+    None: the playout changed both times, or `query` returned None.
     """
     for _ in range(2):
         try:

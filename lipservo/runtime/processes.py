@@ -67,7 +67,7 @@ def run_bridge_process(
 ) -> int:
     """Drive the servos at the port by targets from a socket until stopped; return the exit status.
 
-    handed: inherited from the supervisor. control: descriptor of the face's control socket.
+    inherited: from the supervisor. control: descriptor of the face's control socket.
     stopped: a person's stop that was in force when the previous bridge process died. given_up:
     reasons for servos that stay limp, by servo index. switched_off: indices of servos that a person
     switched off. Raises UserError without a port, and BusError if port or servos cannot be used.
@@ -143,7 +143,7 @@ def run_speech_process(
 ) -> None:
     """Recognise the request's sound and send servo targets through a socket until a signal arrives.
 
-    It also ends when the supervisor dies. handed: inherited from it. agents: descriptor of the
+    It also ends when the supervisor dies. inherited: from it. agents: descriptor of the
     socket to which voice agents connect; None: no agents are served. zero_s: monotonic time at
     which the sound first began, None for a first start; a sound file is continued at the position
     that it has reached by now.

@@ -138,6 +138,7 @@ class KeyedJoint:
         if not (self._is_within(place) or self._may_go_beyond):
             self._may_confirm = True
             return f"press {AGREE_KEY} to go beyond its limits"
+        # The bridge accepts an order only while jogging is armed.
         bridge.obey(ArmJog(), time_s)
         order = JogTo if self.pulse is None else JogPulse
         why_not = bridge.obey(order(self.name, place), time_s)

@@ -220,7 +220,7 @@ class SpokenPhonemes:
 
         Committed sound is written to the loudspeaker, to be heard later.
         """
-        # Pairs of 10 ms: sound for the recogniser, silent where phonemes are known; sound as spoken.
+        # Pairs: sound for the recogniser, silent where phonemes are known, and sound as spoken.
         blocks = self._playout.commit(until_s)
         for words in self._playout.take_words():
             if self._follower is not None:
