@@ -193,9 +193,9 @@ class PipecatFace(_FaceProcessor):
         direction: FrameDirection = FrameDirection.DOWNSTREAM,
         callback: FrameCallback | None = None,
     ) -> None:
-        """Queue a frame; note when its sound left the service, which is when words are timed from.
+        """Queue a frame; note when a context's first sound came, from which its words are timed.
 
-        A frame may wait here for long, until the face takes more sound.
+        Noted here, since a frame may then wait for long, until the face takes more sound.
         """
         if isinstance(frame, frames.InterruptionFrame):
             self._last_word_ns = 0

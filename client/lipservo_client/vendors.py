@@ -151,7 +151,7 @@ def vendor_units(
     collector = _UnitCollector(from_s)
     for node, here in _objects_in(message, _Here()):
         for shape in _SHAPES:
-            collector.take(shape, node, here)
+            collector.add_units(shape, node, here)
     return collector.units(alphabet)
 
 
@@ -265,7 +265,7 @@ class _UnitCollector:
     _characters: list[TimedUnit] = field(default_factory=list)
     _untimed: list[str] = field(default_factory=list)
 
-    def take(self, shape: _Shape, node: _Node, here: _Here) -> None:
+    def add_units(self, shape: _Shape, node: _Node, here: _Here) -> None:
         """Add the units of the object `node`, if it has the shape's keys. Raises VendorError.
 
         here: the object's path, and the values stated around it.
@@ -274,6 +274,7 @@ class _UnitCollector:
         lasts, unit_s = _first_value(node, shape.lasts), shape.unit_s
         if lasts is None and shape.kind == "phoneme" and _SAMPLES in node:
             lasts, unit_s = node[_SAMPLES], 1.0 / _sample_rate_hz(here)
+        # Start or duration may be missing, as the shape has it; a word without both is kept aside.
         is_timed = lasts is not None or (times[0] is not None and (shape.end or not shape.lasts))
         is_type = shape.type in ("", str(node.get("type")).lower())
         if shape is _PLAIN_WORD and isinstance(label, str) and times == [None, None] == [lasts] * 2:

@@ -345,6 +345,7 @@ class OpenStreams:
         events = self._playout.events
         while events:
             self._pass_on(events.popleft())
+        # The last block of a sender that waits for a mark is filled up, so that the mark is reached.
         for stream in self._playing.values():
             speech, has_paused = stream.speech, now_s - stream.fed_s > _PAUSE_S
             if speech.is_marked and has_paused and not (speech.ended or speech.is_filled):
@@ -354,6 +355,7 @@ class OpenStreams:
         elif self._silent_since_s is None:
             self._silent_since_s = now_s
         elif now_s - self._silent_since_s > _LOST_S:
+            # Their ends were not reported, and will not be.
             self._playing.clear()
             self._own_playing.clear()
             for item in self._own_items.values():

@@ -87,6 +87,7 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
                 raise PerformanceError(_with_names(str(error), file)) from error
 
     def _with_names(line: str, file: Path) -> str:
+        """Return a message in which the stored sound's name replaces the temporary file's."""
         return f"{path}: its sound {line.replace(str(file), sound.name)}"
 
     with sound_file(sound, path) as file:

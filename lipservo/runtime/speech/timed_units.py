@@ -48,9 +48,11 @@ class FollowedUnits:
     """The timed units of the streams that a playout plays, shifted to where the sound has them."""
 
     def __init__(self, playout: Playout) -> None:
+        """Start without units; those of the streams that `playout` plays are added later."""
         self._playout = playout
         # In order of time; the last is that of the newest sound.
         self._followed: list[_UnitStretch] = []
+        # (start_s, end_s, what moves the mouth) of the stretches returned last.
         self._stretches: list[tuple[float, float, MovedBy]] = []
         # (stream, shift in s) reported last; and (shift, timeline position since which it stays).
         self._reported_shift: tuple[str, float] = ("", 0.0)
@@ -114,6 +116,7 @@ class FollowedUnits:
         last, (name, reported_s) = self._followed[-1], self._reported_shift
         if name != last.timed.stream:
             reported_s = 0.0
+        # Reported once it is 30 ms off the last report, and has stayed within 15 ms for 0.3 s.
         shifted_s, now_s = last.follower.shifted_s, self._playout.committed_s
         if abs(shifted_s - self._candidate_shift[0]) > _SAME_SHIFT_S:
             self._candidate_shift = shifted_s, now_s
@@ -169,7 +172,7 @@ class MoverNews:
         self._mover_since: tuple[MovedBy | None, float] = (None, 0.0)
         # Seconds of speech that the text did not move; and the timeline position seen last.
         self._unspoken_s: float = 0.0
-        self._reported_s = 0.0
+        self._seen_until_s = 0.0
 
     def report_shift(self, stream: str, by_s: float) -> None:
         """Report that units of a stream sound `by_s` seconds later than sent."""
@@ -185,7 +188,7 @@ class MoverNews:
         agree with the sound. A text is reported once, after 1 s of speech that it did not move.
         """
         stream, now_s = self._playout.speaking, self._playout.committed_s
-        passed_s, self._reported_s = now_s - self._reported_s, now_s
+        passed_s, self._seen_until_s = now_s - self._seen_until_s, now_s
         if stream != self._stream:
             self._stream, self._reported, self._unspoken_s = stream, None, 0.0
             self._mover_since = (None, now_s)
