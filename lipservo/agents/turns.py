@@ -345,7 +345,7 @@ class OpenStreams:
         events = self._playout.events
         while events:
             self._pass_on(events.popleft())
-        # The last block of a sender that waits for a mark is filled up, so that the mark is reached.
+        # The last block of a sender that waits for a mark is filled up, or it is never reached.
         for stream in self._playing.values():
             speech, has_paused = stream.speech, now_s - stream.fed_s > _PAUSE_S
             if speech.is_marked and has_paused and not (speech.ended or speech.is_filled):
