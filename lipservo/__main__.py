@@ -7,8 +7,8 @@ from types import FrameType
 
 #: 128 + SIGINT, as shells count.
 INTERRUPTED = 130
-#: Commands that keep up with sound. Their products of matrices are small: shared among threads, as
-#: BLAS would have it, they wait for each other on a busy computer, 56 ms in place of 0.1.
+#: Commands that must keep up with sound. Their matrix products are small: divided among threads, as
+#: BLAS does by default, they take 56 ms in place of 0.1 on a busy computer, waiting for each other.
 _KEEP_UP = ("run", "daemon", "replay", "bridge-process", "speech-process")
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
@@ -16,7 +16,7 @@ _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 def main() -> None:
     """Load the program and run its command line; exit with status 130 on Ctrl-C."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        # Nothing moves yet and nothing is open: leave at once, without a traceback of imports.
+        # While modules are imported nothing moves and nothing is open: exit without a traceback.
         signal.signal(signal.SIGINT, _leave)
     words = [each for each in sys.argv[1:] if not each.startswith("-")]
     if words[:1] and (words[0] in _KEEP_UP or words[:2] == ["lines", "recognize"]):

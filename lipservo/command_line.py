@@ -13,7 +13,7 @@ from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.terminal.output import complain
 from lipsync.errors import EXTRA_OF, UserError
 
-#: What pydantic says of a value, and what we say.
+#: Phrases of pydantic in messages about a value, and ours.
 _IN_OUR_WORDS = {
     "Input should be a valid number, unable to parse string as a number": "not a number",
     "Input should be a valid integer, unable to parse string as an integer": "not a whole number",
@@ -30,7 +30,7 @@ def main() -> None:
     """
     for stream in (sys.stdin, sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            # Names of files need not be UTF-8, and neither need a terminal be.
+            # File names and terminals need not be UTF-8: print what cannot be encoded as escapes.
             stream.reconfigure(errors="backslashreplace")
     logs.set_up()
     arguments = _with_ports_joined(_with_default_devices(sys.argv[1:] or ["--help"]))
@@ -42,7 +42,7 @@ def main() -> None:
         complain(_usage_line(error))
         status = error.exit_code
     except (UserError, BusError, ControlError) as error:
-        # Notes say what became of the servos.
+        # Notes, added to errors on their way, tell the state of the servos.
         complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
         status = 1
     except ModuleNotFoundError as error:
@@ -127,14 +127,14 @@ def _with_default_devices(arguments: list[str]) -> list[str]:
 def _with_ports_joined(arguments: list[str]) -> list[str]:
     """Return the arguments with `--port neck=A --port lips=B` as one option, `neck=A,lips=B`."""
     joined: list[str] = []
-    at: int | None = None
+    first_port: int | None = None
     for argument in arguments:
         is_port = bool(joined) and joined[-1] == "--port" and named_ports(argument) is not None
-        if is_port and at is not None:
+        if is_port and first_port is not None:
             joined.pop()
-            joined[at] += f",{argument}"
+            joined[first_port] += f",{argument}"
             continue
         if is_port:
-            at = len(joined)
+            first_port = len(joined)
         joined.append(argument)
     return joined

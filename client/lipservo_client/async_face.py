@@ -25,14 +25,14 @@ from lipservo_client.wire import PATIENCE_S, Wire, connected
 
 #: A chunk is sent in pieces: the face takes messages of up to 1 MB.
 _PIECE_BYTES: Final = 1 << 16
-#: Less is kept until more comes: a face reads 2,000 messages a second of a client.
+#: Less sound is kept until more comes: a face reads 2,000 messages a second of a client.
 _LEAST_PIECE_S: Final = 0.005
-#: A writer waits when so much of a stream was not heard; eight of them are less than a face keeps.
+#: `write` waits while so much of a stream is unplayed: with eight streams less than a face keeps.
 _AHEAD_S: Final = 30.0
-#: A text's first sentence is synthesised before the answer; a file is read.
+#: Limit for the answer to `say` and `play`: a sentence is synthesised, or a file read, before it.
 _READING_S: Final = 60.0
-#: Five minutes of speech may wait in a face. When nothing of a stream was heard for longer, the
-#: face stands still.
+#: Five minutes of speech may wait in a face. When nothing of a stream was played for longer, the
+#: face hangs.
 STILL_S: Final = 310.0
 #: Between a lost connection and the next try, doubled from try to try; half of it by chance, so
 #: that many clients of one face do not come at once.
@@ -50,17 +50,18 @@ class AsyncSpeech:
     """
 
     def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
+        """Prepare a stream. stream: its id. start: fields of the message that will start it."""
         self._face = face
         self._start = start
         self._is_complete = False
         self._error: FaceError | None = None
         loop = asyncio.get_running_loop()
         self._ready: asyncio.Future[float] = loop.create_future()
-        self._heard: asyncio.Future[Played] = loop.create_future()
+        self._end_of_play: asyncio.Future[Played] = loop.create_future()
         self._wire = face.wire
         self.rate_hz = int(str(start["sample_rate"]))
-        self._small = b""
-        self._moved_s, self._moved = loop.time(), asyncio.Event()
+        self._unsent = b""
+        self._progress_s, self._progressed = loop.time(), asyncio.Event()
         self._n_bytes = 0
         self.n_sent = self.n_played = 0
         self.stream = stream
@@ -69,7 +70,7 @@ class AsyncSpeech:
     @property
     def is_over(self) -> bool:
         """Whether the stream was played to its end, or cut off by this or another client."""
-        return self._heard.done()
+        return self._end_of_play.done()
 
     @property
     def is_complete(self) -> bool:
@@ -79,8 +80,8 @@ class AsyncSpeech:
     @property
     def was_heard(self) -> bool:
         """Whether the stream was played to its end."""
-        has_result = self.is_over and self._heard.exception() is None
-        return has_result and self._heard.result().finished
+        has_result = self.is_over and self._end_of_play.exception() is None
+        return has_result and self._end_of_play.result().finished
 
     async def write(self, samples: Pcm) -> bool:
         """Send samples at any pace; return False once the stream is over and accepts no more.
@@ -88,10 +89,10 @@ class AsyncSpeech:
         Waits while more than half a minute is sent and not played. Raises FaceError for an error of
         the stream that the face reported, ValueError for arrays that are no mono sound.
         """
-        data = self._small + pcm_bytes(samples)
-        self._small = b""
+        data = self._unsent + pcm_bytes(samples)
+        self._unsent = b""
         if len(data) < 2 * self.rate_hz * _LEAST_PIECE_S:
-            self._small, data = data, b""
+            self._unsent, data = data, b""
         for first in range(0, max(1, len(data)), _PIECE_BYTES):
             self._raise_error()
             if not await self._has_room():
@@ -102,7 +103,7 @@ class AsyncSpeech:
 
     async def mark(self, name: str) -> None:
         """Request a `mark` event for when all samples written so far have been played."""
-        await self._send_small()
+        await self._send_unsent()
         await self._wire.send("mark", name=name)
 
     async def tell(
@@ -129,7 +130,7 @@ class AsyncSpeech:
         """Send the end of the stream, once; the face plays what was written to its end."""
         if not self._is_complete:
             self._is_complete = True
-            await self._send_small()
+            await self._send_unsent()
             await self._wire.send("end")
 
     async def wait(self) -> Played:
@@ -149,13 +150,13 @@ class AsyncSpeech:
         for `STILL_S` seconds.
         """
         loop = asyncio.get_running_loop()
-        while not self._heard.done():
-            await asyncio.wait([self._heard], timeout=self._patience_s(loop.time()))
-        return self._heard.result()
+        while not self._end_of_play.done():
+            await asyncio.wait([self._end_of_play], timeout=self._patience_s(loop.time()))
+        return self._end_of_play.result()
 
     async def __aenter__(self) -> Self:
         await self._wire.send("start", stream=self.stream, **self._start)
-        async with _patience("start", PATIENCE_S):
+        async with _time_limit("start", PATIENCE_S):
             self.delay_ms = await self._ready
         return self
 
@@ -172,14 +173,14 @@ class AsyncSpeech:
         """Update the stream by the face's event about it: ready, samples played, end or error."""
         if event.get("n_played", 0) > self.n_played:
             self.n_played = int(event["n_played"])
-            self._moved_s = asyncio.get_running_loop().time()
-            self._moved.set()
+            self._progress_s = asyncio.get_running_loop().time()
+            self._progressed.set()
         match event["type"]:
             case "ready" if not self._ready.done():
                 self._ready.set_result(float(event["delay_ms"]))
             case "finished" | "interrupted" if not self.is_over:
-                self._heard.set_result(played_of(event))
-                self._moved.set()
+                self._end_of_play.set_result(played_of(event))
+                self._progressed.set()
             case "error":
                 self.fail(error_of(event))
 
@@ -190,9 +191,9 @@ class AsyncSpeech:
         """
         if not self._ready.done():
             self._ready.set_exception(error)
-            self._ready.exception()  # nobody need wait for it
-            if not self.is_over:  # it never began, and an interruption waits for no end of it
-                self._heard.set_result(Played(finished=False, played_s=0.0))
+            self._ready.exception()  # or asyncio logs it if nobody waits
+            if not self.is_over:  # it never began: `interrupt` must not wait for its end
+                self._end_of_play.set_result(Played(finished=False, played_s=0.0))
         else:
             self._error = self._error or error
 
@@ -200,9 +201,9 @@ class AsyncSpeech:
         """End the stream with the error of a lost connection, which waiting calls raise."""
         self.fail(error)
         if not self.is_over:
-            self._heard.set_exception(error)
-            self._heard.exception()  # nobody need wait for it
-            self._moved.set()
+            self._end_of_play.set_exception(error)
+            self._end_of_play.exception()  # or asyncio logs it if nobody waits
+            self._progressed.set()
 
     @property
     def is_starting(self) -> bool:
@@ -213,13 +214,13 @@ class AsyncSpeech:
         """Wait until at most 30 s are unplayed; return True, or False if the stream is over."""
         loop = asyncio.get_running_loop()
         while not self.is_over and self.n_sent - self.n_played > _AHEAD_S * self.rate_hz:
-            self._moved.clear()
-            await _happened(self._moved, self._patience_s(loop.time()))
+            self._progressed.clear()
+            await _wait_at_most(self._progressed, self._patience_s(loop.time()))
         return not self.is_over
 
     def _patience_s(self, now_s: float) -> float:
         """Return the seconds left to wait for progress. Raises FaceError if none are left."""
-        still_s = self._moved_s + STILL_S - now_s
+        still_s = self._progress_s + STILL_S - now_s
         if still_s <= 0.0:
             still = f"nothing of {self.stream} was heard for {STILL_S:g} s"
             raise FaceError("not_answering", still)
@@ -230,8 +231,8 @@ class AsyncSpeech:
         self._n_bytes += len(data)
         self.n_sent = self._n_bytes // 2
 
-    async def _send_small(self) -> None:
-        data, self._small = self._small, b""
+    async def _send_unsent(self) -> None:
+        data, self._unsent = self._unsent, b""
         if data and not self.is_over:
             await self._send(data)
 
@@ -284,31 +285,32 @@ class AsyncFace:
     """
 
     def __init__(self, url: str, token: str | None) -> None:
+        """Prepare a client of the face at `url`; arguments as of `connect`."""
         self._url = url.rstrip("/")
         self._token = token
         self._numbers = itertools.count(1)
         self._speeches: dict[str, AsyncSpeech] = {}
         self._events: weakref.WeakSet[Events] = weakref.WeakSet()
         self._greeting: asyncio.Future[object] | None = None
-        self._connection: Wire | None = None
-        self._control: Wire | None = None
+        self._stream_wire: Wire | None = None
+        self._control_wire: Wire | None = None
         self._connecting = asyncio.Lock()
         self._reconnecting: asyncio.Task[None] | None = None
-        self._wanted, self._tried = asyncio.Event(), asyncio.Event()
+        self._try_requested, self._tried = asyncio.Event(), asyncio.Event()
         self._pending: dict[int, asyncio.Future[dict[str, Any]]] = {}
-        self._spoken: dict[int, asyncio.Future[Event]] = {}
+        self._ends_of_speech: dict[int, asyncio.Future[Event]] = {}
 
     @property
     def wire(self) -> Wire:
         """The open WebSocket to `/stream`. Raises FaceError while there is none."""
-        if self._connection is None:
+        if self._stream_wire is None:
             raise FaceError("disconnected", f"{self._url}: not connected; connecting again")
-        return self._connection
+        return self._stream_wire
 
     @property
     def is_connected(self) -> bool:
         """Whether the connection to `/stream` is open, so that speech can be sent."""
-        return self._connection is not None
+        return self._stream_wire is not None
 
     async def __aenter__(self) -> Self:
         """Connect. Raises FaceError: unauthorized, refused, not_answering, bad_protocol."""
@@ -320,8 +322,8 @@ class AsyncFace:
         if self._reconnecting is not None:
             self._reconnecting.cancel()
             await asyncio.gather(self._reconnecting, return_exceptions=True)
-        wires = [wire for wire in (self._control, self._connection) if wire is not None]
-        self._control = self._connection = None
+        wires = [wire for wire in (self._control_wire, self._stream_wire) if wire is not None]
+        self._control_wire = self._stream_wire = None
         for wire in wires:
             await wire.close()
         for speech in self._speeches.values():
@@ -358,7 +360,7 @@ class AsyncFace:
         await self.wire.send("interrupt")
         if not unfinished:
             return None
-        async with _patience("the interruption", PATIENCE_S):
+        async with _time_limit("the interruption", PATIENCE_S):
             played = await asyncio.gather(*(each.heard() for each in unfinished))
         return Played(
             all(each.finished for each in played),
@@ -380,10 +382,10 @@ class AsyncFace:
 
     async def try_now(self) -> None:
         """Let a lost connection be tried now, not after the pause; return once it was tried."""
-        if self._connection is None and self._reconnecting is not None:
+        if self._stream_wire is None and self._reconnecting is not None:
             self._tried.clear()
-            self._wanted.set()
-            await _happened(self._tried, PATIENCE_S)
+            self._try_requested.set()
+            await _wait_at_most(self._tried, PATIENCE_S)
 
     def events(self) -> Events:
         """Return an iterator over the face's events from now on, until this client disconnects."""
@@ -393,7 +395,7 @@ class AsyncFace:
 
     async def status(self) -> dict[str, Any]:
         """Return the face's status: fields of docs/architecture.md, "Status". Raises FaceError."""
-        return await self._ask("status")
+        return await self._request("status")
 
     async def stop(
         self, level: Literal["soft", "freeze", "limp"] = "soft", *, end: bool = False
@@ -404,18 +406,18 @@ class AsyncFace:
         stopped daemon waits, torque off, for `start`; with `end` it exits. Returns the face's
         answer. Raises FaceError.
         """
-        return await self._ask("stop", level=level, end=end)
+        return await self._request("stop", level=level, end=end)
 
     async def start(self) -> dict[str, Any]:
         """Start a stopped face again: it moves. Return the answer once the start is accepted.
 
         Whether the face is really running is in `status`: `state`, `troubles`. Raises FaceError.
         """
-        return await self._ask("start")
+        return await self._request("start")
 
     async def set(self, name: str, value: float) -> dict[str, Any]:
         """Change a setting of the running face, such as `strength`. Raises FaceError."""
-        return await self._ask("set", name=name, value=value)
+        return await self._request("set", name=name, value=value)
 
     async def say(self, text: str, *, wait: bool = False, **voice: str | int) -> dict[str, Any]:
         """Speak a text with the face's own voice. Raises FaceError.
@@ -425,7 +427,7 @@ class AsyncFace:
         synthesised; `is_whole`: whether that is all of it. wait: return after it was played or
         dropped, and also `finished` (it was played whole) and `played_s`.
         """
-        return await self._let_speak("say", wait=wait, text=text, **voice)
+        return await self._request_speech("say", wait=wait, text=text, **voice)
 
     async def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
         """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
@@ -433,31 +435,31 @@ class AsyncFace:
         Returns `stream`, `duration_s` and `is_whole` as `say`. wait: return after it was played or
         dropped, and also `finished` (it was played whole) and `played_s`.
         """
-        return await self._let_speak("play", wait=wait, file=file)
+        return await self._request_speech("play", wait=wait, file=file)
 
-    async def _let_speak(self, kind: str, *, wait: bool, **fields: object) -> dict[str, Any]:
+    async def _request_speech(self, kind: str, *, wait: bool, **fields: object) -> dict[str, Any]:
         """Send `say` or `play` and return the answer; with `wait` once the speech has ended.
 
         Raises FaceError: 60 s without an answer, or no end of the speech 310 s after its duration.
         """
         number = next(self._numbers)
-        heard: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
-        self._spoken[number] = heard
+        ended_event: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
+        self._ends_of_speech[number] = ended_event
         try:
-            answer = await self._ask(kind, number, _READING_S, **fields)
+            answer = await self._request(kind, number, _READING_S, **fields)
             if not wait:
                 return answer
-            done, _ = await asyncio.wait([heard], timeout=STILL_S + answer["duration_s"])
+            done, _ = await asyncio.wait([ended_event], timeout=STILL_S + answer["duration_s"])
             if not done:
                 raise FaceError("not_answering", f"the face did not report the end of {kind}")
-            event = heard.result()
+            event = ended_event.result()
         finally:
-            del self._spoken[number]
-        ended = {"finished": event["type"] == "finished", "played_s": event["played_s"]}
-        is_whole = ended["finished"] or answer["is_whole"]
-        return {**answer, **ended, "duration_s": event["duration_s"], "is_whole": is_whole}
+            del self._ends_of_speech[number]
+        result = {"finished": event["type"] == "finished", "played_s": event["played_s"]}
+        is_whole = result["finished"] or answer["is_whole"]
+        return {**answer, **result, "duration_s": event["duration_s"], "is_whole": is_whole}
 
-    async def _ask(
+    async def _request(
         self, kind: str, number: int | None = None, limit_s: float = PATIENCE_S, **fields: object
     ) -> dict[str, Any]:
         """Send a command over `/control`, connecting first if needed; return the answer's `result`.
@@ -469,12 +471,12 @@ class AsyncFace:
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._pending[number] = answer
         try:
-            async with _patience(kind, limit_s):
+            async with _time_limit(kind, limit_s):
                 async with self._connecting:
-                    if self._control is None:
-                        url, take, lose = f"{self._url}/control", self._take, self._lose_control
-                        self._control = await connected(url, self._token, take, lose, limit_s)
-                await self._control.send(kind, id=number, **fields)
+                    if self._control_wire is None:
+                        url, take, lose = f"{self._url}/control", self._complete, self._lose_control
+                        self._control_wire = await connected(url, self._token, take, lose, limit_s)
+                await self._control_wire.send(kind, id=number, **fields)
                 return await answer
         finally:
             del self._pending[number]
@@ -483,8 +485,8 @@ class AsyncFace:
         """Open `/stream` and compare protocol versions. Raises FaceError as `__aenter__` does."""
         url = f"{self._url}/stream"
         self._greeting = asyncio.get_running_loop().create_future()
-        async with _patience(url, PATIENCE_S):
-            wire = await connected(url, self._token, self._hear, self._lose, PATIENCE_S)
+        async with _time_limit(url, PATIENCE_S):
+            wire = await connected(url, self._token, self._distribute, self._lose, PATIENCE_S)
             try:
                 await wire.send("hello", protocol=PROTOCOL)
                 version = await self._greeting
@@ -495,40 +497,40 @@ class AsyncFace:
             except BaseException:
                 await wire.close()
                 raise
-        self._connection = wire
+        self._stream_wire = wire
 
     async def _reconnect(self) -> None:
         """Try to connect, with growing pauses, until a face answers; then emit `reconnected`."""
         wait_s, reason = _FIRST_WAIT_S, "not_answering"
-        while self._connection is None:
-            await _happened(self._wanted, wait_s * random.uniform(0.5, 1.0))
-            self._wanted.clear()
+        while self._stream_wire is None:
+            await _wait_at_most(self._try_requested, wait_s * random.uniform(0.5, 1.0))
+            self._try_requested.clear()
             wait_s = min(2.0 * wait_s, _LONGEST_WAIT_S)
             try:
                 await self._connect()
             except FaceError as error:
                 if error.code not in (reason, "disconnected", "shutting_down"):
                     reason = error.code
-                    self._hand_on_loss(error)
+                    self._emit_loss(error)
             self._tried.set()
-        self._hand_on({"type": "reconnected", "code": "", "message": f"{self._url}: is back"})
+        self._emit({"type": "reconnected", "code": "", "message": f"{self._url}: is back"})
 
-    def _take(self, event: Event) -> None:
+    def _complete(self, event: Event) -> None:
         """Complete the command that a message of `/control` answers, or whose speech has ended."""
         number = event.get("id") or 0
         if event["type"] in ("finished", "dropped"):
-            _settle(self._spoken.get(number), event)
+            _set_answer(self._ends_of_speech.get(number), event)
         elif event["type"] == "result":
-            _settle(self._pending.get(number), event.get("result") or {})
+            _set_answer(self._pending.get(number), event.get("result") or {})
         elif event["type"] == "error":
-            _settle(self._pending.get(number), error_of(event))
+            _set_answer(self._pending.get(number), error_of(event))
 
     def _lose_control(self, error: FaceError) -> None:
-        self._control = None
-        for waiting in (*self._pending.values(), *self._spoken.values()):
-            _settle(waiting, error)
+        self._control_wire = None
+        for waiting in (*self._pending.values(), *self._ends_of_speech.values()):
+            _set_answer(waiting, error)
 
-    def _hear(self, event: Event) -> None:
+    def _distribute(self, event: Event) -> None:
         """Hand an event of `/stream` to its stream and all `Events`; the greeting to `_connect`.
 
         An error without a stream fails the first stream that waits for its start.
@@ -546,28 +548,28 @@ class AsyncFace:
             starting = [each for each in self._speeches.values() if each.is_starting]
             for each in starting[:1]:
                 each.fail(error_of(event))
-        self._hand_on(event)
+        self._emit(event)
 
     def _lose(self, error: FaceError) -> None:
         """End all streams with the error of the lost `/stream`, and start reconnecting."""
-        _settle(self._greeting, error)
-        if self._connection is None:  # left, or never greeted
+        _set_answer(self._greeting, error)
+        if self._stream_wire is None:  # this client has left, or the hello was never answered
             return
-        self._connection = None
+        self._stream_wire = None
         for speech in self._speeches.values():
             speech.lose(error)
-        self._hand_on_loss(error)
+        self._emit_loss(error)
         self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
 
-    def _hand_on_loss(self, error: FaceError) -> None:
-        self._hand_on({"type": "disconnected", "code": error.code, "message": str(error)})
+    def _emit_loss(self, error: FaceError) -> None:
+        self._emit({"type": "disconnected", "code": error.code, "message": str(error)})
 
-    def _hand_on(self, event: Event) -> None:
+    def _emit(self, event: Event) -> None:
         for events in self._events:
             events.put(event)
 
 
-def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
+def _set_answer(waiting: asyncio.Future[Any] | None, answer: object) -> None:
     """Set `answer` as the result of a future, or as its exception if it is a FaceError.
 
     Do nothing if the future, `waiting`, is None or already done.
@@ -576,12 +578,12 @@ def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
         return
     if isinstance(answer, FaceError):
         waiting.set_exception(answer)
-        waiting.exception()  # nobody need wait for it
+        waiting.exception()  # or asyncio logs it if nobody waits
     else:
         waiting.set_result(answer)
 
 
-async def _happened(event: asyncio.Event, limit_s: float) -> None:
+async def _wait_at_most(event: asyncio.Event, limit_s: float) -> None:
     """Wait for an event, at most `limit_s`."""
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(limit_s):
@@ -589,7 +591,7 @@ async def _happened(event: asyncio.Event, limit_s: float) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _patience(what: str, limit_s: float) -> AsyncGenerator[None, None]:
+async def _time_limit(what: str, limit_s: float) -> AsyncGenerator[None, None]:
     """Raise FaceError if the block runs longer than `limit_s`; `what` names it in the message."""
     try:
         async with asyncio.timeout(limit_s):

@@ -52,9 +52,11 @@ def mouth_rows(
     first: the number of the first frame in its stream, whose frames number rate_hz a second. Raises
     ValueError for a malformed frame.
     """
+    # A row for each run of frames with one phone; but a long closure becomes a closure, silence and
+    # a closure, and a short run of another phone is joined to the row before.
     rows: list[tuple[str, float, float]] = []
     number = first
-    for phone, group in groupby(map(_nearest, map(_weights, frames))):
+    for phone, group in groupby(map(_nearest_phone, map(_mouth_weights, frames))):
         start_s = number / rate_hz
         number += sum(1 for _ in group)
         end_s = number / rate_hz
@@ -68,7 +70,7 @@ def mouth_rows(
     return rows
 
 
-def _weights(frame: object) -> dict[str, float]:
+def _mouth_weights(frame: object) -> dict[str, float]:
     """Return the weights that speech moves, by lower-case name; 0 if missing. Raises ValueError."""
     if isinstance(frame, list) and len(frame) in _LIST_LENGTHS:
         given = {name: frame[place] for name, place in _PLACES.items()}
@@ -83,7 +85,7 @@ def _weights(frame: object) -> dict[str, float]:
     return named
 
 
-def _nearest(weights: Mapping[str, float]) -> str:
+def _nearest_phone(weights: Mapping[str, float]) -> str:
     """Return the phone in `_MOUTHS` whose four measures are nearest to those of the weights."""
 
     def mean(*names: str) -> float:
@@ -92,6 +94,7 @@ def _nearest(weights: Mapping[str, float]) -> str:
     lips = mean(
         "mouthlowerdownleft", "mouthlowerdownright", "mouthupperupleft", "mouthupperupright"
     )
+    # Opening, rounding, spreading, lower lip drawn in, as in `_MOUTHS`.
     mouth = (
         max(0.0, mean("jawopen") - mean("mouthclose")) + lips,
         max(mean("mouthfunnel"), mean("mouthpucker")),

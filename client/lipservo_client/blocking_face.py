@@ -9,8 +9,8 @@ from typing import Any, Final, Literal, Self, TypeVar
 from lipservo_client.async_face import AsyncFace, AsyncSpeech, Events
 from lipservo_client.protocol import Event, Pcm, Played, SpeechUnits
 
-#: Between two looks whether there is still somebody who could answer.
-_LOOK_S: Final = 0.5
+#: A call that waits checks so often whether the connection's thread still runs.
+_CHECK_EVERY_S: Final = 0.5
 
 _Answer = TypeVar("_Answer")
 
@@ -84,7 +84,7 @@ class Face:
         try:
             self.wait_for(self._face.__aenter__())
         except BaseException:
-            self._end()
+            self._end_thread()
             raise
         return self
 
@@ -93,7 +93,7 @@ class Face:
         try:
             self.wait_for(self._face.__aexit__())
         finally:
-            self._end()
+            self._end_thread()
 
     def stream(
         self,
@@ -103,10 +103,10 @@ class Face:
     ) -> Speech:
         """Return a new stream of speech, which starts when entered; as `AsyncFace.stream`."""
 
-        async def made() -> AsyncSpeech:
+        async def make_stream() -> AsyncSpeech:
             return self._face.stream(sample_rate, playback, stream)
 
-        return Speech(self, self.wait_for(made()))
+        return Speech(self, self.wait_for(make_stream()))
 
     def interrupt(self) -> Played | None:
         """Silence the face now; return how much of all unfinished streams was played (barge-in).
@@ -126,10 +126,10 @@ class Face:
     def events(self) -> Iterator[Event]:
         """Return an iterator over the face's events from now on, until this client disconnects."""
 
-        async def made() -> Events:
+        async def make_events() -> Events:
             return self._face.events()
 
-        return self._listen(self.wait_for(made()))
+        return self._yield_events(self.wait_for(make_events()))
 
     def status(self) -> dict[str, Any]:
         """Return the face's status: fields of docs/architecture.md, "Status". Raises FaceError."""
@@ -184,26 +184,26 @@ class Face:
         try:
             while True:
                 try:
-                    return answer.result(_LOOK_S)
+                    return answer.result(_CHECK_EVERY_S)
                 except TimeoutError:
                     if answer.done():
                         raise
-                    # What was asked while the connection ended is answered by nobody.
+                    # A call made while the connection ended is never completed.
                     if not self._thread.is_alive():
                         raise EOFError("the connection to the face has ended") from None
         except BaseException:
-            answer.cancel()  # Ctrl-C: nobody waits for it any more
+            answer.cancel()  # for example at Ctrl-C: the caller does not wait for it any more
             raise
 
-    def _listen(self, events: Events) -> Iterator[Event]:
+    def _yield_events(self, events: Events) -> Iterator[Event]:
         """Yield a face's events, blocking until each comes; end when the client disconnects."""
 
-        async def following() -> Event | None:
+        async def next_event() -> Event | None:
             return await anext(events, None)
 
         while not self._loop.is_closed():
             try:
-                event = self.wait_for(following())
+                event = self.wait_for(next_event())
             except (EOFError, CancelledError):
                 return
             if event is None:
@@ -214,7 +214,7 @@ class Face:
         asyncio.set_event_loop(self._loop)
         self._loop.run_forever()
 
-    def _end(self) -> None:
+    def _end_thread(self) -> None:
         """Cancel all calls that still wait for this face, and end the connection's thread."""
 
         async def cancel_all() -> None:

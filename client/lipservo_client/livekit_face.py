@@ -28,10 +28,10 @@ _LOG: Final = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class _Turn:
-    """What a speech handle says until its text is remembered: one segment of sound, or several.
+    """The speech of a LiveKit speech handle, in one or more segments, until its text is stored.
 
-    n_samples: of its sound; n_played: how many of them were heard. has_words: some words came with
-    the sound. is_cut: not all of it was heard.
+    n_samples: of its sound; n_played: how many of them were played. has_words: some words came with
+    the sound. is_cut: not all of it was played.
     """
 
     handle: SpeechHandle | None
@@ -50,17 +50,18 @@ class LiveKitFace(AudioOutput):
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
+        """Prepare the output for the face at `url`. token: as of `lipservo.connect`."""
         super().__init__(label="lipservo", capabilities=AudioOutputCapabilities(pause=True))
         self._face = AsyncFace(url, token)
         self._speech: AsyncSpeech | None = None
         self._turn = _Turn(None)
         self._words = SpokenWords(1)
         self._session: AgentSession[Any] | None = None
-        # Nothing more of the segment is wanted, until it is flushed.
-        self._is_cut = False
+        # Whether the present segment was cut off, so that its rest, until `flush`, is dropped.
+        self._is_cut_off = False
         self._is_paused = False
-        self._working: set[asyncio.Task[None]] = set()
-        self._last: asyncio.Task[None] | None = None
+        self._face_tasks: set[asyncio.Task[None]] = set()
+        self._last_call: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
         """Connect to the face; go on trying in the background if no face answers."""
@@ -68,15 +69,15 @@ class LiveKitFace(AudioOutput):
             await self._face.__aenter__()
         except FaceError:
             self._face.keep_trying()
-        self._begin(self._follow())
+        self._start_task(self._follow_events())
         return self
 
     async def __aexit__(self, *exc: object) -> None:
         """Disconnect; segments that are not over end as interrupted."""
         await self._face.__aexit__()
-        for task in self._working:
+        for task in self._face_tasks:
             task.cancel()
-        await asyncio.gather(*self._working, return_exceptions=True)
+        await asyncio.gather(*self._face_tasks, return_exceptions=True)
 
     async def capture_frame(self, frame: rtc.AudioFrame) -> None:
         """Send a frame of sound to the face, waiting while 30 s are unplayed.
@@ -84,39 +85,42 @@ class LiveKitFace(AudioOutput):
         Frames of a segment that was cut off, or that no face accepts, are dropped.
         """
         await super().capture_frame(frame)
-        if self._is_cut:
+        if self._is_cut_off:
             return
         try:
-            speech = self._speech or await self._begun(frame.sample_rate)
+            speech = self._speech or await self._start_stream(frame.sample_rate)
             for text, start in _frame_words(frame):
                 self._turn.has_words = True
                 self._words.add(text, start)
                 if word := text.strip():
                     await speech.tell(text if start is None else ("words", [(word, start)]))
             self._words.extend(frame.samples_per_channel)
-            self._is_cut = not await speech.write(mono_pcm(frame.data, frame.num_channels))
+            self._is_cut_off = not await speech.write(mono_pcm(frame.data, frame.num_channels))
         except FaceError as error:
             _LOG.warning("not said: %s", error)
-            self._is_cut = True
-            if self._speech is None:  # it never began: nothing follows its end
-                self._end(self._turn, self._words, 0, is_whole=False)
+            self._is_cut_off = True
+            if self._speech is None:  # its stream did not start, so no task reports its end
+                self._report(self._turn, self._words, 0, is_whole=False)
 
-    async def _begun(self, rate_hz: int) -> AsyncSpeech:
-        """Return a new stream, started once earlier calls are sent. Raises FaceError."""
-        self._take_context()
+    async def _start_stream(self, rate_hz: int) -> AsyncSpeech:
+        """Start a stream for a new segment, after earlier calls were sent, and return it.
+
+        A task then waits for its end. Raises FaceError.
+        """
+        self._note_context()
         self._words = SpokenWords(rate_hz)
-        if self._last is not None:
-            await asyncio.wait([self._last])
+        if self._last_call is not None:
+            await asyncio.wait([self._last_call])
         await self._face.try_now()
         speech = self._face.stream(rate_hz)
         await speech.__aenter__()
         self._speech = speech
-        self._begin(self._tell_end(speech, self._turn, self._words))
+        self._start_task(self._report_when_over(speech, self._turn, self._words))
         if self._is_paused:
             await self._face.pause()
         return speech
 
-    def _take_context(self) -> None:
+    def _note_context(self) -> None:
         """Store the speech handle and the session of the segment that begins.
 
         LiveKit calls `capture_frame` in a task whose context variables contain both.
@@ -128,56 +132,58 @@ class LiveKitFace(AudioOutput):
         for session in (getattr(each, "session", None) for each in values):
             if isinstance(session, AgentSession) and session is not self._session:
                 self._session = session
-                session.on("conversation_item_added", self._correct)
+                session.on("conversation_item_added", self._cut_to_heard)
 
     def flush(self) -> None:
         """Mark the current segment of the agent's speech as complete; it is played to its end."""
         super().flush()
-        speech, self._speech, self._is_cut = self._speech, None, False
+        speech, self._speech, self._is_cut_off = self._speech, None, False
         if speech is not None:
-            self._then(speech.end())
+            self._run_in_order(speech.end())
 
     def clear_buffer(self) -> None:
         """Interrupt the face at once; drop the rest of the agent's current segment of speech."""
-        self._is_cut = self._is_cut or self._speech is not None
+        self._is_cut_off = self._is_cut_off or self._speech is not None
         if self._face.is_connected:
-            self._then(self._face.interrupt())
+            self._run_in_order(self._face.interrupt())
 
     def pause(self) -> None:
         """Silence the face now; unplayed speech is kept, up to a minute, until `resume`."""
         super().pause()
         self._is_paused = True
         if self._is_saying:
-            self._then(self._face.pause())
+            self._run_in_order(self._face.pause())
 
     def resume(self) -> None:
         """Resume speech that `pause` silenced."""
         super().resume()
         self._is_paused = False
         if self._is_saying:
-            self._then(self._face.resume())
+            self._run_in_order(self._face.resume())
 
     @property
     def _is_saying(self) -> bool:
         return self._face.is_connected and self._pending_playback_count > 0
 
-    async def _tell_end(self, speech: AsyncSpeech, turn: _Turn, words: SpokenWords) -> None:
+    async def _report_when_over(self, speech: AsyncSpeech, turn: _Turn, words: SpokenWords) -> None:
+        """Wait until a stream is played or cut off, and report that to the session."""
         with suppress(FaceError):
             await speech.heard()
-        self._end(turn, words, speech.n_played, is_whole=speech.was_heard)
+        self._report(turn, words, speech.n_played, is_whole=speech.was_heard)
 
-    def _end(self, turn: _Turn, words: SpokenWords, n_played: int, *, is_whole: bool) -> None:
+    def _report(self, turn: _Turn, words: SpokenWords, n_played: int, *, is_whole: bool) -> None:
         """Report to the session that a segment is over, and which of its words were heard.
 
         n_played: samples. is_whole: played to the end; otherwise the turn counts as interrupted.
         """
         turn.n_samples += words.n_samples
         turn.n_played += n_played
+        # Without words beside the sound, `_cut_to_heard` estimates later which words were heard.
         is_known = not is_whole and (turn.has_words or n_played == 0)
         if not is_whole:
             turn.is_cut = True
             if turn.handle is not None:
-                # Of a turn that is not interrupted LiveKit remembers all, whatever was heard.
+                # Unless a turn is interrupted, LiveKit stores all of its text, whatever was heard.
                 turn.handle.interrupt(force=True)
         self.on_playback_finished(
             playback_position=n_played / words.rate_hz,
@@ -185,10 +191,10 @@ class LiveKitFace(AudioOutput):
             synchronized_transcript="".join(words.heard(n_played)) if is_known else None,
         )
 
-    def _correct(self, event: ConversationItemAddedEvent) -> None:
+    def _cut_to_heard(self, event: ConversationItemAddedEvent) -> None:
         """Cut an interrupted message of the session to what was heard.
 
-        Only where no words came with the sound; otherwise `_end` has reported them.
+        Only where no words came with the sound; otherwise `_report` has reported them.
         """
         item, turn = event.item, self._turn
         if item.type != "message" or item.role != "assistant":
@@ -199,32 +205,38 @@ class LiveKitFace(AudioOutput):
             item.content = list(words.heard(turn.n_played))
         self._turn = _Turn(turn.handle)
 
-    async def _follow(self) -> None:
+    async def _follow_events(self) -> None:
         async for event in self._face.events():
             if event["type"] == "started":
                 self.on_playback_started(created_at=time.time())
 
-    def _begin(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+    def _start_task(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.get_running_loop().create_task(work)
-        self._working.add(task)
-        task.add_done_callback(self._working.discard)
+        self._face_tasks.add(task)
+        task.add_done_callback(self._face_tasks.discard)
         return task
 
-    def _then(self, work: Coroutine[Any, Any, object]) -> None:
-        """Run `work` after that of the call before, so that an end precedes an interruption."""
-        before = self._last
+    def _run_in_order(self, work: Coroutine[Any, Any, object]) -> None:
+        """Start a task that runs `work` once the work of the call before is done.
 
-        async def done() -> None:
-            if before is not None:
-                await asyncio.wait([before])
+        So the end of a stream is sent before an interruption that was requested after it.
+        """
+        earlier_call = self._last_call
+
+        async def run() -> None:
+            if earlier_call is not None:
+                await asyncio.wait([earlier_call])
             with suppress(FaceError):
                 await work
 
-        self._last = self._begin(done())
+        self._last_call = self._start_task(run())
 
 
 def _frame_words(frame: rtc.AudioFrame) -> list[tuple[str, int | None]]:
-    """Return the texts that the synthesiser sent with a frame's sound, with samples if known."""
+    """Return the words that the synthesiser sent with a frame's sound, as (word, start sample).
+
+    Samples count from the beginning of the segment; None: not known.
+    """
     words: list[tuple[str, int | None]] = []
     for word in frame.userdata.get(USERDATA_TIMED_TRANSCRIPT, ()):
         start_s = getattr(word, "start_time", NOT_GIVEN) if word.strip() else NOT_GIVEN

@@ -21,7 +21,7 @@ TOKEN_NAME: Final = "token"
 LONGEST_TOKEN_BYTES: Final = 4096
 _SERVICE_FOLDER: Final = Path("/run/lipservo")
 _FOLDER_NAME: Final = "lipservo"
-#: Folders with the number of their user in the path: his session's, and below the temporary one.
+#: Folders whose path has the number of their user: of a session, or below the temporary folder.
 _OF_A_USER: Final = re.compile(rf"/run/user/(\d+)/{_FOLDER_NAME}|.*/{_FOLDER_NAME}-(\d+)", re.ASCII)
 _TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
 _LISTEN: Final = "0A"  # TCP_LISTEN of the kernel's include/net/tcp_states.h
@@ -30,8 +30,9 @@ _LISTEN: Final = "0A"  # TCP_LISTEN of the kernel's include/net/tcp_states.h
 def found_tokens(url: str) -> list[str]:
     """Return the tokens that a face at `url` may require; empty for another computer's face.
 
-    They are read in the runtime folders where running faces are searched. A token is left out if
-    its file's owner has no program that listens on the port: another user's program gets none.
+    They are read in the runtime folders where running faces are searched. A token is left out
+    unless its file's owner has a program that listens on the port: so no other user's program is
+    sent one.
     """
     try:
         split = urlsplit(url)
@@ -41,7 +42,7 @@ def found_tokens(url: str) -> list[str]:
     if not is_loopback(host) or not hasattr(os, "geteuid"):
         return []
     users = listening_users(port) if are_listed() else {os.geteuid()}
-    tokens = (_token_of(folder / TOKEN_NAME, users) for folder in runtime_folders())
+    tokens = (_read_trusted_token(folder / TOKEN_NAME, users) for folder in runtime_folders())
     return list(dict.fromkeys(each for each in tokens if each is not None))
 
 
@@ -52,22 +53,22 @@ def runtime_folders() -> list[Path]:
     folders to which others may write or that belong to another user than the one whose number is in
     their path (without a number: than this process's), since their contents cannot be trusted.
     """
-    if own := os.environ.get("LIPSERVO_RUNTIME", ""):
-        return [each for each in (Path(own),) if _may_look_into(each)]
+    if only_folder := os.environ.get("LIPSERVO_RUNTIME", ""):
+        return [each for each in (Path(only_folder),) if _is_readable_folder(each)]
     user = os.geteuid()
     temporary = Path(tempfile.gettempdir())
     candidates = [Path(each) for each in os.environ.get("RUNTIME_DIRECTORY", "").split(":") if each]
     own_temporary = temporary / f"{_FOLDER_NAME}-{user}"
     session = os.environ.get("XDG_RUNTIME_DIR", "")
     has_session = session and _belongs_to(Path(session), user)
-    of_users = [Path(session) / _FOLDER_NAME if has_session else own_temporary]
-    of_users += [Path(f"/run/user/{user}") / _FOLDER_NAME, own_temporary]
+    user_folders = [Path(session) / _FOLDER_NAME if has_session else own_temporary]
+    user_folders += [Path(f"/run/user/{user}") / _FOLDER_NAME, own_temporary]
     if user == 0:
-        of_users += Path("/run/user").glob(f"*/{_FOLDER_NAME}")
+        user_folders += Path("/run/user").glob(f"*/{_FOLDER_NAME}")
         others = temporary.glob(f"{_FOLDER_NAME}-*")
-        of_users += [each for each in others if _OF_A_USER.fullmatch(str(each))]
-    candidates += [_SERVICE_FOLDER, *filter(_is_its_users, of_users)]
-    return [each for each in dict.fromkeys(candidates) if _may_look_into(each)]
+        user_folders += [each for each in others if _OF_A_USER.fullmatch(str(each))]
+    candidates += [_SERVICE_FOLDER, *filter(_is_trusted, user_folders)]
+    return [each for each in dict.fromkeys(candidates) if _is_readable_folder(each)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,15 +130,15 @@ def is_loopback(host: str) -> bool:
     return host.lower() == "localhost" if address is None else address.is_loopback
 
 
-def _token_of(path: Path, users: set[int]) -> str | None:
+def _read_trusted_token(path: Path, users: set[int]) -> str | None:
     """Return the token in a file that one of `users` owns; None for others, unreadable or empty."""
     try:
         fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:
         return None
     try:
-        found = os.fstat(fd)
-        if not stat.S_ISREG(found.st_mode) or found.st_uid not in users:
+        file_status = os.fstat(fd)
+        if not stat.S_ISREG(file_status.st_mode) or file_status.st_uid not in users:
             return None
         lines = os.read(fd, LONGEST_TOKEN_BYTES).decode("utf-8", "replace").splitlines()
     except OSError:
@@ -147,8 +148,8 @@ def _token_of(path: Path, users: set[int]) -> str | None:
     return (lines[0].strip() or None) if lines else None
 
 
-def _is_its_users(folder: Path) -> bool:
-    """Return whether `folder` is of the user whose number is in its path; ours without one."""
+def _is_trusted(folder: Path) -> bool:
+    """Return whether `folder` belongs to the user whose number is in its path, else to this one."""
     match = _OF_A_USER.fullmatch(str(folder))
     return _belongs_to(folder, int(match[1] or match[2]) if match else os.geteuid())
 
@@ -156,13 +157,13 @@ def _is_its_users(folder: Path) -> bool:
 def _belongs_to(folder: Path, uid: int) -> bool:
     """Return whether `folder`, not a link, is user `uid`'s, and no other user can write to it."""
     try:
-        found = folder.lstat()
+        status = folder.lstat()
     except OSError:
         return False
-    others_may_write = found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    return stat.S_ISDIR(found.st_mode) and found.st_uid == uid and not others_may_write
+    others_may_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == uid and not others_may_write
 
 
-def _may_look_into(folder: Path) -> bool:
+def _is_readable_folder(folder: Path) -> bool:
     is_folder = os.path.isdir(folder) and not os.path.islink(folder)
     return is_folder and os.access(folder, os.R_OK | os.X_OK)

@@ -19,18 +19,20 @@ from lipservo_client.async_face import AsyncFace, AsyncSpeech
 from lipservo_client.heard import SpokenWords
 from lipservo_client.protocol import Event, FaceError, Played, error_of, mono_pcm
 
-#: Sentences that are announced before any of their sound came; the oldest are left out.
-_MOST_UNTOLD: Final = 64
-#: Between two questions for the position while frames wait for their sound.
-_ASKING_S: Final = 0.05
-#: An interruption holds the pipeline up no longer.
+#: Texts that are kept until their stream begins; of more, the oldest are dropped.
+_MOST_UNSENT_TEXTS: Final = 64
+#: The face is asked for its position so often while frames wait for sound to be played.
+_POLL_S: Final = 0.05
+#: Longest time for which an interruption holds the pipeline up.
 _INTERRUPTING_S: Final = 1.0
-#: A frame passes a processor in two or three turns of the event loop. What was heard is in the
-#: context of an aggregator up to twenty processors behind, before the interruption clears queues.
+#: Turns of the event loop after an interruption: a frame passes a processor in two or three, so
+#: text that was heard reaches an aggregator up to twenty processors behind, before queues are
+#: cleared.
 _SETTLING_PASSES: Final = 64
 #: Between two reports of what a transport has played.
 _REPORT_S: Final = 0.1
-#: In the metadata of a context's first sound: the time in ns from which Pipecat times its words.
+#: Key in the metadata of a TTS context's first sound: the time in ns from which Pipecat times its
+#: words.
 _TIMED_FROM: Final = "lipservo_timed_from_ns"
 
 
@@ -49,29 +51,34 @@ class _FaceProcessor(FrameProcessor):
             await self.cancel_task(task)
         await self._face.__aexit__()
 
-    async def _connect(self, *working: Coroutine[Any, Any, None]) -> None:
+    async def _connect_face(self, *working: Coroutine[Any, Any, None]) -> None:
         """Connect to the face, and run the `working` coroutines until the pipeline ends."""
         self._tasks = [self.create_task(each) for each in working]
         try:
             await self._face.__aenter__()
         except FaceError as error:
-            await self._complain(error)
+            await self._push_face_error(error)
             self._face.keep_trying()
 
-    async def _complain(self, error: Exception) -> None:
+    async def _push_face_error(self, error: Exception) -> None:
+        """Push an error of the face upstream, as a Pipecat error frame."""
         await self.push_error(f"the face: {error}", exception=error)
 
-    async def _interrupted(self) -> Played | None:
+    async def _interrupt_face(self) -> Played | None:
+        """Interrupt the face; return how much was played.
+
+        None: nothing was unfinished, or an error came, or no answer within a second.
+        """
         try:
             async with asyncio.timeout(_INTERRUPTING_S):
                 return await self._face.interrupt()
         except (FaceError, TimeoutError) as error:
-            await self._complain(error)
+            await self._push_face_error(error)
             return None
 
 
 @dataclass(slots=True)
-class _Unheard:
+class _Waiting:
     """A frame in the order of speech; it waits until sample `n` of its stream was played.
 
     Frames of sound are dropped then, others pushed. speech: None: the frame follows no speech.
@@ -93,6 +100,10 @@ class _Unheard:
 
     @property
     def is_heard(self) -> bool:
+        """Whether the sound before the frame was played; for a frame of sound, its own.
+
+        A word with a time is heard once all of its text counts as heard. True without speech.
+        """
         speech = self.speech
         if speech is None or speech.was_heard:
             return True
@@ -115,7 +126,11 @@ class _Unheard:
         return self.speech is not None and self.speech.is_over and not self.is_heard
 
     def as_heard(self) -> frames.Frame | None:
-        """Return the frame, of a spoken text the words that were heard; None for sound or none."""
+        """Return the frame to push on; of text only the words that were heard.
+
+        None for sound, for text of which nothing was heard, and for other frames whose turn has not
+        come.
+        """
         if self.is_sound:
             return None
         if self.speech is None or self.is_heard:
@@ -147,26 +162,28 @@ class PipecatFace(_FaceProcessor):
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
         super().__init__(url, token)
         self._speech: AsyncSpeech | None = None
-        self._n = 0
-        self._line: list[_Unheard] = []
+        # Samples of the open stream; and the frames that wait until sound before them was played.
+        self._n_samples = 0
+        self._line: list[_Waiting] = []
         self._releasing = asyncio.Lock()
-        self._words = SpokenWords(1)
-        #: The sample behind the last sentence: the next one's sound begins there.
+        self._spoken_words = SpokenWords(1)
+        #: The sample at which the last sentence ends: the sound of the next one begins there.
         self._n_spoken = 0
-        #: Of a TTS context: the sample, and the time in ns, from which its words are timed. As
-        #: Pipecat has it, that is when its sound came, or the last word before if that is later.
+        #: By TTS context: the sample and the time (ns) from which its words are timed. As Pipecat
+        #: counts, that is when its sound came, or the last word before it if that is later.
         self._contexts: dict[str | None, tuple[int, int]] = {}
         self._last_word_ns = 0
         self._open_contexts: set[str | None] = set()
         self._has_loudspeaker = True
-        #: Sentences whose sound has not begun; and whether the service announces its sentences, so
-        #: that the same words come again as they were said.
-        self._untold: list[str] = []
-        self._is_announced = False
+        #: Texts whose stream has not begun; and whether the service announces whole sentences, so
+        #: that the same words come again when they are spoken.
+        self._unsent_texts: list[str] = []
+        self._announces_sentences = False
         self._is_speaking = False
         self._is_complete = False
-        #: Nothing more of what is being said is wanted: it was cut off at the face.
-        self._is_cut = False
+        #: Whether the turn was cut off at the face, so that the rest of its sound is dropped.
+        self._is_cut_off = False
+        #: Event loop time until which the transport plays sound that went on to it.
         self._transport_until_s = 0.0
         self.last_played: Played | None = None
 
@@ -176,9 +193,9 @@ class PipecatFace(_FaceProcessor):
         direction: FrameDirection = FrameDirection.DOWNSTREAM,
         callback: FrameCallback | None = None,
     ) -> None:
-        """Queue a frame; note when its sound left the service, which is when words are timed from.
+        """Queue a frame; note when a context's first sound came, from which its words are timed.
 
-        A frame may wait here for long, until the face takes more sound.
+        Noted here, since a frame may then wait for long, until the face takes more sound.
         """
         if isinstance(frame, frames.InterruptionFrame):
             self._last_word_ns = 0
@@ -205,37 +222,38 @@ class PipecatFace(_FaceProcessor):
         """
         await super().process_frame(frame, direction)
         if isinstance(frame, frames.StartFrame):
-            await self._connect(self._follow(), self._ask_positions())
+            await self._connect_face(self._follow_events(), self._poll_positions())
         elif isinstance(frame, (frames.InterruptionFrame, frames.CancelFrame)):
-            await self._interrupt(everything=isinstance(frame, frames.CancelFrame))
+            await self._interrupt_speech(everything=isinstance(frame, frames.CancelFrame))
         elif not isinstance(frame, frames.SystemFrame) and direction == FrameDirection.DOWNSTREAM:
-            await self._take(frame)
+            await self._process_in_order(frame)
             return
         await self.push_frame(frame, direction)
 
-    async def _take(self, frame: frames.Frame) -> None:
+    async def _process_in_order(self, frame: frames.Frame) -> None:
         """Send a frame's sound or text to the face, and let the frame wait for the sound before it.
 
         Text of a turn that was cut off at the face is dropped.
         """
         if isinstance(frame, frames.TTSAudioRawFrame):
-            await self._say(frame)
+            await self._send_sound(frame)
             return
-        if self._is_cut and isinstance(frame, frames.TextFrame):
+        if self._is_cut_off and isinstance(frame, frames.TextFrame):
             return
         if isinstance(frame, frames.AggregatedTextFrame):
-            await self._tell(frame)
-        self._wait_in_line(frame)
+            await self._send_text(frame)
+        self._queue_behind_sound(frame)
         if isinstance(frame, frames.TTSStoppedFrame):
-            self._is_complete, self._is_cut = True, False
+            self._is_complete, self._is_cut_off = True, False
             if self._speech is not None:
-                # Or the face waits for what its last block lacks, and that for the end.
+                # Makes the face play the last, incomplete block; the stream's end is sent only when
+                # all sound was played.
                 with suppress(FaceError):
                     await self._speech.mark("said")
-        # An interruption cancels this task; what was heard goes on nevertheless.
-        await asyncio.shield(self._release())
+        # An interruption cancels this task, but frames whose sound was played are still pushed.
+        await asyncio.shield(self._push_heard_frames())
 
-    async def _say(self, frame: frames.TTSAudioRawFrame) -> None:
+    async def _send_sound(self, frame: frames.TTSAudioRawFrame) -> None:
         """Send a frame of sound to the face, waiting while 30 s are unplayed; or push it.
 
         The frame is pushed, for the transport to play, while no face with a loudspeaker is
@@ -245,35 +263,36 @@ class PipecatFace(_FaceProcessor):
         now_s = asyncio.get_running_loop().time()
         seconds = len(frame.audio) / (2 * frame.num_channels * frame.sample_rate)
         self._is_complete = False
-        if self._is_cut:
+        if self._is_cut_off:
             return
-        is_faces = self._face.is_connected and self._has_loudspeaker
-        if self._speech is None and (now_s < self._transport_until_s or not is_faces):
+        face_plays = self._face.is_connected and self._has_loudspeaker
+        # No face can play it, or the transport still plays earlier sound: the transport gets it.
+        if self._speech is None and (now_s < self._transport_until_s or not face_plays):
             self._transport_until_s = max(now_s, self._transport_until_s) + seconds
             await self.push_frame(frame)
             return
         pcm = mono_pcm(frame.audio, frame.num_channels)
         try:
-            speech = await self._stream(frame.sample_rate)
+            speech = await self._open_stream(frame.sample_rate)
             if _TIMED_FROM in frame.metadata:
-                self._contexts[frame.context_id] = (self._n, frame.metadata[_TIMED_FROM])
-            self._n += len(pcm) // 2
-            self._words.extend(len(pcm) // 2)
-            self._line.append(_Unheard(speech, self._n, frame, self._words))
-            untold, self._untold = self._untold, []
-            for text in untold:
+                self._contexts[frame.context_id] = (self._n_samples, frame.metadata[_TIMED_FROM])
+            self._n_samples += len(pcm) // 2
+            self._spoken_words.extend(len(pcm) // 2)
+            self._line.append(_Waiting(speech, self._n_samples, frame, self._spoken_words))
+            texts, self._unsent_texts = self._unsent_texts, []
+            for text in texts:
                 await speech.tell(text)
-            self._is_cut = not await speech.write(pcm)
+            self._is_cut_off = not await speech.write(pcm)
         except FaceError as error:
-            await self._complain(error)
+            await self._push_face_error(error)
             if error.code == "no_loudspeaker":
                 self._speech, self._has_loudspeaker = None, False
-                return await self._say(frame)
-            self._is_cut = True
-        if self._is_cut:
-            await asyncio.shield(self._release())
+                return await self._send_sound(frame)
+            self._is_cut_off = True
+        if self._is_cut_off:
+            await asyncio.shield(self._push_heard_frames())
 
-    async def _stream(self, rate_hz: int) -> AsyncSpeech:
+    async def _open_stream(self, rate_hz: int) -> AsyncSpeech:
         """Return this turn's open stream; a new one for a new turn or rate. Raises FaceError."""
         speech = self._speech
         if speech is not None and speech.rate_hz != rate_hz:
@@ -281,24 +300,28 @@ class PipecatFace(_FaceProcessor):
             speech = None
         if speech is None:
             speech = self._face.stream(rate_hz)
-            self._speech, self._n, self._n_spoken = speech, 0, 0
-            self._words = SpokenWords(rate_hz)
+            self._speech, self._n_samples, self._n_spoken = speech, 0, 0
+            self._spoken_words = SpokenWords(rate_hz)
             self._contexts.clear()
             await speech.__aenter__()
         return speech
 
-    async def _tell(self, frame: frames.AggregatedTextFrame) -> None:
-        """Send a frame's text to the face: words with times, or sentences before their sound."""
+    async def _send_text(self, frame: frames.AggregatedTextFrame) -> None:
+        """Send a frame's text to the face: words with times, or sentences before their sound.
+
+        Before the turn's stream is open, texts are kept for it. Words without times are not sent if
+        the service has announced their sentence.
+        """
         is_spoken = isinstance(frame, frames.TTSTextFrame)
         n = self._sample_of(frame)
         text = frame.text.strip()
         if not text or not (is_spoken or frame.will_be_spoken):
             return
-        self._is_announced = self._is_announced or not is_spoken
-        if n is None and is_spoken and self._is_announced:
+        self._announces_sentences = self._announces_sentences or not is_spoken
+        if n is None and is_spoken and self._announces_sentences:
             return
         if self._speech is None:
-            self._untold = [*self._untold, text][-_MOST_UNTOLD:]
+            self._unsent_texts = [*self._unsent_texts, text][-_MOST_UNSENT_TEXTS:]
             return
         with suppress(FaceError):
             await self._speech.tell(text if n is None else ("words", [(text, n)]))
@@ -316,101 +339,110 @@ class PipecatFace(_FaceProcessor):
         since_s = 1e-9 * (frame.pts - context[1])
         return max(0, int(context[0] + round(since_s * speech.rate_hz)))
 
-    def _wait_in_line(self, frame: frames.Frame) -> None:
-        """Queue a frame until its sound was played: at its time, or behind all sound so far."""
+    def _queue_behind_sound(self, frame: frames.Frame) -> None:
+        """Queue a frame until the sound before it was played.
+
+        A word with a time is queued at its sample of the stream, others behind all sound so far.
+        """
         speech = self._speech or (self._line[-1].speech if self._line else None)
         n = self._sample_of(frame)
-        words, piece = self._words, None
+        words, piece = self._spoken_words, None
         if n is not None:
-            place = len(self._line)
-            while place and self._line[place - 1].speech is speech and self._line[place - 1].n > n:
-                place -= 1
+            # Before the frames of this stream that wait for later samples.
+            index = len(self._line)
+            while index and self._line[index - 1].speech is speech and self._line[index - 1].n > n:
+                index -= 1
             piece = words.add(frame.text, n)
-            self._line.insert(place, _Unheard(speech, n, frame, words, piece, is_timed=True))
+            self._line.insert(index, _Waiting(speech, n, frame, words, piece, is_timed=True))
             return
-        n = self._n if speech is self._speech else self._line[-1].n
+        n = self._n_samples if speech is self._speech else self._line[-1].n
+        # No frame in the line may wait for a later sample than one behind it.
         for each in self._line:
             each.n = min(each.n, n) if each.speech is speech else each.n
         if isinstance(frame, frames.TTSTextFrame) and self._speech is not None:
             piece = words.add(frame.text, self._n_spoken, n)
             self._n_spoken = n
-        self._line.append(_Unheard(speech, n, frame, words, piece))
+        self._line.append(_Waiting(speech, n, frame, words, piece))
 
-    async def _release(self) -> None:
+    async def _push_heard_frames(self) -> None:
         """Push the waiting frames whose sound was played; drop text that will never be spoken."""
         async with self._releasing:
             speech = self._speech
             if self._is_complete and all(each.is_heard for each in self._line if each.is_sound):
-                await self._end()
+                await self._end_speech()
             while self._line and (self._line[0].may_go_on or self._line[0].is_lost):
                 if (heard := self._line.pop(0).as_heard()) is not None:
                     await self.push_frame(heard)
             if speech is not None and speech.is_over:
-                self._is_cut = not (speech.was_heard or self._is_complete)
-                await self._end()
+                self._is_cut_off = not (speech.was_heard or self._is_complete)
+                await self._end_speech()
             if self._speech is None and not self._line:
-                await self._tell_speaking(False)
+                await self._broadcast_speaking(False)
 
-    async def _end(self) -> None:
+    async def _end_speech(self) -> None:
+        """Send the end of the open stream, if any, and forget the stream."""
         speech, self._speech = self._speech, None
         if speech is not None:
             with suppress(FaceError):
                 await speech.end()
 
-    async def _tell_speaking(self, is_speaking: bool) -> None:
+    async def _broadcast_speaking(self, is_speaking: bool) -> None:
         """Broadcast that the bot starts or stops speaking, unless that was broadcast last."""
         if is_speaking != self._is_speaking:
             self._is_speaking = is_speaking
             kind = frames.BotStartedSpeakingFrame if is_speaking else frames.BotStoppedSpeakingFrame
             await self.broadcast_frame(kind)
 
-    async def _interrupt(self, *, everything: bool) -> None:
+    async def _interrupt_speech(self, *, everything: bool) -> None:
         """Interrupt the face, push the frames already played, and send uninterruptible ones again.
 
-        everything: uninterruptible frames are dropped too.
+        Text of which a part was heard is pushed with that part. everything: uninterruptible frames
+        are dropped too.
         """
         async with self._releasing:
+            # Unplayed sound, and of that the part that must not be interrupted. The face is not
+            # interrupted if there is no other speech.
             sound = [each for each in self._line if each.is_sound and not each.is_heard]
             kept = [each for each in sound if not (each.frame.interruptible or everything)]
             is_spoken = bool(sound) or self._speech is not None
             is_cut = is_spoken and self._face.is_connected and (not kept or len(kept) < len(sound))
-            self.last_played = await self._interrupted() if is_cut else None
+            self.last_played = await self._interrupt_face() if is_cut else None
             line, self._line = self._line, []
-            again: list[_Unheard] = []
+            resent: list[_Waiting] = []
             for each in line:
-                is_kept = each.is_heard or isinstance(each.frame, frames.TextFrame)
+                passes_on = each.is_heard or isinstance(each.frame, frames.TextFrame)
                 if not (each.is_heard or each.frame.interruptible or everything):
-                    (again if is_cut else self._line).append(each)
-                elif is_kept and (heard := each.as_heard()) is not None:
+                    (resent if is_cut else self._line).append(each)
+                elif passes_on and (heard := each.as_heard()) is not None:
                     await self.push_frame(heard)
-            self._is_cut, self._transport_until_s = False, 0.0
-            self._untold.clear()
+            self._is_cut_off, self._transport_until_s = False, 0.0
+            self._unsent_texts.clear()
             self._speech = None if is_cut else self._speech
         for _ in range(_SETTLING_PASSES):
             await asyncio.sleep(0.0)
-        for each in again:
-            await self._take(_rest_of(each) if each.is_sound else each.frame)
-        await self._release()
+        for each in resent:
+            await self._process_in_order(_unplayed_rest(each) if each.is_sound else each.frame)
+        await self._push_heard_frames()
 
-    async def _follow(self) -> None:
+    async def _follow_events(self) -> None:
         async for event in self._face.events():
-            await self._hear(event)
+            await self._handle_face_event(event)
 
-    async def _hear(self, event: Event) -> None:
+    async def _handle_face_event(self, event: Event) -> None:
         """Push frames whose sound was played; broadcast the bot's speaking, and report a loss."""
         if event["type"] == "disconnected":
             self._has_loudspeaker = True  # the next may have one
-            await self._complain(error_of(event))
+            await self._push_face_error(error_of(event))
         if self._speech is not None and event.get("stream") == self._speech.stream:
             if event["type"] == "started":
-                await self._tell_speaking(True)
+                await self._broadcast_speaking(True)
             elif event["type"] == "position" and self._is_speaking:
                 await self.broadcast_frame(frames.BotSpeakingFrame)
-        await self._release()
+        await self._push_heard_frames()
 
-    async def _ask_positions(self) -> None:
+    async def _poll_positions(self) -> None:
         while True:
-            await asyncio.sleep(_ASKING_S)
+            await asyncio.sleep(_POLL_S)
             if self._face.is_connected and any(not each.is_sound for each in self._line):
                 with suppress(FaceError):
                     await self._face.wire.send("position")
@@ -427,10 +459,11 @@ class PipecatFollower(_FaceProcessor):
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
         super().__init__(url, token)
         self._speech: AsyncSpeech | None = None
-        #: (when it goes on, frame), and the streams that the transport has not played.
+        #: (event loop time at which it is pushed, frame); and the streams not yet played.
         self._line: deque[tuple[float, frames.Frame]] = deque()
         self._unplayed: deque[AsyncSpeech] = deque()
-        self._came = asyncio.Event()
+        self._frame_came = asyncio.Event()
+        #: Event loop time since which the transport plays the bot's speech; None: it does not.
         self._began_s: float | None = None
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
@@ -441,30 +474,30 @@ class PipecatFollower(_FaceProcessor):
         await super().process_frame(frame, direction)
         now_s = asyncio.get_running_loop().time()
         if isinstance(frame, frames.StartFrame):
-            await self._connect(self._hand_on(), self._report())
+            await self._connect_face(self._push_delayed_frames(), self._report_positions())
         elif isinstance(frame, (frames.InterruptionFrame, frames.CancelFrame)):
             self._line = deque(each for each in self._line if not each[1].interruptible)
             self._speech, self._began_s = None, None
             self._unplayed.clear()
             if self._face.is_connected:
-                await self._interrupted()
+                await self._interrupt_face()
         elif isinstance(frame, frames.BotStartedSpeakingFrame):
             self._began_s = now_s
         elif isinstance(frame, frames.BotStoppedSpeakingFrame):
             self._began_s = None
             if self._unplayed:
-                await self._send_units(self._unplayed.popleft(), whole=True)
+                await self._report_played(self._unplayed.popleft(), whole=True)
         elif not isinstance(frame, frames.SystemFrame) and direction == FrameDirection.DOWNSTREAM:
             with suppress(FaceError):
-                await self._show(frame)
+                await self._send_to_face(frame)
             delay_s = 1e-3 * self._unplayed[-1].delay_ms if self._unplayed else 0.0
             last_s = self._line[-1][0] if self._line else 0.0
             self._line.append((max(last_s, now_s + delay_s), frame))
-            self._came.set()
+            self._frame_came.set()
             return
         await self.push_frame(frame, direction)
 
-    async def _show(self, frame: frames.Frame) -> None:
+    async def _send_to_face(self, frame: frames.Frame) -> None:
         """Send a frame's sound to a connected face, in one stream per turn. Raises FaceError."""
         if isinstance(frame, frames.TTSStoppedFrame) and self._speech is not None:
             speech, self._speech = self._speech, None
@@ -477,36 +510,40 @@ class PipecatFollower(_FaceProcessor):
                 self._unplayed.append(speech)
             await self._speech.write(mono_pcm(frame.audio, frame.num_channels))
 
-    async def _hand_on(self) -> None:
+    async def _push_delayed_frames(self) -> None:
         """Push each delayed frame at its time, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             if not self._line:
-                self._came.clear()
-                await self._came.wait()
+                self._frame_came.clear()
+                await self._frame_came.wait()
             elif (wait_s := self._line[0][0] - loop.time()) > 0.0:
                 await asyncio.sleep(min(wait_s, _REPORT_S))
             else:
                 await self.push_frame(self._line.popleft()[1])
 
-    async def _report(self) -> None:
+    async def _report_positions(self) -> None:
         while True:
             await asyncio.sleep(_REPORT_S)
             if self._began_s is not None and self._unplayed:
-                await self._send_units(self._unplayed[0])
+                await self._report_played(self._unplayed[0])
 
-    async def _send_units(self, speech: AsyncSpeech, *, whole: bool = False) -> None:
+    async def _report_played(self, speech: AsyncSpeech, *, whole: bool = False) -> None:
+        """Report to the face how many s of a stream the transport has played; all if `whole`."""
         now_s, sent_s = asyncio.get_running_loop().time(), speech.n_sent / speech.rate_hz
         played_s = sent_s if whole or self._began_s is None else now_s - self._began_s
         with suppress(FaceError):
             await speech.report_played(min(sent_s, played_s))
 
 
-def _rest_of(sound: _Unheard) -> frames.TTSAudioRawFrame:
-    """Return a waiting frame of sound without the part that was played."""
-    width = 2 * sound.frame.num_channels
+def _unplayed_rest(sound: _Waiting) -> frames.TTSAudioRawFrame:
+    """Return a waiting frame of sound without the part that was played.
+
+    The frame ends at sample `sound.n` of its stream.
+    """
+    frame_bytes = 2 * sound.frame.num_channels
     n_played = 0 if sound.speech is None else sound.speech.n_played
-    n_rest = min(sound.n - n_played, len(sound.frame.audio) // width)
-    rest = replace(sound.frame, audio=sound.frame.audio[-n_rest * width :])
+    n_rest = min(sound.n - n_played, len(sound.frame.audio) // frame_bytes)
+    rest = replace(sound.frame, audio=sound.frame.audio[-n_rest * frame_bytes :])
     rest.interruptible = sound.frame.interruptible
     return rest

@@ -27,12 +27,13 @@ _PLURAL: Final[dict[Kind, Literal["words", "phonemes", "visemes"]]] = {
 MOST_UNITS: Final = 12_000
 #: No speech in one message is longer; more is another unit or a mistake.
 _LONGEST_S: Final = 24 * 3600.0
-#: Messages lie deeper in their envelopes than this in no documentation.
+#: Objects nested deeper than this are in no vendor's documentation.
 _DEEPEST: Final = 12
-#: Times are rounded to so many digits, the 100 ns of Azure: 0.3 s and 0.05 s more are 0.35 s.
+#: Times are rounded to so many digits, the 100 ns of Azure, so that 0.3 s + 0.05 s is 0.35 s.
 _DIGITS: Final = 7
-#: Vendors round, and overlap words; what is farther back is of another piece of sound.
-_DISORDER_S: Final = 0.05
+#: Starts may decrease by so much, since vendors round and overlap words; a unit that starts earlier
+#: belongs to another piece of sound.
+_MOST_DISORDER_S: Final = 0.05
 _MS, _TICK_S = 1e-3, 1e-7
 
 
@@ -147,11 +148,11 @@ def vendor_units(
     and not of the stream. alphabet: of phonemes for which the message names none; "": ARPAbet if
     all of them are, else IPA. Raises VendorError for a malformed message.
     """
-    found = _Found(from_s)
-    for node, here in _nodes(message, _Here()):
+    collector = _UnitCollector(from_s)
+    for node, here in _objects_in(message, _Here()):
         for shape in _SHAPES:
-            found.take(shape, node, here)
-    return found.units(alphabet)
+            collector.add_units(shape, node, here)
+    return collector.units(alphabet)
 
 
 _Node = Mapping[str, object]
@@ -159,9 +160,10 @@ _Node = Mapping[str, object]
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """The path of an object in a message, and what the objects around it state.
+    """The path (`place`) of an object in a message, and the values that objects around it state.
 
-    start: where its word begins; speed: by which its durations are divided (VOICEVOX).
+    They apply to units in the object that state none: sample rate, alphabet; start: of the word
+    that contains a phoneme; speed: by which durations are divided (VOICEVOX). depth: of nesting.
     """
 
     place: str = ""
@@ -182,7 +184,7 @@ class _Here:
         return _Here(place, rate_hz, alphabet, start, speed, self.depth + 1)
 
 
-def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
+def _objects_in(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
     """Yield every object in `value` with its path, keys in lower case without underscores.
 
     Blendshapes, and lists of [label, start, end], are yielded as objects with lists of values.
@@ -190,36 +192,38 @@ def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
     """
     if isinstance(value, list):
         for number, each in enumerate(value):
-            yield from _nodes(each, here.inside({}, f"[{number}]"))
+            yield from _objects_in(each, here.inside({}, f"[{number}]"))
     elif isinstance(value, dict):
         node = {_key(key): each for key, each in value.items()}
+        # Times that are in an object of their own belong to the unit beside it.
         if isinstance(time := node.get("time"), dict):
             node |= {_key(key): each for key, each in time.items()}
         yield node, here.inside(node, "")
+        # VOICEVOX: the silence before the first phoneme.
         if "accentphrases" in node:
             silence = {"vowel": "pau", "vowellength": node.get("prephonemelength", 0.0)}
             yield silence, here.inside(node, ".prePhonemeLength")
         for key, each in value.items():
-            if node.get(_SAME_AS.get(_key(key), "")):
+            if node.get(_DUPLICATE_OF.get(_key(key), "")):
                 continue
             inner = here.inside(node, f".{key}")
             if _key(key) == "blendshapes" and isinstance(each, list):
-                yield _mouths(each, node, inner), inner
+                yield _visemes_of_blendshapes(each, node, inner), inner
             elif isinstance(each, list) and each and all(isinstance(row, list) for row in each):
-                yield _tier(_key(key), each, inner.place), inner
+                yield _columns_of_rows(_key(key), each, inner.place), inner
             else:
-                yield from _nodes(each, inner)
+                yield from _objects_in(each, inner)
 
 
 def _key(key: object) -> str:
     return str(key).replace("_", "").lower()
 
 
-#: A key whose value is once more what stands beside it under another: ElevenLabs, WhisperX.
-_SAME_AS: Final = {"normalizedalignment": "alignment", "wordsegments": "segments"}
+#: A key is skipped if the other is beside it, which has the same units: ElevenLabs, WhisperX.
+_DUPLICATE_OF: Final = {"normalizedalignment": "alignment", "wordsegments": "segments"}
 
 
-def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
+def _visemes_of_blendshapes(frames: list[object], node: _Node, here: _Here) -> _Node:
     """Return frames of blendshapes as visemes: for each run of frames the most similar phone.
 
     node: the object that contains the frames (Azure's viseme type FacialExpression) and their rate,
@@ -238,7 +242,7 @@ def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
     return {"visemes": visemes, "start": starts, "end": ends}
 
 
-def _tier(key: str, rows: list[list[object]], place: str) -> _Node:
+def _columns_of_rows(key: str, rows: list[list[object]], place: str) -> _Node:
     """Return rows of [label, start, end] as one object: labels under `key`, starts and ends.
 
     place: names the rows in a VendorError.
@@ -250,26 +254,27 @@ def _tier(key: str, rows: list[list[object]], place: str) -> _Node:
 
 
 @dataclass(slots=True)
-class _Found:
+class _UnitCollector:
     """A collection of the units found so far in a message, by kind and alphabet.
 
     from_s: seconds added to the message's times.
     """
 
     from_s: float
-    _of: dict[tuple[Kind, str], list[TimedUnit]] = field(default_factory=dict)
+    _units_of: dict[tuple[Kind, str], list[TimedUnit]] = field(default_factory=dict)
     _characters: list[TimedUnit] = field(default_factory=list)
     _untimed: list[str] = field(default_factory=list)
 
-    def take(self, shape: _Shape, node: _Node, here: _Here) -> None:
+    def add_units(self, shape: _Shape, node: _Node, here: _Here) -> None:
         """Add the units of the object `node`, if it has the shape's keys. Raises VendorError.
 
-        here: the path of the object, with the sample rate, alphabet and start of what surrounds it.
+        here: the object's path, and the values stated around it.
         """
-        label, *times = (_first(node, each) for each in (shape.label, shape.start, shape.end))
-        lasts, unit_s = _first(node, shape.lasts), shape.unit_s
+        label, *times = (_first_value(node, each) for each in (shape.label, shape.start, shape.end))
+        lasts, unit_s = _first_value(node, shape.lasts), shape.unit_s
         if lasts is None and shape.kind == "phoneme" and _SAMPLES in node:
-            lasts, unit_s = node[_SAMPLES], 1.0 / _rate(here)
+            lasts, unit_s = node[_SAMPLES], 1.0 / _sample_rate_hz(here)
+        # Start or duration may be missing, as the shape has it; a word without both is kept aside.
         is_timed = lasts is not None or (times[0] is not None and (shape.end or not shape.lasts))
         is_type = shape.type in ("", str(node.get("type")).lower())
         if shape is _PLAIN_WORD and isinstance(label, str) and times == [None, None] == [lasts] * 2:
@@ -280,6 +285,7 @@ class _Found:
             return  # units of their own, further in
         if shape.alphabet == "voicevox":
             unit_s /= max(0.01, _seconds(here.speed, 1.0, here.place))
+        # One list for each of label, start, end, duration: of one unit's value, or of many units.
         columns = [each if isinstance(each, list) else [each] for each in (label, *times, lasts)]
         n = len(columns[0])
         lengths = [len(each) for each in columns if each != [None]]
@@ -289,32 +295,33 @@ class _Found:
         alphabet = {"word": "", "phoneme": here.alphabet, "viseme": here.alphabet}[kind]
         rows = self._characters
         if shape.kind != "character":
-            rows = self._of.setdefault((kind, shape.alphabet or alphabet), [])
-        reached_s = (rows[-1].end_s or rows[-1].start_s) if rows else self.from_s
+            rows = self._units_of.setdefault((kind, shape.alphabet or alphabet), [])
+        # A unit without a start begins where the one before ends, but not before its word.
+        last_end_s = (rows[-1].end_s or rows[-1].start_s) if rows else self.from_s
         if times[0] is None and not isinstance(here.start, list | None):
-            reached_s = max(reached_s, self.from_s + _seconds(here.start, 1.0, here.place))
-        found: list[TimedUnit] = []
-        of_each = zip(*(each if len(each) == n else each * n for each in columns), strict=True)
-        for number, (name, *values) in enumerate(of_each):
+            last_end_s = max(last_end_s, self.from_s + _seconds(here.start, 1.0, here.place))
+        units: list[TimedUnit] = []
+        unit_rows = zip(*(each if len(each) == n else each * n for each in columns), strict=True)
+        for number, (name, *values) in enumerate(unit_rows):
             place = f"{here.place}[{number}]" if n > 1 else here.place or "message"
             text = _label(name, kind, place)
             is_blank = shape.kind == "word" and text is not None and not text.strip()
             if text is not None and not is_blank:
-                start_s, end_s = self._times(values, unit_s, reached_s, place)
-                found.append(TimedUnit(text, start_s, end_s))
-                reached_s = start_s if end_s is None else end_s
-        rows += found
+                start_s, end_s = self._times(values, unit_s, last_end_s, place)
+                units.append(TimedUnit(text, start_s, end_s))
+                last_end_s = start_s if end_s is None else end_s
+        rows += units
 
     def _times(
-        self, values: list[object], unit_s: float, reached_s: float, place: str
+        self, values: list[object], unit_s: float, last_end_s: float, place: str
     ) -> tuple[float, float | None]:
         """Return start and end in s of a unit's values [start, end, duration]; end None if unknown.
 
-        unit_s: seconds per unit of the values; reached_s: end of the unit before, in s, which is
+        unit_s: seconds per unit of the values; last_end_s: end of the unit before, in s, which is
         the start where none is given; place: names the unit in a VendorError.
         """
         start, end, lasts = values
-        start_s, end_s = reached_s, None
+        start_s, end_s = last_end_s, None
         if start is not None:
             start_s = self.from_s + _seconds(start, unit_s, place)
         if end is not None:
@@ -335,8 +342,8 @@ class _Found:
         given: alphabet of phonemes that name none; "": as their labels are written.
         """
         order: tuple[Kind, ...] = ("phoneme", "viseme", "word")
-        self._of.setdefault(("word", ""), []).extend(_words(self._characters))
-        found = sorted(self._of.items(), key=lambda item: order.index(item[0][0]))
+        self._units_of.setdefault(("word", ""), []).extend(_words_of(self._characters))
+        found = sorted(self._units_of.items(), key=lambda item: order.index(item[0][0]))
         units = []
         for (kind, alphabet), rows in found:
             if rows and kind == "phoneme":
@@ -356,25 +363,25 @@ def _in_order(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]:
     if len(rows) > MOST_UNITS:
         raise VendorError(f"more than {MOST_UNITS} {kind}s; send them in pieces")
     for number, (unit, following) in enumerate(pairwise(rows)):
-        if following.start_s < unit.start_s - _DISORDER_S:
+        if following.start_s < unit.start_s - _MOST_DISORDER_S:
             raise VendorError(
                 f"{kind} {number + 2} begins at {following.start_s:.3f} s, before the previous one "
                 f"at {unit.start_s:.3f} s; put them in order of time; pieces of a stream each "
                 "start where their sound begins"
             )
     rows = sorted(rows, key=lambda unit: unit.start_s)
-    cut = []
+    ordered = []
     for unit, following in pairwise(rows):
         end_s = unit.end_s
         if end_s is None and kind != "word":
             end_s = following.start_s
         if end_s is not None and kind != "phoneme":
             end_s = min(end_s, following.start_s)
-        cut.append(unit._replace(end_s=end_s))
-    return (*cut, *rows[-1:])
+        ordered.append(unit._replace(end_s=end_s))
+    return (*ordered, *rows[-1:])
 
 
-def _words(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
+def _words_of(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
     """Yield the words that characters form between white space, from first start to last end."""
     word: TimedUnit | None = None
     for each in characters:
@@ -394,7 +401,7 @@ def _sample(time_s: float | None, rate_hz: int, latest_s: float) -> int | None:
     return None if time_s is None else round(min(time_s, latest_s) * rate_hz)
 
 
-def _first(node: _Node, keys: str) -> object:
+def _first_value(node: _Node, keys: str) -> object:
     return next((node[key] for key in keys.split() if node.get(key) is not None), None)
 
 
@@ -417,6 +424,7 @@ def _label(value: object, kind: Kind, place: str) -> str | None:
 
 
 def _seconds(value: object, unit_s: float, place: str) -> float:
+    """Return a time of `unit_s` units in s. VendorError, which names `place`, if it is invalid."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise VendorError(f"{place}: time {reprlib.repr(value)} is not a number")
     # Compared before it is multiplied: an integer may be too long for a float.
@@ -425,7 +433,8 @@ def _seconds(value: object, unit_s: float, place: str) -> float:
     return float(value) * unit_s
 
 
-def _rate(here: _Here) -> float:
+def _sample_rate_hz(here: _Here) -> float:
+    """Return the sample rate stated around an object. VendorError for none, or an invalid one."""
     rate_hz = here.rate_hz
     if isinstance(rate_hz, int) and not isinstance(rate_hz, bool) and 4000 <= rate_hz <= 400_000:
         return float(rate_hz)

@@ -15,7 +15,8 @@ from lipservo_client.protocol import Event, FaceError
 
 #: An answer that takes longer will not come.
 PATIENCE_S: Final = 10.0
-#: A peer that is gone is noticed after both and the time for hanging up, within ten seconds.
+#: Interval of pings, wait for their answer, and wait for closing: a peer that is gone is noticed
+#: after all three, within ten seconds.
 _PING_S, _PONG_S, _CLOSING_S = 3.0, 6.0, 0.5
 
 
@@ -28,6 +29,7 @@ class Wire:
         on_event: Callable[[Event], None],
         on_close: Callable[[FaceError], None],
     ) -> None:
+        """Read from an open `socket` in a task: `on_event` gets each event, `on_close` the end."""
         self._socket = socket
         self._on_event = on_event
         self._on_close = on_close
@@ -49,7 +51,7 @@ class Wire:
             async with asyncio.timeout(PATIENCE_S):
                 await self._socket.send(message)
         except ConnectionClosed as error:
-            raise _gone(error) from error
+            raise _disconnection_error(error) from error
         except TimeoutError as error:
             raise FaceError("not_answering", f"it accepted nothing for {PATIENCE_S:g} s") from error
 
@@ -62,7 +64,7 @@ class Wire:
                     if isinstance(event, dict) and isinstance(event.get("type"), str):
                         self._on_event(event)
         except ConnectionClosed as error:
-            self._on_close(_gone(error))
+            self._on_close(_disconnection_error(error))
 
 
 async def connected(
@@ -86,16 +88,16 @@ async def connected(
     tokens = [token] if token is not None else await asyncio.to_thread(found_tokens, url)
     for each in tokens[:-1]:
         with contextlib.suppress(_UnauthorizedError):
-            return Wire(await _opened(url, each, patience_s), on_event, on_close)
+            return Wire(await _open(url, each, patience_s), on_event, on_close)
     last = tokens[-1] if tokens else None
-    return Wire(await _opened(url, last, patience_s), on_event, on_close)
+    return Wire(await _open(url, last, patience_s), on_event, on_close)
 
 
 class _UnauthorizedError(FaceError):
     """An error: the face refused the token, or required one and got none."""
 
 
-async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
+async def _open(url: str, token: str | None, patience_s: float) -> ClientConnection:
     """Open a WebSocket within patience_s, with a token or, for None, without.
 
     Raises FaceError: unauthorized, refused, not_answering.
@@ -125,7 +127,8 @@ async def _opened(url: str, token: str | None, patience_s: float) -> ClientConne
         raise FaceError("not_answering", f"{url}: no face answers there; {hint}") from error
 
 
-def _gone(error: ConnectionClosed) -> FaceError:
+def _disconnection_error(error: ConnectionClosed) -> FaceError:
+    """Return the error of a closed connection: code and text as the face sent them on closing."""
     reason = error.rcvd.reason if error.rcvd is not None else ""
     code, _, rest = reason.partition(":")
     return FaceError(code or "disconnected", rest.strip() or "the face has hung up")

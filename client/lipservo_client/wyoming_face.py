@@ -23,8 +23,8 @@ from lipservo_client.protocol import FaceError
 _LOG: Final = logging.getLogger(__name__)
 _ABOUT: Final = Attribution(name="lipservo", url="")
 _FORMAT: Final = AudioFormat(rate=22_050, width=2, channels=1)
-#: A satellite that sends nothing for so long within an announcement has ended it: as if it had
-#: sent this.
+#: A satellite that sends nothing for so long within an announcement has ended it: the handler then
+#: reads `_STOP` as if it had been sent.
 _SILENT_S: Final = 5.0
 _STOP: Final = b'{"type": "audio-stop"}\n'
 
@@ -44,64 +44,65 @@ class _Handler(AsyncEventHandler):
         reader: StreamReader,
         writer: StreamWriter,
     ) -> None:
+        """Serve one client, which has connected. url, token: of the face; turn: as of the class."""
         super().__init__(reader, writer)
         self._face = AsyncFace(url, token)
         self._turn = turn
-        self._has_turn = self._is_entered = self._is_open = False
+        self._has_turn = self._is_entered = self._is_announcing = False
         self._speech: AsyncSpeech | None = None
         self._error: FaceError | None = None
         self._convert = AudioChunkConverter(width=2, channels=1)
-        self._silence: asyncio.TimerHandle | None = None
+        self._silence_timer: asyncio.TimerHandle | None = None
 
     async def handle_event(self, event: Event) -> bool:
         """Handle an event; return False, which disconnects, if it cannot be read."""
-        if self._silence is not None:
-            self._silence.cancel()
+        if self._silence_timer is not None:
+            self._silence_timer.cancel()
         try:
-            await self._handle(event)
+            await self._dispatch(event)
         except (KeyError, TypeError, ValueError) as error:
             _LOG.warning("an event of a client cannot be read: %s", error)
             return False
-        if self._is_open:
+        if self._is_announcing:
             loop = asyncio.get_running_loop()
-            self._silence = loop.call_later(_SILENT_S, self.reader.feed_data, _STOP)
+            self._silence_timer = loop.call_later(_SILENT_S, self.reader.feed_data, _STOP)
         return True
 
     async def disconnect(self) -> None:
-        """Disconnect from the face, which cuts off unfinished speech."""
-        if self._silence is not None:
-            self._silence.cancel()
+        """Disconnect from the face, which cuts off unfinished speech; let the next client speak."""
+        if self._silence_timer is not None:
+            self._silence_timer.cancel()
         try:
             await self._face.__aexit__()
         finally:
-            self._give_turn()
+            self._release_turn()
             self.writer.close()
 
-    async def _handle(self, event: Event) -> None:
+    async def _dispatch(self, event: Event) -> None:
         """Answer `describe`, or begin, play or end an announcement; other events are ignored."""
         if Describe.is_type(event.type):
-            await self.write_event(_info().event())
+            await self.write_event(_service_info().event())
         elif AudioStart.is_type(event.type):
-            await self._end()
-            self._is_open = True
+            await self._end_announcement()
+            self._is_announcing = True
         elif AudioChunk.is_type(event.type):
-            await self._say(self._convert.convert(AudioChunk.from_event(event)))
+            await self._send_sound(self._convert.convert(AudioChunk.from_event(event)))
         elif AudioStop.is_type(event.type):
-            await self._end()
+            await self._end_announcement()
 
-    async def _say(self, chunk: AudioChunk) -> None:
-        """Send a chunk of mono 16-bit sound to the face; store the first error for `_end`."""
-        self._is_open = True
+    async def _send_sound(self, chunk: AudioChunk) -> None:
+        """Send a chunk of mono 16-bit sound to the face; store the first error for the end."""
+        self._is_announcing = True
         if self._error is not None:
             return
         try:
-            speech = self._speech or await self._begun(chunk.rate)
+            speech = self._speech or await self._start_stream(chunk.rate)
             await speech.write(chunk.audio)
         except FaceError as error:
             self._error = error
 
-    async def _begun(self, rate_hz: int) -> AsyncSpeech:
-        """Return the stream of an announcement, in its turn. Raises FaceError."""
+    async def _start_stream(self, rate_hz: int) -> AsyncSpeech:
+        """Wait for this connection's turn, start a stream, and return it. Raises FaceError."""
         await self._turn.acquire()
         self._has_turn = True
         await (self._face.try_now() if self._is_entered else self._face.__aenter__())
@@ -111,12 +112,12 @@ class _Handler(AsyncEventHandler):
         self._speech = speech
         return speech
 
-    async def _end(self) -> None:
+    async def _end_announcement(self) -> None:
         """End the announcement that is open, and answer it once it was heard or cannot be."""
-        if not self._is_open:
+        if not self._is_announcing:
             return
         speech, self._speech = self._speech, None
-        error, self._error, self._is_open = self._error, None, False
+        error, self._error, self._is_announcing = self._error, None, False
         try:
             if error is None and speech is not None and not (await speech.wait()).finished:
                 error = FaceError("interrupted", "the face was silenced")
@@ -125,14 +126,14 @@ class _Handler(AsyncEventHandler):
         if error is not None and speech is not None and speech.n_played:
             cut_off = f"{error}: cut off after {speech.n_played / speech.rate_hz:.1f} s"
             error = FaceError(error.code, cut_off)
-        self._give_turn()
+        self._release_turn()
         if error is None:
             await self.write_event(Played().event())
         else:
             _LOG.warning("not said: %s", error)
             await self.write_event(Error(str(error), error.code).event())
 
-    def _give_turn(self) -> None:
+    def _release_turn(self) -> None:
         if self._has_turn:
             self._has_turn = False
             self._turn.release()
@@ -146,7 +147,7 @@ async def serve_wyoming(host: str, port: int, url: str, token: str | None) -> No
     await AsyncTcpServer(host, port).run(partial(_Handler, url, token, asyncio.Lock()))
 
 
-def _info() -> Info:
+def _service_info() -> Info:
     about = "Sound and lips of a robot face"
     program = SndProgram("lipservo", _ABOUT, True, about, None, snd_format=_FORMAT)
     return Info(snd=[program])

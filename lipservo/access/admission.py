@@ -19,7 +19,7 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 from lipservo_client.local_token import host_address, is_loopback
 
 _SAFE: Final = ("GET", "HEAD")
-#: Programs ask there; everything else is a page, which a person may open by a link.
+#: Paths for programs; all others are pages, which a person may open by a link.
 _FOR_PROGRAMS: Final = ("/api", "/metrics", "/_nicegui_ws", "/stream", "/control")
 #: With one of these a request came through a proxy: it may be from any computer.
 _FORWARDED: Final = frozenset(
@@ -58,8 +58,8 @@ class Request:
     @property
     def is_page(self) -> bool:
         """Whether the request is a GET or HEAD for a page that a browser shows by itself."""
-        within = any(self.path == p or self.path.startswith(f"{p}/") for p in _FOR_PROGRAMS)
-        return not self.is_websocket and self.method in _SAFE and not within
+        for_programs = any(self.path == p or self.path.startswith(f"{p}/") for p in _FOR_PROGRAMS)
+        return not self.is_websocket and self.method in _SAFE and not for_programs
 
     @property
     def token_in_query(self) -> str | None:
@@ -120,12 +120,12 @@ def refusal(request: Request, policy: Policy, *, is_stop: bool = False) -> Refus
     if not _is_own_page(request, policy):
         hint = "scripts of this web page are not admitted; its origin is not in the face's YAML"
         return Refusal(HTTPStatus.FORBIDDEN, hint)
-    needs_none = (is_stop or policy.token is None) and _is_from_this_computer(request)
-    if needs_none and is_plain_host(request.headers.get("host", "")):
+    needs_no_token = (is_stop or policy.token is None) and _is_from_this_computer(request)
+    if needs_no_token and is_plain_host(request.headers.get("host", "")):
         return None
     if policy.token is not None and has_token(request, policy.token):
         return None
-    if needs_none:
+    if needs_no_token:
         hint = "this host name is not the face's; use its address"
         return Refusal(HTTPStatus.FORBIDDEN, hint)
     hint = "needs the token: `Authorization: Bearer TOKEN` or `?token=TOKEN`; docs/hardware.md"
@@ -158,7 +158,10 @@ def cookie_of(token: str) -> tuple[str, str]:
 
 
 def redirect_to_cookie(request: Request, token: str) -> Redirect:
-    """Return the redirect for a page's request with the token in its query."""
+    """Return the redirect for a page's request with the token in its query.
+
+    It leads to the same page without the token, and sets the cookie that replaces the token.
+    """
     name, value = cookie_of(token)
     age = f"Max-Age={_YEAR_S}; Path=/; HttpOnly; SameSite=Strict"
     fields = parse_qsl(request.query, max_num_fields=_MOST_FIELDS)
@@ -187,7 +190,11 @@ def _is_from_this_computer(request: Request) -> bool:
 
 
 def _is_own_page(request: Request, policy: Policy) -> bool:
-    """Return whether a request comes from a page of this server, of a listed origin, or no page."""
+    """Return whether a request is from a page of this server, of a listed origin, or from no page.
+
+    Browsers state the page by `Origin`, and its relation to this server by `Sec-Fetch-Site`;
+    other programs send neither. A link from any page may open one of this server's pages.
+    """
     origin = request.headers.get("origin")
     if origin in policy.origins:
         return True
@@ -196,12 +203,12 @@ def _is_own_page(request: Request, policy: Policy) -> bool:
             page = urlsplit(origin)
         except ValueError:
             return False
-        own = request.headers.get("host", "").lower()
-        if page.scheme not in ("http", "https") or page.netloc.lower() != own:
+        own_host = request.headers.get("host", "").lower()
+        if page.scheme not in ("http", "https") or page.netloc.lower() != own_host:
             return False
-    site = request.headers.get("sec-fetch-site", "none")
-    if site in ("none", "same-origin"):
+    fetch_site = request.headers.get("sec-fetch-site", "none")
+    if fetch_site in ("none", "same-origin"):
         return True
-    is_opened = request.headers.get("sec-fetch-mode") == "navigate"
-    is_whole = request.headers.get("sec-fetch-dest") == "document"
-    return request.is_page and is_opened and is_whole
+    is_navigation = request.headers.get("sec-fetch-mode") == "navigate"
+    is_document = request.headers.get("sec-fetch-dest") == "document"
+    return request.is_page and is_navigation and is_document

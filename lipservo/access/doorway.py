@@ -1,7 +1,7 @@
-"""The room for connections that have not sent their request yet, kept so that a stop gets in.
+"""A limit on connections that have not sent their request yet, so that a stop always gets in.
 
-Both servers that clients reach over TCP use it: that of voice agents, and the dashboard's. A client
-that sends nothing, or a byte a second, costs no other a place: the oldest makes room.
+Both servers that clients reach over TCP use it: that of voice agents, and the dashboard's. Clients
+that send nothing, or a byte a second, keep nobody out: the oldest of them is disconnected.
 """
 
 import asyncio
@@ -10,16 +10,18 @@ import math
 from collections import Counter
 from typing import Final
 
-#: The head of a request, and the body of a stop, must be there by then.
+#: The head of a request, and the body of a stop, must have come within so long.
 HEAD_S: Final = 5.0
-#: Connections whose request is awaited. It is as large as files allow: who is dropped comes again,
-#: which costs more than to let them wait. All bounds are of a process that may open so many files.
+#: Connections whose request is awaited: as many as files allow, since a client that is dropped
+#: connects again, which costs more than to let it wait. Limits here are for a process that may open
+#: `_FILES`.
 MOST_HEADS: Final = 448
 _FILES: Final = 1024
-#: A crowd is not dropped in one moment: it may come again at once, and would delay a stop.
-_APART_S: Final = 0.01
-#: Of a room, for one peer.
-_SHARE: Final = 0.75
+#: Connections that came together are dropped so far apart: they may all come again at once, and
+#: would delay a stop.
+_SPREAD_S: Final = 0.01
+#: The largest share of the connections that one peer may have.
+_PEER_SHARE: Final = 0.75
 #: Connections that the kernel holds until they are accepted. To one that finds no room there the
 #: kernel does not answer, and a client tries again after a second: too late for a stop.
 BACKLOG: Final = 512
@@ -37,35 +39,38 @@ class Doorway:
     """
 
     def __init__(self, most: int, patience_s: float = math.inf) -> None:
-        """Make a room for `scaled(most)` connections, each of which may wait `patience_s`."""
-        self._most = scaled(most)
+        """Allow `scaled(most)` connections to wait, each of them `patience_s` seconds."""
+        self._most_connections = scaled(most)
         self._patience_s = patience_s
-        # In the order in which they came, with what ends their patience; and how many a peer has.
+        # In order of arrival, with the timer that aborts each; and how many of them a peer has.
         self._waiting: dict[asyncio.WriteTransport, asyncio.TimerHandle] = {}
-        self._of_peer: Counter[str] = Counter()
+        self._n_of_peer: Counter[str] = Counter()
 
     def enter(self, connection: asyncio.WriteTransport) -> None:
-        """Let a connection wait here from now on, unless it does already."""
+        """Count a connection as waiting, unless it does already; if there are too many, abort one.
+
+        It is the oldest of the peer that has the most, or of this peer if it exceeds its share.
+        """
         if connection in self._waiting:
             return
-        patience_s = self._patience_s + len(self._waiting) * _APART_S
-        late = asyncio.get_running_loop().call_later(patience_s, self._abort, connection)
-        self._waiting[connection] = late
+        patience_s = self._patience_s + len(self._waiting) * _SPREAD_S
+        timer = asyncio.get_running_loop().call_later(patience_s, self._abort, connection)
+        self._waiting[connection] = timer
         peer = _peer_of(connection)
-        self._of_peer[peer] += 1
-        is_full = len(self._waiting) > self._most
+        self._n_of_peer[peer] += 1
+        is_full = len(self._waiting) > self._most_connections
         if is_full:
-            peer = max(self._of_peer, key=self._of_peer.__getitem__)
-        if is_full or self._of_peer[peer] > _SHARE * self._most:
+            peer = max(self._n_of_peer, key=self._n_of_peer.__getitem__)
+        if is_full or self._n_of_peer[peer] > _PEER_SHARE * self._most_connections:
             self._abort(next(each for each in self._waiting if _peer_of(each) == peer))
 
     def leave(self, connection: asyncio.WriteTransport) -> bool:
-        """Let a connection wait here no longer; return whether it did."""
-        late = self._waiting.pop(connection, None)
-        if late is not None:
-            late.cancel()
-            self._of_peer -= Counter((_peer_of(connection),))  # keeps no peer that has none
-        return late is not None
+        """Count a connection as waiting no longer; return whether it was waiting."""
+        timer = self._waiting.pop(connection, None)
+        if timer is not None:
+            timer.cancel()
+            self._n_of_peer -= Counter((_peer_of(connection),))  # keeps no peer that has none
+        return timer is not None
 
     def _abort(self, connection: asyncio.WriteTransport) -> None:
         self.leave(connection)
@@ -77,8 +82,8 @@ def scaled(most: int) -> int:
     with contextlib.suppress(ImportError):  # no POSIX
         import resource
 
-        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        most_files = _FILES if soft == resource.RLIM_INFINITY else min(soft, _FILES)
+        soft_limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        most_files = _FILES if soft_limit == resource.RLIM_INFINITY else min(soft_limit, _FILES)
         return max(4, most * most_files // _FILES)
     return most
 

@@ -32,7 +32,7 @@ from lipsync.errors import UserError, shown
 
 #: A computer in the same building answers in milliseconds; one that is switched off, never.
 _CONNECTING_S: Final = 2.0
-#: Who has not answered by then is named while it is still waited for.
+#: Faces that have not answered by then are named while they are still waited for.
 _SOON_S: Final = 3.0
 _LATE_S: Final = 0.5
 #: Longer than the status of 252 servos.
@@ -88,6 +88,7 @@ class _Kiosks(Strict):
     @field_validator("kiosks")
     @classmethod
     def _are_different(cls, kiosks: dict[str, Kiosk]) -> dict[str, Kiosk]:
+        """Return the faces by name; ValueError if two have the same URL."""
         names: dict[str, str] = {}
         for name, kiosk in kiosks.items():
             other = names.setdefault(kiosk.url, name)
@@ -116,10 +117,11 @@ def read_kiosks(path: Path) -> dict[str, Kiosk]:
         found = _Kiosks.model_validate(content).kiosks
     except ValidationError as error:
         raise SettingsError("\n".join(explain(error, _Kiosks, path.name))) from error
-    return {name: _beside(path.parent, kiosk) for name, kiosk in found.items()}
+    return {name: _with_full_paths(path.parent, kiosk) for name, kiosk in found.items()}
 
 
-def _beside(folder: Path, kiosk: Kiosk) -> Kiosk:
+def _with_full_paths(folder: Path, kiosk: Kiosk) -> Kiosk:
+    """Return the face with the paths of its files, which are relative to `folder`, completed."""
     certificate = None if kiosk.certificate is None else str(folder / kiosk.certificate)
     files = {"token_file": str(folder / kiosk.token_file), "certificate": certificate}
     return kiosk.model_copy(update=files)
@@ -154,23 +156,24 @@ def ask_kiosks(
 
     def ask(name: str, kiosk: Kiosk) -> None:
         try:
-            answered.put((name, _answer(kiosk, request)))
+            answered.put((name, _ask_kiosk(kiosk, request)))
         except KioskError as error:
             answered.put((name, error))
 
     for name, kiosk in kiosks.items():
-        # A look-up of a name cannot be ended: such a thread is left to end with the program.
+        # A look-up of a host name cannot be cancelled: such a thread ends with the program.
         threading.Thread(target=ask, args=(name, kiosk), name=f"kiosk {name}", daemon=True).start()
     waiting = list(kiosks)
     give_up_s = began_s + _CONNECTING_S + request.patience_s + _LATE_S
-    soon_s = began_s + _SOON_S
+    tell_s = began_s + _SOON_S
+    # Wake for an answer, at 3 s to name the faces that are waited for, and to give up.
     while waiting:
         now_s = time.monotonic()
-        if now_s >= soon_s:
+        if now_s >= tell_s:
             tell_waiting(waiting)
-            soon_s = give_up_s
+            tell_s = give_up_s
         try:
-            name, answer = answered.get(timeout=max(0.0, min(soon_s, give_up_s) - now_s))
+            name, answer = answered.get(timeout=max(0.0, min(tell_s, give_up_s) - now_s))
         except Empty:
             if time.monotonic() < give_up_s:
                 continue
@@ -178,25 +181,25 @@ def ask_kiosks(
         waiting.remove(name)
         yield name, answer, time.monotonic() - began_s
     for name in waiting:
-        yield name, _hangs(request), time.monotonic() - began_s
+        yield name, _hang_error(request), time.monotonic() - began_s
 
 
-def _hangs(request: KioskRequest) -> KioskError:
+def _hang_error(request: KioskRequest) -> KioskError:
     return KioskError(f"hangs: no answer within {request.patience_s:g} s")
 
 
-def _answer(kiosk: Kiosk, request: KioskRequest) -> Answer:
+def _ask_kiosk(kiosk: Kiosk, request: KioskRequest) -> Answer:
     """Send a request to one face and return its answer. Raises KioskError."""
     split = urlsplit(kiosk.url)
     try:
         token = read_token(kiosk.token_file)
-        context = None if split.scheme == "http" else _tls(kiosk.certificate)
+        context = None if split.scheme == "http" else _tls_context(kiosk.certificate)
     except UserError as error:
         raise KioskError(str(error)) from error
     headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
     body = None if request.body is None else json.dumps(request.body)
     try:
-        with closing(_connected(split, context, request.patience_s)) as connection:
+        with closing(_open_connection(split, context, request.patience_s)) as connection:
             path = f"{split.path}{request.path}"
             connection.request(request.method, path, body, headers)
             response = connection.getresponse()
@@ -204,7 +207,7 @@ def _answer(kiosk: Kiosk, request: KioskRequest) -> Answer:
     except KioskError:
         raise
     except TimeoutError:
-        raise _hangs(request) from None
+        raise _hang_error(request) from None
     except (OSError, ValueError, http.client.HTTPException) as error:
         why = " ".join(str(error).split()) or type(error).__name__
         raise KioskError(f"its server broke off its answer ({why})") from error
@@ -222,41 +225,47 @@ def _answer(kiosk: Kiosk, request: KioskRequest) -> Answer:
     return answer
 
 
-def _connected(
+def _open_connection(
     split: SplitResult, context: ssl.SSLContext | None, patience_s: float
 ) -> http.client.HTTPConnection:
-    """Return a connection to a URL's server, checked by `context` if given. Raises KioskError."""
+    """Return a connection to a URL's server, inside TLS unless `context` is None.
+
+    patience_s: longest wait for each read. Raises KioskError; OSError if the connection breaks.
+    """
     host, port = str(split.hostname), split.port or _PORTS[split.scheme]
     try:
-        plain = socket.create_connection((host, port), _CONNECTING_S)
+        tcp_socket = socket.create_connection((host, port), _CONNECTING_S)
     except (OSError, UnicodeError) as error:
         why = "no answer" if isinstance(error, TimeoutError) else error
         why = getattr(error, "strerror", None) or why
         raise KioskError(f"no server answers at {host}:{port} ({why})") from error
-    plain.settimeout(patience_s)
+    tcp_socket.settimeout(patience_s)
     connection = http.client.HTTPConnection(host, port)
     try:
         connection.sock = (
-            plain if context is None else context.wrap_socket(plain, server_hostname=host)
+            tcp_socket if context is None else context.wrap_socket(tcp_socket, server_hostname=host)
         )
     except ssl.SSLCertVerificationError as error:
-        plain.close()
+        tcp_socket.close()
         raise KioskError(
             f"its server's certificate is not trusted ({error.verify_message}), so nothing was "
             "sent; give that certificate as `certificate:`"
         ) from error
     except ssl.SSLError as error:
-        plain.close()
+        tcp_socket.close()
         raise KioskError(f"no TLS server is at {host}:{port} ({error.reason})") from error
     except OSError:
-        plain.close()
+        tcp_socket.close()
         raise
     return connection
 
 
 @lru_cache
-def _tls(certificate: str | None) -> ssl.SSLContext:
-    """Return how servers are checked, one for all faces that share it. Raises KioskError."""
+def _tls_context(certificate: str | None) -> ssl.SSLContext:
+    """Return the TLS settings that trust `certificate`, a PEM file; None: those of the system.
+
+    One object for all faces with the same file. Raises KioskError.
+    """
     try:
         return ssl.create_default_context(cafile=certificate)
     except (OSError, ssl.SSLError) as error:

@@ -70,7 +70,7 @@ def _make(path: Path) -> None:
     try:
         with os.fdopen(fd, "w", encoding="ascii") as file:
             file.write(secrets.token_urlsafe(_N_RANDOM_BYTES) + "\n")
-            # Where we are not of the folder's group, only we read it.
+            # Where this user is not in the folder's group, only this user may read the file.
             with contextlib.suppress(PermissionError):
                 os.fchown(fd, -1, path.parent.stat().st_gid)
                 os.fchmod(fd, _MODE)

@@ -40,25 +40,30 @@ from lipservo.agents.stream_session import StreamSession
 from lipservo.agents.turns import OpenStreams
 from lipsync.audio.playout import Playout
 
-#: Between two looks at what the playout tells.
+#: Events of the playout are read so often.
 _POLL_S: Final = 0.01
-#: So often at the end; the loop that plays needs one tick for it, if it still runs.
+#: At the end so many reads, for how much was played; the loop that plays needs one tick for that,
+#: if it still runs.
 _LAST_POLLS: Final = 30
-#: What a client that hangs may cost at the end, or when it is sent away.
+#: Longest wait for a client that hangs, at the end or when it is disconnected.
 _CLOSING_S: Final = 1.0
-#: The thread is given up after this; it dies with the process.
+#: Longest wait for the server's thread; after that it is left to die with the process.
 _JOIN_S: Final = 5.0
-#: Clients without a token, or beyond the number that settings allow, which may stop the face, once
-#: they have sent a message; the oldest makes room.
+#: Clients that may only stop the face (without a token, or beyond the number that settings allow),
+#: once they have sent a message; for another one the oldest is disconnected.
 _MOST_STOPPERS: Final = 16
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 _LOG: Final = logging.getLogger(__name__)
-#: The library's own words are for its developers, and would name what a client asked for.
+#: Swallows the library's log lines, which are for its developers and name what clients requested.
 _SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
 
 
-def _connections(heads: Doorway, stoppers: Doorway) -> type[ServerConnection]:
-    """Return the class of a server's connections: each waits in `heads` until it is let in."""
+def _connection_class(heads: Doorway, stoppers: Doorway) -> type[ServerConnection]:
+    """Return a class of connections, each of which counts as waiting in `heads` from its start.
+
+    heads: limits the connections whose first message is awaited. stoppers: limits those that may
+    only stop the face. At its end a connection leaves both.
+    """
 
     class Connection(ServerConnection):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -161,10 +166,10 @@ class AgentServer:
         """
         self._loop = asyncio.get_running_loop()
         server = await serve(
-            self._attend,
+            self._serve_client,
             sock=self._listener,
             process_request=self._admit,
-            create_connection=_connections(self._heads, self._stoppers),
+            create_connection=_connection_class(self._heads, self._stoppers),
             backlog=scaled(ACCEPTED),
             compression=None,
             server_header=None,
@@ -177,16 +182,16 @@ class AgentServer:
         self._listener.listen(BACKLOG)
         _LOG.info("voice agents: %s", self._url)
         self._started.set()
-        telling = self._loop.create_task(self._tell())
+        sending_news = self._loop.create_task(self._send_news())
         await self._stopping.wait()
         self._streams.end_all()
-        # How much of its speech was heard, each client is told before it is hung up.
+        # Each client is sent how much of its speech was played before it is disconnected.
         for _ in range(_LAST_POLLS):
             await asyncio.sleep(_POLL_S)
             if not self._streams.playing:
                 break
-        telling.cancel()
-        await _close(server)
+        sending_news.cancel()
+        await _close_all(server)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the HTTP answer to an opening request; None: the WebSocket connection is opened.
@@ -215,7 +220,7 @@ class AgentServer:
         opening = request_of(request.path, request.headers.raw_items(), peer)
         return handshake(opening, self._settings, self._n_clients)
 
-    async def _attend(self, connection: ServerConnection) -> None:
+    async def _serve_client(self, connection: ServerConnection) -> None:
         """Serve one client until it disconnects, or disconnect it because it reads too slowly."""
         assert connection.request is not None
         outbox = Outbox()
@@ -225,28 +230,29 @@ class AgentServer:
             session = StreamSession(outbox, self._streams, self._playout, self._delay_ms)
         else:
             session = ControlSession(outbox, self._commands, self._streams, may_only_stop)
+        # Connections that may only stop the face do not count as clients.
         is_client = may_only_stop is None
         if is_client:
             self._heads.leave(connection.transport)
         self._n_clients += is_client
-        sending = asyncio.ensure_future(_send(connection, outbox))
-        working = [
+        sending = asyncio.ensure_future(_send_queued(connection, outbox))
+        ending_tasks = [
             asyncio.ensure_future(each)
-            for each in (self._hear(connection, session, outbox), outbox.overflowed.wait())
+            for each in (self._pass_messages(connection, session, outbox), outbox.overflowed.wait())
         ]
         try:
-            # Not the end of sending: who has gone may have sent more, for example its `end`.
-            await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
+            # Not until sending fails: a client that has gone may have sent more, for example `end`.
+            await asyncio.wait(ending_tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._n_clients -= is_client
             is_slow = outbox.overflowed.is_set()
             session.leave()
-            for task in (*working, sending):
+            for task in (*ending_tasks, sending):
                 task.cancel()
             if is_slow:
                 await connection.close(_POLICY_VIOLATION, "slow_reader: events were not read")
 
-    async def _hear(
+    async def _pass_messages(
         self, connection: ServerConnection, session: StreamSession | ControlSession, outbox: Outbox
     ) -> None:
         """Pass each message of a client to its session, until the client disconnects.
@@ -255,17 +261,17 @@ class AgentServer:
         connection stays open. Messages beyond `messages_per_s` wait.
         """
         rate = MessageRate(self._settings.messages_per_s)
-        async for message in self._messages(connection):
+        async for message in self._received_messages(connection):
             try:
                 await session.hear(message)
             except Exception as error:
-                # A fault of ours: the client is told, and the others go on.
+                # A fault of ours: this client gets an error, and the others go on.
                 kind = type(error).__name__
                 _LOG.error("voice agents: a message failed: %s: %s", kind, error)
                 outbox.error("internal", "the message failed; see the face's log")
             await asyncio.sleep(rate.wait_s(time.monotonic()))
 
-    async def _messages(self, connection: ServerConnection) -> AsyncIterator[str | bytes]:
+    async def _received_messages(self, connection: ServerConnection) -> AsyncIterator[str | bytes]:
         """Yield a client's messages; close its connection if none comes in `first_message_s`."""
         try:
             async with asyncio.timeout(self._settings.first_message_s):
@@ -282,22 +288,23 @@ class AgentServer:
             async for message in connection:
                 yield message
 
-    async def _tell(self) -> None:
+    async def _send_news(self) -> None:
         """Send clients events of playing, and positions every `position_s`, until cancelled."""
-        sent_s = 0.0
+        positions_sent_s = 0.0
         while True:
             now_s = time.monotonic()
-            is_due = now_s - sent_s >= self._settings.position_s
-            sent_s = now_s if is_due else sent_s
+            is_due = now_s - positions_sent_s >= self._settings.position_s
+            positions_sent_s = now_s if is_due else positions_sent_s
             try:
-                self._tell_once(now_s, positions=is_due)
+                self._send_news_once(now_s, positions=is_due)
             except Exception as error:
-                # A fault of ours: nobody may be left waiting for the end of a stream.
+                # A fault of ours: go on, or clients would wait for the end of a stream for ever.
                 _LOG.error("voice agents: telling failed: %s: %s", type(error).__name__, error)
                 await asyncio.sleep(_CLOSING_S)
             await asyncio.sleep(_POLL_S)
 
-    def _tell_once(self, now_s: float, *, positions: bool) -> None:
+    def _send_news_once(self, now_s: float, *, positions: bool) -> None:
+        """Send clients all new events and phonemes of the playout; with `positions` also these."""
         self._streams.take_events(now_s)
         while self._playout.phonemes:
             self._streams.tell_phoneme(*self._playout.phonemes.popleft())
@@ -306,36 +313,37 @@ class AgentServer:
             self._streams.tell_positions()
 
 
-async def _send(connection: ServerConnection, outbox: Outbox) -> None:
+async def _send_queued(connection: ServerConnection, outbox: Outbox) -> None:
+    """Send a client the events of its outbox, as they come, until it disconnects."""
     with contextlib.suppress(ConnectionClosed):
         while True:
             await connection.send(await outbox.take())
 
 
-async def _close(server: Server) -> None:
+async def _close_all(server: Server) -> None:
     """Close the clients' connections, then the server; wait at most 2 s for each of the two."""
-    open_ones = server.connections
-    ends = [asyncio.ensure_future(each.close(_GOING_AWAY, "shutting_down")) for each in open_ones]
-    if ends:
-        await asyncio.wait(ends, timeout=2.0 * _CLOSING_S)
+    clients = server.connections
+    closings = [asyncio.ensure_future(each.close(_GOING_AWAY, "shutting_down")) for each in clients]
+    if closings:
+        await asyncio.wait(closings, timeout=2.0 * _CLOSING_S)
     server.close()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(server.wait_closed(), 2.0 * _CLOSING_S)
 
 
 class MessageRate:
-    """A bucket of at most one second's worth of messages, which limits a client's message rate."""
+    """A limit of a client's message rate, which lets bursts of one second's worth pass."""
 
     def __init__(self, per_s: float) -> None:
         self._per_s = per_s
-        self._left = per_s
+        self._n_allowed = per_s
         self._refilled_s = 0.0
 
     def wait_s(self, now_s: float) -> float:
         """Count one message, at monotonic `now_s`; return the s to wait before reading the next."""
         if self._refilled_s:
-            filled = (now_s - self._refilled_s) * self._per_s
-            self._left = min(self._per_s, self._left + filled)
+            n_new = (now_s - self._refilled_s) * self._per_s
+            self._n_allowed = min(self._per_s, self._n_allowed + n_new)
         self._refilled_s = now_s
-        self._left -= 1.0
-        return max(0.0, -self._left / self._per_s)
+        self._n_allowed -= 1.0
+        return max(0.0, -self._n_allowed / self._per_s)

@@ -77,11 +77,11 @@ class ControlSession:
         streams: OpenStreams,
         may_only_stop: Refusal | None = None,
     ) -> None:
-        """Create a session for one client.
+        """Create the session of one client that is connected to `/control`.
 
-        outbox: receives results; commands: what carries the client's commands out; streams: the
-        speech of all clients. may_only_stop: why all commands but stops are refused; None: none is
-        refused.
+        outbox: queue of the messages to this client. commands: socket, functions and thread pools
+        that carry commands out. streams: the speech of all clients. may_only_stop: why all commands
+        but stops are refused; None: none is refused.
         """
         self._outbox = outbox
         self._commands = commands
@@ -95,8 +95,8 @@ class ControlSession:
         if isinstance(message, bytes):
             self._outbox.error("unexpected_binary", "commands are text; audio goes to /stream")
             return
-        if (stop := _stop_of(message)) is not None:
-            self._stop(stop)
+        if (stop := _parse_stop(message)) is not None:
+            self._send_stop(stop)
             return
         try:
             given = command(message)
@@ -113,11 +113,11 @@ class ControlSession:
         except MessageError as error:
             self._outbox.error(error.code, str(error), id=id_of(message))
             return
-        task = asyncio.get_running_loop().create_task(self._answer(given, self._result(given)))
+        task = asyncio.get_running_loop().create_task(self._deliver(given, self._carry_out(given)))
         self._pending[task] = given
         task.add_done_callback(lambda done: self._pending.pop(done, None))
 
-    def _stop(self, stop: Stop) -> None:
+    def _send_stop(self, stop: Stop) -> None:
         """Send a stop to the face now; await its answer in a task and send that to the client."""
         if stop.end and self._may_only_stop is not None:
             self._outbox.error("unauthorized", self._may_only_stop.text, id=stop.id)
@@ -127,7 +127,7 @@ class ControlSession:
         try:
             sent = send_stop(path, level, end=stop.end)
         except BlockingIOError:
-            pass  # so many clients wait there already; it is sent again
+            pass  # too many clients wait at the socket: `stop_answer` sends it again
         except OSError as error:
             self._outbox.error("not_answering", _not_answering(error), id=stop.id)
             return
@@ -138,7 +138,7 @@ class ControlSession:
             oldest.cancel()
         answered = stop_answer(sent, partial(send_stop, path, level, end=stop.end), stop.wait_s)
         task = asyncio.get_running_loop().create_task(
-            self._answer(stop, _stop_result(stop, answered))
+            self._deliver(stop, _stop_result(stop, answered))
         )
         self._stops[task] = stop
         task.add_done_callback(lambda done: self._stops.pop(done, None))
@@ -150,7 +150,7 @@ class ControlSession:
         """
         self._outbox.close()
 
-    async def _answer(
+    async def _deliver(
         self, given: Command, answered: Coroutine[None, None, Mapping[str, object] | None]
     ) -> None:
         """Await the result of the command `given`; queue it for the client, or an error event.
@@ -166,7 +166,7 @@ class ControlSession:
         else:
             self._outbox.put({"type": "result", "id": given.id, "result": result})
 
-    async def _result(self, given: Command) -> Mapping[str, object] | None:
+    async def _carry_out(self, given: Command) -> Mapping[str, object] | None:
         """Carry out a command other than a stop; return its result.
 
         Requests run in threads of the pool for their kind. Raises MessageError if the face refuses
@@ -176,23 +176,23 @@ class ControlSession:
         path = commands.control_path
         match given:
             case AskStatus():
-                return await _called(commands.statuses, partial(ask, path, "status"))
+                return await _query(commands.statuses, partial(ask, path, "status"))
             case Set():
                 change = partial(change_setting, path, given.name, given.value)
-                return await _called(commands.changes, change)
+                return await _query(commands.changes, change)
             case StartFace():
-                return await _called(commands.changes, partial(start_face, path))
+                return await _query(commands.changes, partial(start_face, path))
             case Say():
-                return await self._speak(
+                return await self._start_speech(
                     given, commands.say and partial(commands.say, given), "say"
                 )
             case Play():
                 play = commands.play and partial(commands.play, given)
-                return await self._speak(given, play, given.file)
+                return await self._start_speech(given, play, given.file)
             case Stop():
                 raise AssertionError("a stop is sent before")
 
-    async def _speak(
+    async def _start_speech(
         self, given: Say | Play, speak: Callable[[str], Utterance] | None, name: str
     ) -> Mapping[str, object]:
         """Start the speech of a `say` or `play`; return its stream id, `duration_s` and `is_whole`.
@@ -204,43 +204,47 @@ class ControlSession:
         if speak is None:
             why = f"this face takes no messages of type `{given.type}`; `play` needs `--sounds`"
             raise MessageError("not_available", why)
-        own = self._streams.open_own(self._outbox, given.id, name)
+        speech = self._streams.open_own(self._outbox, given.id, name)
         loop = asyncio.get_running_loop()
         try:
-            spoken = await loop.run_in_executor(self._commands.speaking, speak, own.stream_id)
+            spoken = await loop.run_in_executor(self._commands.speaking, speak, speech.stream_id)
         except ValueError as error:
-            self._streams.forget(own)
+            self._streams.forget(speech)
             if isinstance(error, MessageError):
                 raise
             raise MessageError("refused", " ".join(str(error).split())) from error
         except BaseException:
-            self._streams.forget(own)
+            self._streams.forget(speech)
             raise
-        own.spoken = spoken
+        speech.spoken = spoken
         length = {"duration_s": round(spoken.duration_s, 3), "is_whole": spoken.is_whole}
-        return {"stream": own.stream_id, **length}
+        return {"stream": speech.stream_id, **length}
 
 
-def _stop_of(text: str) -> Stop | None:
+def _parse_stop(text: str) -> Stop | None:
     """Parse a JSON text as a stop; None: another command, or invalid, as `command` reports."""
     try:
         fields = json.loads(text)
         is_stop = isinstance(fields, dict) and fields.get("type") == "stop"
         return Stop.model_validate(fields) if is_stop else None
     except (ValueError, RecursionError):
-        return None  # `command` says what is wrong with it
+        return None  # the caller parses it again with `command`, which reports the mistake
 
 
 async def _stop_result(
     stop: Stop, answered: Awaitable[tuple[Mapping[str, object], Mapping[str, object] | None]]
 ) -> Mapping[str, object]:
+    """Return the result of a stop: the face's answer, and `report` if the client waits for it.
+
+    Raises MessageError if the face refuses the stop, and what `answered` raises.
+    """
     answer, report = await answered
     if "error" in answer:
         raise MessageError("refused", str(answer["error"]))
     return {**answer, "report": report} if stop.wait_s else answer
 
 
-async def _called(pool: Executor, call: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
+async def _query(pool: Executor, call: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
     """Run `call`, a request to the face, in `pool`; return its answer or raise MessageError."""
     answer = await asyncio.get_running_loop().run_in_executor(pool, call)
     if "error" in answer:
@@ -278,33 +282,35 @@ async def stop_answer(
     loop = asyncio.get_running_loop()
     began_s = loop.time()
     answer_by_s, report_by_s = began_s + _ANSWER_S, began_s + wait_s
-    first: Answer | None = None
+    reply: Answer | None = None
+    # First the answer is awaited, then the report. Where the connection ends without them, as the
+    # face's process was replaced, the stop is sent again.
     while True:
         try:
             connection, sent = sent or send(), None
             with connection:
-                answer = await _received(connection, answer_by_s if first is None else report_by_s)
-                first = first or answer
+                answer = await _receive(connection, answer_by_s if reply is None else report_by_s)
+                reply = reply or answer
                 # A face that freezes goes on, held; one that refuses goes on as before.
-                if first and not (wait_s and first.get("accepted") in ("soft", "limp")):
-                    return first, None
-                report = await _received(connection, report_by_s) if answer else None
-            if first is not None and report is not None:
-                return first, report
-        except BlockingIOError:  # so many clients wait there that the kernel takes no more
+                if reply and not (wait_s and reply.get("accepted") in ("soft", "limp")):
+                    return reply, None
+                report = await _receive(connection, report_by_s) if answer else None
+            if reply is not None and report is not None:
+                return reply, report
+        except BlockingIOError:  # so many clients wait at the socket that the kernel takes no more
             pass
         except OSError:
-            if first is None:
+            if reply is None:
                 raise
-            return first, None
-        if loop.time() + _RETRY_S > (answer_by_s if first is None else report_by_s):
-            if first is None:
+            return reply, None
+        if loop.time() + _RETRY_S > (answer_by_s if reply is None else report_by_s):
+            if reply is None:
                 raise TimeoutError("no answer")
-            return first, None
+            return reply, None
         await asyncio.sleep(_RETRY_S)
 
 
-async def _received(connection: socket.socket, by_s: float) -> Answer | None:
+async def _receive(connection: socket.socket, by_s: float) -> Answer | None:
     """Return the face's next message; None: the face has closed the connection.
 
     Raises TimeoutError at `by_s` of the event loop's clock.

@@ -48,7 +48,7 @@ _LONGEST_TYPE: Final = 40
 _WIDTH: Final = {"s16le": 2, "f32le": 4}
 _FULL_SCALE: Final = 32_768.0
 _MOST_WAITING: Final = 256
-#: Of which the next makes up for a lost one: these make room.
+#: Events of which the next replaces a lost one: in a full queue these are dropped.
 _REPLACEABLE: Final = frozenset({"position", "phoneme"})
 
 Event = Mapping[str, object]
@@ -70,7 +70,7 @@ class MessageError(ValueError):
         self.code: ErrorCode = code
 
 
-#: Of every message: who reads one of a newer program ignores the fields that it does not know.
+#: For every message's schema: fields that a reader does not know are allowed, and ignored.
 OPEN: Final[dict[str, JsonValue]] = {"additionalProperties": True}
 
 
@@ -353,10 +353,10 @@ def _parsed(text: str, known: Mapping[str, type[_Kind]]) -> _Kind | None:
     None: a message of unknown type without an `id`, which is ignored. Raises MessageError for an
     unknown type with an `id`, and for a malformed text.
     """
-    fields = _object(text)
+    fields = _parse_object(text)
     kind = known.get(str(fields["type"]))
     if kind is not None:
-        return _checked(kind, fields)
+        return _validated(kind, fields)
     if fields.get("id") is None:
         return None
     unknown = f"{str(fields['type'])[:_LONGEST_TYPE]!r} is not known by protocol {PROTOCOL}"
@@ -366,13 +366,13 @@ def _parsed(text: str, known: Mapping[str, type[_Kind]]) -> _Kind | None:
 def id_of(text: str) -> int | float | str | None:
     """Return the `id` in a refused JSON message, for its error event; None if it has none."""
     try:
-        given = _object(text).get("id")
+        given = _parse_object(text).get("id")
     except MessageError:
         return None
     return given if isinstance(given, (int, float, str)) else None
 
 
-def _object(text: str) -> dict[str, object]:
+def _parse_object(text: str) -> dict[str, object]:
     """Parse a text as a JSON object with a string `type`, or raise MessageError `bad_json`."""
     try:
         value = json.loads(text)
@@ -383,7 +383,7 @@ def _object(text: str) -> dict[str, object]:
     return value
 
 
-def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
+def _validated(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
     """Return a message of class `kind`, made of the fields of a JSON object.
 
     Raises MessageError `bad_message`, which names the first field that is missing or invalid.
@@ -436,25 +436,25 @@ class PcmDecoder:
     def __init__(self, sample_format: Literal["s16le", "f32le"]) -> None:
         self._format = sample_format
         self._width = _WIDTH[sample_format]
-        self._rest = b""
+        self._partial_sample = b""
 
     @property
     def n_left_bytes(self) -> int:
         """Number of bytes kept of a sample that is incomplete so far."""
-        return len(self._rest)
+        return len(self._partial_sample)
 
     def n_samples(self, data: bytes) -> int:
         """Return how many samples `decode(data)` would return; change nothing."""
-        return (len(self._rest) + len(data)) // self._width
+        return (len(self._partial_sample) + len(data)) // self._width
 
     def decode(self, data: bytes) -> Samples:
         """Return the whole samples in `data`, after any bytes kept before: (n,) float32 in [-1, 1].
 
         NaN becomes 0, and values outside the range are clipped.
         """
-        data = self._rest + data
+        data = self._partial_sample + data
         n_bytes = len(data) // self._width * self._width
-        data, self._rest = data[:n_bytes], data[n_bytes:]
+        data, self._partial_sample = data[:n_bytes], data[n_bytes:]
         if self._format == "s16le":
             return np.frombuffer(data, dtype="<i2").astype(np.float32) / np.float32(_FULL_SCALE)
         given = np.frombuffer(data, dtype="<f4").astype(np.float32)
@@ -475,7 +475,7 @@ class Outbox:
     def __init__(self) -> None:
         self._events: deque[Event] = deque()
         self._filled = asyncio.Event()
-        #: Set when an event had to be lost that may not be: the client does not read.
+        #: Set when an event that may not be lost was dropped: the client does not read.
         self.overflowed = asyncio.Event()
         self._is_closed = False
 
@@ -511,6 +511,7 @@ class Outbox:
         return json.dumps(self._events.popleft(), default=str)
 
     def _make_room(self) -> bool:
+        """Drop the oldest position or phoneme; return False if there is none."""
         for n, event in enumerate(self._events):
             if event["type"] in _REPLACEABLE:
                 del self._events[n]

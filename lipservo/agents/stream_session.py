@@ -39,13 +39,13 @@ from lipsync.spoken_text import PronouncedWord
 from lipsync.text_to_speech.pronunciation import DEFAULT_LANGUAGE, pronounced_units
 
 _LOG = logging.getLogger(__name__)
-#: A chunk is resampled in pieces of so long, and other clients are served in between.
+#: A chunk is resampled in pieces of this length, and other clients are served in between.
 _PIECE_S = 0.5
 
-#: Ids of streams that a client began, the newest.
-_MOST_OVER = 64
-#: Texts of one client that wait until it is known how they sound.
-_MOST_UNTAKEN = 256
+#: So many ids of streams that a client started, the newest, are kept.
+_MOST_IDS = 64
+#: Texts of one client whose pronunciation is being looked up.
+_MOST_APPLYING = 256
 
 
 class StreamSession:
@@ -57,32 +57,36 @@ class StreamSession:
     def __init__(
         self, outbox: Outbox, streams: OpenStreams, playout: Playout, delay_ms: Callable[[], float]
     ) -> None:
+        """Create a session without streams. outbox: queue of the messages to this client.
+
+        streams: the speech of all clients, which `playout` plays.
+        """
         self._outbox = outbox
         self._streams = streams
         self._playout = playout
         self._delay_ms = delay_ms
-        self._open: AgentStream | None = None
-        # The rest of a stream that was cut off is on its way still: it is no mistake.
+        self._open_stream: AgentStream | None = None
+        # After an interruption, the rest of the stream may still arrive: that is no mistake.
         self._ignores_rest = False
-        #: Texts whose pronunciations are being looked up, one after the other.
-        self._untaken: set[asyncio.Task[None]] = set()
-        self._taking: asyncio.Task[None] | None = None
-        #: Streams whose texts may come late.
-        self._over: deque[str] = deque(maxlen=_MOST_OVER)
+        #: Tasks that look up and apply texts or units, one after the other; and the last of them.
+        self._applying: set[asyncio.Task[None]] = set()
+        self._last_applied: asyncio.Task[None] | None = None
+        #: Ids of streams that were started: their texts may come when they are over.
+        self._started_ids: deque[str] = deque(maxlen=_MOST_IDS)
 
     async def hear(self, message: str | bytes) -> None:
         """Handle a message of the client, PCM bytes or JSON; send an error for a mistake."""
-        about = self._open.stream_id if self._open is not None else None
+        stream_id = self._open_stream.stream_id if self._open_stream is not None else None
         try:
             if isinstance(message, bytes):
-                await self._take_audio(message)
+                await self._append_audio(message)
             elif (parsed := stream_message(message)) is not None:
-                about = parsed.stream if isinstance(parsed, Start) else about
-                await self._do(parsed)
+                stream_id = parsed.stream if isinstance(parsed, Start) else stream_id
+                await self._carry_out(parsed)
         except MessageError as error:
-            given = {} if isinstance(message, bytes) else {"id": id_of(message)}
-            ids = {name: value for name, value in given.items() if value is not None}
-            self._outbox.error(error.code, str(error), stream=about, **ids)
+            fields = {} if isinstance(message, bytes) else {"id": id_of(message)}
+            ids = {name: value for name, value in fields.items() if value is not None}
+            self._outbox.error(error.code, str(error), stream=stream_id, **ids)
 
     def leave(self) -> None:
         """Interrupt the speech of a client that left a stream open or paused; it has disconnected.
@@ -91,35 +95,36 @@ class StreamSession:
         """
         self._streams.leave(self._outbox)
 
-    async def _do(self, parsed: StreamMessage) -> None:
+    async def _carry_out(self, parsed: StreamMessage) -> None:
         """Carry out a parsed message of the client, by its type. Raises MessageError."""
         match parsed:
             case Hello():
                 self._greet(parsed)
             case Start():
-                self._begin(parsed)
+                self._start_stream(parsed)
             case Audio():
-                await self._take_audio(decode_base64(parsed.data))
+                await self._append_audio(decode_base64(parsed.data))
             case End():
-                self._end()
+                self._end_stream()
             case Mark():
-                self._mark(parsed.name)
+                self._add_mark(parsed.name)
             case Interrupt():
-                self._cut()
+                self._drop_open_stream()
                 self._streams.interrupt(self._outbox)
             case Clear():
-                self._cut()
+                self._drop_open_stream()
                 self._streams.clear(self._outbox)
             case Pause():
                 self._streams.pause(self._outbox, time.monotonic())
             case Resume():
                 self._streams.resume(self._outbox)
             case Position():
-                self._hear_position(parsed)
+                self._note_position(parsed)
             case Text() | Words() | Phonemes() | Visemes():
-                self._on_units(parsed)
+                self._queue_units(parsed)
 
     def _greet(self, hello: Hello) -> None:
+        """Answer `hello`. Raises MessageError if the client's protocol version is another."""
         if hello.protocol not in (None, PROTOCOL):
             differ = f"this client speaks protocol {hello.protocol}, the face {PROTOCOL}"
             remedy = "install the lipservo-client of the face's version"
@@ -127,39 +132,40 @@ class StreamSession:
         times = {"delay_ms": self._delay_ms(), "time_s": round(time.monotonic(), 3)}
         self._outbox.put({"type": "hello", "protocol": PROTOCOL, **times})
 
-    def _begin(self, start: Start) -> None:
+    def _start_stream(self, start: Start) -> None:
         """Open the stream that a `start` message requests, and send the client `ready`.
 
         Raises MessageError if the client's previous stream has not ended, or if the stream is
         refused.
         """
-        if self._open is not None and not self._open.speech.ended:
-            open_id = self._open.stream_id
+        if self._open_stream is not None and not self._open_stream.speech.ended:
+            open_id = self._open_stream.stream_id
             raise MessageError("stream_open", f"stream {open_id!r} has not ended; send `end` first")
-        self._open = self._streams.open(self._outbox, start, time.monotonic())
+        self._open_stream = self._streams.open(self._outbox, start, time.monotonic())
         self._ignores_rest = False
-        self._over.append(self._open.stream_id)
+        self._started_ids.append(self._open_stream.stream_id)
         self._outbox.put(
             {
                 "type": "ready",
-                "stream": self._open.stream_id,
+                "stream": self._open_stream.stream_id,
                 "delay_ms": self._delay_ms(),
                 "playback": start.playback,
             }
         )
 
-    def _cut(self) -> None:
-        self._ignores_rest = self._ignores_rest or self._open is not None
-        self._open = None
+    def _drop_open_stream(self) -> None:
+        """Forget the open stream, whose rest is ignored from now on."""
+        self._ignores_rest = self._ignores_rest or self._open_stream is not None
+        self._open_stream = None
 
-    async def _take_audio(self, data: bytes) -> None:
+    async def _append_audio(self, data: bytes) -> None:
         """Decode PCM bytes and append the samples to the client's open stream.
 
         Other clients are served after each 0.5 s of sound. Without an open stream the bytes are
         dropped: silently after an `interrupt` or `clear`, else with a MessageError. Also raised if
         more than 5 minutes of speech would wait.
         """
-        stream = self._open
+        stream = self._open_stream
         if stream is None:
             if self._ignores_rest:
                 return
@@ -173,30 +179,34 @@ class StreamSession:
             stream.push(samples[first : first + piece], time.monotonic())
             await asyncio.sleep(0.0)
 
-    def _end(self) -> None:
+    def _end_stream(self) -> None:
         """Mark the client's open stream as complete; speech that it still contains is played.
 
         Raises MessageError if no stream is open, unless it was cut off, and if the audio ended
         within a sample; then the stream is complete all the same.
         """
-        stream = self._open
+        stream = self._open_stream
         if stream is None:
             if self._ignores_rest:
                 return
             raise MessageError("no_stream", "`end` without a stream; send `start` first")
-        self._open = None
+        self._open_stream = None
         stream.speech.end()
         if n_bytes := stream.decoder.n_left_bytes:
             cut = f"the last {n_bytes} bytes were dropped: they are only part of a sample"
             raise MessageError("bad_audio", cut)
 
-    def _mark(self, name: str) -> None:
-        if self._open is not None:
-            self._open.mark(name)
+    def _add_mark(self, name: str) -> None:
+        """Add a mark to the open stream.
+
+        Raises MessageError if no stream is open, unless it was cut off.
+        """
+        if self._open_stream is not None:
+            self._open_stream.mark(name)
         elif not self._ignores_rest:
             raise MessageError("no_stream", "`mark` without a stream; send `start` first")
 
-    def _on_units(self, units: SpeechUnits) -> None:
+    def _queue_units(self, units: SpeechUnits) -> None:
         """Start a task that applies a text, words, phonemes or visemes to their stream.
 
         Samples do not wait for it: the first text loads a dictionary. Raises MessageError for an
@@ -205,12 +215,12 @@ class StreamSession:
         stream = self._named_stream(units.stream)
         if stream is None:
             return
-        if len(self._untaken) >= _MOST_UNTAKEN:
-            raise MessageError("bad_text", f"{_MOST_UNTAKEN} texts already wait; send more later")
-        taking = self._apply_units(units, stream, self._taking)
-        self._taking = asyncio.get_running_loop().create_task(taking)
-        self._untaken.add(self._taking)
-        self._taking.add_done_callback(self._untaken.discard)
+        if len(self._applying) >= _MOST_APPLYING:
+            raise MessageError("bad_text", f"{_MOST_APPLYING} texts already wait; send more later")
+        applying = self._apply_units(units, stream, self._last_applied)
+        self._last_applied = asyncio.get_running_loop().create_task(applying)
+        self._applying.add(self._last_applied)
+        self._last_applied.add_done_callback(self._applying.discard)
 
     async def _apply_units(
         self, units: SpeechUnits, stream: AgentStream, before: asyncio.Task[None] | None
@@ -232,7 +242,7 @@ class StreamSession:
         except (UserError, PlayoutTextError) as error:
             line = f"{units.type}: {error}; it was not taken"
             self._outbox.error("bad_text", line, stream=stream.stream_id)
-        except Exception as error:  # a fault of ours, or of the library that knows how words sound
+        except Exception as error:  # a fault of ours, or of the library for pronunciations
             _LOG.error("voice agents: a text failed: %s: %s", type(error).__name__, error)
             self._outbox.error("internal", "the text failed; see the face's log")
 
@@ -242,15 +252,15 @@ class StreamSession:
         Raises MessageError for a stream that was never started.
         """
         if name is None:
-            if self._open is None and not self._ignores_rest:
+            if self._open_stream is None and not self._ignores_rest:
                 raise MessageError("no_stream", "no stream is open; start or name one")
-            return self._open
+            return self._open_stream
         stream = self._streams.stream_of(self._outbox, name)
-        if stream is None and name not in self._over:
+        if stream is None and name not in self._started_ids:
             raise MessageError("no_stream", f"stream {name!r} does not exist; start it first")
         return stream
 
-    def _hear_position(self, parsed: Position) -> None:
+    def _note_position(self, parsed: Position) -> None:
         """Record how much of a stream the client has played; without `played_s` send positions.
 
         Raises MessageError for a stream that the face itself plays.

@@ -20,15 +20,16 @@ from lipservo.agents.messages import MessageError, Outbox, PcmDecoder, Start
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import MOST_WAITING_S, PlayoutEvent, PlayoutRequest, PlayoutStream
 
-#: Marks of a stream that were not heard yet: fewer than a client may leave unread, since many may
-#: be heard at once.
+#: Marks of a stream that were not reached yet: fewer than the events that a client may leave
+#: unread, since many may be reached at once.
 _MOST_MARKS: Final = 64
-#: So many requests wait only where the face's loop stands still. Each stream asks three times at
-#: most, so the playout's own bound is never reached by streams that were admitted.
+#: So many requests to the playout wait only if the face's loop hangs. Each stream makes three at
+#: most, so that admitted streams never reach the playout's own limit.
 _MOST_REQUESTS: Final = 32
-#: A face that has said nothing for so long says none of our streams: their ends were not heard.
-_FORGOTTEN_S: Final = 1.0
-#: A sender that pauses so long waits for what it has sent to be heard: a mark is the last of it.
+#: Once the playout has been empty for so long, streams whose end was not reported count as over.
+_LOST_S: Final = 1.0
+#: A sender that pauses for so long after a mark waits for the mark: the last block is then filled
+#: up with silence, or it would wait for more samples.
 _PAUSE_S: Final = 0.05
 #: The samples of less than a block, which a stream's waiting time leaves out.
 _BLOCK_S: Final = 0.01
@@ -89,7 +90,7 @@ class AgentStream:
             try:
                 self.speech.push(samples)
             except ValueError:
-                # The loop has cut it off between the two lines.
+                # The face's loop has cut the stream off between the check and the push.
                 if not self.speech.ended:
                     raise
 
@@ -98,16 +99,16 @@ class AgentStream:
         self.n_played = max(self.n_played, event.n_played)
         if event.kind == "mark":
             self.n_marks -= 1
-            self._put("mark", name=event.name)
+            self._send("mark", name=event.name)
         elif event.kind == "moved_by":
-            self._put("moved_by", moved_by=event.name, reason=event.reason)
+            self._send("moved_by", moved_by=event.name, reason=event.reason)
         elif event.kind == "units_shifted":
-            self._put("units_shifted", shifted_ms=round(event.shifted_s * 1e3, 1))
+            self._send("units_shifted", shifted_ms=round(event.shifted_s * 1e3, 1))
         elif event.kind in ("interrupted", "cleared"):
             n_dropped = event.n_dropped
-            self._put(event.kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
+            self._send(event.kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
         else:
-            self._put(event.kind)
+            self._send(event.kind)
 
     def tell_dropped(self, kind: str) -> None:
         """Drop the stream, of which nothing was played; send `kind`, `interrupted` or `cleared`.
@@ -116,14 +117,14 @@ class AgentStream:
         """
         n_dropped = self.speech.n_received
         self.speech.drop()
-        self._put(kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
+        self._send(kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
         if kind == "cleared":
-            self._put("finished")
+            self._send("finished")
 
     def tell_position(self, n_played: int) -> None:
         """Send the client the samples played, at least `n_played`, and the seconds that wait."""
         self.n_played = max(self.n_played, n_played)
-        self._put("position", waiting_s=round(self.speech.waiting_s, 3))
+        self._send("position", waiting_s=round(self.speech.waiting_s, 3))
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float, heard_in_s: float) -> None:
         """Send the client a phoneme, from `start_s` to `end_s` in the stream.
@@ -136,7 +137,8 @@ class AgentStream:
             {"type": "phoneme", "stream": self.stream_id, "phoneme": phoneme, **rounded_s}
         )
 
-    def _put(self, kind: str, **about: object) -> None:
+    def _send(self, kind: str, **about: object) -> None:
+        """Send the client an event of this stream, with the seconds and samples played so far."""
         heard = {"played_s": self.n_played / self.rate_hz, "n_played": self.n_played}
         at = {"time_s": round(time.monotonic(), 3)}
         self.owner.put({"type": kind, "stream": self.stream_id, **heard, **at, **about})
@@ -194,15 +196,17 @@ class OpenStreams:
     """The streams of all clients in the order in which they are spoken, for one event loop."""
 
     def __init__(self, playout: Playout, settings: AgentSettings) -> None:
+        """Start without streams. playout: plays them. settings: limits, and who may speak when."""
         self._playout = playout
         self._settings = settings
         self._numbers = itertools.count(1)
         self._waiting: deque[AgentStream] = deque()
         self._playing: dict[str, AgentStream] = {}
-        # What the face says that is no client's stream, by name, as far as it is heard.
-        self._own_speech: set[str] = set()
-        self._own: dict[str, OwnSpeech] = {}
-        # Who paused what is said, and since when (monotonic).
+        # Speech that is no client's stream: names of the streams that play now; and each `say` or
+        # `play` of a client until it is over, by the name of its streams.
+        self._own_playing: set[str] = set()
+        self._own_items: dict[str, OwnSpeech] = {}
+        # The client that has paused the speech, and since when (monotonic s); None: nobody has.
         self._paused: tuple[Outbox, float] | None = None
         self._silent_since_s: float | None = None
         self.n_refused = 0
@@ -219,7 +223,7 @@ class OpenStreams:
         streams of other clients. Raises MessageError if the stream is refused.
         """
         try:
-            self._check(owner, start)
+            self._check_start(owner, start)
         except MessageError:
             self.n_refused += 1
             raise
@@ -234,12 +238,12 @@ class OpenStreams:
         decoder = PcmDecoder(start.format)
         stream = AgentStream(owner, stream_id, start, speech, decoder, now_s)
         self._waiting.append(stream)
-        self._go_on()
+        self._start_next()
         return stream
 
     def check_room(self, duration_s: float) -> None:
         """Raise MessageError if all clients' waiting speech plus `duration_s` exceeds 5 minutes."""
-        waiting_s = sum(each.speech.waiting_s + _BLOCK_S for each in self._all())
+        waiting_s = sum(each.speech.waiting_s + _BLOCK_S for each in self._open_streams())
         if waiting_s + duration_s > MOST_WAITING_S - _BLOCK_S:
             kept = f"{MOST_WAITING_S:g} s of speech are kept, and {waiting_s:.1f} wait"
             raise MessageError("buffer_full", f"this audio was dropped: {kept}; send it later")
@@ -250,32 +254,34 @@ class OpenStreams:
         Each stream gets an `interrupted` event; a client without streams gets one, too. Speech by
         `say` or `play` ends as well, unless another client speaks.
         """
+        # Streams that wait are dropped here; those that play, by a request to the playout, unless
+        # that was made before.
         n_dropped = self._drop_waiting(owner, "interrupted")
-        ours = [each for each in self._playing.values() if each.owner is owner]
-        others = len(self._playing) > len(ours)
-        # Its own speech is known by an event, or by what waits: it may not be heard yet.
-        is_own = bool(self._own_speech) or not (self._playing or self._playout.is_over)
-        if any(each.ended_by != "interrupt" for each in ours) or (is_own and not others):
+        streams = [each for each in self._playing.values() if each.owner is owner]
+        others = len(self._playing) > len(streams)
+        # Speech by the face itself is known by its events, or by what waits in the playout.
+        face_speaks = bool(self._own_playing) or not (self._playing or self._playout.is_over)
+        if any(each.ended_by != "interrupt" for each in streams) or (face_speaks and not others):
             self._playout.requests.append(PlayoutRequest("interrupt"))
-            self._own_speech.clear()
+            self._own_playing.clear()
             self._paused = None
-        for each in ours:
+        for each in streams:
             each.ended_by = "interrupt"
-        if not ours and not n_dropped:
+        if not streams and not n_dropped:
             owner.put({"type": "interrupted", "stream": None, "played_s": 0.0, "dropped_s": 0.0})
-        self._go_on()
+        self._start_next()
 
     def clear(self, owner: Outbox) -> None:
         """Drop the audio of client `owner` that is not yet on its way to the loudspeaker."""
         self._drop_waiting(owner, "cleared")
-        ours = [
+        streams = [
             each for each in self._playing.values() if each.owner is owner and not each.ended_by
         ]
-        if ours:
+        if streams:
             self._playout.requests.append(PlayoutRequest("clear"))
-        for each in ours:
+        for each in streams:
             each.ended_by = "clear"
-        self._go_on()
+        self._start_next()
 
     def pause(self, owner: Outbox, now_s: float) -> None:
         """Silence the face at once, for client `owner`, and keep what was not played.
@@ -303,15 +309,15 @@ class OpenStreams:
 
         request_id: `id` of the command. MessageError if an agent speaks, unless clients queue.
         """
-        if self._settings.when_busy == "refuse" and self._all():
+        if self._settings.when_busy == "refuse" and self._open_streams():
             raise MessageError("busy", f"an agent is speaking; {_LATER}")
-        own = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
-        self._own[own.stream_id] = own
-        return own
+        item = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
+        self._own_items[item.stream_id] = item
+        return item
 
     def forget(self, own: OwnSpeech) -> None:
         """Unregister `own`, a `say` or `play` that failed before it was spoken."""
-        self._own.pop(own.stream_id, None)
+        self._own_items.pop(own.stream_id, None)
 
     def leave(self, owner: Outbox) -> None:
         """Close `owner`, the outbox of a client that has disconnected; ended streams are spoken.
@@ -320,13 +326,13 @@ class OpenStreams:
         """
         owner.close()
         has_paused = self._paused is not None and self._paused[0] is owner
-        is_cut = any(each.owner is owner and not each.speech.ended for each in self._all())
+        is_cut = any(each.owner is owner and not each.speech.ended for each in self._open_streams())
         if is_cut or has_paused:
             self.interrupt(owner)
 
     def end_all(self) -> None:
         """Interrupt the speech of all clients, as the server ends."""
-        for owner in {each.owner for each in self._all()}:
+        for owner in {each.owner for each in self._open_streams()}:
             self.interrupt(owner)
 
     def take_events(self, now_s: float) -> None:
@@ -338,30 +344,32 @@ class OpenStreams:
         """
         events = self._playout.events
         while events:
-            self._take(events.popleft())
+            self._pass_on(events.popleft())
+        # The last block of a sender that waits for a mark is filled up, or it is never reached.
         for stream in self._playing.values():
-            speech, is_waited_for = stream.speech, now_s - stream.fed_s > _PAUSE_S
-            if speech.is_marked and is_waited_for and not (speech.ended or speech.is_filled):
+            speech, has_paused = stream.speech, now_s - stream.fed_s > _PAUSE_S
+            if speech.is_marked and has_paused and not (speech.ended or speech.is_filled):
                 speech.fill()
         if not self._playout.is_over or self._playout.requests:
             self._silent_since_s = None
         elif self._silent_since_s is None:
             self._silent_since_s = now_s
-        elif now_s - self._silent_since_s > _FORGOTTEN_S:
+        elif now_s - self._silent_since_s > _LOST_S:
+            # Their ends were not reported, and will not be.
             self._playing.clear()
-            self._own_speech.clear()
-            for own in self._own.values():
-                own.is_dropped = own.is_dropped or own.spoken is not None
-        for own in [each for each in self._own.values() if each.is_over]:
-            own.tell("dropped" if own.is_dropped else "finished")
-            del self._own[own.stream_id]
+            self._own_playing.clear()
+            for item in self._own_items.values():
+                item.is_dropped = item.is_dropped or item.spoken is not None
+        for item in [each for each in self._own_items.values() if each.is_over]:
+            item.tell("dropped" if item.is_dropped else "finished")
+            del self._own_items[item.stream_id]
         if not self._playing:
             self._paused = None
-        self._go_on()
+        self._start_next()
 
     def end_stalled(self, now_s: float) -> None:
         """End streams without audio for `stalled_s`; interrupt a client that has paused as long."""
-        for stream in self._all():
+        for stream in self._open_streams():
             silent_s = now_s - stream.fed_s
             if not stream.speech.ended and silent_s > self._settings.stalled_s:
                 stalled = f"no audio for {self._settings.stalled_s:g} s: the stream was ended"
@@ -374,8 +382,8 @@ class OpenStreams:
 
     def stream_of(self, owner: Outbox, stream_id: str) -> AgentStream | None:
         """Return the stream of client `owner` with this id; None: over, or never started."""
-        ours = (each for each in self._all() if each.owner is owner)
-        return next((each for each in ours if each.stream_id == stream_id), None)
+        streams = (each for each in self._open_streams() if each.owner is owner)
+        return next((each for each in streams if each.stream_id == stream_id), None)
 
     def tell_positions(self, owner: Outbox | None = None) -> None:
         """Send clients, or `owner` alone, how much of each of their streams was played.
@@ -385,7 +393,7 @@ class OpenStreams:
         for stream in self.playing:
             if owner is None or stream.owner is owner:
                 name = stream.speech.name
-                n_played = _settled(partial(self._playout.n_played, name))
+                n_played = _retried(partial(self._playout.n_played, name))
                 stream.tell_position(n_played or 0)
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float) -> None:
@@ -393,25 +401,26 @@ class OpenStreams:
 
         start_s, end_s: on the playout's timeline.
         """
-        found = _settled(partial(self._playout.stream_at, start_s))
+        found = _retried(partial(self._playout.stream_at, start_s))
         if found is None or (stream := self._playing.get(found[0].name)) is None:
             return
         heard_in_s = start_s - self._playout.position_s
         stream.tell_phoneme(phoneme, found[1], found[1] + end_s - start_s, heard_in_s)
 
-    def _all(self) -> list[AgentStream]:
+    def _open_streams(self) -> list[AgentStream]:
+        """Return the streams in the playout, then those that wait for it, in order."""
         return [*self._playing.values(), *self._waiting]
 
-    def _check(self, owner: Outbox, start: Start) -> None:
+    def _check_start(self, owner: Outbox, start: Start) -> None:
         """Raise MessageError if the stream that client `owner` requests by `start` is refused."""
-        streams = self._all()
+        streams = self._open_streams()
         if start.playback == "server" and self._playout.loudspeaker is None:
             silent = "the face has no loudspeaker: start it with --play"
             raise MessageError("no_loudspeaker", f'{silent}, or play it yourself ("client")')
         if self._settings.when_busy == "refuse":
             if any(each.owner is not owner for each in streams):
                 raise MessageError("busy", f"another client is speaking; {_LATER}")
-            if self._own or self._own_speech:
+            if self._own_items or self._own_playing:
                 own = "the face says something of its own"
                 raise MessageError("busy", f"{own}; interrupt it, {_LATER}")
         if len(streams) >= self._settings.most_streams:
@@ -422,18 +431,20 @@ class OpenStreams:
             raise MessageError("stream_open", "that stream id is in use; choose another")
 
     def _check_requests(self) -> None:
+        """Raise MessageError if the playout has 32 requests that its loop has not carried out."""
         if len(self._playout.requests) >= _MOST_REQUESTS:
             raise MessageError("not_available", "the face is too busy; try again later")
 
     def _drop_waiting(self, owner: Outbox, kind: str) -> int:
+        """Drop the client's streams that wait, send it `kind` for each; return their number."""
         dropped = [each for each in self._waiting if each.owner is owner]
         self._waiting = deque(each for each in self._waiting if each.owner is not owner)
         for each in dropped:
             each.tell_dropped(kind)
         return len(dropped)
 
-    def _take(self, event: PlayoutEvent) -> None:
-        """Pass a playout event to the agent's stream, or to the face's own line, it belongs to."""
+    def _pass_on(self, event: PlayoutEvent) -> None:
+        """Pass a playout event to the client's stream, or the `say` or `play`, that it is about."""
         is_last = event.kind in ("finished", "interrupted")
         stream = self._playing.get(event.stream)
         if stream is not None:
@@ -441,14 +452,14 @@ class OpenStreams:
             if is_last:
                 del self._playing[event.stream]
             return
-        if (own := self._own.get(event.stream)) is not None:
-            own.take(event)
+        if (item := self._own_items.get(event.stream)) is not None:
+            item.take(event)
         if is_last:
-            self._own_speech.discard(event.stream)
+            self._own_playing.discard(event.stream)
         elif event.kind == "started":
-            self._own_speech.add(event.stream)
+            self._own_playing.add(event.stream)
 
-    def _go_on(self) -> None:
+    def _start_next(self) -> None:
         """Move waiting streams into the playout while they are of the client that speaks.
 
         If nothing is spoken, the client of the first waiting stream is next.
@@ -462,14 +473,14 @@ class OpenStreams:
             self._playout.requests.append(PlayoutRequest("say", stream.speech))
 
 
-def _settled(ask: Callable[[], _Request | None]) -> _Request | None:
-    """Return `ask()`, tried once more if the live loop changes the playout meanwhile.
+def _retried(query: Callable[[], _Request | None]) -> _Request | None:
+    """Return `query()`, tried once more if the live loop changes the playout meanwhile.
 
-    None: it changed both times, or `ask` returned None.
+    None: the playout changed both times, or `query` returned None.
     """
     for _ in range(2):
         try:
-            return ask()
+            return query()
         except RuntimeError:  # a deque was changed while it was read
             continue
     return None

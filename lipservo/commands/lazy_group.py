@@ -67,7 +67,7 @@ class LazyGroup(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         """Return the names of the commands that help lists, in order."""
         names = [name for name, command in self.table.items() if not command.hidden]
-        return names + [name for name in self._added() if name not in self.table]
+        return names + [name for name in self._entry_points() if name not in self.table]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import and return the command of that name; None for an unknown name.
@@ -87,10 +87,10 @@ class LazyGroup(TyperGroup):
         command = self.table.get(cmd_name)
         if command is not None and command.target:
             module, _, name = command.target.partition(":")
-            return _made(path, getattr(import_module(module), name), command)
-        added = self._added().get(cmd_name)
+            return _click_command(path, getattr(import_module(module), name), command)
+        added = self._entry_points().get(cmd_name)
         if added is not None:
-            return _made(path, _loaded(added), Command("", ""))
+            return _click_command(path, _load(added), Command("", ""))
         if command is not None:
             raise UserError(
                 f"{self.prefix}{cmd_name} is part of lipservo-lab, which is not installed: "
@@ -129,7 +129,7 @@ class LazyGroup(TyperGroup):
             if name.startswith(incomplete)
         ]
 
-    def _added(self) -> dict[str, EntryPoint]:
+    def _entry_points(self) -> dict[str, EntryPoint]:
         """Return the entry points of other distributions' commands in this group, by name."""
         found = {
             point.name.removeprefix(self.prefix): point
@@ -139,7 +139,7 @@ class LazyGroup(TyperGroup):
         return {name: found[name] for name in sorted(found) if "." not in name}
 
 
-def _loaded(point: EntryPoint) -> Any:
+def _load(point: EntryPoint) -> Any:
     """Import what an entry point names. Raises UserError unless its version is lipservo's."""
     own = version("lipservo")
     if point.dist is not None and point.dist.version != own:
@@ -150,10 +150,11 @@ def _loaded(point: EntryPoint) -> Any:
     return point.load()
 
 
-def _made(path: str, target: Any, command: Command) -> Any:
+def _click_command(path: str, target: Any, command: Command) -> Any:
     """Return the click command of a function or a `typer.Typer`; path: the command's full name."""
     if isinstance(target, typer.Typer):
         return typer.main.get_group(target)
+    # Typer makes a click command of a program that has this command alone.
     alone = typer.Typer(pretty_exceptions_enable=False)
     epilog = f"Example: lipservo {path} {command.example}" if command.example else None
     settings = _NEGATIVE_NUMBERS if command.takes_numbers else None

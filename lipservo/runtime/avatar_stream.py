@@ -71,19 +71,20 @@ class AvatarStream:
         """
         if time_s < self._due_s - _ROUNDING_S:
             return
-        # On a grid, so that ticks a little late make the frames no fewer.
+        # Due times are on a grid, so that frames a little late do not delay all later ones.
         on_grid = time_s < self._due_s + 1.0 / _RATE_HZ
         self._due_s = (self._due_s if on_grid else time_s) + 1.0 / _RATE_HZ
         self._sound_s = sound_s
         self._send(sound_s, frame)
 
     def _send(self, sound_s: float, frame: Frame) -> None:
+        """Send a frame in each protocol that has a receiver. sound_s: its sound time."""
         values = self._arkit.values(frame)
         if self._osc is not None:
             for packet in vmc_packets(self._shapes(values)):
-                self._hand_over(self._osc, packet)
+                self._send_packet(self._osc, packet)
         if self._live_link is not None:
-            self._hand_over(self._live_link, live_link_packet(values, SUBJECT, sound_s))
+            self._send_packet(self._live_link, live_link_packet(values, SUBJECT, sound_s))
 
     def end(self) -> None:
         """Send one frame with the closed mouth, which avatars keep showing; call it last."""
@@ -102,11 +103,12 @@ class AvatarStream:
             return known_pairs
         return [*vowels(values).items(), *(pair for pair in known_pairs if pair[0] not in _MOUTH)]
 
-    def _hand_over(self, to: socket.socket, packet: bytes) -> None:
+    def _send_packet(self, receiver: socket.socket, packet: bytes) -> None:
+        """Send a datagram without blocking, and count it as sent or failed."""
         try:
-            to.send(packet)
+            receiver.send(packet)
             self.n_sent += 1
-        except OSError:  # nobody listens there, no way there, or no room: the next frame counts
+        except OSError:  # no receiver, no route or no room: the next frame takes its place
             self.n_failed += 1
 
 
@@ -119,7 +121,7 @@ def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator
     """
     face = load_face_with_animphos(model)
     osc_at, live_link_at = targets.addresses()
-    with _sender(osc_at) as osc, _sender(live_link_at) as live_link:
+    with _connected_socket(osc_at) as osc, _connected_socket(live_link_at) as live_link:
         arkit, has_vowels = ArkitMap(lip_measures(face)), targets.has_vowels
         stream = AvatarStream(arkit, face.rest, osc, live_link, has_vowels=has_vowels)
         try:
@@ -152,14 +154,15 @@ def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
     """
     found: list[str | None] = []
     for address in targets.addresses():
-        with _sender(address) as sender:
+        with _connected_socket(address) as sender:
             found.append(None if sender is None else "{}:{}".format(*sender.getpeername()))
+    # The suffix `/vowels` belongs to the target, not to its address.
     osc, live_link = found
     return AvatarTargets(osc and osc + VOWELS * targets.has_vowels, live_link)
 
 
 @contextmanager
-def _sender(address: Address | None) -> Iterator[socket.socket | None]:
+def _connected_socket(address: Address | None) -> Iterator[socket.socket | None]:
     """Yield a non-blocking UDP socket connected to `address`; None if `address` is None."""
     if address is None:
         yield None
@@ -168,10 +171,10 @@ def _sender(address: Address | None) -> Iterator[socket.socket | None]:
         found = socket.getaddrinfo(address.host, address.port, socket.AF_INET, socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
         raise AvatarError(f"{address.option}: no such host ({error})") from error
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        sender.setblocking(False)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
+        connection.setblocking(False)
         try:
-            sender.connect(found[0][4])
+            connection.connect(found[0][4])
         except OSError as error:
             raise AvatarError(f"{address.option}: cannot be reached: {error.strerror}") from error
-        yield sender
+        yield connection

@@ -31,7 +31,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Synthesizer
 
-#: The mouth closes after the last sound; then the run is over.
+#: After the last sound was shown, the mouth gets so long to close; then the run is over.
 _TAIL_S = 0.5
 
 
@@ -70,7 +70,7 @@ def run_face(
     check_servos(requested.face)
     request = requested.with_resolved_avatars()
     length_s = math.inf if endless or source.duration_s is None else source.duration_s
-    # On a clock of its own nobody waits or looks, and the same file must give the same trace.
+    # On a manual clock nobody watches or listens, and the same file must give the same trace.
     is_live = not isinstance(clock, ManualClock)
     channel = MemoryTargetChannel()
     with requested.live_board() as board:
@@ -83,14 +83,14 @@ def run_face(
             synthesizer=synthesizer,
         )
         run = _Run(requested, speech)
-        how = DriveOptions(
+        options = DriveOptions(
             requested.rate_hz,
             dry_run=request.dry_run,
             quiet=request.quiet,
             control=requested.control(run.commands, run.describe, board, waits=endless),
         )
         with ExitStack() as stack:
-            driven = stack.enter_context(driven_face(requested.settings, clock, channel, how))
+            driven = stack.enter_context(driven_face(requested.settings, clock, channel, options))
             life = driven.life
             street = Street(speech.side, driven.bridge, requested.face.model.rest)
             delay = street.speech.delay
@@ -105,12 +105,12 @@ def run_face(
                 from lipservo.runtime.voice_agents import voice_agents
 
                 serving = voice_agents(listener, speech.side, requested)
-                run.serve(stack.enter_context(serving))
+                run.note_agents_url(stack.enter_context(serving))
             life.start()
             run.notice.ready()
             zero_s = street.start(clock.now())
             playout = source if isinstance(source, Playout) and not endless else None
-            end = _End(zero_s + length_s + delay.total_s, playout)
+            end = _RunEnd(zero_s + length_s + delay.total_s, playout)
             play(street, life, is_over=end.is_over, tally=tally, observers=observers)
         heard_s = max(0.0, min(length_s, clock.now() - zero_s))
         status = run.status(driven.bridge)
@@ -149,7 +149,7 @@ def play(
             observer.observe(tick)
 
 
-class _End:
+class _RunEnd:
     """The end of a run: 0.5 s after the face has shown the last of its sound."""
 
     def __init__(self, shown_s: float, playout: Playout | None) -> None:
@@ -169,32 +169,35 @@ class _End:
 
 
 class _Run:
-    """A run: its command queue, its status, its notices to systemd, the observers of its ticks."""
+    """The parts of a run beside speech and servos: commands, status, notices, observers of ticks.
+
+    Itself the observer that passes changed settings on, and notifies systemd.
+    """
 
     def __init__(self, requested: RequestedFace, speech: FaceSpeech) -> None:
         self._requested = requested
         self._speech = speech
         self.commands = requested.commands()
         self.notice = ServiceNotice()
-        self._listens_on: str | None = None
+        self._agents_url: str | None = None
 
-    def serve(self, url: str | None) -> None:
+    def note_agents_url(self, url: str | None) -> None:
         """Set the URL that the status reports for voice agents; None: no agents are served."""
-        self._listens_on = url
+        self._agents_url = url
 
     def status(self, bridge: Bridge) -> Status:
         """Return the face's present status: of servos, as `bridge` drives them, and of speech."""
-        return self._whole({**bridge.as_dict(), **self._requested.about})
+        return self._whole_status({**bridge.as_dict(), **self._requested.about})
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
         """Return the whole face's status for JSON, given the servo side's status in `bridge`."""
-        return self._whole(bridge).as_dict()
+        return self._whole_status(bridge).as_dict()
 
-    def _whole(self, bridge: Mapping[str, object]) -> Status:
+    def _whole_status(self, bridge: Mapping[str, object]) -> Status:
         return whole_status(bridge, self._speech_status())
 
     def _speech_status(self) -> SpeechStatus:
-        return self._speech.status(self.commands.values, self._listens_on)
+        return self._speech.status(self.commands.values, self._agents_url)
 
     def observers(
         self, bridge: Bridge, board: LiveBoard, stack: ExitStack, *, live: bool, on_time: bool
@@ -213,7 +216,7 @@ class _Run:
             from lipservo.traces.trace_file import BackgroundTrace, TraceFile
 
             file = TraceFile(request.trace, self._requested.trace_header(self._speech_status()))
-            # Where nobody waits for a tick, none may be dropped.
+            # In real time a slow disk must not delay a tick; else no tick may be dropped.
             if on_time:
                 observers.append(stack.enter_context(BackgroundTrace(file)))
             else:

@@ -16,7 +16,8 @@ from lipsync.face.frame import Synthesizer
 from lipsync.recognition.recognizers import make_recognizer, no_recognizer
 from lipsync.text_to_speech.pronunciation import spoken_words
 
-#: In place of who listens, of what it has learned and of the strategy, where all was rendered.
+#: In the status of a face that plays a performance, for recogniser, engine and weights; and for the
+#: strategy.
 _NO_STRATEGY: Final = "none"
 _PERFORMED: Final = "performed"
 
@@ -94,6 +95,7 @@ class FaceSpeech:
             moved_by=speech.moved_by,
             units_shifted_ms=speech.units_shifted_ms,
             words=words,
+            # By the sound alone it is not known which word is spoken.
             word=word if words and speech.moved_by != "sound" else None,
             settings={
                 **{name: settings.get(name, value) for name, value in style.items()},

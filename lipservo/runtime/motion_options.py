@@ -48,10 +48,10 @@ _LOG = logging.getLogger(__name__)
 #: (docs/benchmarks.md, From microphone to bus).
 LOW_LATENCY_S = 0.045
 LOW_LATENCY_LOOKAHEAD_S = 0.05
-#: No head of the network waits longer.
+#: No output of the network waits longer for the sound after a phoneme.
 LONGEST_LATENCY_S = 1.0
-#: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
-#: from sound to face, which is declared at the start and stays.
+#: Style settings that may change while a face runs, with their upper limits. The look-ahead stays:
+#: it is part of the delay from sound to face, which is declared at the start.
 _LIVE_SETTINGS = {
     "strength": STRONGEST,
     "stage": ON_STAGE,
@@ -145,14 +145,14 @@ def motion_options(
     """Return the motion options: as typed, else as in the face's YAML, else the defaults.
 
     chosen: typed on the command line. of_the_face: from the YAML. folder: of the YAML, to which its
-    weights file is relative; None: a shipped face. stage: where the YAML names none; 1 for faces
-    that are only drawn. Raises UserError for an option that the strategy ignores, WeightsError and
-    StyleError.
+    weights file is relative; None: a shipped face. stage: that setting where the YAML has none;
+    1 for faces that are only drawn. Raises UserError for an option that the strategy ignores,
+    WeightsError and StyleError.
     """
     strategy = chosen.strategy or of_the_face.strategy or DEFAULT_STRATEGY
     low_latency = chosen.low_latency or of_the_face.low_latency
     if low_latency:
-        _refuse_what_is_late(chosen, of_the_face)
+        _refuse_low_latency_conflicts(chosen, of_the_face)
         chosen = replace(chosen, lookahead_ms=LOW_LATENCY_LOOKAHEAD_S * 1e3)
     ignored = [
         f"--{name.replace('_', '-')}"
@@ -166,6 +166,7 @@ def motion_options(
         )
 
     def style(name: str, default: float) -> float:
+        """Return a style setting: as typed, else from the YAML, else, or if not used, `default`."""
         if name not in STYLES_OF[strategy]:
             return default
         for value in (getattr(chosen, name, None), getattr(of_the_face, name)):
@@ -191,18 +192,18 @@ def motion_options(
     )
 
 
-def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> None:
+def _refuse_low_latency_conflicts(chosen: ChosenMotion, of_the_face: MotionSettings) -> None:
     """Raise UserError for an option, typed or in the YAML, that --low-latency excludes."""
-    found = [] if chosen.lookahead_ms is None else ["--lookahead-ms"]
-    ours = (None, LIVE_STRATEGY, UNIT_STRATEGY)
-    for name, possible in (("strategy", ours), ("engine", (None, DEFAULT_RECOGNIZER))):
+    conflicts = [] if chosen.lookahead_ms is None else ["--lookahead-ms"]
+    fast = (None, LIVE_STRATEGY, UNIT_STRATEGY)
+    for name, possible in (("strategy", fast), ("engine", (None, DEFAULT_RECOGNIZER))):
         typed, written = getattr(chosen, name), getattr(of_the_face, name)
         if typed not in possible:
-            found.append(f"--{name} {typed}")
+            conflicts.append(f"--{name} {typed}")
         elif typed is None and written not in possible:
-            found.append(f"the face's `{name}: {written}`")
-    if found:
-        raise UserError(f"--low-latency and {found[0]} contradict each other; leave one out")
+            conflicts.append(f"the face's `{name}: {written}`")
+    if conflicts:
+        raise UserError(f"--low-latency and {conflicts[0]} contradict each other; leave one out")
 
 
 def make_synthesizer(
@@ -210,18 +211,19 @@ def make_synthesizer(
 ) -> Synthesizer:
     """Return the synthesiser for the strategy in `options`, with its style applied.
 
-    Strategies `expected` and `animpho` have a LiveSynthesizer, the others the published method with
-    one of its selections of AnimPhos (units of captured mouth motion). model_path: the file from
-    which `face` was read, None: the shipped one; only parts that the strategy needs are read.
-    Raises ModelError, also if the file has changed since `face` was read.
+    Strategies `expected` and `animpho` have a LiveSynthesizer. The others have the published method
+    (Wei and Deng), with one of its ways to select AnimPhos, recorded pieces of mouth motion.
+    model_path: the file from which `face` was read, None: the shipped one; only parts that the
+    strategy needs are read. Raises ModelError, also if the file has changed since.
     """
     with open_model(model_path) as file:
         if read_face(file).checksum != face.checksum:
             raise ModelError(f"{file.name}: was changed while it was read; try again")
         style = options.style
+        # Predicted motion alone: from decided phonemes, blended with that from their probabilities.
         if options.strategy == LIVE_STRATEGY:
             expectation = read_expectation(file, face.n_components)
-            return LiveSynthesizer(face, expectation, style, soft=_soft_of(file, face, options))
+            return LiveSynthesizer(face, expectation, style, soft=_soft_map(file, face, options))
         from lipsync.animpho import selection
         from lipsync.animpho.synthesizer import PublishedSynthesizer
         from lipsync.animpho.units import ANIMPHO_PART, read_animphos
@@ -233,29 +235,30 @@ def make_synthesizer(
                 "with `lipservo learn face`"
             )
         units = read_animphos(file, face)
+        # Recorded pieces near the predicted motion.
         if options.strategy == UNIT_STRATEGY:
             expectation = read_expectation(file, face.n_components)
-            soft = _soft_of(file, face, options)
+            soft = _soft_map(file, face, options)
             return LiveSynthesizer(face, expectation, style, selection.GuidedSelection(units), soft)
         published = PublishedSynthesizer(units, selection.STRATEGIES[options.strategy])
         return FinishedSynthesizer(face, published, style.strength, stage=style.stage)
 
 
-def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftExpectation | None:
-    """Read the map from phoneme probabilities to `face` coefficients; None: `file` has none.
+def _soft_map(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftExpectation | None:
+    """Read the map from phoneme probabilities to face coefficients; None: `file` has none.
 
-    A map fitted to other recogniser weights than those in `options`, or than those that they were
-    adapted from, is used; the mismatch is logged.
+    It is used even if it was fitted to other recogniser weights than those in `options`, or those
+    from which these were adapted; then a warning is logged.
     """
-    soft = read_soft_expectation(file, face.n_components)
+    soft_map = read_soft_expectation(file, face.n_components)
     provenance = file.about.get("provenance")
-    fitted = provenance.get("soft_weights") if isinstance(provenance, dict) else None
-    if soft is not None and options.engine == DEFAULT_RECOGNIZER:
-        with suppress(WeightsError):  # damaged weights are told of where they are loaded
-            heard_by = (weights_digest(options.weights), adapted_from(options.weights))
-            if fitted is None or fitted not in heard_by:
+    fitted_weights = provenance.get("soft_weights") if isinstance(provenance, dict) else None
+    if soft_map is not None and options.engine == DEFAULT_RECOGNIZER:
+        with suppress(WeightsError):  # damaged weights are reported where they are loaded
+            used_weights = (weights_digest(options.weights), adapted_from(options.weights))
+            if fitted_weights is None or fitted_weights not in used_weights:
                 _LOG.warning(
                     "%s was not fitted to the recogniser's weights %s, so motion is less exact; "
 "`lipservo learn soft` fits it", file.name, options.weights,
                 )  # fmt: skip
-    return soft
+    return soft_map

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from firmware_bridge.process.supervisor import Supervisor
 
 _LOG: Final = logging.getLogger(__name__)
-#: The speech side says so often how it is.
+#: The speech process writes its status so often.
 _STATUS_EVERY_S: Final = 0.5
 
 
@@ -58,7 +58,7 @@ class Handed:
 
 def run_bridge_process(
     request: RunRequest,
-    handed: Handed,
+    inherited: Handed,
     control: int,
     *,
     stopped: StopRequest | None,
@@ -67,7 +67,7 @@ def run_bridge_process(
 ) -> int:
     """Drive the servos at the port by targets from a socket until stopped; return the exit status.
 
-    handed: inherited from the supervisor. control: descriptor of the face's control socket.
+    inherited: from the supervisor. control: descriptor of the face's control socket.
     stopped: a person's stop that was in force when the previous bridge process died. given_up:
     reasons for servos that stay limp, by servo index. switched_off: indices of servos that a person
     switched off. Raises UserError without a port, and BusError if port or servos cannot be used.
@@ -83,35 +83,35 @@ def run_bridge_process(
     face = RequestedFace(request)
     with ExitStack() as stack:
         stack.enter_context(face_logs(face.settings.name, "bridge", quiet=request.quiet))
-        end = stack.enter_context(socket.socket(fileno=handed.channel))
-        shared = stack.enter_context(StatusBoard.adopt(handed.board))
-        live = stack.enter_context(LiveBoard.adopt(handed.live))
+        targets_end = stack.enter_context(socket.socket(fileno=inherited.channel))
+        notes = stack.enter_context(StatusBoard.adopt(inherited.board))
+        live = stack.enter_context(LiveBoard.adopt(inherited.live))
         trace = None
         if request.trace is not None:
             from lipservo.runtime.supervised_trace import SupervisedTrace
 
-            trace = stack.enter_context(SupervisedTrace(face, shared, live))
-        if handed.lifeline.closed:
+            trace = stack.enter_context(SupervisedTrace(face, notes, live))
+        if inherited.lifeline.closed:
             return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
-        how = DriveOptions(
+        drive_options = DriveOptions(
             rate_hz=face.rate_hz,
-            control=face.control(face.commands(shared.add_settings), shared.describe, live),
+            control=face.control(face.commands(notes.add_settings), notes.describe, live),
             supervised=Supervised(
-                handed.lifeline, control, stopped, given_up, switched_off, shared.not_kept
+                inherited.lifeline, control, stopped, given_up, switched_off, notes.not_kept
             ),
         )
-        channel = SocketTargetChannel(end)
+        channel = SocketTargetChannel(targets_end)
         driven: DrivenFace | None = None
-        run_on_time()  # and so do the threads that a bus starts
+        run_on_time()  # real-time priority, also for the threads that a bus starts
         try:
-            with driven_face(face.settings, MonotonicClock(), channel, how) as driven:
+            with driven_face(face.settings, MonotonicClock(), channel, drive_options) as driven:
                 observers = [ServoBoard(live, driven.bridge).tell]
                 if trace is not None:
                     observers.append(trace.observe)
-                _drive(driven, handed.lifeline, observers)
+                _tick_until_stopped(driven, inherited.lifeline, observers)
         except BusError as error:
             if driven is None or not driven.bridge.failure:
-                handed.lifeline.tell(NotStarted(" ".join(str(error).split())))
+                inherited.lifeline.tell(NotStarted(" ".join(str(error).split())))
                 raise
             _LOG.warning("%s", error)
             return ExitStatus.CRITICAL_SERVO_FAILED
@@ -119,7 +119,7 @@ def run_bridge_process(
     return ExitStatus.ENDED_WELL if driven.life.report.complete else ExitStatus.UNCONFIRMED
 
 
-def _drive(
+def _tick_until_stopped(
     driven: DrivenFace, lifeline: Lifeline, observers: Sequence[Callable[[TickReport], None]]
 ) -> None:
     """Switch torque on and tick until stopped; report `ready` once the servos have started.
@@ -139,11 +139,11 @@ def _drive(
 
 
 def run_speech_process(
-    request: RunRequest, handed: Handed, agents: int | None, zero_s: float | None
+    request: RunRequest, inherited: Handed, agents: int | None, zero_s: float | None
 ) -> None:
     """Recognise the request's sound and send servo targets through a socket until a signal arrives.
 
-    It also ends when the supervisor dies. handed: inherited from it. agents: descriptor of the
+    It also ends when the supervisor dies. inherited: from it. agents: descriptor of the
     socket to which voice agents connect; None: no agents are served. zero_s: monotonic time at
     which the sound first began, None for a first start; a sound file is continued at the position
     that it has reached by now.
@@ -160,9 +160,9 @@ def run_speech_process(
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
         stack.enter_context(face_logs(requested.settings.name, "speech", quiet=request.quiet))
-        end = stack.enter_context(socket.socket(fileno=handed.channel))
-        shared = stack.enter_context(StatusBoard.adopt(handed.board))
-        live = stack.enter_context(LiveBoard.adopt(handed.live))
+        targets_end = stack.enter_context(socket.socket(fileno=inherited.channel))
+        notes = stack.enter_context(StatusBoard.adopt(inherited.board))
+        live = stack.enter_context(LiveBoard.adopt(inherited.live))
         clock = MonotonicClock()
         is_file = request.sound.kind == "file"
         start_s = 0.0 if zero_s is None or not is_file else max(0.0, clock.now() - zero_s)
@@ -170,19 +170,20 @@ def run_speech_process(
         speech = FaceSpeech(
             requested,
             source,
-            SocketTargetChannel(end),
+            SocketTargetChannel(targets_end),
             board=live,
             timer_s=time.perf_counter,
         )
         side = speech.side
         avatars = entered_avatars(request.avatars, request.model, stack)
-        # What the robot says is on a timeline of its own, which begins anew with each process.
+        # A file that the face only listens to continues on the old timeline; the face's own speech
+        # begins a new timeline in each process.
         if zero_s is None or not start_s:
             zero_s = side.start(clock.now())
         else:
             _LOG.info("%s goes on at %.1f s", source.name, start_s)
             side.begin(zero_s if request.voice is None else clock.now())
-        handed.lifeline.tell(Began(zero_s))
+        inherited.lifeline.tell(Began(zero_s))
         listener = None if agents is None else socket.socket(fileno=agents)
         serving = voice_agents(listener, side, requested)
         url = stack.enter_context(serving)
@@ -190,16 +191,17 @@ def run_speech_process(
         settings: dict[str, float] = {}
         status_due_s = float("-inf")
         for time_s, _ in ticks(clock, 1.0 / PUBLISH_PERIOD_S):
-            handed.lifeline.beat()
-            if signals.count or handed.lifeline.closed:
+            inherited.lifeline.beat()
+            if signals.count or inherited.lifeline.closed:
                 return
-            is_stopped, wanted = shared.is_stopped(), shared.settings()
-            has_news = is_stopped or wanted != settings or avatars is not None
+            is_stopped, requested_settings = notes.is_stopped(), notes.settings()
+            # At rest `hold` publishes the last goals; nothing else needs to be done in this tick.
+            has_news = is_stopped or requested_settings != settings or avatars is not None
             if not side.hold(time_s, has_news=has_news):
                 side.follow_stop(time_s, is_stopped=is_stopped)
-                if wanted != settings:
-                    side.change(wanted)
-                    settings, status_due_s = wanted, time_s
+                if requested_settings != settings:
+                    side.change(requested_settings)
+                    settings, status_due_s = requested_settings, time_s
                 for number, servos in live.servos_since(n_servo_ticks):
                     side.note_servos(float(servos["time_s"]), servos["encoder_deg"])
                     n_servo_ticks = number
@@ -209,16 +211,15 @@ def run_speech_process(
                 avatars.show(time_s, sound_s, frame)
             if time_s >= status_due_s:
                 status_due_s = time_s + _STATUS_EVERY_S
-                shared.write_speech(speech.status(settings, url))
+                notes.write_speech(speech.status(settings, url))
 
 
 def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     """Run the bridge and speech processes of a face until it is stopped; return the exit status.
 
     agents: bound socket to which voice agents connect, open even while no speech process runs;
-    None: no agents are served.
-
-    Settings, sound, avatars or servos that cannot be used are refused before any torque is on.
+    None: no agents are served. Raises an error, before any torque is on, for settings, sound,
+    avatars or servos that cannot be used.
     """
     from firmware_bridge.loop.targets import channel_pair
     from firmware_bridge.process.child import Child, HeartbeatTimeouts
@@ -241,7 +242,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     check_sound(request)
     recognizer_kind(request.motion.engine)
     request = requested.with_resolved_avatars()
-    at_ports = [
+    port_releases = [
         (
             one.bus_kind.port_release(at, one.wiring),
             {joint.servo_id: joint.name for joint in one.joints()},
@@ -249,16 +250,17 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         for one in settings.alone.values()
         if (at := one.servo_port) is not None
     ]
-    for opener, _ in at_ports:
-        opener().close()  # one that another face holds is refused before anything is started
+    for opener, _ in port_releases:
+        opener().close()  # raises for a port that another face holds
     check_servos(face)
     about, can = requested.about, settings.capabilities
 
     def release(timeout_s: float) -> FaceRelease:
+        """Return a release, to be stepped, that switches torque off at all ports of the face."""
         return FaceRelease(
             [
                 (TorqueRelease(opener, list(names), timeout_s=timeout_s), names)
-                for opener, names in at_ports
+                for opener, names in port_releases
             ]
         )
 
@@ -283,24 +285,26 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         board.write_stopped(is_stopped=record.stopped is not None)
         if record.stopped is not None:
             _LOG.warning("not driven until `lipservo start`: %s", record.why)
+        # The processes' command lines; each `{...}` becomes the number of an inherited descriptor.
         writer, reader = channel_pair()
         command = [sys.executable, "-P", "-m", "lipservo"]
-        whole = request_json(replace(request, control=listener.path))
-        shared = ["--request", whole, "--lifeline", "{lifeline}"]
-        shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
-        bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
+        request_text = request_json(replace(request, control=listener.path))
+        arguments = ["--request", request_text, "--lifeline", "{lifeline}"]
+        arguments += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
+        bridge = [*command, "bridge-process", *arguments, "--control", "{control}"]
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
         for number, alive in enumerate(stack.enter_context(guarded(settings))):
-            of_bridge[f"{{guard {number}}}"] = alive  # held until it ends
-        speech = [*command, "speech-process", *shared]
+            of_bridge[f"{{guard {number}}}"] = alive  # by which a guard sees that the bridge lives
+        speech = [*command, "speech-process", *arguments]
         of_speech = {"{channel}": writer.fileno()}
         if agents is not None:
             speech += ["--agents", "{agents}"]
             of_speech["{agents}"] = agents.fileno()
+        # Descriptors that both processes inherit.
         ours = {"{board}": board.fileno(), "{live}": live.fileno()}
         supervisor = Supervisor(
-            # Without a processor: a bridge whose servos get no goals lets go of them after 5 s, a
-            # person who stops it meanwhile does so at the port; speech is waited for, a minute.
+            # Where a process gets no processor time: a bridge whose servos get no goals lets go of
+            # them after 5 s, and a person can stop it at the port; speech is waited for, a minute.
             Child(
                 "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(30.0, 1.0, patience=5.0)
             ),
@@ -316,14 +320,14 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             tell_kept=board.write_not_kept,
         )
         supervisor.run(signals)
-        _tell_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))
+        _report_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))
     return supervisor.exit_status
 
 
-def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> None:
-    """Print the end of a supervised face as JSON, or log it.
+def _report_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> None:
+    """Print how a supervised face has ended as JSON, or log it.
 
-    It is logged as an error unless all servos confirmed torque off. status: the last one of the
+    The log line is an error unless all servos confirmed torque off. status: the last one of the
     face, for the JSON.
     """
     report = supervisor.report

@@ -240,6 +240,7 @@ def request_of_json(text: str) -> RunRequest:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(["request", *map(str, first["loc"])])
+        # An error that our own checks of the fields have raised is shown as it is.
         ours = first.get("ctx", {}).get("error")
         why = (
             ours if isinstance(ours, UserError) else f"{first['msg']}, not {shown(first['input'])}"

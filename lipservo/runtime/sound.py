@@ -52,9 +52,9 @@ def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
     if sound.kind == "silence":
         return SilentSource(start_s)
     if sound.kind == "file":
-        return _file(Path(sound.name), start_s, sound.channel)
+        return _file_source(Path(sound.name), start_s, sound.channel)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        return _file(clip, start_s)
+        return _file_source(clip, start_s)
 
 
 def open_microphone(device: str, channel: str = "") -> AudioSource:
@@ -67,21 +67,22 @@ def open_microphone(device: str, channel: str = "") -> AudioSource:
     return MicrophoneSource(None if device == DEFAULT_MICROPHONE else device, channel=channel)
 
 
-def _file(path: Path, start_s: float, channel: str = "") -> AudioSource:
+def _file_source(path: Path, start_s: float, channel: str = "") -> AudioSource:
     return SilenceAfter(FileSource(path, start_s=start_s, channel=channel), start_s)
 
 
-#: Texts, sounds and performances that are said or wait, together.
+#: Texts, sounds and performances that are spoken or wait, together.
 MOST_WAITING: Final = 8
+#: Decoding and synthesis pause while more seconds of sound than this wait to be spoken.
 _SOUND_AHEAD_S: Final = 5.0
-#: A sentence or two.
+#: For a text: a sentence or two.
 _TEXT_AHEAD_S: Final = 20.0
-#: Of one text; each is a request to the playout, which keeps 64 from all who speak.
+#: Sentences of one text that wait; each is a request to the playout, which keeps 64 from all.
 _SENTENCES_AHEAD: Final = 4
-_LOOK_AGAIN_S: Final = 0.1
+_POLL_S: Final = 0.1
 _END_S: Final = 2.0
 _LANGUAGE: Final = "en-us"
-#: Of a file.
+#: Characters of a file's name.
 _LONGEST_NAME: Final = 250
 #: The name of the streams of a text, one for each sentence.
 _TEXT: Final = "text"
@@ -92,7 +93,7 @@ class QueueFullError(UserError):
 
 
 @dataclass(eq=False, slots=True)
-class Spoken:
+class SpeechItem:
     """One item of speech to play: one stream of sound, or several, one after another.
 
     pieces: a generator; each `next` does a bounded piece of work and yields the stream it belongs
@@ -120,7 +121,10 @@ class Spoken:
 
     @property
     def is_ahead(self) -> bool:
-        """Whether so much of the speech waits to be spoken that its synthesis may pause."""
+        """Whether so much of the speech waits to be spoken that its synthesis may pause.
+
+        Streams that are over are removed from `streams`, but the last one.
+        """
         while len(self.streams) > 1 and self.streams[0].is_over:
             self.streams.popleft()
         waiting_s = sum(stream.waiting_s for stream in self.streams)
@@ -129,7 +133,7 @@ class Spoken:
 
 def spoken_chunks(
     chunks: Iterator[NDArray[np.float32]], stream: PlayoutStream, duration_s: float
-) -> Spoken:
+) -> SpeechItem:
     """Return speech that pushes chunks of sound into an empty stream of their rate.
 
     Parameters
@@ -143,7 +147,7 @@ def spoken_chunks(
 
     Returns
     -------
-    Spoken
+    SpeechItem
         Speech whose pieces push one chunk each.
     """
 
@@ -152,7 +156,7 @@ def spoken_chunks(
             stream.push(chunk)
             yield stream
 
-    return Spoken(pieces(), deque([stream]), _SOUND_AHEAD_S, duration_s)
+    return SpeechItem(pieces(), deque([stream]), _SOUND_AHEAD_S, duration_s)
 
 
 def spoken_file(
@@ -163,7 +167,7 @@ def spoken_file(
     start_s: float = 0.0,
     phonemes: LabelFile | None = None,
     channel: str = "",
-) -> Spoken:
+) -> SpeechItem:
     """Return speech for the queue that plays a sound file from `start_s` to its end.
 
     playout: plays the speech later. name: of its stream; empty: the file's name. phonemes: a file
@@ -179,12 +183,12 @@ def spoken_file(
     stream = PlayoutStream(name or path.name, rate_hz, playout.output_rate_hz, known)
     if words:
         units = tuple(SpokenUnit(each.label, round(each.start_s * rate_hz)) for each in words)
-        _tell(stream, SpokenText("word", units, rate_hz), _LANGUAGE)
+        _give_units(stream, SpokenText("word", units, rate_hz), _LANGUAGE)
     left_s = max(0.0, checked.duration_s - start_s)
     return spoken_chunks(sound_chunks(path, start_s, checked.mix), stream, left_s)
 
 
-def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TEXT) -> Spoken:
+def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TEXT) -> SpeechItem:
     """Return speech of a text for the queue; its first sentence is synthesised before returning.
 
     playout: plays the speech later. speaker: the synthesiser and voice. name: of the streams, one
@@ -204,7 +208,7 @@ def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TE
         stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
         stream.push(sentence.samples)
         if sentence.units is not None:
-            _tell(stream, sentence.units, voice.language)
+            _give_units(stream, sentence.units, voice.language)
         else:
             starts = (round(word.start_s * sentence.sample_rate_hz) for word in sentence.words)
             labels = (word.text[:LONGEST_LABEL] for word in sentence.words)
@@ -222,13 +226,14 @@ def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TE
 
     first = stream_of(next(sentences))
     sounding_s = first.n_received / first.sample_rate_hz
-    return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S, sounding_s)
+    return SpeechItem(pieces(first), deque([first]), _TEXT_AHEAD_S, sounding_s)
 
 
-def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
-    """Give a stream its spoken `units` (words) with their pronunciation; log any that has none.
+def _give_units(stream: PlayoutStream, units: SpokenText, language: str) -> None:
+    """Give a stream its spoken words, `units`, with their pronunciation.
 
-    If one has none, no pronunciation is given, and the stream's sound is recognised like any other.
+    If a word has none, a warning is logged, no words are given, and the stream's sound is
+    recognised like any other.
     """
     from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced_units
 
@@ -251,7 +256,7 @@ class Speaker:
     def changed(
         self, language: str | None, voice: str | None, rate_wpm: int | None, pitch: int | None
     ) -> "Speaker":
-        """Return the speaker with what one text wants otherwise; None: as it is."""
+        """Return the speaker with other values for one text; None: as in this one."""
         return Speaker(
             self.synthesizer,
             self.voice if voice is None else voice,
@@ -286,25 +291,27 @@ class SpeechQueue:
     """
 
     def __init__(self, playout: Playout) -> None:
+        """Create an empty queue, whose items `playout` plays; no thread runs before the first."""
         self._playout = playout
         self._changed = threading.Condition()
-        #: Said or waiting; of those `_unread` is still to be read, the first of them now.
-        self._kept: list[Spoken] = []
-        self._unread: deque[Spoken] = deque()
+        #: Items that are spoken or wait; those in `_unfinished` are still to be decoded or
+        #: synthesised, the first of them now.
+        self._items: list[SpeechItem] = []
+        self._unfinished: deque[SpeechItem] = deque()
         self._closed = False
         self._thread: threading.Thread | None = None
 
     def check_room(self, name: str) -> None:
         """Raise QueueFullError if the queue is full. name: of the new item, for the message."""
         with self._changed:
-            self._kept = [each for each in self._kept if not each.is_over]
-            if len(self._kept) >= MOST_WAITING:
+            self._items = [each for each in self._items if not each.is_over]
+            if len(self._items) >= MOST_WAITING:
                 raise QueueFullError(
                     f"{name}: {MOST_WAITING} texts, sounds or performances already wait or are "
                     "spoken; try again later, or interrupt them"
                 )
 
-    def add(self, spoken: Spoken, name: str) -> None:
+    def add(self, spoken: SpeechItem, name: str) -> None:
         """Append an item, and request its first stream from the playout. Raises QueueFullError.
 
         Does nothing once the queue is closed. name: of the item, for the message.
@@ -315,10 +322,10 @@ class SpeechQueue:
                 return
             self._playout.announced.add(spoken)
             self._playout.requests.append(PlayoutRequest("say", spoken.streams[0]))
-            self._kept.append(spoken)
-            self._unread.append(spoken)
+            self._items.append(spoken)
+            self._unfinished.append(spoken)
             if self._thread is None:
-                self._thread = threading.Thread(target=self._read, name="speech queue", daemon=True)
+                self._thread = threading.Thread(target=self._work, name="speech queue", daemon=True)
                 self._thread.start()
             self._changed.notify()
 
@@ -330,50 +337,52 @@ class SpeechQueue:
         if self._thread is not None:
             self._thread.join(timeout=_END_S)
 
-    def _read(self) -> None:
+    def _work(self) -> None:
         """Decode or synthesise the queued items, one after the other, until the queue is closed.
 
-        Runs in thread `speech queue`; pauses while enough of an item waits to be played.
+        Runs in thread `speech queue`; pauses while enough of an item waits to be spoken. Items that
+        were cut off, and all once the queue is closed, are finished without further work.
         """
         while True:
             with self._changed:
-                while not self._unread and not self._closed:
+                while not self._unfinished and not self._closed:
                     self._changed.wait()
-                if not self._unread:
+                if not self._unfinished:
                     return
-                spoken = self._unread[0]
-                if not (self._closed or spoken.is_dropped) and spoken.is_ahead:
-                    self._changed.wait(_LOOK_AGAIN_S)
+                item = self._unfinished[0]
+                if not (self._closed or item.is_dropped) and item.is_ahead:
+                    self._changed.wait(_POLL_S)
                     continue
-                is_cut = self._closed or spoken.is_dropped
-            if is_cut or not self._go_on(spoken):
-                self._finish(spoken)
+                is_cut = self._closed or item.is_dropped
+            if is_cut or not self._do_next_piece(item):
+                self._finish(item)
 
-    def _go_on(self, spoken: Spoken) -> bool:
+    def _do_next_piece(self, item: SpeechItem) -> bool:
         """Do the next piece of an item's work; return False if none is left or the piece failed."""
         try:
-            stream = next(spoken.pieces, None)
+            stream = next(item.pieces, None)
         except UserError as error:
             _LOG.error("%s; only the part before it is spoken", error)
             return False
-        except Exception as error:  # of one of them; the others are said
+        except Exception as error:  # ends this item; the others are still spoken
             _LOG.error("%s: %s; only the part before it is spoken", type(error).__name__, error)
             return False
-        if stream is not None and stream is not spoken.streams[-1]:
-            spoken.streams.append(stream)
-            spoken.n_streams += 1
-            spoken.duration_s += stream.n_received / stream.sample_rate_hz
+        if stream is not None and stream is not item.streams[-1]:
+            item.streams.append(stream)
+            item.n_streams += 1
+            item.duration_s += stream.n_received / stream.sample_rate_hz
         return stream is not None
 
-    def _finish(self, spoken: Spoken) -> None:
+    def _finish(self, item: SpeechItem) -> None:
         """Mark all streams of an item as complete; remove the item from those still to be read."""
-        spoken.pieces.close()
-        for stream in spoken.streams:
+        item.pieces.close()
+        for stream in item.streams:
             stream.end()
-        spoken.is_whole = True
-        self._playout.announced.discard(spoken)
+        # The playout need not wait for further streams of it.
+        item.is_whole = True
+        self._playout.announced.discard(item)
         with self._changed:
-            self._unread.popleft()
+            self._unfinished.popleft()
 
 
 def _labels_from(
@@ -404,7 +413,7 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
     """
     face_settings, folder = load_settings(request.config)
     settings = face_settings.sound
-    request = replace(request, sound=_of_the_face(request.sound, settings))
+    request = replace(request, sound=_with_face_defaults(request.sound, settings))
     if request.voice is None:
         with open_sound(request.sound, start_s) as source:
             yield source
@@ -416,7 +425,7 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
             device = stack.enter_context(open_microphone(request.sound.name, request.sound.channel))
             microphone = ListenedMicrophone(device)
         playout = Playout(loudspeaker, microphone)
-        first = _first_words(request.sound, playout, start_s, stack, speaker_of(settings, folder))
+        first = _first_speech(request.sound, playout, start_s, stack, speaker_of(settings, folder))
         if first is not None:
             queue = SpeechQueue(playout)
             stack.callback(queue.close)
@@ -430,8 +439,8 @@ def check_sound(request: RunRequest) -> None:
         open_sound(request.sound)
 
 
-def _of_the_face(sound: Sound, settings: SoundSettings) -> Sound:
-    """Return the sound, whose default microphone and channel are those of the face's YAML."""
+def _with_face_defaults(sound: Sound, settings: SoundSettings) -> Sound:
+    """Return the sound with the face's microphone and channel in place of the defaults."""
     if sound.kind in ("file", "microphone"):
         sound = replace(sound, channel=sound.channel or settings.channel)
     if (sound.kind, sound.name) != ("microphone", DEFAULT_MICROPHONE):
@@ -455,9 +464,9 @@ def _entered_loudspeaker(
     )
 
 
-def _first_words(
+def _first_speech(
     sound: Sound, playout: Playout, start_s: float, stack: ExitStack, speaker: Speaker
-) -> Spoken | None:
+) -> SpeechItem | None:
     """Return the speech of a requested text, file or bundled clip; None: the face begins silent.
 
     start_s: where a file begins, in s. stack: keeps the clip's file until it closes.

@@ -92,6 +92,7 @@ class Tally:
     """A counter of ticks, delays, and goals at joint limits during a run."""
 
     def __init__(self, clock: Clock, street: Street) -> None:
+        """Start with all counts 0. clock: measures lateness. street: the pipeline observed."""
         self._clock = clock
         self._street = street
         self._lateness = Histogram()
@@ -108,7 +109,10 @@ class Tally:
         self._lateness.add(self._clock.now() - time_s)
 
     def observe(self, tick: StreetTick) -> None:
-        """Count a finished tick, unless torque is off."""
+        """Count a finished tick, unless torque is off: goals sent, joints at limits, latency.
+
+        Latency: from the capture of the sound until now, plus the servos' lag.
+        """
         if not tick.report.torque_on:
             return
         if self.frames_sent == 0:
@@ -116,7 +120,7 @@ class Tally:
         self.frames_sent += 1
         sent_deg = tick.report.sent_deg[self._mouth]
         at_limit = (np.abs(sent_deg - self._limits_deg) < _AT_LIMIT_DEG).any(axis=0)
-        # A joint whose neutral is its limit is there at rest.
+        # At 0 degrees a joint is at rest, even where that is its limit.
         self._n_at_limit += at_limit & (np.abs(sent_deg) > _AT_LIMIT_DEG)
         if tick.captured_s is not None:
             actuation_s = self._street.speech.delay.actuation_s

@@ -20,8 +20,8 @@ from lipsync.errors import UserError
 from lipsync.face.frame import Frame
 
 _LOG: Final = logging.getLogger(__name__)
-#: How often the thread that opens the file asks whether the speech side has said how it is.
-_EVERY_S: Final = 0.05
+#: The thread that opens the file checks so often whether the speech process has written a status.
+_POLL_S: Final = 0.05
 _END_S: Final = 2.0
 
 
@@ -40,7 +40,7 @@ class SupervisedTrace:
         self._closed = threading.Event()
         self._trace: BackgroundTrace | None = None
         self._opener = threading.Thread(target=self._open, name="trace of a daemon", daemon=True)
-        self._number = 0
+        self._record_number = 0
         self._shown: tuple[float, float, str, Frame] | None = None
 
     def observe(self, report: TickReport) -> None:
@@ -51,16 +51,16 @@ class SupervisedTrace:
         """
         if self._trace is None:
             return
-        for number, shown in self._live.speech_since(self._number)[-1:]:
-            self._number = number
+        for number, shown in self._live.speech_since(self._record_number)[-1:]:
+            self._record_number = number
             phoneme = self._live.layout.phonemes[int(shown["phoneme"])]
             sound_s = float(shown["sound_s"])
             frame = Frame(sound_s, np.array(shown["coefficients"], dtype=np.float64))
             self._shown = float(shown["time_s"]), sound_s, phoneme, frame
         if self._shown is not None:
-            time_s, sound_s, phoneme, frame = self._shown
-            now_s = sound_s + report.time_s - time_s
-            self._trace.observe(StreetTick(now_s, phoneme, frame, report))
+            shown_s, sound_s, phoneme, frame = self._shown
+            tick_sound_s = sound_s + report.time_s - shown_s
+            self._trace.observe(StreetTick(tick_sound_s, phoneme, frame, report))
 
     def __enter__(self) -> Self:
         self._opener.start()
@@ -73,9 +73,12 @@ class SupervisedTrace:
             self._trace.__exit__(*exc)
 
     def _open(self) -> None:
-        """Open the trace once the speech side has written a status, which the header needs."""
+        """Open the trace once the speech process has written a status, which the header needs.
+
+        Runs in a thread. A file that cannot be written is logged, and the face runs without trace.
+        """
         while (speech := self._notes.speech()) is None:
-            if self._closed.wait(_EVERY_S):
+            if self._closed.wait(_POLL_S):
                 return
         path = self._requested.request.trace
         assert path is not None

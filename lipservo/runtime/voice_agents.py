@@ -14,8 +14,8 @@ from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import DEFAULT_LISTEN, VoiceOptions
 from lipservo.runtime.sound import (
     QueueFullError,
+    SpeechItem,
     SpeechQueue,
-    Spoken,
     spoken_chunks,
     spoken_file,
     spoken_text,
@@ -57,7 +57,11 @@ def voice_agents(
     side: "SpeechSide",
     requested: RequestedFace,
 ) -> Iterator[str | None]:
-    """Serve voice agents on a bound listener; yield its URL, or None if no agent is served."""
+    """Serve voice agents on a bound listener; yield its URL, or None if no agent is served.
+
+    side: the speech side of the face, whose own voice plays the agents' speech; without one no
+    agent is served. requested: the face, with the options for agents in its request.
+    """
     options = requested.request.voice
     if listener is None or side.voice is None or options is None:
         yield None
@@ -69,12 +73,12 @@ def voice_agents(
     try:
         token = read_token(options.token_file)
     except UserError as error:
-        # It was there when the face was started: this process is a later one, and the face goes on.
+        # The file was there when the face was started, so this is a restarted process: go on.
         _LOG.warning("voice agents: none are served: %s", error)
         yield None
         return
     voice, delay = side.voice, side.speech.delay
-    spoken = _Spoken(voice.playout, options, requested)
+    agent_speech = _AgentSpeech(voice.playout, options, requested)
     url = url_of(listener)
     with AgentServer(
         listener,
@@ -85,17 +89,17 @@ def voice_agents(
             policy=Policy(token, tuple(each for each in options.origins.split(",") if each)),
             when_busy="queue" if options.queue else "refuse",
         ),
-        say=spoken.say,
-        play=spoken.play if options.sounds is not None else None,
+        say=agent_speech.say,
+        play=agent_speech.play if options.sounds is not None else None,
     ):
         try:
             yield url
         finally:
-            spoken.close()
+            agent_speech.close()
 
 
-class _Spoken:
-    """The texts and files that agents have the face say besides their streams, in one queue."""
+class _AgentSpeech:
+    """The texts and files that agents let the face speak besides their streams, in one queue."""
 
     def __init__(self, playout: Playout, options: VoiceOptions, requested: RequestedFace) -> None:
         self._playout = playout
@@ -104,17 +108,18 @@ class _Spoken:
         self._folder = Path(options.sounds or ".").resolve()
         self._queue = SpeechQueue(playout)
 
-    def say(self, given: Say, name: str) -> Spoken:
-        """Queue a text, and return its speech.
+    def say(self, given: Say, name: str) -> SpeechItem:
+        """Queue a text, and return its speech, whose first sentence is synthesised.
 
-        name: of its streams. Raises SynthesisError, and MessageError if the queue is full.
+        name: of its streams, one for each sentence. Raises SynthesisError, and MessageError if the
+        queue is full.
         """
         self._check_room("text")
         speaker = self._speaker.changed(given.language, given.voice, given.rate_wpm, given.pitch)
-        spoken = spoken_text(given.text, self._playout, speaker, name)
-        return self._added(spoken, "text")
+        item = spoken_text(given.text, self._playout, speaker, name)
+        return self._queued(item, "text")
 
-    def play(self, given: Play, name: str) -> Spoken:
+    def play(self, given: Play, name: str) -> SpeechItem:
         """Queue a sound file or performance below the allowed folder, and return its speech.
 
         The file is checked first. name: of its stream. Raises UserError, and MessageError if the
@@ -123,25 +128,25 @@ class _Spoken:
         path = (self._folder / given.file).resolve()
         if not path.is_relative_to(self._folder):
             raise UserError(f"{given.file}: is outside the folder of sounds")
-        # Before the file is read: it may be large, and this may be the ten thousandth time.
+        # Before the file is read, which may be large, so that many refused requests cost little.
         self._check_room(path.name)
         if path.suffix.lower() == SUFFIX:
             performance = read_performance(path)
             performance.check_face(self._model, str(path))
             line = replace(performed_line(performance, path), name=name)
             stream = line.stream(self._playout)
-            spoken = spoken_chunks(line.chunks(), stream, performance.duration_s)
+            item = spoken_chunks(line.chunks(), stream, performance.duration_s)
         else:
-            spoken = spoken_file(path, self._playout, name)
-        return self._added(spoken, path.name)
+            item = spoken_file(path, self._playout, name)
+        return self._queued(item, path.name)
 
     def close(self) -> None:
         """Stop reading and synthesising the queued items."""
         self._queue.close()
 
-    def _added(self, spoken: Spoken, name: str) -> Spoken:
-        self._queue.add(spoken, name)
-        return spoken
+    def _queued(self, item: SpeechItem, name: str) -> SpeechItem:
+        self._queue.add(item, name)
+        return item
 
     def _check_room(self, name: str) -> None:
         try:

@@ -233,7 +233,7 @@ def test_events_that_are_never_read_are_bounded_and_forgotten_with_their_reader(
             kept, _ = face.events(), face.events()
             del _
             for number in range(3_000):
-                face._hand_on({"type": "phoneme", "n": number})
+                face._emit({"type": "phoneme", "n": number})
             assert len(face._events) == 1
             return [event["n"] for event in kept._waiting]
 

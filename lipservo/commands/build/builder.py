@@ -72,7 +72,7 @@ def new_face(
     limits, calibration and first words; an existing YAML is continued there.
     """
     if page:
-        _first_hour(output, port or [], sim, open_page=open_page)
+        _serve_setup(output, port or [], sim, open_page=open_page)
         return
     if open_page or sim:
         raise typer.BadParameter("--open and --sim need --page")
@@ -92,9 +92,9 @@ def new_face(
         if bus_name:
             MESSAGES.print(f"bus {bus_name}, {part.kind.name}:")
         if part.kind.board_key:
-            found = _wired(output, part, names, yes=yes)
+            found = _wired_yaml(output, part, names, yes=yes)
         else:
-            found = _found(output, part, names, baud_rate, ranges)
+            found = _found_yaml(output, part, names, baud_rate, ranges)
         texts[bus_name] = found
         names += parse_face(found, output.name).servos
     text = face_on_buses(output.stem, texts) if len(texts) > 1 else next(iter(texts.values()))
@@ -109,7 +109,7 @@ def new_face(
     RESULTS.print(f"{output}: {len(names)} joints. Next: {then}")
 
 
-def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_page: bool) -> None:
+def _serve_setup(output: Path, ports: Sequence[str], sim: str | None, *, open_page: bool) -> None:
     """Serve the setup page of a new face until Ctrl-C; then its running step ends, torque off.
 
     output: the face's YAML. ports: one at most. sim: `pty`: simulated servos.
@@ -129,13 +129,13 @@ def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_pag
 
     token_file = access_file(None, open_to_this_computer=False)
     token = read_token(None if token_file is None else str(token_file))
-    made = FirstHour(output, next(iter(ports), None), token_file, simulated=sim is not None)
-    with closing(made) as hour, bound_dashboard(None, token) as bound:
+    setup = FirstHour(output, next(iter(ports), None), token_file, simulated=sim is not None)
+    with closing(setup) as hour, bound_dashboard(None, token) as bound:
         link = FaceLink(hour.control_path, let_go=hour.let_go)
         serve_page(bound, link, token, open_page=open_page, hour=hour)
 
 
-def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> str:
+def _wired_yaml(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> str:
     """Return the YAML of hobby servos, wired as given by --channel or by the user's answers.
 
     output: the YAML, whose stem names the face. part: the bus. taken: names of joints on other
@@ -168,7 +168,7 @@ def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> 
     return text
 
 
-def _found(
+def _found_yaml(
     output: Path, part: "NewBus", taken: Sequence[str], baud_rate: int, ranges: Path | None
 ) -> str:
     """Find the servos at the port, nudge each, ask for its joint; return the face's YAML text.
@@ -185,7 +185,7 @@ def _found(
         raise UserError("no port given; add --port, at which servos are searched for")
     tools = kind.workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
-    if not tools.CLEARS_MIDDLE:  # servos go on to show their place as it was recorded
+    if not tools.CLEARS_MIDDLE:  # these servos keep their homing offset, as in the recording
         recorded = {key: replace(each, homing_offset_ticks=0) for key, each in recorded.items()}
     rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
@@ -195,28 +195,28 @@ def _found(
     joints: list[FoundJoint] = []
     for servo_id, model in found.items():
         tick, motion, _ = nudge(tools, port, rate, servo_id, model)
-        known = recorded.get(servo_id)
+        joint_range = recorded.get(servo_id)
         name = typer.prompt(
             f"id {servo_id} ({model}) {motion}. Which joint",
-            default=known.name if known else None,
+            default=joint_range.name if joint_range else None,
             value_proc=partial(
-                _joint_name, check_joint_name, [*taken, *(joint.name for joint in joints)]
+                _check_name, check_joint_name, [*taken, *(joint.name for joint in joints)]
             ),
             err=True,
         )
         word = typer.prompt("What should a positive angle do (opens, raises, widens ...)", err=True)
         same = typer.confirm("Did its first move do that", default=True, err=True)
         joint = FoundJoint(name, servo_id, model, word, 1 if same else -1)
-        if known is not None:
-            facts = tools.servo_models()[model]
-            turns = known.is_whole(facts.n_positions) and typer.confirm(
+        if joint_range is not None:
+            servo_model = tools.servo_models()[model]
+            turns = joint_range.is_whole(servo_model.n_positions) and typer.confirm(
                 f"The recorded range of {name} is all that the servo has, as where nobody moved "
                 f"it. Can {name} really turn so far (no: {joint.min_deg:g} to {joint.max_deg:g} "
                 "deg)",
                 default=False,
                 err=True,
             )
-            joint = joint.within(known, tick, facts, turns_all_the_way=turns)
+            joint = joint.within(joint_range, tick, servo_model, turns_all_the_way=turns)
         joints.append(joint)
     text = face_yaml(output.stem, kind, port, rate, joints)
     parse_face(text, output.name)
@@ -240,7 +240,7 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
     tools.clear_foreign_settings(port, rate, found, foreign)
 
 
-def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
+def _check_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
     """Return `text` as a joint's name, checked by `check`, with the names already `taken`.
 
     Raises BadParameter, so that the prompt repeats, for an invalid or taken name.

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from lipservo.terminal.page_line import PageLine
 
 Request = Mapping[str, Any]
-#: Servos that were found are spoken to at the rate that answers.
-_FIRST_RATE: Final = 1_000_000
+#: The baud rate that is tried first when servos are searched for.
+_FIRST_BAUD_RATE: Final = 1_000_000
 
 
 def builder_process(
@@ -38,7 +38,7 @@ def builder_process(
 
     die_with_parent()
     write_from_background()
-    if os.getppid() != parent:  # it was gone before we asked
+    if os.getppid() != parent:  # the server ended before the line above took effect
         raise typer.Exit(1)
     from lipservo.terminal.page_line import PageLine
 
@@ -49,7 +49,7 @@ def builder_process(
         page.finish()
 
 
-def _find(request: Request, page: "PageLine") -> None:
+def _find_servos(request: Request, page: "PageLine") -> None:
     """Find the servos at the port; send the page their models and other programs' settings.
 
     With `clear` in the request these settings are reset.
@@ -57,7 +57,7 @@ def _find(request: Request, page: "PageLine") -> None:
     from firmware_bridge.bus_kinds import bus_kind
 
     tools, port = bus_kind(request["kind"]).workshop(), request["port"]
-    rate, found = tools.find_unknown(port, _FIRST_RATE)
+    rate, found = tools.find_unknown(port, _FIRST_BAUD_RATE)
     foreign = tools.foreign_settings(port, rate, found)
     if request.get("clear"):
         tools.clear_foreign_settings(port, rate, found, foreign)
@@ -70,7 +70,7 @@ def _find(request: Request, page: "PageLine") -> None:
     )
 
 
-def _nudge(request: Request, page: "PageLine") -> None:
+def _nudge_servo(request: Request, page: "PageLine") -> None:
     """Move one servo by 3 degrees and back, and send the event `nudged` to the page."""
     from firmware_bridge.bus_kinds import bus_kind
     from lipservo.runtime.servos.new_face import nudge
@@ -80,7 +80,7 @@ def _nudge(request: Request, page: "PageLine") -> None:
     page.tell("nudged", id=servo_id, note=None if moved else f"servo id {servo_id} {motion}")
 
 
-def _limits(request: Request, page: "PageLine") -> None:
+def _send_limp_angles(request: Request, page: "PageLine") -> None:
     """Switch torque off, and send the joints' angles (deg) to the page until it sends the key q."""
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.loop.targets import MemoryTargetChannel
@@ -96,9 +96,9 @@ def _limits(request: Request, page: "PageLine") -> None:
     with ExitStack() as stack:
         board = stack.enter_context(SilentBoard.create(settings, config))
         control = ControlOptions(about={"config": config}, watched_fd=board.fileno)
-        # Nothing here ever switches torque on, whatever is asked of it meanwhile.
-        how = DriveOptions(dry_run=True, control=control)
-        driven = stack.enter_context(driven_face(settings, clock, MemoryTargetChannel(), how))
+        # A dry run: nothing here switches torque on, whatever clients request meanwhile.
+        options = DriveOptions(dry_run=True, control=control)
+        driven = stack.enter_context(driven_face(settings, clock, MemoryTargetChannel(), options))
         servos = LimpServos(settings, driven.bus, clock, list(settings.servos))
         report = servos.let_go()
         if not report.complete:
@@ -110,19 +110,19 @@ def _limits(request: Request, page: "PageLine") -> None:
         readings: deque[LimpPose] = deque(maxlen=STEADY_READINGS)
         for time_s, late in driven.life.ticks():
             readings.append(servos.read_pose())
-            seen = servos.steady(readings)
+            pose = servos.steady(readings)
             board.tell(driven.bridge, driven.bridge.tick(time_s, late))
-            places = zip(servos.names, seen.positions_deg.tolist(), strict=True)
+            angles = zip(servos.names, pose.positions_deg.tolist(), strict=True)
             page.tell(
                 "turned",
-                deg={name: round(deg, 1) if deg == deg else None for name, deg in places},
-                obstacles=seen.obstacles,
+                deg={name: round(deg, 1) if deg == deg else None for name, deg in angles},
+                obstacles=pose.obstacles,
             )
             if (page.next_order(0.0) or {}).get("key") == "q":
                 return
 
 
-def _jog(request: Request, _page: "PageLine") -> None:
+def _jog_joints(request: Request, _page: "PageLine") -> None:
     """Hold the joints in neutral, to be moved by sliders of the page Servos, until stopped."""
     from firmware_bridge.clock import MonotonicClock
     from lipservo.runtime.servos.assembly import bus_for, load_settings
@@ -136,16 +136,16 @@ def _jog(request: Request, _page: "PageLine") -> None:
         raise typer.Exit(status)
 
 
-def _set_up(request: Request, _page: "PageLine") -> None:
+def _write_servo_limits(request: Request, _page: "PageLine") -> None:
     """Write the YAML's limits into the servos. Raises typer.Exit unless each answers at its id."""
     from lipservo.commands.build.setup_servos import setup_servos
 
     with open(os.devnull) as null_device:
-        sys.stdin = null_device  # who would be asked to plug one servo in alone
+        sys.stdin = null_device  # nobody can be asked to connect one servo alone: that is an error
         setup_servos(port=request["port"], config=request["config"], dry_run=False)
 
 
-def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
+def _calibration_setup(request: Request, page: "PageLine") -> "CalibrationSetup":
     """Return the calibration setup that the page requests, which reports progress to the page.
 
     Raises UserError if the files to read or write cannot be used.
@@ -169,45 +169,45 @@ def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
     return replace(setup, watch=PageWatch(page, setup).watch)
 
 
-def _by_eye(request: Request, page: "PageLine") -> None:
+def _calibrate_by_eye(request: Request, page: "PageLine") -> None:
     """Save a calibration fitted to mouth shapes that a person matches with the page's sliders."""
     from lipservo.calibrating.on_page import PageFront
     from lipservo.calibrating.posing import calibrate_by_eye
     from lipservo.commands.calibrate.making import save_so_far
 
-    setup, simulated = _setup(request, page), bool(request.get("simulated"))
+    setup, simulated = _calibration_setup(request, page), bool(request.get("simulated"))
     result = calibrate_by_eye(
         setup,
         lambda face: PageFront(setup, page, face, simulated=simulated),
         lambda so_far: save_so_far(setup, so_far, Path(request["output"])),
     )
-    _finish(setup, result, request, page)
+    _save_calibration(setup, result, request, page)
 
 
-def _measure(request: Request, page: "PageLine") -> None:
+def _calibrate_measured(request: Request, page: "PageLine") -> None:
     """Move the servos through poses, measure markers, and save the calibration fitted to them."""
     from lipservo.calibrating.face_source import calibrate_seen
     from lipservo.commands.calibrate.making import mesh_options, save_so_far
 
-    setup, tracker = _setup(request, page), request["tracker"]
+    setup, tracker = _calibration_setup(request, page), request["tracker"]
     mesh = mesh_options(None, request.get("eye_distance_mm"), request.get("camera") or "0")
     source = None if tracker == "computed" else tracker
 
     def save(so_far: "CalibrationResult") -> None:
         save_so_far(setup, so_far, Path(request["output"]))
 
-    _finish(setup, calibrate_seen(setup, source, "x y z", mesh, save), request, page)
+    _save_calibration(setup, calibrate_seen(setup, source, "x y z", mesh, save), request, page)
 
 
-def _drawn(request: Request, page: "PageLine") -> None:
+def _calibrate_drawn(request: Request, page: "PageLine") -> None:
     """Save a calibration fitted to the simulated face, for servos that report no positions."""
     from lipservo.calibrating.measured_calibration import fit_simulated_face
 
-    setup = _setup(request, page)
-    _finish(setup, fit_simulated_face(setup), request, page)
+    setup = _calibration_setup(request, page)
+    _save_calibration(setup, fit_simulated_face(setup), request, page)
 
 
-def _finish(
+def _save_calibration(
     setup: "CalibrationSetup", result: "CalibrationResult", request: Request, page: "PageLine"
 ) -> None:
     """Save the calibration, enter its file in the face's YAML, and send its report to the page."""
@@ -217,8 +217,9 @@ def _finish(
     from lipservo.settings.edited_yaml import edited
 
     output = Path(request["output"])
-    calibration, kept = saved(setup, result, output)
+    calibration, kept_notes = saved(setup, result, output)
     edited(Path(request["config"]), {("calibration",): output.name}).write()
+    # The file of the measurements so far is not needed any more.
     if setup.keep is not None:
         setup.keep.unlink(missing_ok=True)
     lines = report_lines(calibration, output.name, result.fit)
@@ -226,12 +227,12 @@ def _finish(
     page.tell(
         "graded",
         lines=lines,
-        warnings=[*result.warnings, *kept],
+        warnings=[*result.warnings, *kept_notes],
         closing=closing_values(calibration),
     )
 
 
-def _speak(request: Request, _page: "PageLine") -> None:
+def _run_daemon(request: Request, _page: "PageLine") -> None:
     """Run the command `daemon` with the request's face and port until that face is stopped."""
     from lipservo.commands.run.dashboard_beside import with_sounds
     from lipservo.commands.run.run import ANY_PORT, daemon
@@ -251,13 +252,13 @@ def _speak(request: Request, _page: "PageLine") -> None:
 
 
 _STEPS: Final[Mapping[str, Callable[[Request, "PageLine"], None]]] = {
-    "find": _find,
-    "nudge": _nudge,
-    "limits": _limits,
-    "jog": _jog,
-    "set_up": _set_up,
-    "by_eye": _by_eye,
-    "measure": _measure,
-    "drawn": _drawn,
-    "speak": _speak,
+    "find": _find_servos,
+    "nudge": _nudge_servo,
+    "limits": _send_limp_angles,
+    "jog": _jog_joints,
+    "set_up": _write_servo_limits,
+    "by_eye": _calibrate_by_eye,
+    "measure": _calibrate_measured,
+    "drawn": _calibrate_drawn,
+    "speak": _run_daemon,
 }

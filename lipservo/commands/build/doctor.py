@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lipservo.settings.settings import FaceSettings
 
 
-#: What is wrong, and the remedy.
+#: The finding on systems other than Linux: the fault, and the remedy.
 _OTHER_SYSTEM: Final = (
     f"{platform.system()} reaches no servo and runs no face: it lacks Unix sockets that name their "
     "peer, file locks of Linux, /proc",
@@ -32,8 +32,11 @@ _OTHER_SYSTEM: Final = (
 )
 
 
-def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
-    """Yield the findings on each bus; of several, an unreachable bus is a finding, too."""
+def _check_bus(settings: "FaceSettings") -> "Iterator[Finding]":
+    """Yield the findings on each bus; of several, one that cannot be reached is a finding, too.
+
+    Raises BusError if the only bus cannot be reached.
+    """
     from firmware_bridge.bus_kinds import Finding, Severity
 
     if not settings.buses:
@@ -49,17 +52,17 @@ def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
             yield Finding(Severity.BAD, f"{name}: {error}")
 
 
-def _lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
-    """Yield a finding whether the lags of mouth servos that report no position are known.
+def _check_lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
+    """Yield a finding on mouth servos that report no position: whether their lags are known.
 
-    Lag: of the servo behind its goals, from the calibration. Nothing is yielded without such servos
-    or without a calibration.
+    Lag: how late the servo follows its goals, by the calibration. Nothing is yielded without such
+    servos, or without a calibration.
     """
     from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.runtime.servos.assembly import assemble_face
 
-    can, names = settings.capabilities, list(settings.servos)
-    blind = [name for name in settings.mouth_servos if not can.of(names.index(name)).place]
+    capabilities, names = settings.capabilities, list(settings.servos)
+    blind = [name for name in settings.mouth_servos if not capabilities.of(names.index(name)).place]
     if not blind or settings.calibration is None:
         return
     calibration = assemble_face(config, None).calibration
@@ -72,15 +75,18 @@ def _lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
             f"{blind[0]}=60`",
         )
         return
-    late_s = dict(zip(calibration.servo_names, calibration.following.lag_s.tolist(), strict=True))
-    late = ", ".join(f"{name} {1e3 * late_s[name]:.0f} ms" for name in blind)
+    lag_s = dict(zip(calibration.servo_names, calibration.following.lag_s.tolist(), strict=True))
+    lags_text = ", ".join(f"{name} {1e3 * lag_s[name]:.0f} ms" for name in blind)
     yield Finding(
-        Severity.GOOD, f"late by the calibration, which these servos cannot confirm: {late}"
+        Severity.GOOD, f"late by the calibration, which these servos cannot confirm: {lags_text}"
     )
 
 
-def _computer(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
-    """Yield what this computer can do for the face; nothing for servos on several buses."""
+def _check_cpu(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
+    """Yield findings on whether this computer is fast enough for the face; takes some seconds.
+
+    Nothing for servos on several buses, which cannot be simulated by their bytes.
+    """
     from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.commands.build.within_reach import face_cost, within_reach
 
@@ -128,18 +134,18 @@ def doctor(
 
     settings, _ = load_settings(config)
     if not RUNS_FACES:
-        _print([Finding(Severity.BAD, *_OTHER_SYSTEM)], as_json=as_json)
+        _print_findings([Finding(Severity.BAD, *_OTHER_SYSTEM)], as_json=as_json)
     settings = settings.at_port(port_of(port, settings.servo_port or settings.bus.port))
     if report is not None:
-        _report(settings, config, report, seconds=seconds, move=move, yes=yes, as_json=as_json)
+        _make_report(settings, config, report, seconds=seconds, move=move, yes=yes, as_json=as_json)
         return
     if move is not None or yes:
         raise typer.BadParameter("--move and --yes need --report")
-    found = (_examined(settings), _lags(settings, config), _computer(settings, config))
-    _print(chain(*found), as_json=as_json)
+    found = (_check_bus(settings), _check_lags(settings, config), _check_cpu(settings, config))
+    _print_findings(chain(*found), as_json=as_json)
 
 
-def _print(found: "Iterable[Finding]", *, as_json: bool) -> None:
+def _print_findings(found: "Iterable[Finding]", *, as_json: bool) -> None:
     """Print findings as they come, or all as JSON. Raises typer.Exit with 1 where one is bad."""
     from firmware_bridge.bus_kinds import Severity
 
@@ -161,7 +167,7 @@ def _print(found: "Iterable[Finding]", *, as_json: bool) -> None:
         raise typer.Exit(1)
 
 
-def _report(
+def _make_report(
     settings: "FaceSettings",
     config: str,
     file: Path,
@@ -189,38 +195,39 @@ def _report(
     joint = move or next(iter(settings.servos))
     for each in (file, text_file):
         check_output(each)
+    # Secrets: names and paths, which the report must not contain.
     names, secrets = ", ".join(settings.servos), secrets_of(settings, config)
-    _consent(f"The servos are let go, and what they hold falls: {names}. Go on", yes=yes)
+    _require_consent(f"The servos are let go, and what they hold falls: {names}. Go on", yes=yes)
     status = 0
     with DeferredSignals() as signals:
         try:
-            found: dict[str, Any] = about_face(settings)
+            report: dict[str, Any] = about_face(settings)
             MESSAGES.print("examining")
-            found["findings"] = examined(settings, secrets, _examined)
+            report["findings"] = examined(settings, secrets, _check_bus)
             MESSAGES.print(f"reading and writing for {seconds:g} s")
             try:
-                found["limp_loop"] = _limp_loop(settings, seconds)
+                report["limp_loop"] = _measure_limp_loop(settings, seconds)
             except BusError as error:
                 complain(f"{error}; the report has this, too")
-                found["limp_loop"] = {"error": scrubbed(str(error), secrets)}
+                report["limp_loop"] = {"error": scrubbed(str(error), secrets)}
         except StopRequested as stop:
             status = 128 + stop.number
             with suppress(StopRequested), signals.finish_first():
                 complain(f"stopped by {stop}; the servos are let go, and nothing was written")
     if status:
         raise typer.Exit(status)
-    found["steps"] = None
-    failure = found["limp_loop"].get("error")
-    n_bad = sum(each["severity"] == "bad" for each in found["findings"])
+    report["steps"] = None
+    failure = report["limp_loop"].get("error")
+    n_bad = sum(each["severity"] == "bad" for each in report["findings"])
     if failure is None and (move is not None or _wants_steps(joint, yes=yes)):
         if move is not None:
-            _consent(_move_question(joint), yes=yes)
-        found["steps"] = _steps(settings, joint)
+            _require_consent(_move_question(joint), yes=yes)
+        report["steps"] = _measure_steps(settings, joint)
     with written_whole(file) as whole, written_whole(text_file) as text:
-        whole.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n")
-        text.write_text(as_text(found))
+        whole.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")
+        text.write_text(as_text(report))
     if as_json:
-        print_json({"bad": n_bad, "findings": found["findings"], "error": failure or ""})
+        print_json({"bad": n_bad, "findings": report["findings"], "error": failure or ""})
     else:
         RESULTS.print(
             f"{file} and {text_file.name} ({n_bad} bad findings): read them, then send them "
@@ -231,6 +238,7 @@ def _report(
 
 
 def _move_question(joint: str) -> str:
+    """Return the question, for a person, whether `joint` may be moved."""
     from lipservo.health.hardware_report import STEP_DEG
 
     return (
@@ -246,7 +254,7 @@ def _wants_steps(joint: str, *, yes: bool) -> bool:
     return typer.confirm(_move_question(joint), default=False, err=True)
 
 
-def _consent(question: str, *, yes: bool) -> None:
+def _require_consent(question: str, *, yes: bool) -> None:
     """Raise UserError unless `yes`, or the question is confirmed at the terminal."""
     if not yes and not sys.stdin.isatty():
         raise UserError(f"{question}? No terminal can be asked; give --yes")
@@ -254,7 +262,7 @@ def _consent(question: str, *, yes: bool) -> None:
         raise UserError("not confirmed, so nothing was done or written")
 
 
-def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
+def _measure_limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
     """Switch torque off; read and write the limp servos for `seconds`, and return measurements.
 
     They are those of `hardware_report.limp_loop`, and `n_confirmed_limp`. Servos that do not
@@ -275,7 +283,7 @@ def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
     return {"n_confirmed_limp": len(released.confirmed), **report}
 
 
-def _steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:
+def _measure_steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:
     """Step the joint to and fro; return its label, the tick rate (Hz), and how it answered.
 
     Answers are empty for a servo that reports no position. Raises FaceStopped when a person stops

@@ -54,7 +54,7 @@ def jog(
     if limp and dashboard:
         raise typer.BadParameter("give --limp or --dashboard, not both")
     if limp:
-        _turn(settings, config, port, [joint] if joint else list(settings.servos))
+        _note_ranges(settings, config, port, [joint] if joint else list(settings.servos))
     elif dashboard:
         _jog_on_page(settings, config, open_page=open_page)
     elif joint is None:
@@ -62,7 +62,7 @@ def jog(
     elif deg is None:
         _jog_with_keys(settings, config, joint)
     else:
-        _move(settings, {joint: deg}, hold_s, may_jump=False)
+        _move_and_report(settings, {joint: deg}, hold_s, may_jump=False)
 
 
 def neutral(
@@ -73,7 +73,7 @@ def neutral(
     ] = False,
 ) -> None:
     """Move every joint to its neutral, within limits and speeds; then switch torque off."""
-    _move(_settings(port, config), None, 0.5, may_jump=yes)
+    _move_and_report(_settings(port, config), None, 0.5, may_jump=yes)
 
 
 def _settings(port: str | None, config: str) -> "FaceSettings":
@@ -83,7 +83,7 @@ def _settings(port: str | None, config: str) -> "FaceSettings":
     return settings if port is None else settings.at_port(port)
 
 
-def _move(
+def _move_and_report(
     settings: "FaceSettings", wanted_deg: dict[str, float] | None, hold_s: float, *, may_jump: bool
 ) -> None:
     """Move joints as `move_to` does, and print where each ended, of a hobby servo in us as well.
@@ -165,7 +165,7 @@ def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
             if key is None:
                 return True
             if limit := _LIMIT_KEYS.get(key):
-                RESULTS.print(_with_limit(hand, config, limit))
+                RESULTS.print(_write_limit(hand, config, limit))
                 return True
             why_not = hand.press(key, bridge, time_s)
             if why_not is not None:
@@ -176,10 +176,11 @@ def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
     raise typer.Exit(exit_status(report, signal_number))
 
 
-def _with_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
+def _write_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
     """Write the joint's present pulse as `limit` into the face's YAML; return a result line.
 
-    limit: which pulse limit. The line reports what was written, or why nothing was.
+    hand: the joint. limit: `min`, `neutral` or `max`. The line reports what was written, or why
+    nothing was.
     """
     from lipservo.settings.found_limits import own_yaml, what_next, with_pulse_limit
 
@@ -193,7 +194,7 @@ def _with_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
     return f"{hand.name}: {limit} is {hand.place:.0f} us in {edit.path.name}; it {what_next(edit)}"
 
 
-def _turn(settings: "FaceSettings", config: str, port: str | None, names: list[str]) -> None:
+def _note_ranges(settings: "FaceSettings", config: str, port: str | None, names: list[str]) -> None:
     """Switch torque off, and record how far joints are turned by hand; w writes it to the YAML.
 
     names: of the joints. port: None: the YAML's. config: the face's name or YAML path.
@@ -238,21 +239,24 @@ def _turn(settings: "FaceSettings", config: str, port: str | None, names: list[s
                 "Turn each joint to both of its ends. w: write the limits; r: begin anew; q: end"
             )
             turned = TurnedRange(servos.names)
-            _watch(servos, turned, keys, signals, config)
+            _show_positions(servos, turned, keys, signals, config)
         except StopRequested as stop:
             status = 128 + stop.number
             complain(f"stopped by {stop}; torque stays off")
     raise typer.Exit(status)
 
 
-def _watch(
+def _show_positions(
     servos: "LimpServos",
     turned: "TurnedRange",
     keys: "PressedKeys",
     signals: "DeferredSignals",
     config: str,
 ) -> None:
-    """Show the joints' positions until q or w is pressed; with w write their ranges to the YAML."""
+    """Show the limp joints' positions and ranges until q or w is pressed; r begins them anew.
+
+    w writes the ranges into the YAML of the face, `config`.
+    """
     from rich.live import Live
 
     from lipservo.runtime.servos.limp_servos import READ_EVERY_S

@@ -22,11 +22,11 @@ _INPUT_ENDED: Final = (
 
 @dataclass(slots=True)
 class _Work:
-    """The planned changes of servo registers and those done, as (joint, register).
+    """The set-up of some servos: the planned changes of their registers, and those done.
 
-    servos: to be set up, with a joint each. plans: for one servo each, as far as they were reached.
-    tools: functions that set up servos on this kind of bus
-    (`BusKind.workshop`).
+    tools: functions that set up servos on this kind of bus (`BusKind.workshop`). servos: to be set
+    up, each with its joint. plans: of one servo each, for the servos reached so far. done: (joint,
+    register) of each change that was written.
     """
 
     tools: Any
@@ -96,12 +96,12 @@ def setup_servos(
         )
         return
     chosen = [servos[name] for name in joints or servos]
-    at, rate = port_of(port, settings.bus.port), getattr(settings.bus, "baud_rate", 0)
-    work = _Work(tools, chosen, at, rate, dry_run, as_json)
+    servo_port, rate = port_of(port, settings.bus.port), getattr(settings.bus, "baud_rate", 0)
+    work = _Work(tools, chosen, servo_port, rate, dry_run, as_json)
     status, error = 0, ""
     with DeferredSignals() as signals:
         try:
-            _set_up(work, signals, ask=joints is None or len(chosen) > 1)
+            _set_up_servos(work, signals, ask=joints is None or len(chosen) > 1)
         except StopRequested as stop:
             status, error = 128 + stop.number, f"stopped by {stop}"
         except (UserError, BusError) as failure:
@@ -109,12 +109,12 @@ def setup_servos(
         except typer.Abort:
             status, error = 1, _INPUT_ENDED
         with contextlib.suppress(StopRequested), signals.finish_first():
-            _report(work, error)
+            _print_result(work, error)
     if status:
         raise typer.Exit(status)
 
 
-def _set_up(work: _Work, signals: "DeferredSignals", *, ask: bool) -> None:
+def _set_up_servos(work: _Work, signals: "DeferredSignals", *, ask: bool) -> None:
     """Write settings into servos, all connected together or one at a time; add plans to `work`.
 
     ask: if the chain is not complete, prompt for each servo to be connected alone; False: take the
@@ -124,13 +124,14 @@ def _set_up(work: _Work, signals: "DeferredSignals", *, ask: bool) -> None:
     tools, servos = work.tools, work.servos
     with tools.unhurried_line(work.port, work.baud_rate) as line:
         found = tools.find_servos(line, [servo.joint.servo_id for servo in servos], work.baud_rate)
+        # All at once if each answers at its own id; else one that may not be asked for, alone.
         if tools.chain_is_complete(servos, found):
             work.plans = tools.plan_chain(line, servos, found, work.baud_rate)
         elif not ask or sum(map(len, found.values())) > 1:
             missing = [each for each in servos if each.joint.servo_id not in found]
             work.plans = [tools.plan_alone(line, missing[0], found, work.baud_rate)]
         for plan in work.plans:
-            _carry_out(work, line, plan, signals)
+            _write_changes(work, line, plan, signals)
     if work.plans:
         return
     for servo in servos:
@@ -140,10 +141,10 @@ def _set_up(work: _Work, signals: "DeferredSignals", *, ask: bool) -> None:
         with tools.unhurried_line(work.port, work.baud_rate) as line:
             found = tools.find_servos(line, [servo.joint.servo_id], work.baud_rate)
             work.plans.append(tools.plan_alone(line, servo, found, work.baud_rate))
-            _carry_out(work, line, work.plans[-1], signals)
+            _write_changes(work, line, work.plans[-1], signals)
 
 
-def _carry_out(work: _Work, line: Any, plan: Any, signals: "DeferredSignals") -> None:
+def _write_changes(work: _Work, line: Any, plan: Any, signals: "DeferredSignals") -> None:
     """Write one servo's register changes; in a dry run only print them.
 
     line: the open serial bus. plan: the servo's changes. signals: a signal is handled between two
@@ -168,7 +169,7 @@ def _carry_out(work: _Work, line: Any, plan: Any, signals: "DeferredSignals") ->
     work.say(f"{name}: set up as id {plan.servo.joint.servo_id}")
 
 
-def _report(work: _Work, error: str) -> None:
+def _print_result(work: _Work, error: str) -> None:
     """Print the result as JSON if wanted, and any error with the changes written and unwritten."""
     if work.as_json:
         servos = [

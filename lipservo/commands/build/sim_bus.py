@@ -12,14 +12,14 @@ import typer
 from lipservo.commands.options import Bus
 from lipsync.errors import UserError
 
-#: Characters.
+#: Characters of a file with faults.
 _LONGEST_SCRIPT = 100_000
-#: Bytes of what hands do between two rounds.
-_LONGEST_LINE = 4096
-#: A face of ten, as `face_sim`.
+#: Lines on standard input turn servos, as hands would: so many bytes are read at a time.
+_MOST_BYTES = 4096
+#: As many as the face `face_sim` has.
 _N_SERVOS = 10
-#: What is simulated without a face.
-_SIMULATED = "dynamixel"
+#: The kind of servos that is simulated without a face.
+_DEFAULT_KIND = "dynamixel"
 
 
 def sim_bus(
@@ -29,7 +29,7 @@ def sim_bus(
     bus: Bus = None,
     kind: Annotated[
         str, typer.Option(help="Without --config: kind of servos: dynamixel, maestro, feetech.")
-    ] = _SIMULATED,
+    ] = _DEFAULT_KIND,
     servos: Annotated[
         int, typer.Option(min=1, max=252, help="Without --config: number of servos.")
     ] = _N_SERVOS,
@@ -81,7 +81,7 @@ def sim_bus(
     if face is not None and bus is not None:
         face = face.of_bus(bus)
     simulator = (bus_kind(kind) if face is None else face.bus_kind).simulator()
-    script = None if faults is None else _script(faults)
+    script = None if faults is None else _read_script(faults)
     try:
         request = SimulationRequest(servos, first_id, model, baud_rate, script, log, chain_stops)
         host = simulator.serve(None if face is None else face.wiring, link, request)
@@ -102,16 +102,18 @@ def sim_bus(
     sys.stdout.write(f"{link or host.port}\n")
     sys.stdout.flush()
     try:
-        hands = sys.stdin.fileno() if until_stdin_closes else None
-        host.serve(lambda: stopped, hands)
-        while hands is not None and not stopped and (line_bytes := os.read(hands, _LONGEST_LINE)):
-            _turn(host, line_bytes.decode("ascii", "replace"))
-            host.serve(lambda: stopped, hands)
+        # Serve until a signal. A line on standard input interrupts that, to turn servos; where the
+        # input ends, the simulator does.
+        stdin = sys.stdin.fileno() if until_stdin_closes else None
+        host.serve(lambda: stopped, stdin)
+        while stdin is not None and not stopped and (line_bytes := os.read(stdin, _MOST_BYTES)):
+            _turn_servos(host, line_bytes.decode("ascii", "replace"))
+            host.serve(lambda: stopped, stdin)
     finally:
         host.close()
 
 
-def _turn(host: Any, lines: str) -> None:
+def _turn_servos(host: Any, lines: str) -> None:
     """Turn a simulated servo as a hand would for each line `INDEX DEG`; ignore other lines.
 
     host: the simulator.
@@ -122,7 +124,7 @@ def _turn(host: Any, lines: str) -> None:
             host.turn(int(index), float(by_deg))
 
 
-def _script(file: Path) -> str:
+def _read_script(file: Path) -> str:
     """Return the text of a fault script. Raises UserError if unreadable, not UTF-8 or too long."""
     try:
         with file.open(encoding="utf-8") as opened:

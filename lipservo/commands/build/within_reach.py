@@ -21,12 +21,12 @@ from lipservo.runtime.sound import entered_sound
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S
 from lipservo.settings.sections import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 
-#: The first steps make tables that later ones use; they are not counted.
+#: The first steps build tables that later ones use; they are not counted.
 _WARM_UP_S: Final = 0.5
-#: A process that takes more of a core has no time left for what comes between.
+#: The largest share of a core that a process should take: the rest is for other work in between.
 _MOST: Final = 0.7
-#: What a page with one viewer takes, by what hearing and motion take: .041 of a core where these
-#: take .23 (`bench face`, x86_64).
+#: Work for a page with one viewer as a share of that for recognition and motion: .041 of a core
+#: where these take .23 (`bench face`, x86_64).
 _PAGE_RATIO: Final = 0.18
 _LESS: Final = "let less run beside it"
 
@@ -57,7 +57,7 @@ def face_cost(
     costs_s = []
     with requested.live_board() as board, entered_sound(requested.request) as source, bus:
         bridge = bridge_for(settings, bus, channel)
-        # By a clock that stands still no recogniser is too slow, and none computes ahead.
+        # By a timer that stands still the recogniser is never too slow, and never computes ahead.
         speech = FaceSpeech(requested, source, channel, board=board, timer_s=lambda: 0.0)
         bridge.start()
         due_s = zero_s = clock.now()
@@ -84,6 +84,7 @@ def within_reach(
 
     Hearing, loop and page are processes of their own, each on one of `n_cores` at a time.
     """
+    # Seconds of processor time in one second, of each of the three processes.
     hearing, loop, page = cost.speech_s, cost.tick_s * rate_hz, _PAGE_RATIO * cost.speech_s
     takes = f"hearing and moving the mouth live takes {hearing:.2f} s a second, measured now"
     if hearing <= _MOST:
@@ -101,8 +102,8 @@ def within_reach(
     if rate_hz <= highest_hz:
         yield Finding(Severity.GOOD, f"{takes}: up to {highest_hz:.0f} Hz are within reach")
     else:
-        can = highest_hz >= LOWEST_RATE_HZ
-        remedy = f"`rate_hz: {math.floor(highest_hz)}` in the YAML" if can else _LESS
+        is_possible = highest_hz >= LOWEST_RATE_HZ
+        remedy = f"`rate_hz: {math.floor(highest_hz)}` in the YAML" if is_possible else _LESS
         yield Finding(Severity.WARNING, f"{takes}: too much", remedy)
     takes = f"a page with one viewer takes about {page:.2f} s a second more, reckoned from that"
     if page <= _MOST and hearing + loop + page <= _MOST * (n_cores or 1):

@@ -49,7 +49,7 @@ def dashboard(
     """
     check_dashboard()
     if parent is not None:
-        _serve_beside(parent)
+        _become_background_child(parent)
     from lipservo.access.token_file import read_token
     from lipservo.dashboard.child import bound_dashboard
 
@@ -112,32 +112,32 @@ def _has_a_screen() -> bool:
 def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
     """Return a function that finds the control socket of a running face.
 
-    The face named `face`, at `control`, or the only one that runs. At later calls the function
-    finds a face of the same name, also if that was started again. It raises UserError,
-    ControlError.
+    It is the face named `face`, that at `control`, or the only one that runs. Later calls of the
+    function find a face of the same name, which may have been started again. The function raises
+    UserError and ControlError.
     """
-    meant = [face]
+    wanted_name = [face]
 
     def find() -> Path:
         """Return the path of the face's control socket; keep the face's name for later calls."""
-        faces = chosen_faces(meant[0], control)
+        faces = chosen_faces(wanted_name[0], control)
         if not faces:
             raise UserError("no face runs; start one with `lipservo daemon`")
         if len({each.name for each in faces}) > 1:
             names = ", ".join(sorted(each.name for each in faces))
             raise UserError(f"several faces run: {names}; choose one with --face")
-        meant[0] = faces[0].name
+        wanted_name[0] = faces[0].name
         return faces[0].path
 
     return find
 
 
-def _serve_beside(parent: int) -> None:
+def _become_background_child(parent: int) -> None:
     """Run at low priority, and end with process `parent`; raise typer.Exit if that has ended."""
     from firmware_bridge.process.operating_system import die_with_parent, write_from_background
 
     die_with_parent()
     write_from_background()
     os.nice(5)
-    if os.getppid() != parent:  # it was gone before we asked
+    if os.getppid() != parent:  # the parent ended before the first line took effect
         raise typer.Exit(1)

@@ -20,7 +20,10 @@ _SOUNDS: Final = Path("lipservo") / "sounds"
 
 
 def with_sounds(voice: VoiceOptions | None) -> VoiceOptions:
-    """Return the voice, silent for None, with its folder of sound files, or with one made here."""
+    """Return the voice options with a folder of sound files; None: those of a silent voice.
+
+    A voice without such a folder gets one among the user's data, which is created if missing.
+    """
     voice = voice or VoiceOptions()
     if voice.sounds is not None:
         return voice

@@ -105,8 +105,8 @@ def exported_text(
 
 def _visemes(events: Sequence[PhonemeEvent], times_s: Array, tightest_s: Array) -> Iterator[Array]:
     """Yield the rows of `viseme_weights`, computed for a minute or so at a time."""
-    for at in range(0, len(times_s), _ROWS_AT_ONCE):
-        yield from viseme_weights(events, times_s[at : at + _ROWS_AT_ONCE], tightest_s)
+    for i in range(0, len(times_s), _ROWS_AT_ONCE):
+        yield from viseme_weights(events, times_s[i : i + _ROWS_AT_ONCE], tightest_s)
 
 
 def _cue_text(cues: Sequence[MouthCue], request: Exported, duration_s: float) -> str:

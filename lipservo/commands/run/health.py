@@ -58,20 +58,23 @@ def health(
             "seconds while they run",
         )
     for name, history in histories.items():
-        _print(name, history)
+        _print_history(name, history)
 
 
-def _print(name: str, history: History) -> None:
-    """Print a face's servos and what is getting worse; without readings, only unreadable files."""
+def _print_history(name: str, history: History) -> None:
+    """Print a table of a face's servos, and findings on what is getting worse.
+
+    name: of the face. Files and lines that cannot be read are printed first.
+    """
     for line in history.bad_files:
         MESSAGES.print(line)
     if history.n_bad_lines:
         MESSAGES.print(f"{name}: {history.n_bad_lines} unreadable lines of the log were left out")
     if not history.n_readings:
         return
-    every = [day.day for days in history.servos.values() for day in days]
-    n_days = len(set(every))
-    span = f"{max(every)}" if n_days == 1 else f"{min(every)} to {max(every)}, {n_days} days"
+    dates = [day.day for days in history.servos.values() for day in days]
+    n_days = len(set(dates))
+    span = f"{max(dates)}" if n_days == 1 else f"{min(dates)} to {max(dates)}, {n_days} days"
     table = Table(
         title=f"{escape(name)}, {span}, {history.n_readings} readings",
         title_justify="left",
@@ -81,7 +84,7 @@ def _print(name: str, history: History) -> None:
     for header in ("°C now", "max", "load", "mA", "V min", "errors", "reboots", "unanswered"):
         table.add_column(header, justify="left" if header == "errors" else "right")
     for servo, days in history.servos.items():
-        table.add_row(servo, *_row(days))
+        table.add_row(servo, *_servo_cells(days))
     RESULTS.print(table)
     lines = findings(history.servos)
     grid = Table.grid(padding=(0, 1))
@@ -91,32 +94,32 @@ def _print(name: str, history: History) -> None:
     RESULTS.print()
 
 
-def _row(days: Sequence[ServoDay]) -> list[str]:
+def _servo_cells(days: Sequence[ServoDay]) -> list[str]:
     """Return a servo's table cells: newest figures, and extremes, errors and counts of all days."""
     errors = 0
     for day in days:
         errors |= day.errors
     return [
-        _text(_newest([day.latest_degc for day in days]), "{:.0f}"),
-        _text(max(_known([day.hottest_degc for day in days]), default=math.nan), "{:.0f}"),
-        _text(_newest([day.load for day in days]), "{:.0%}"),
-        _text(_newest([day.current_ma for day in days]), "{:.0f}"),
-        _text(min(_known([day.least_v for day in days]), default=math.nan), "{:.1f}"),
+        _cell(_last_known([day.latest_degc for day in days]), "{:.0f}"),
+        _cell(max(_without_nan([day.hottest_degc for day in days]), default=math.nan), "{:.0f}"),
+        _cell(_last_known([day.load for day in days]), "{:.0%}"),
+        _cell(_last_known([day.current_ma for day in days]), "{:.0f}"),
+        _cell(min(_without_nan([day.least_v for day in days]), default=math.nan), "{:.1f}"),
         describe_errors(errors),
         str(sum(day.n_reboots for day in days)),
         str(sum(day.n_unanswered for day in days)),
     ]
 
 
-def _known(values: list[float]) -> list[float]:
+def _without_nan(values: list[float]) -> list[float]:
     return [value for value in values if not math.isnan(value)]
 
 
-def _newest(values: list[float]) -> float:
-    return next(reversed(_known(values)), math.nan)
+def _last_known(values: list[float]) -> float:
+    return next(reversed(_without_nan(values)), math.nan)
 
 
-def _text(value: float, form: str) -> str:
+def _cell(value: float, form: str) -> str:
     return "-" if math.isnan(value) else form.format(value)
 
 

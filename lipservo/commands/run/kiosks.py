@@ -14,13 +14,13 @@ from lipservo.commands.run.status_words import motion_words, state_words
 from lipservo.runtime.servos.letting_go import Outcome
 from lipservo.terminal.output import print_json
 
-#: A dashboard answers from what it knows.
+#: A dashboard answers at once, from the status that it has.
 _STATUS_S: Final = 2.0
 #: Easing takes 2 s, a bridge that hangs in it is noticed and its servos let go in as much again.
 _END_S: Final = 10.0
 
-#: Of one face: what is told for machines, for a person, and whether it is as was wanted.
-_Report = tuple[dict[str, Any], str, bool]
+#: Of one face: its answer for JSON, the same as text for a person, and whether all is well.
+_FaceResult = tuple[dict[str, Any], str, bool]
 
 
 def status_of_kiosks(on: Path, *, as_json: bool) -> None:
@@ -30,7 +30,7 @@ def status_of_kiosks(on: Path, *, as_json: bool) -> None:
     """
     here = version("lipservo")
 
-    def report_of(name: str, answer: dict[str, Any]) -> _Report:
+    def report_of(name: str, answer: dict[str, Any]) -> _FaceResult:
         """Return a dashboard's answer, its text for a person, and whether versions are equal.
 
         Raises KioskError if the face behind the dashboard does not answer, or its version is too
@@ -49,7 +49,7 @@ def status_of_kiosks(on: Path, *, as_json: bool) -> None:
             line += f"\n  {each}"
         return answer, line, there == here
 
-    _ask_all(
+    _print_answers(
         read_kiosks(on), KioskRequest("GET", "/api/status", _STATUS_S), report_of, as_json=as_json
     )
 
@@ -60,17 +60,17 @@ def stop_kiosks(on: Path, level: StopLevel, *, end: bool, as_json: bool) -> None
     end: daemons end, too. Raises SettingsError; typer.Exit with 1 unless all servos confirmed.
     """
 
-    def report_of(name: str, answer: dict[str, Any]) -> _Report:
-        outcome = _outcome(name, answer, level)
+    def report_of(name: str, answer: dict[str, Any]) -> _FaceResult:
+        outcome = _stop_outcome(name, answer, level)
         return outcome.as_dict(), outcome.text(), outcome.is_confirmed
 
     body = {"level": level.value, "wait_s": _END_S, "end": end}
-    # The dashboard waits for the end so long; then it says that none came.
+    # The dashboard waits for the stop's report for `wait_s`, then it answers without one.
     request = KioskRequest("POST", "/api/stop", _END_S + _STATUS_S, body)
-    _ask_all(read_kiosks(on), request, report_of, as_json=as_json)
+    _print_answers(read_kiosks(on), request, report_of, as_json=as_json)
 
 
-def _outcome(name: str, answer: dict[str, Any], level: StopLevel) -> Outcome:
+def _stop_outcome(name: str, answer: dict[str, Any], level: StopLevel) -> Outcome:
     """Return the outcome of a stop from the answer of a face's dashboard."""
     outcome = Outcome(name)
     report = answer.get("report")
@@ -88,15 +88,19 @@ def _outcome(name: str, answer: dict[str, Any], level: StopLevel) -> Outcome:
     return outcome
 
 
-def _ask_all(
+def _print_answers(
     kiosks: dict[str, Kiosk],
     request: KioskRequest,
-    report_of: Callable[[str, dict[str, Any]], _Report],
+    report_of: Callable[[str, dict[str, Any]], _FaceResult],
     *,
     as_json: bool,
 ) -> None:
-    """Ask all faces; print a line as each answers, on stderr where the result is JSON."""
-    out = sys.stderr if as_json else sys.stdout
+    """Send a request to all faces; print a line as each answers, on stderr if the result is JSON.
+
+    report_of: turns (name, answer) into the result of one face, or raises KioskError. Raises
+    typer.Exit with 1 unless all faces have answered and all is well.
+    """
+    stream = sys.stderr if as_json else sys.stdout
     faces: list[dict[str, Any]] = []
     is_good = True
 
@@ -108,15 +112,15 @@ def _ask_all(
         try:
             if isinstance(answer, KioskError):
                 raise answer
-            about, line, is_well = report_of(name, answer)
+            fields, line, is_well = report_of(name, answer)
         except KioskError as error:
-            about, line, is_well = {"error": str(error)}, f"{name}: {error}", False
+            fields, line, is_well = {"error": str(error)}, f"{name}: {error}", False
         is_good = is_good and is_well
         faces.append(
-            {**about, "name": name, "url": kiosks[name].url, "answer_s": round(seconds, 3)}
+            {**fields, "name": name, "url": kiosks[name].url, "answer_s": round(seconds, 3)}
         )
-        out.write(f"{line}\n")
-        out.flush()
+        stream.write(f"{line}\n")
+        stream.flush()
     if as_json:
         print_json({"faces": faces})
     if not is_good:

@@ -45,10 +45,11 @@ def takes_motion(command: Callable[..., None]) -> Callable[..., None]:
         motion = chosen_motion(**{name: given.pop(name) for name in options})
         command(**given, motion=motion)
 
-    shown: list[inspect.Parameter] = []
+    # The signature that typer reads: `motion` gives way to the options, all by keyword.
+    merged: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():
-        shown += options.values() if parameter.name == "motion" else [parameter]
-    shown = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in shown]
-    with_options.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
-    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in shown}
+        merged += options.values() if parameter.name == "motion" else [parameter]
+    merged = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in merged]
+    with_options.__signature__ = inspect.Signature(merged)  # type: ignore[attr-defined]
+    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in merged}
     return with_options

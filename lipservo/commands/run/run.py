@@ -107,7 +107,7 @@ def run(
     request = RunRequest(
         config,
         replace(
-            _sound(wav, mic, CLIP, label_file(phonemes, tier, alphabet), spoken_text(text)),
+            _chosen_sound(wav, mic, CLIP, label_file(phonemes, tier, alphabet), spoken_text(text)),
             channel=channel,
         ),
         motion_of(ChosenMotion(), config),
@@ -170,7 +170,7 @@ def daemon(
     settings = load_settings(config)[0]
     request = RunRequest(
         config,
-        replace(_sound(wav, mic, SILENCE), channel=channel),
+        replace(_chosen_sound(wav, mic, SILENCE), channel=channel),
         motion_of(ChosenMotion(), config),
         model=model,
         port=port or settings.servo_port,
@@ -260,7 +260,7 @@ def run_once(
     finish(request, outcome)
 
 
-def _sound(
+def _chosen_sound(
     wav: Path | None,
     mic: str | None,
     otherwise: Sound,
@@ -316,8 +316,8 @@ def finish(request: RunRequest, outcome: RunOutcome) -> None:
         print_json({**outcome.summary.as_dict(), "status": status, "stop": stop})
     elif not request.quiet:
         print_summary(outcome.summary, RESULTS)
-    heard, is_heard = outcome.summary, request.sound.kind in ("file", "microphone")
-    if is_heard and heard.phonemes == 0 and heard.duration_s > 1.0:
+    heard, listens = outcome.summary, request.sound.kind in ("file", "microphone")
+    if listens and heard.phonemes == 0 and heard.duration_s > 1.0:
         MESSAGES.print(
             f"{heard.source}: no speech was found in {heard.duration_s:.0f} s, so the mouth stayed "
             "at rest; check the file, --channel and level"

@@ -43,16 +43,16 @@ def ask_faces(
     *,
     as_json: bool,
 ) -> None:
-    """Send a request to each chosen face, and print its answer as a line, or all answers as JSON.
+    """Send a request to each chosen face; print its answer as a line, or all answers as JSON.
 
-    ask_one: sends the request to one face, returns the answer, {"error": one line} if refused;
-    line: returns an answer as text. Raises UserError where no face runs, typer.Exit with 1 where
-    one refused or did not answer.
+    face, control: as of `chosen_faces`. ask_one: sends the request to one face, and returns the
+    answer, {"error": one line} if it was refused. line: returns an answer as text. Raises UserError
+    where no face runs, typer.Exit with 1 where one refused or did not answer.
     """
     faces = chosen_faces(face, control)
     if not faces:
         raise UserError("no face answers; start one with `lipservo daemon`")
-    answers = [{"name": each.name, **_answered(each, ask_one)} for each in faces]
+    answers = [{"name": each.name, **_answer_or_error(each, ask_one)} for each in faces]
     if as_json:
         print_json({"faces": answers})
     for answer in answers:
@@ -65,7 +65,7 @@ def ask_faces(
         raise typer.Exit(1)
 
 
-def _answered(face: RunningFace, ask_one: Callable[[RunningFace], Answer]) -> Answer:
+def _answer_or_error(face: RunningFace, ask_one: Callable[[RunningFace], Answer]) -> Answer:
     """Return a face's answer to `ask_one`; {"error": reason} if the face cannot be queried."""
     try:
         return ask_one(face)

@@ -43,7 +43,7 @@ def servo(
     def request(each: RunningFace) -> dict[str, Any]:
         before = _n_reboots(ask(each.path, "status"), name)
         answer = switch_servo(each.path, name, switch)
-        return answer if "error" in answer else {**answer, **_confirmed(each, name, switch, before)}
+        return answer if "error" in answer else {**answer, **_wait_for(each, name, switch, before)}
 
     def answer_line(answer: dict[str, Any]) -> str:
         return answer.get("then") or f"servo {name} is {answer['state']}"
@@ -52,16 +52,16 @@ def servo(
 
 
 def _n_reboots(status: dict[str, Any], name: str) -> int:
-    """Return how often the face has restarted servo `name`, of which its health tells."""
+    """Return how often the face has restarted servo `name`, by the `health` in its status."""
     return sum(each["n_reboots"] for each in status.get("health") or () if each["name"] == name)
 
 
-def _confirmed(face: RunningFace, name: str, switch: ServoSwitch, before: int) -> dict[str, Any]:
+def _wait_for(face: RunningFace, name: str, switch: ServoSwitch, n_before: int) -> dict[str, Any]:
     """Poll the face until servo `name` has switched, 5 s at most.
 
-    before: its restarts until then; one that is ordered is done once there is another. Returns
-    {"state"}, with "error", one line, if that is not the state requested; with "then" where a
-    stopped face will do it at its start.
+    n_before: its number of restarts before the request; one requested is done once there are more.
+    Returns {"state"}; also "error", one line, if that is not the state requested, or "then", a
+    line, where a stopped face will switch the servo at its start.
     """
     give_up_s = time.monotonic() + _PATIENCE_S
     while True:
@@ -69,13 +69,13 @@ def _confirmed(face: RunningFace, name: str, switch: ServoSwitch, before: int) -
         state = dict(status.get("servos") or {}).get(name, "unknown")
         if switch is ServoSwitch.ON and status.get("stopped") is not None:
             return {"state": state, "then": f"servo {name} comes on when the face is started"}
-        is_due = switch is ServoSwitch.REBOOT and _n_reboots(status, name) <= before
+        is_due = switch is ServoSwitch.REBOOT and _n_reboots(status, name) <= n_before
         if state in _DONE[switch] and not is_due:
             return {"state": state}
         if time.monotonic() > give_up_s:
-            why = [
+            troubles = [
                 line for line in status.get("troubles", ()) if f"'{name}'" in line and not is_due
             ]
             what = "has not restarted" if is_due else f"is {state}"
-            return {"state": state, "error": "; ".join(why) or f"servo {name} {what}"}
+            return {"state": state, "error": "; ".join(troubles) or f"servo {name} {what}"}
         time.sleep(_LOOK_EVERY_S)

@@ -8,6 +8,7 @@ def state_words(status: dict[str, Any]) -> str:
     report = status.get("stop_report")
     if status["state"] == "stopped" and report is not None:
         n, left = len(report["confirmed"]), ", ".join(report["unconfirmed"])
+        # Servos that cannot confirm it, and those that did; the latter also if no others exist.
         words = [report.get("released_words"), f"limp, confirmed by {n} servos"]
         limp = "; ".join(filter(None, words if n else words[:1])) or words[1]
         limp += f", NOT by {left}" if left else ""

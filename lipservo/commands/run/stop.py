@@ -24,11 +24,11 @@ from lipservo.runtime.servos.letting_go import Outcome, faces_at, release, stop_
 from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
 
-#: Arming takes a second or two on real servos, ten on a computer that is very busy.
+#: Switching torque on takes a second or two on real servos, ten on a computer that is very busy.
 _START_S = 20.0
-_LOOK_EVERY_S = 0.1
-#: While it is brought up; any other state is the end of it.
-_ON_ITS_WAY = ("the bridge starts", "the bridge starts again", "starting", "driven")
+_POLL_S = 0.1
+#: States of a face that is being started; any other one ends the start.
+_STARTING_STATES = ("the bridge starts", "the bridge starts again", "starting", "driven")
 
 
 _FLAGS: Final = {"--limp": "limp", "--freeze": "freeze", "--end": "end"}
@@ -38,17 +38,17 @@ def run_without_parser(arguments: Sequence[str]) -> bool:
     """Run `stop`, `start` or `status` if all options are plain; else return False.
 
     arguments: of the command line, the command first. The parser takes as long to load as all else
-    together; it reports the options unknown here.
+    together. It gets the command lines refused here, and reports what is wrong with them.
     """
-    name, left = arguments[0], iter(arguments[1:])
+    name, words = arguments[0], iter(arguments[1:])
     given: dict[str, Any] = {}
-    for word in left:
+    for word in words:
         if word == "--json":
             given["as_json"] = True
         elif name == "stop" and word in _FLAGS:
             given[_FLAGS[word]] = True
         elif word in ("--face", "--control") or (word == "--on" and name != "start"):
-            value = next(left, "-")
+            value = next(words, "-")
             if value.startswith("-"):
                 return False
             given[word[2:]] = value if word == "--face" else Path(value)
@@ -85,7 +85,7 @@ def stop(
     if freeze and end:
         raise UserError("--freeze and --end: a face that has ended holds nothing")
     level = StopLevel.LIMP if limp else StopLevel.FREEZE if freeze else StopLevel.SOFT
-    if _is_elsewhere(on, face, control):
+    if _is_for_kiosks(on, face, control):
         from lipservo.commands.run.kiosks import stop_kiosks
 
         stop_kiosks(on, level, end=end, as_json=as_json)
@@ -95,7 +95,7 @@ def stop(
         raise UserError("no face answers; `lipservo limp --port PORT` switches torque off")
     with face_logs(face or ""):
         outcomes = stop_faces(faces, level, end=end)
-    _report(outcomes, as_json=as_json)
+    _print_outcomes(outcomes, as_json=as_json)
 
 
 def start(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
@@ -107,12 +107,12 @@ def start(face: FaceName = None, control: Control = None, as_json: Json = False)
 
     def started(each: RunningFace) -> dict[str, Any]:
         answer = start_face(each.path)
-        return answer if "error" in answer else _come_back(each)
+        return answer if "error" in answer else _await_driven(each)
 
     ask_faces(face, control, started, lambda one: f"driven{servo_words(one)}", as_json=as_json)
 
 
-def _come_back(face: RunningFace) -> dict[str, Any]:
+def _await_driven(face: RunningFace) -> dict[str, Any]:
     """Poll a started face until all servos hold that are not switched off, 20 s at most.
 
     Returns {"state", "servos", "torque"} of the last status, or {"error": reason} if they do not.
@@ -120,22 +120,22 @@ def _come_back(face: RunningFace) -> dict[str, Any]:
     give_up_s = time.monotonic() + _START_S
     while True:
         try:
-            found = ask(face.path, "status")
+            current = ask(face.path, "status")
         except TimeoutError:
-            found = {"state": _ON_ITS_WAY[0]}
-        state, servos = found.get("state"), dict(found.get("servos") or {})
-        troubles = "; ".join(found.get("troubles") or ())
+            current = {"state": _STARTING_STATES[0]}
+        state, servos = current.get("state"), dict(current.get("servos") or {})
+        troubles = "; ".join(current.get("troubles") or ())
         if state == "driven" and servos and set(servos.values()) - {"off"} == {"driven"}:
-            return {"state": state, "servos": servos, "torque": found.get("torque")}
-        if state not in _ON_ITS_WAY:
+            return {"state": state, "servos": servos, "torque": current.get("torque")}
+        if state not in _STARTING_STATES:
             return {"error": troubles or f"not driven: {state}"}
         if time.monotonic() > give_up_s:
-            without = f"{state}{servo_words(found)}" if servos else f"not driven: {state}"
-            return {"error": "; ".join(filter(None, (without, troubles)))}
-        time.sleep(_LOOK_EVERY_S)
+            state_text = f"{state}{servo_words(current)}" if servos else f"not driven: {state}"
+            return {"error": "; ".join(filter(None, (state_text, troubles)))}
+        time.sleep(_POLL_S)
 
 
-def _is_elsewhere(on: Path | None, face: str | None, control: Path | None) -> TypeGuard[Path]:
+def _is_for_kiosks(on: Path | None, face: str | None, control: Path | None) -> TypeGuard[Path]:
     """Return whether --on names faces of other computers. Raises UserError beside a face here."""
     if on is not None and (face is not None or control is not None):
         raise UserError("--on, --face, --control: give one of them")
@@ -149,7 +149,7 @@ def status(
 
     With --on: exit status 1 unless all listed faces answer.
     """
-    if _is_elsewhere(on, face, control):
+    if _is_for_kiosks(on, face, control):
         from lipservo.commands.run.kiosks import status_of_kiosks
 
         status_of_kiosks(on, as_json=as_json)
@@ -209,7 +209,7 @@ def limp(
             outcomes.append(release(port, settings))
     if not outcomes:
         raise UserError("no face runs; give --port PORT to let go of the servos there")
-    _report(outcomes, as_json=as_json)
+    _print_outcomes(outcomes, as_json=as_json)
 
 
 def _status_of(face: RunningFace) -> dict[str, Any]:
@@ -226,7 +226,7 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
     return {"state": "runs", **found, **answer, "pid": face.pid}
 
 
-def _report(outcomes: list[Outcome], *, as_json: bool) -> None:
+def _print_outcomes(outcomes: list[Outcome], *, as_json: bool) -> None:
     """Print the outcomes of a stop; raise typer.Exit with 1 unless every servo has confirmed."""
     if as_json:
         print_json({"faces": [outcome.as_dict() for outcome in outcomes]})

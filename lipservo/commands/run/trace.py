@@ -79,7 +79,7 @@ def diff(
             check_inputs(a, b, *(model or []))
             check_extra("matplotlib", "--plot")
         first, second = read_trace(a), read_trace(b)
-        models = _models((first, second), model or [])
+        models = _face_models((first, second), model or [])
         laid = overlay(first, second, (models[0], models[1]))
         if plot is not None:
             from lipservo.traces.trace_diff import draw_difference
@@ -94,12 +94,12 @@ def diff(
     if as_json:
         print_json({"same": not beyond, "beyond": beyond, "notes": notes, **_figures(first, found)})
     else:
-        _print(first, second, found, beyond, notes)
+        _print_difference(first, second, found, beyond, notes)
     if beyond:
         raise typer.Exit(1)
 
 
-def _models(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
+def _face_models(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
     """Return each trace's face model, found by checksum in `files` and the shipped one.
 
     Raises IncomparableError if a model is missing, or does not fit its trace.
@@ -121,6 +121,7 @@ def _models(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
 
 
 def _delay_note(first: Trace, second: Trace) -> list[str]:
+    """Return a line on the difference of the traces' delays from sound to face; [] if equal."""
     later_ms = 1e3 * (second.delay_s - first.delay_s)
     if abs(later_ms) < 0.05:
         return []
@@ -140,7 +141,7 @@ def _figures(first: Trace, found: Difference) -> dict[str, object]:
     return {**figures, "servos": servos}
 
 
-def _print(
+def _print_difference(
     first: Trace, second: Trace, found: Difference, beyond: Sequence[str], notes: Sequence[str]
 ) -> None:
     """Print how two traces differ: overlap, lips, lag, closures, servos, and the worst times.
@@ -172,6 +173,7 @@ def _print(
 
 
 def _servo_table(first: Trace, found: Difference) -> Table:
+    """Return a table of each servo's largest and RMS difference in degrees."""
     table = Table(box=None)
     for header in ("servo", "off deg, most", "rms"):
         table.add_column(header, justify="left" if header == "servo" else "right")

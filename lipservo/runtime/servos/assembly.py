@@ -89,27 +89,28 @@ def mouth_rules(face: FaceSettings) -> tuple[CouplingRule, ...]:
 def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
     """Read the settings stored in the mouth's servos; () if no servo of the face stores any.
 
-    One entry a mouth servo, in the YAML's order; None: it does not answer, or stores no settings.
-    Opens the port for this alone. Raises PortError, and ServoError where a servo differs from the
+    One entry for each mouth servo, in the YAML's order; None: it does not answer, or stores none.
+    Opens and closes the ports. Raises PortError, and ServoError where a servo differs from the
     face's YAML.
     """
     keys = [field.name for field in fields(ServoMemory)]
-    kept: dict[str, ServoMemory | None] = {}
+    memory_of: dict[str, ServoMemory | None] = {}
     for one in face.alone.values():
-        mouth = [name in one.mouth_servos for name in one.servos]
-        if not any(mouth):
+        is_mouth = [name in one.mouth_servos for name in one.servos]
+        if not any(is_mouth):
             continue
         wiring = one.wiring
-        of_mouth = replace(
+        mouth_wiring = replace(
             wiring,
-            joints=tuple(compress(wiring.joints, mouth)),
-            servos=tuple(compress(wiring.servos, mouth)),
+            joints=tuple(compress(wiring.joints, is_mouth)),
+            servos=tuple(compress(wiring.servos, is_mouth)),
         )
-        memories = one.bus_kind.memories(of_mouth)
-        for joint, memory in zip(of_mouth.joints, memories, strict=False):  # empty: they keep none
+        memories = one.bus_kind.memories(mouth_wiring)
+        # Empty where servos of this kind store no settings.
+        for joint, memory in zip(mouth_wiring.joints, memories, strict=False):
             servo_memory = None if memory is None else ServoMemory(*(memory[key] for key in keys))
-            kept[joint.name] = servo_memory
-    return tuple(kept.get(name) for name in face.mouth_servos) if kept else ()
+            memory_of[joint.name] = servo_memory
+    return tuple(memory_of.get(name) for name in face.mouth_servos) if memory_of else ()
 
 
 def bus_for(
@@ -121,12 +122,14 @@ def bus_for(
     unknown position may jump to neutral; a person must have agreed before.
     """
     if not face.buses:
+        # Recorded, so that torque at the port can be switched off without the face's settings.
         if face.servo_port is not None:
             note_port(face.bus)
         wiring = replace(wiring_of(face), may_jump=may_jump)
         return face.bus_kind.open(wiring, clock, strict=strict)
     if face.capabilities.in_memory:
-        # One clock and no thread: the same sound gives the same trace.
+        # All simulated servos share one bus, with one clock and no thread: the same sound gives the
+        # same trace.
         wiring = replace(face.wiring, capabilities=face.capabilities)
         return bus_kind(wiring.settings.kind).open(wiring, clock)
     buses = {
@@ -139,14 +142,20 @@ def bus_for(
 
 
 def wiring_of(face: FaceSettings) -> Wiring:
-    """Return the wiring of a face, which must have one bus, with the file for last pulses."""
+    """Return the wiring of a face, which must have one bus.
+
+    With the file in which the last pulses of hobby servos are kept; None for simulated servos.
+    """
     port = face.servo_port
-    kept = None if port is None else kept_pulses_path(face.name, port, os.environ)
-    return replace(face.wiring, kept=kept)
+    pulses_file = None if port is None else kept_pulses_path(face.name, port, os.environ)
+    return replace(face.wiring, kept=pulses_file)
 
 
 def simulated_wire(face: FaceSettings) -> tuple[ServoBus, ManualClock]:
-    """Return (bus, its clock) of the face's servos, simulated in memory down to each byte sent."""
+    """Return (bus, its clock) of the face's servos, simulated in memory down to each byte sent.
+
+    The face must have one bus.
+    """
     bus, clock = face.bus_kind.simulator().simulated_wire(face.wiring)
     return bus, clock
 
@@ -197,8 +206,8 @@ def assembled_face(settings: FaceSettings, folder: Path | None, model_path: Path
     calibration = parse_calibration(file.read_text(encoding="utf-8"), file.name)
     check_calibration(calibration, model, list(settings.mouth_servos), settings.checksum)
     check_servo_models(calibration, [servo.make or "" for servo in settings.mouth_servos.values()])
-    kept = replace(calibration, rules=mouth_rules(settings))
-    return Face(settings, model, kept, settings.joints(), folder)
+    with_rules = replace(calibration, rules=mouth_rules(settings))
+    return Face(settings, model, with_rules, settings.joints(), folder)
 
 
 def check_servos(face: Face) -> None:

@@ -30,7 +30,7 @@ from lipservo.settings.settings import FaceSettings
 _LOG: Final = logging.getLogger(__name__)
 
 
-def _of_the_servos(bridge: Mapping[str, object]) -> dict[str, object]:
+def _status_without_speech(bridge: Mapping[str, object]) -> dict[str, object]:
     """Return the status for JSON of a face without speech, given the bridge's status."""
     return whole_status(bridge, None).as_dict()
 
@@ -40,14 +40,15 @@ class ControlOptions:
     """The options of the control socket through which other programs command a face.
 
     path: of the socket; None: in the runtime folder. commands: handles its requests. describe:
-    makes the face's status, for JSON, from the bridge's. about: what every answer contains besides
-    the face's name and port. watched_fd: descriptor of the memory that a client may watch; None:
-    there is none. waits: after a stop the process waits, limp, for a start; otherwise it ends.
+    makes the face's status, for JSON, from the bridge's. about: fields that every answer contains
+    besides the face's name and port. watched_fd: descriptor of the shared memory that clients may
+    watch; None: there is none. waits: after a stop the process waits, limp, for a start; otherwise
+    it ends.
     """
 
     path: Path | None = None
     commands: CommandQueue = field(default_factory=CommandQueue)
-    describe: Callable[[Mapping[str, object]], Mapping[str, object]] = _of_the_servos
+    describe: Callable[[Mapping[str, object]], Mapping[str, object]] = _status_without_speech
     about: Mapping[str, object] = field(default_factory=dict)
     watched_fd: int | None = None
     waits: bool = False
@@ -107,25 +108,26 @@ def driven_face(
 ) -> Iterator[DrivenFace]:
     """Open the bus and the control socket, yield the driven face, and switch torque off at the end.
 
-    channel: yields the servo targets. bus: not yet entered; None: the face's own. Raises what the
-    bus raises, and ControlError where no socket can be made.
+    channel: holds the servo targets, read in each tick. options: None: the defaults. bus: not yet
+    entered; None: the face's own. Raises what the bus raises, and ControlError where no control
+    socket can be made.
     """
     how = options or DriveOptions()
-    watched = how.supervised
+    supervised = how.supervised
     if bus is None:
-        bus = bus_for(settings, clock, strict=watched is None)
+        bus = bus_for(settings, clock, strict=supervised is None)
     bridge = bridge_for(
         settings,
         bus,
         channel,
         rate_hz=how.rate_hz,
-        tolerant=watched is not None,
+        tolerant=supervised is not None,
         dry_run=how.dry_run,
-        given_up=None if watched is None else watched.given_up,
-        switched_off=() if watched is None else watched.switched_off,
+        given_up=None if supervised is None else supervised.given_up,
+        switched_off=() if supervised is None else supervised.switched_off,
     )
     with ExitStack() as stack:
-        if watched is None and not how.dry_run:
+        if supervised is None and not how.dry_run:
             stack.enter_context(guarded(settings))
         stack.enter_context(bus)
         life = face_life(settings.name, settings.servo_port, bridge, clock, how)
@@ -134,11 +136,13 @@ def driven_face(
 
 @contextmanager
 def guarded(settings: FaceSettings) -> Iterator[list[int]]:
-    """Start a guard at each port of a face, which lets the servos go once the face is dead.
+    """Start a guard process at each port of a face; it switches torque off once the face is dead.
 
-    Yields the descriptors that each process of the face must hold.
+    Yields the descriptors that each process of the face must keep open: by these a guard notices
+    that all of them have ended.
     """
     with ExitStack() as stack:
+        # `alone` has each bus as a face of its own.
         yield [
             stack.enter_context(
                 port_guard(
@@ -158,40 +162,40 @@ def face_life(
 ) -> Iterator[LifeCycle]:
     """Yield the life cycle (start to end) of a bridge, with logs, health log and control socket.
 
-    name: of the face. port: of its servos, None: simulated in memory. With a manual clock the life
-    cycle has no logs and no control socket.
+    name: of the face. port: of its servos; None: simulated in memory. With a manual clock, as in a
+    replay, there are no logs and no control socket.
     """
     if isinstance(clock, ManualClock):
         with LifeCycle(bridge, clock) as life:
             yield life
         return
-    control, watched = options.control, options.supervised
+    control, supervised = options.control, options.supervised
     about = {**control.about, "name": name, "port": port}
     path = control.path or socket_path(name)
-    answers = (about, control.commands, control.describe, control.watched_fd)
+    socket_parts = (about, control.commands, control.describe, control.watched_fd)
     with ExitStack() as stack:
-        if watched is None:
+        if supervised is None:
             stack.enter_context(face_logs(name, quiet=options.quiet))
-            listener = stack.enter_context(ControlSocket(path, *answers))
+            listener = stack.enter_context(ControlSocket(path, *socket_parts))
             for line in bridge.capabilities.warnings():
                 _LOG.warning("%s", line)
         else:
-            listener = ControlSocket(path, *answers, watched.control_fd)
+            listener = ControlSocket(path, *socket_parts, supervised.control_fd)
             stack.enter_context(listener)
             words = bridge.capabilities.released_words
-            for index, reason in watched.given_up.items():
+            for index, reason in supervised.given_up.items():
                 _LOG.warning("stays %s: %s: %s", words, bridge.names[index], reason)
-        healths = health_log(name, port, os.environ)
-        if healths is not None:
-            stack.enter_context(healths)
+        health = health_log(name, port, os.environ)
+        if health is not None:
+            stack.enter_context(health)
         links = LifeCycleLinks(
             listener,
-            None if watched is None else watched.lifeline,
+            None if supervised is None else supervised.lifeline,
             bridge.as_dict,
-            None if healths is None else healths.offer,
-            str if watched is None else watched.not_kept,
+            None if health is None else health.offer,
+            str if supervised is None else supervised.not_kept,
         )
-        stopped = None if watched is None else watched.stopped
+        stopped = None if supervised is None else supervised.stopped
         yield stack.enter_context(
             LifeCycle(bridge, clock, links, stopped=stopped, waits=control.waits)
         )

@@ -36,9 +36,9 @@ def drive_by_hand(
     """Hold the face in neutral until a person stops it; return (stop report, number of the signal).
 
     The number is None if no signal stopped it. config: the face's name or YAML path, for its
-    status. act: called with the bridge and the time in each tick, to give orders to the bridge; it
-    returns False to end: the face comes to rest and goes limp. bus: not yet entered; None: the
-    face's own. Raises what bus and bridge raise.
+    status. act: called in each tick with the bridge and the monotonic time, to give orders to the
+    bridge; when it returns False, the face comes to rest and goes limp. bus: not yet entered; None:
+    the face's own. Raises what bus and bridge raise.
     """
     channel = MemoryTargetChannel()
     with SilentBoard.create(settings, config) as board:
@@ -47,9 +47,9 @@ def drive_by_hand(
         with driven_face(settings, clock, channel, how, bus) as driven:
             bridge, life = driven.bridge, driven.life
             life.start()
-            begins_deg = driven.bus.read().start_deg(driven.bus.capabilities)
-            neutral_deg = np.zeros_like(begins_deg)
-            ramp = Ramp.at_speed(begins_deg, neutral_deg, clock.now(), SPEED_DEG_S)
+            start_deg = driven.bus.read().start_deg(driven.bus.capabilities)
+            neutral_deg = np.zeros_like(start_deg)
+            ramp = Ramp.at_speed(start_deg, neutral_deg, clock.now(), SPEED_DEG_S)
             for time_s, late in life.ticks():
                 if not life.stopping and not act(bridge, time_s):
                     life.stop()
@@ -59,7 +59,7 @@ def drive_by_hand(
     return life.report, life.signal_number
 
 
-#: What keys do: so far, in microseconds of a hobby servo and in degrees of others.
+#: How far a key moves the joint: a hobby servo in microseconds of its pulse, others in degrees.
 STEPS: Final = {
     "-": (-10.0, -1.0),
     "+": (10.0, 1.0),
@@ -69,7 +69,7 @@ STEPS: Final = {
 }
 NEUTRAL_KEY: Final = "0"
 AGREE_KEY: Final = "y"
-#: An order is renewed so often, while nobody is beyond a limit.
+#: The bridge ends a jog order that is not renewed; within the joint's limits it is, so often.
 _RENEW_S: Final = 1.0
 
 
@@ -84,8 +84,10 @@ class KeyedJoint:
         joint = next(each for each in settings.joints() if each.name == name)
         self.name, self.joint, self.pulse = name, joint, joint.pulse
         self.place = 0.0 if joint.pulse is None else joint.pulse.neutral_us
+        # Beyond the limits of its pulses: whether a person has agreed, and whether that was asked.
         self._may_go_beyond = self._may_confirm = False
-        self._renewed_s = -np.inf
+        # Monotonic time of the present jog order; -inf: there is none.
+        self._ordered_s = -np.inf
 
     @property
     def shown(self) -> str:
@@ -95,7 +97,7 @@ class KeyedJoint:
         return f"{self.name} {self.place:.0f} us ({self.pulse.deg(self.place):.1f} deg)"
 
     def press(self, key: str, bridge: Bridge, time_s: float) -> str | None:
-        """Carry out a pressed key; return "" if done, why if refused, None for an unknown key.
+        """Carry out a pressed key; return "" if done, the reason if refused, None if unknown.
 
         bridge: gets the jog order. time_s: monotonic time of the present tick.
         """
@@ -103,12 +105,12 @@ class KeyedJoint:
             self._may_go_beyond = True
             return ""
         if key == NEUTRAL_KEY:
-            return self._go(0.0 if self.pulse is None else self.pulse.neutral_us, bridge, time_s)
+            return self._jog(0.0 if self.pulse is None else self.pulse.neutral_us, bridge, time_s)
         if key not in STEPS:
             return None
         pulse_step, degree_step = STEPS[key]
         step = degree_step if self.pulse is None else pulse_step
-        return self._go(round(self.place + step, 1), bridge, time_s)
+        return self._jog(round(self.place + step, 1), bridge, time_s)
 
     def renew(self, bridge: Bridge, time_s: float) -> bool:
         """Renew the jog order once a second; return False in the tick after the bridge ended it.
@@ -117,16 +119,17 @@ class KeyedJoint:
         and so ends by itself. After the end the joint is back at neutral, and so is `place`.
         """
         if self.name not in bridge.jogged:
-            was_led, self._renewed_s = np.isfinite(self._renewed_s), -np.inf
-            if was_led:
+            had_order, self._ordered_s = np.isfinite(self._ordered_s), -np.inf
+            if had_order:
                 self.place = 0.0 if self.pulse is None else self.pulse.neutral_us
-            return not was_led
-        if self._is_within(self.place) and time_s - self._renewed_s >= _RENEW_S:
-            self._renewed_s = time_s
+            return not had_order
+        if self._is_within(self.place) and time_s - self._ordered_s >= _RENEW_S:
+            self._ordered_s = time_s
+            # Keeps the present order in force.
             bridge.obey(ArmJog(), time_s)
         return True
 
-    def _go(self, place: float, bridge: Bridge, time_s: float) -> str:
+    def _jog(self, place: float, bridge: Bridge, time_s: float) -> str:
         """Order the joint to go to `place`; return why that was refused, "" if it was not.
 
         place: in us for a hobby servo, in degrees for others. Beyond the limits of a hobby servo, a
@@ -135,14 +138,15 @@ class KeyedJoint:
         if not (self._is_within(place) or self._may_go_beyond):
             self._may_confirm = True
             return f"press {AGREE_KEY} to go beyond its limits"
+        # The bridge accepts an order only while jogging is armed.
         bridge.obey(ArmJog(), time_s)
         order = JogTo if self.pulse is None else JogPulse
         why_not = bridge.obey(order(self.name, place), time_s)
         if not why_not:
-            self.place, self._renewed_s = place, time_s
+            self.place, self._ordered_s = place, time_s
         return why_not
 
     def _is_within(self, place: float) -> bool:
         if self.pulse is None:
-            return True  # the gate refuses the rest
+            return True  # the safety gate refuses other angles
         return self.pulse.min_us <= place <= self.pulse.max_us

@@ -34,13 +34,14 @@ if TYPE_CHECKING:
     from firmware_bridge.bus_settings import BusSettings
     from lipservo.settings.settings import FaceSettings
 
-#: Easing takes 2 s, a bridge that hangs in it is noticed and its servos let go in as much again.
+#: Easing to rest takes 2 s; a bridge that hangs meanwhile is noticed, and its servos are let go, in
+#: as much again.
 _END_S = 10.0
 #: A port is free this long after its holder has died.
 _PORT_S = 2.0
-#: A process that holds a port may end by itself when it is asked.
+#: A process that holds a port gets so long to end by itself after a signal, before it is killed.
 _POLITE_S = 2.0
-_LOOK_S = 0.05
+_POLL_S = 0.05
 _ANSWER_S = 1.0
 _LOG: Final = logging.getLogger(__name__)
 
@@ -50,12 +51,12 @@ class Outcome:
     """The result of stopping one face or releasing one port.
 
     at_rest: whether the face had come to neutral before it let go; None: not known. dry_run: no
-    torque was ever switched on. problem: empty when the request could be carried out. waits: the
-    face's process lives on, limp, and can be started again. released: servos with torque off that
-    cannot confirm it;
-    released_words: their state, in words. holds, limp, unknown: of a freeze, the servos that hold,
-    that are limp, and of which neither is known. not_kept: why the stop is forgotten when the
-    face's processes end; empty: it is not.
+    torque was ever switched on. confirmed: servos that confirmed torque off; unconfirmed: reasons,
+    by name, for those that did not. problem: empty when the request could be carried out. waits:
+    the face's process lives on, limp, and can be started again. released: servos with torque off
+    that cannot confirm it; released_words: their state, in words. holds, limp, unknown: of a
+    freeze, the servos that hold, that are limp, and of which neither is known. not_kept: why the
+    stop is forgotten when the face's processes end; empty: it is not.
     """
 
     name: str
@@ -101,7 +102,7 @@ class Outcome:
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name for JSON; those about released or held servos where set."""
         return {
-            name: value for name, value in asdict(self).items() if value or name not in _WHERE_SET
+            name: value for name, value in asdict(self).items() if value or name not in _ONLY_IF_SET
         }
 
     def text(self) -> str:
@@ -121,11 +122,11 @@ class Outcome:
             also = f"; confirmed by {len(self.confirmed)} servos" if self.confirmed else ""
             return f"{self.name}: {self.released_words} ({len(self.released)} servos){also}"
         if not self.unconfirmed:
-            by = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
+            note = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
             waits = "; it waits: `lipservo start`" if self.waits else ""
-            return f"{self.name}: {'at rest and ' if self.at_rest else ''}limp{by}{waits}"
-        left = named_by_reason(self.unconfirmed)
-        return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by {left}"
+            return f"{self.name}: {'at rest and ' if self.at_rest else ''}limp{note}{waits}"
+        unconfirmed = named_by_reason(self.unconfirmed)
+        return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by {unconfirmed}"
 
     def _held_words(self) -> str:
         """Return which servos of a frozen face hold, which are limp, and which may be either."""
@@ -141,8 +142,8 @@ class Outcome:
 
 
 _DRY_RUN: Final = "dry run over; no torque was switched on"
-#: What an outcome says only where there is something to say.
-_WHERE_SET: Final = ("released", "released_words", "holds", "limp", "unknown", "not_kept")
+#: Fields of an outcome that its JSON lacks where they are empty.
+_ONLY_IF_SET: Final = ("released", "released_words", "holds", "limp", "unknown", "not_kept")
 
 
 def stop_faces(
@@ -171,15 +172,15 @@ def stop_faces(
 def _await_stop(
     face: RunningFace, level: StopLevel, sent: socket.socket | None, *, end: bool
 ) -> Outcome:
-    """Stop one face, wait until it has confirmed, and return what came of it.
+    """Stop one face, wait until its servos have confirmed, and return the outcome.
 
-    A face that does not answer is ended by force; the ports of one that ends without a report are
-    opened here, and their servos let go. sent: a connection by which the stop was sent already;
-    end: the face shall end, too.
+    A face that does not answer is killed. The ports of a face that ends without a report are opened
+    here, and torque is switched off at them. sent: the connection by which the stop was sent; None:
+    it could not be sent, and is sent here. end: the face's process ends, too.
     """
     outcome = Outcome(face.name, pid=face.pid)
-    # Only ports that the face's processes hold open are opened here, never one that it names.
-    held = _ports_of(face)
+    # Noted before the stop: only these ports are opened here, never one that the face names.
+    held_ports = _ports_of(face)
     try:
         answer, report = stop_and_wait(face.path, level, _END_S, end=end, sent=sent)
     except TimeoutError:
@@ -201,9 +202,9 @@ def _await_stop(
         outcome.problem = f"will stop, but has not confirmed it within {_END_S:g} s" + (
             f": {troubles}" if troubles else ""
         )
-    elif held:
+    elif held_ports:
         _LOG.warning("%s ended unexpectedly; opening its port", face.name)
-        _take_over(outcome, _release_all(face.name, {each: each for each in held}, {}))
+        _merge_into(outcome, _release_all(face.name, {each: each for each in held_ports}, {}))
     else:
         outcome.problem = f"ended unexpectedly; `lipservo limp --port {outcome.port or 'PORT'}`"
     return outcome
@@ -216,6 +217,7 @@ def _ports_of(face: RunningFace) -> list[str]:
 
 
 def _troubles_of(face: RunningFace) -> list[str]:
+    """Return the troubles in the face's status; empty if the face does not answer."""
     try:
         return [str(each) for each in ask(face.path, "status", _ANSWER_S).get("troubles", ())]
     except OSError:
@@ -225,59 +227,59 @@ def _troubles_of(face: RunningFace) -> list[str]:
 def release(port: str, face: "FaceSettings | None" = None) -> Outcome:
     """Switch torque off at a port, ending lipservo processes that hold it; return the outcome.
 
-    face: settings of the face whose servos must confirm; None: all servos that were driven at the
-    port since it was plugged in, or that answer there.
+    port: or several, as `bus=port,...`. face: settings of the face whose servos must confirm; None:
+    all servos that were driven at the port since it was plugged in, or that answer there.
     """
     named = named_ports(port)
     if named is not None:
         return _release_all(port, named, {} if face is None else face.alone)
-    # Loaded only here: whoever stops a face that hears waits for none of it.
+    # Imported only here: a stop of a face that answers does not wait for it to be loaded.
     from firmware_bridge.process.port_record import buses_at
 
     outcome = Outcome(port, port)
-    _free(port)
+    _end_port_holders(port)
     buses = buses_at(port) if face is None else [(face.bus_kind, face.bus)]
     for kind, driven in buses:
         wiring = None if face is None else face.wiring
-        _take_over(outcome, _released(port, kind, driven, wiring, shared=len(buses) > 1))
+        _merge_into(outcome, _release_board(port, kind, driven, wiring, shared=len(buses) > 1))
     return outcome
 
 
-def _released(
+def _release_board(
     port: str,
     kind: "BusKind",
-    driven: "BusSettings | None",
+    driven_settings: "BusSettings | None",
     wiring: "Wiring | None",
     *,
     shared: bool,
 ) -> Outcome:
     """Switch torque off on one board at a port and return the outcome.
 
-    kind: of the board's bus. driven: the bus settings it was driven with; None: not known. wiring:
-    its joints; None: not known. shared: other boards use the same port, so each servo is named with
-    its board.
+    kind: of the board's bus. driven_settings: of the bus when it was driven last; None: not known.
+    wiring: its joints; None: not known. shared: other boards use the same port, so each servo is
+    named with its board.
     """
     from firmware_bridge.bus_kinds import AT_A_PORT, Wiring
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.process.torque_release import release_port
 
     outcome = Outcome(port, port)
-    board = f" at {driven.board}" if shared and driven is not None else ""
-    if wiring is None and driven is not None and kind.name != AT_A_PORT:
-        wiring = Wiring(driven, (), (), 1.0)  # its servos are all that it has
+    board = f" at {driven_settings.board}" if shared and driven_settings is not None else ""
+    if wiring is None and driven_settings is not None and kind.name != AT_A_PORT:
+        wiring = Wiring(driven_settings, (), (), 1.0)  # no joints: all servos of the board
     ids = [] if wiring is None else [joint.servo_id for joint in wiring.joints]
     try:
-        found = release_port(kind.port_release(port, wiring), ids, timeout_s=_PORT_S)
+        result = release_port(kind.port_release(port, wiring), ids, timeout_s=_PORT_S)
     except BusError as error:
         outcome.problem = str(error)
         return outcome
-    outcome.confirmed = [f"id {each}{board}" for each in found.confirmed]
-    outcome.unconfirmed = {f"id {each}{board}": why for each, why in found.unconfirmed.items()}
-    if found.released:
-        outcome.released = [f"{kind.servo.address_key} {each}{board}" for each in found.released]
-        can = kind.capabilities(driven or BusSettings(kind=kind.name, port=port))
+    outcome.confirmed = [f"id {each}{board}" for each in result.confirmed]
+    outcome.unconfirmed = {f"id {each}{board}": why for each, why in result.unconfirmed.items()}
+    if result.released:
+        outcome.released = [f"{kind.servo.address_key} {each}{board}" for each in result.released]
+        can = kind.capabilities(driven_settings or BusSettings(kind=kind.name, port=port))
         outcome.released_words = can.released_words
-    if not (found.confirmed or found.unconfirmed or found.released):
+    if not (result.confirmed or result.unconfirmed or result.released):
         outcome.problem = f"no servo answers there{board}"
     return outcome
 
@@ -292,17 +294,20 @@ def _release_all(
     """
     outcome = Outcome(name, name)
     with ThreadPoolExecutor(len(ports), thread_name_prefix="release") as pool:
-        at = {bus: pool.submit(release, port, faces.get(bus)) for bus, port in ports.items()}
-        for bus, released in at.items():
-            _take_over(outcome, released.result(), bus if len(ports) > 1 else "")
+        releases = {bus: pool.submit(release, port, faces.get(bus)) for bus, port in ports.items()}
+        for bus, released in releases.items():
+            _merge_into(outcome, released.result(), bus if len(ports) > 1 else "")
     return outcome
 
 
 def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
-    """Return the faces that hold a port or report it in their status, querying all in parallel."""
+    """Return the faces that use a port: have locked it, or report it in their status.
+
+    All are queried at once. port: or several, as `bus=port,...`.
+    """
     real = {os.path.realpath(each) for each in ports_in(port)}
 
-    def is_there(face: RunningFace) -> bool:
+    def uses_port(face: RunningFace) -> bool:
         """Return whether a face has locked the port, or else names it in its status.
 
         Blocks while the face is queried.
@@ -310,16 +315,16 @@ def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
         if real & set(_ports_of(face)):
             return True
         try:
-            at = ask(face.path, "status", _ANSWER_S).get("port")
+            used = ask(face.path, "status", _ANSWER_S).get("port")
         except OSError:
             return False
-        return at is not None and bool(real & set(map(os.path.realpath, ports_in(str(at)))))
+        return used is not None and bool(real & set(map(os.path.realpath, ports_in(str(used)))))
 
     with ThreadPoolExecutor(max(1, len(faces)), thread_name_prefix="port") as pool:
-        return [face for face, there in zip(faces, pool.map(is_there, faces), strict=True) if there]
+        return [face for face, uses in zip(faces, pool.map(uses_port, faces), strict=True) if uses]
 
 
-def _free(port: str) -> None:
+def _end_port_holders(port: str) -> None:
     """End lipservo's processes that hold a port: two SIGTERM (limp at once), then SIGKILL.
 
     Only processes that this user may end. A bridge process is ended with its supervisor, which
@@ -334,10 +339,10 @@ def _free(port: str) -> None:
         for pid in pids:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGTERM)
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
     give_up_s = time.monotonic() + _POLITE_S
     while holders_of(port) and time.monotonic() < give_up_s:
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
     if any(is_ours(pid) for pid in holders_of(port)):
         _LOG.warning("it does not hear and is killed")
         end_hung(with_children(pids))
@@ -358,20 +363,20 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outc
         return outcome
     ports = {port for pid in pids for port in ports_held_by(pid)}
     _LOG.warning("%s hangs: it does not answer; processes %s are killed", face.name, pids)
-    left = end_hung(pids)
-    if left:
-        outcome.problem = f"processes {left} cannot be killed; switch the servos' power off"
+    unkilled = end_hung(pids)
+    if unkilled:
+        outcome.problem = f"processes {unkilled} cannot be killed; switch the servos' power off"
     if ports:
         outcome.port = sorted(ports)[-1]
-        _take_over(outcome, _release_all(face.name, {each: each for each in sorted(ports)}, {}))
+        _merge_into(outcome, _release_all(face.name, {each: each for each in sorted(ports)}, {}))
     return outcome
 
 
-def _take_over(outcome: Outcome, released: Outcome, bus: str = "") -> None:
+def _merge_into(outcome: Outcome, released: Outcome, bus: str = "") -> None:
     """Add the servos and problem of `released` to `outcome`, with `bus` before servo names."""
-    at = f"{bus} " if bus else ""
-    outcome.confirmed += [at + each for each in released.confirmed]
-    outcome.unconfirmed |= {at + each: why for each, why in released.unconfirmed.items()}
-    outcome.released += [at + each for each in released.released]
+    prefix = f"{bus} " if bus else ""
+    outcome.confirmed += [prefix + each for each in released.confirmed]
+    outcome.unconfirmed |= {prefix + each: why for each, why in released.unconfirmed.items()}
+    outcome.released += [prefix + each for each in released.released]
     outcome.released_words = outcome.released_words or released.released_words
     outcome.problem = "; ".join(filter(None, (outcome.problem, released.problem)))

@@ -21,12 +21,13 @@ from lipsync.arrays import Array
 if TYPE_CHECKING:
     from rich.table import Table
 
-#: Torque off is asked for so often before a servo counts as not having confirmed it.
+#: Torque off is requested so often before a servo counts as not having confirmed it.
 _TRIES: Final = 3
-#: How often encoders are read, and for how long a pose must have stood: fingers tremble faster.
+#: Encoders are read at this interval; a pose must be still for so many readings: fingers tremble
+#: faster.
 READ_EVERY_S: Final = 0.05
 STEADY_READINGS: Final = 7
-#: Held joints wander by less, play included; more is a hand that is still moving.
+#: A joint that a hand holds still wanders by less, play included; more is a moving hand.
 _STEADY_DEG: Final = 1.0
 _HOLDS: Final = "holds: its torque is on; who else drives it?"
 _MOVES: Final = "still moves; hold it still"
@@ -45,7 +46,7 @@ class LimpPose:
 
 
 class LimpServos:
-    """Some servos of an open bus, which are switched off and read; no other one is changed."""
+    """Servos of an open bus whose torque is switched off and whose positions are read."""
 
     def __init__(
         self,
@@ -78,7 +79,10 @@ class LimpServos:
         return StopReport(tuple(confirmed), unconfirmed)
 
     def read_pose(self) -> LimpPose:
-        """Return positions (degrees) and obstacles read from the servos now. Raises PortGone."""
+        """Read the servos' positions, in degrees, now. Raises PortGone.
+
+        Obstacles in the result: servos that did not answer, or whose torque is on.
+        """
         feedback = self._bus.read()
         positions_deg = feedback.positions_deg[self._indices]
         silent, held = feedback.missing[self._indices], feedback.torque[self._indices] == Torque.ON
@@ -103,25 +107,25 @@ class LimpServos:
         """Return the median positions of several readings, with the reasons against storing them.
 
         A servo is an obstacle if it held torque in any reading, was silent in most, or moved by
-        over 1 deg.
+        over 1 deg. A servo that never answered has position NaN.
         """
-        places_deg: list[float] = []
+        medians_deg: list[float] = []
         obstacles: dict[str, str] = {}
         for n, name in enumerate(self.names):
             found_obstacles = [reading.obstacles.get(name, "") for reading in readings]
-            heard_deg = [
+            read_deg = [
                 float(reading.positions_deg[n])
                 for reading in readings
                 if reading.obstacles.get(name) != _SILENT
             ]
-            places_deg.append(float(np.median(heard_deg)) if heard_deg else math.nan)
+            medians_deg.append(float(np.median(read_deg)) if read_deg else math.nan)
             if _HOLDS in found_obstacles:
                 obstacles[name] = _HOLDS
-            elif 2 * len(heard_deg) < len(readings):
+            elif 2 * len(read_deg) < len(readings):
                 obstacles[name] = _SILENT
-            elif np.ptp(heard_deg) > _STEADY_DEG:
+            elif np.ptp(read_deg) > _STEADY_DEG:
                 obstacles[name] = _MOVES
-        return LimpPose(np.array(places_deg), obstacles)
+        return LimpPose(np.array(medians_deg), obstacles)
 
 
 class TurnedRange:

@@ -37,7 +37,7 @@ def move_to(
     *,
     may_jump: bool = False,
 ) -> Moved:
-    """Move the named joints, wait until they are still, hold the pose for `hold_s`, then let go.
+    """Move the named joints, wait until still, hold the pose for `hold_s`, then switch torque off.
 
     settings: of the face, at its port. wanted_deg: joint degrees by name, of joints that the face
     has; None: all joints to neutral. may_jump: servos of unknown position may jump to neutral.
@@ -52,12 +52,13 @@ def move_to(
             raise UserError(
                 f"{name}: {angle_deg:g} deg is outside {joint.min_deg:g}..{joint.max_deg:g} deg"
             )
-    can, clock = settings.capabilities, MonotonicClock()
-    has_place = [can.of(index).place for index in range(len(joints))]
+    capabilities, clock = settings.capabilities, MonotonicClock()
+    has_place = [capabilities.of(index).place for index in range(len(joints))]
     bus = bus_for(settings, clock, may_jump=may_jump)
     with HeldFace(
         settings, clock, bus=bus, joints=names, from_neutral=False, end=StopLevel.LIMP
     ) as face:
+        # Joints that are not named stay where they are measured, else at their goals.
         goal_deg = np.where(has_place, face.stands_deg, face.goal_deg)
         if wanted_deg is None:
             goal_deg = np.zeros(len(joints))
@@ -65,12 +66,12 @@ def move_to(
             goal_deg[names.index(name)] = angle_deg
         face.move(goal_deg)
         face.hold(hold_s)
-        reached_deg, sent_deg, held = face.stands_deg, face.sent_deg, face.torque_on
+        reached_deg, sent_deg, is_held = face.stands_deg, face.sent_deg, face.torque_on
     assert face.life.report is not None
     return Moved(
         dict(zip(names, reached_deg.tolist(), strict=True)),
         dict(zip(names, sent_deg.tolist(), strict=True)),
         dict(zip(names, has_place, strict=True)),
-        dict(zip(names, held, strict=True)),
+        dict(zip(names, is_held, strict=True)),
         face.life.report,
     )

@@ -32,16 +32,16 @@ from lipsync.output_file import check_output
 #: The `part` of a servo whose YAML names none.
 _MOUTH = "mouth"
 NUDGE_DEG = 3.0
-#: For each of the two ways.
+#: Seconds for each of the two ways.
 _NUDGE_S = 0.25
 _NUDGE_RATE_HZ = 50.0
-#: Careful beginnings; the builder widens them.
+#: Narrow limits and a low speed at first; the builder of the robot widens them.
 _LIMIT_DEG, _SPEED_DEG_S = 10.0, 200.0
-#: Of hobby servos: 9 degrees to either side of the middle of nearly all of them.
+#: Pulses of hobby servos: the middle of nearly all of them, and 9 degrees to either side of it.
 _NEUTRAL_US, _NARROW_US, _US_PER_DEG = 1500, 100, 11
 _MOST_DIGITS = 3
 _BOARD = r"[A-Za-z0-9_]{1,20}"
-#: Text that YAML takes as it is, and for nothing else.
+#: Text that is safe in YAML without quotes: it is read as nothing but text.
 _PLAIN = r"[a-z]{3,}( [a-z]{3,})*|/[\w./-]+"
 _PULSE_HEAD = """\
 # Written by `lipservo new-face`: hobby servos on a {kind}. Wiring, power, parts: docs/hardware.md.
@@ -115,17 +115,17 @@ class FoundJoint:
     ) -> "FoundJoint":
         """Return a copy with the recorded range as limits, and 0 degrees at `neutral_tick`.
 
-        neutral_tick: the servo's present position, without homing offset. model: of the servo,
-        which says what a tick is. A range of all positions, as where no one moved the servo, leaves
-        the limits as they are, unless a person says that it `turns_all_the_way`. Raises UserError
-        for a neutral outside the range, and for a range that the model does not have.
+        neutral_tick: the servo's present position, without homing offset. model: of the servo, with
+        the size of a tick. A range of all positions, as recorded where no one moved the servo,
+        leaves the limits as they are, unless the joint `turns_all_the_way`. Raises UserError for a
+        neutral outside the range, and for a range that the model does not have.
         """
         if recorded.most_tick >= model.n_positions:
             raise UserError(
                 f"{self.name} (id {self.servo_id}): range_max {recorded.most_tick} is beyond an "
                 f"{model.name}'s positions, 0 to {model.n_positions - 1}; is that its model?"
             )
-        # A homed servo shows its place plus the homing offset, and so it was recorded.
+        # A servo with a homing offset reports its position plus that; so the range was recorded.
         least, most = (
             tick - recorded.homing_offset_ticks
             for tick in (recorded.least_tick, recorded.most_tick)
@@ -135,7 +135,7 @@ class FoundJoint:
                 f"{self.name} (id {self.servo_id}) is at position {neutral_tick}, outside its "
                 f"recorded range {least}..{most}; move the face to its neutral"
             )
-        ends_deg = sorted(
+        limits_deg = sorted(
             round(self.sign * (tick - neutral_tick) / model.pulses_per_deg, 2)
             for tick in (least, most)
         )
@@ -143,44 +143,44 @@ class FoundJoint:
         neutral = replace(self, zero_offset_deg=round(offset_deg, 2))
         if recorded.is_whole(model.n_positions) and not turns_all_the_way:
             return neutral
-        return replace(neutral, min_deg=ends_deg[0], max_deg=ends_deg[1])
+        return replace(neutral, min_deg=limits_deg[0], max_deg=limits_deg[1])
 
 
 def nudge(
     tools: Any, port: str, rate: int, servo_id: int, model_name: str
 ) -> tuple[int, str, bool]:
-    """Move one servo by 3 degrees and back, limp at the end.
+    """Move one servo by 3 degrees and back, then switch its torque off.
 
-    Returns its start in encoder ticks, words on the motion that its encoder showed, and whether it
-    made at least half of it. All goals pass the safety gate. tools: module for single
-    servos of its kind of bus (`BusKind.workshop`). rate: baud. Raises FaceStopped if a person stops
-    the motion, or torque off is not confirmed.
+    Returns its position before (encoder ticks), a sentence on the motion that its encoder showed,
+    and whether the servo made at least half of the motion. All goals pass the safety gate. tools:
+    module for single servos of its kind of bus (`BusKind.workshop`). rate: baud. Raises FaceStopped
+    if a person stops the motion, or torque off is not confirmed.
     """
     channel, clock = MemoryTargetChannel(), MonotonicClock()
-    place: int
-    bus, joint, place = tools.lone_servo(port, rate, servo_id, model_name, NUDGE_DEG + 1.0)
-    here_deg, away_deg, made_deg = np.zeros(1), np.array([NUDGE_DEG]), 0.0
+    start_tick: int
+    bus, joint, start_tick = tools.lone_servo(port, rate, servo_id, model_name, NUDGE_DEG + 1.0)
+    start_deg, away_deg, moved_deg = np.zeros(1), np.array([NUDGE_DEG]), 0.0
     with bus:
         bridge = Bridge(bus, [joint], channel, BridgeSettings(_NUDGE_RATE_HZ))
         with face_life("new-face", port, bridge, clock, DriveOptions(quiet=True)) as life:
             life.start()
-            there = Ramp(here_deg, away_deg, clock.now(), _NUDGE_S)
+            ramp_out = Ramp(start_deg, away_deg, clock.now(), _NUDGE_S)
             # 0.5 s after the first has ended.
-            back = Ramp(away_deg, here_deg, there.start_s + 3.0 * _NUDGE_S, _NUDGE_S)
+            ramp_back = Ramp(away_deg, start_deg, ramp_out.start_s + 3.0 * _NUDGE_S, _NUDGE_S)
             for time_s, late in life.ticks():
-                ramp = there if time_s < back.start_s else back
+                ramp = ramp_out if time_s < ramp_back.start_s else ramp_back
                 channel.publish(ServoTargets(time_s, ramp.at(time_s)))
                 bridge.tick(time_s, late)
-                made_deg = max(made_deg, abs(float(bus.feedback().positions_deg[0])))
-                if back.is_over(time_s) and not life.stopping:
+                moved_deg = max(moved_deg, abs(float(bus.feedback().positions_deg[0])))
+                if ramp_back.is_over(time_s) and not life.stopping:
                     life.stop(StopLevel.LIMP)
     assert life.report is not None
     if life.stopped_by_person or not life.report.complete:
         raise FaceStopped(life.report, life.signal_number)
-    if made_deg >= 0.5 * NUDGE_DEG:
-        return place, f"moved by {made_deg:.1f} degrees", True
-    fault = f"was told to move by {NUDGE_DEG:g} degrees and its position changed by {made_deg:.1f}"
-    return place, f"{fault}; look whether it is blocked, or without power", False
+    if moved_deg >= 0.5 * NUDGE_DEG:
+        return start_tick, f"moved by {moved_deg:.1f} degrees", True
+    fault = f"was told to move by {NUDGE_DEG:g} degrees and its position changed by {moved_deg:.1f}"
+    return start_tick, f"{fault}; look whether it is blocked, or without power", False
 
 
 def check_face_file(path: Path) -> None:
@@ -203,9 +203,9 @@ def check_joint_name(name: str, taken: Sequence[str]) -> str:
 
 
 def face_yaml(name: str, kind: BusKind, port: str, rate: int, joints: Sequence[FoundJoint]) -> str:
-    """Return the YAML text of a face whose servos were found. name: may hold bytes not in UTF-8.
+    """Return the YAML text of a face of serial servos with the joints found, without calibration.
 
-    rate: baud.
+    name: of the face; bytes that are not UTF-8 become "?". rate: baud.
     """
     content = {
         "name": name.encode(errors="replace").decode(),
@@ -304,9 +304,10 @@ def check_wiring(text: str, file_name: str) -> FaceSettings:
     that the board lacks.
     """
     settings = parse_face(text, file_name)
-    # Opens nothing before it is entered; without a port it would look at nothing either.
-    at = settings.at_port(settings.bus.port or os.devnull)
-    at.bus_kind.open(at.wiring, ManualClock())
+    # A bus checks its channels when it is made, and opens its port only when it is entered.
+    # Without a port it would check nothing, so a stand-in is given.
+    at_port = settings.at_port(settings.bus.port or os.devnull)
+    at_port.bus_kind.open(at_port.wiring, ManualClock())
     return settings
 
 
@@ -320,7 +321,7 @@ def _quoted(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NewBus:
-    """One bus of a face that is to be written, as a person gave it.
+    """One bus of a face that is to be written, from the options that a person typed.
 
     port, board: None: not given. channels: wirings of hobby servos, as `jaw=0:opens`.
     """
@@ -336,8 +337,9 @@ def parts_of(
 ) -> dict[str, NewBus]:
     """Parse the bus options of `new-face`, as `maestro` or `lips=maestro`, into buses by name.
 
-    Each option as typed, once for each bus; channels: `jaw=0:opens`. A face with one bus has it
-    under an empty name; {}: neither bus nor port is given. Raises UserError.
+    buses, ports, boards: the values of each option as typed, one for each bus; channels: wirings,
+    as `jaw=0:opens`. A face with one bus has it under an empty name; {}: neither bus nor port is
+    given. Raises UserError for options that do not fit one another.
     """
     if not any("=" in each for each in buses):
         for option, given in (("--bus", buses), ("--port", ports), ("--board", boards)):
@@ -354,22 +356,23 @@ def parts_of(
             if is_given and not kind.board_key:
                 raise UserError(f"{option} is not for a {kind.name} bus; leave it out")
         return {"": NewBus(kind, port, board, tuple(channels))}
+    # Several buses: each option is BUS=VALUE; a channel is BUS/JOINT=..., unless one bus has all.
     kinds = {name: bus_kind(kind) for name, kind in _by_bus("--bus", buses, None).items()}
     hobby = [name for name, kind in kinds.items() if kind.board_key]
-    where, which = _by_bus("--port", ports, list(kinds)), _by_bus("--board", boards, hobby)
-    wired: dict[str, list[str]] = {name: [] for name in hobby}
+    ports_of, boards_of = _by_bus("--port", ports, list(kinds)), _by_bus("--board", boards, hobby)
+    wirings: dict[str, list[str]] = {name: [] for name in hobby}
     for each in channels:
         name, slash, wiring = each.rpartition("/")
         if not slash and len(hobby) == 1:
             name = hobby[0]
-        if name not in wired:
+        if name not in wirings:
             raise UserError(
                 f"--channel {shown(each)}: add its bus, as {(hobby or ['lips'])[0]}/{wiring}; "
                 f"buses of hobby servos: {', '.join(hobby) or 'none'}"
             )
-        wired[name].append(wiring)
+        wirings[name].append(wiring)
     return {
-        name: NewBus(kind, where.get(name), which.get(name), tuple(wired.get(name, ())))
+        name: NewBus(kind, ports_of.get(name), boards_of.get(name), tuple(wirings.get(name, ())))
         for name, kind in kinds.items()
     }
 

@@ -57,7 +57,7 @@ def expression_settings(amount: float) -> dict[str, Setting]:
 class ExpressionRequests:
     """The values of the expression settings that were set last."""
 
-    #: Names of what is wished for the moment: no face has them as its way.
+    #: Names of the settings for a moment (where to look, mood), which no face's YAML sets.
     PASSING: Final = frozenset(expression_settings(0.0)) - {"expression"}
 
     def __init__(self, amount: float) -> None:
@@ -94,11 +94,11 @@ class ExpressionRequests:
         """Return the (valence, arousal) set last, faded exponentially to monotonic `now_s`."""
         values = self._values
         age_s = max(0.0, now_s - values["affect_at_s"])
-        left = math.exp(-age_s / values["affect_tau_s"])
-        return values["affect_valence"] * left, values["affect_arousal"] * left
+        remaining = math.exp(-age_s / values["affect_tau_s"])
+        return values["affect_valence"] * remaining, values["affect_arousal"] * remaining
 
 
-#: A corner that lips do not need moves for a smile from here on; less nobody sees.
+#: Corners of the mouth that speech does not need move for a smile of at least so much.
 _SMALLEST_SMILE = 0.02
 
 
@@ -137,18 +137,19 @@ def expression_servos(face: FaceSettings) -> list[ExpressionServo]:
 
 
 class ExpressionClaims:
-    """The goals that an expression requests for its servos, computed once each period.
+    """The claims of an expression on its servos, computed once each period.
 
-    Lips go before expression: the corners of the mouth smile in silence, and belong to the lips as
-    soon as a word is known, over the 0.3 s of every hand-over.
+    Lips have priority: the corners of the mouth smile only in silence, and move as the lips need
+    from the next known word on, after the 0.3 s of every hand-over.
     """
 
     def __init__(self, servos: Sequence[ExpressionServo], period_s: float) -> None:
+        """Start at neutral. period_s: seconds from one call of `claims` to the next."""
         self._head = [servo for servo in servos if not servo.is_mouth]
         self._corners = [servo for servo in servos if servo.is_mouth]
         self._head_indices = _indices(self._head)
         self._corner_indices = _indices(self._corners)
-        self._steps_deg = np.array([servo.max_speed_deg_s * period_s for servo in self._head])
+        self._most_steps_deg = np.array([servo.max_speed_deg_s * period_s for servo in self._head])
         self._shown_deg = np.zeros(len(self._head))
         self.has_servos = bool(servos)
 
@@ -156,9 +157,9 @@ class ExpressionClaims:
         """Return goals for neck, eyes, lids, brows as `layer`'s claim; [] without such servos."""
         if not self._head:
             return []
-        wanted_deg = np.array([_wanted_deg(servo, expression) for servo in self._head])
-        # A saccade is faster than any servo: asked for no more than it can, it overshoots nothing.
-        step_deg = np.clip(wanted_deg - self._shown_deg, -self._steps_deg, self._steps_deg)
+        goals_deg = np.array([_goal_deg(servo, expression) for servo in self._head])
+        # A saccade is faster than any servo: goals move no faster than the servos can follow.
+        step_deg = np.clip(goals_deg - self._shown_deg, -self._most_steps_deg, self._most_steps_deg)
         self._shown_deg = self._shown_deg + step_deg
         return [Claim(layer, self._head_indices, self._shown_deg)]
 
@@ -175,9 +176,9 @@ class ExpressionClaims:
             _within_range(servo, at_rest_deg[servo.index] + servo.deg_per_unit * smile)
             for servo in self._corners
         ]
-        kept = ~np.isin(lips.servos, self._corner_indices)
+        is_no_corner = ~np.isin(lips.servos, self._corner_indices)
         return [
-            Claim(Layer.LIPS, lips.servos[kept], lips.positions_deg[kept]),
+            Claim(Layer.LIPS, lips.servos[is_no_corner], lips.positions_deg[is_no_corner]),
             Claim(Layer.EXPRESSION, self._corner_indices, np.array(smiling_deg)),
         ]
 
@@ -186,7 +187,7 @@ def _indices(servos: Sequence[ExpressionServo]) -> Indices:
     return np.array([servo.index for servo in servos], dtype=np.intp)
 
 
-def _wanted_deg(servo: ExpressionServo, expression: Expression) -> float:
+def _goal_deg(servo: ExpressionServo, expression: Expression) -> float:
     if servo.of == "lids":
         value = 0.5 * ((expression.lid_left or 0.0) + (expression.lid_right or 0.0))
     else:
@@ -198,14 +199,14 @@ def _within_range(servo: ExpressionServo, angle_deg: float) -> float:
     return min(servo.max_deg, max(servo.min_deg, angle_deg))
 
 
-#: How long each takes to go over: a neck as in a slow turn, eyes as in a large saccade, lids as in
-#: a blink, so that none is left half shut.
-_OVER_S: Final = {
+#: Seconds in which each part fades between live and performed expression: a neck as in a slow turn,
+#: eyes as in a large saccade, lids as in a blink, so that none is left half shut.
+_FADES_S: Final = {
     "neck_pitch_deg": 0.8, "neck_yaw_deg": 0.8, "neck_roll_deg": 0.8,
     "eye_pitch_deg": 0.2, "eye_yaw_deg": 0.2,
     "lid_left": 0.1, "lid_right": 0.1, "brow": 0.3,
 }  # fmt: skip
-#: A changed amount is there after as long a time for each 1 of change, as in `LiveExpression`.
+#: Seconds in which the amount (liveliness) changes by 1, as in `LiveExpression`.
 _AMOUNT_S: Final = 1.0
 
 
@@ -213,8 +214,9 @@ class PerformedExpression:
     """A mixer of live expression and a performance's: call `step` once for every 10 ms shown."""
 
     def __init__(self) -> None:
-        self._shares = dict.fromkeys(_OVER_S, 0.0)
-        self._held = dict.fromkeys(_OVER_S, 0.0)
+        # By part: the performed share of what is shown, and the performed value shown last.
+        self._shares = dict.fromkeys(_FADES_S, 0.0)
+        self._stored = dict.fromkeys(_FADES_S, 0.0)
         self._amount = 0.0
 
     def step(self, live: Expression, stored: Expression, amount: float) -> Expression:
@@ -227,22 +229,24 @@ class PerformedExpression:
         self._amount = toward(self._amount, amount, CUE_PERIOD_S / _AMOUNT_S)
         is_still = amount <= 0.0
         mixed = {}
-        for name, over_s in _OVER_S.items():
+        for name, fade_s in _FADES_S.items():
             value = None if is_still or stored is NO_EXPRESSION else getattr(stored, name)
+            # The amount scales the motion of a performance, but a blink always closes the lids.
             if value is not None:
-                self._held[name] = value if name.startswith("lid") else self._amount * value
-            wanted = float(value is not None)
-            share = toward(self._shares[name], wanted, CUE_PERIOD_S / over_s)
+                self._stored[name] = value if name.startswith("lid") else self._amount * value
+            goal = float(value is not None)
+            # The share moves linearly to 1 or 0; the smooth step has speed 0 at both ends.
+            share = toward(self._shares[name], goal, CUE_PERIOD_S / fade_s)
             self._shares[name] = share
             if share > 0.0:
-                ours = getattr(live, name) or 0.0
-                mixed[name] = ours + smoothstep(share) * (self._held[name] - ours)
+                live_value = getattr(live, name) or 0.0
+                mixed[name] = live_value + smoothstep(share) * (self._stored[name] - live_value)
         return replace(live, **mixed) if mixed else live
 
 
-#: A pause within a sentence: whoever makes it still speaks.
+#: A pause within a sentence: up to so long a silence counts as speaking.
 _PAUSE_S: Final = 0.3
-#: After so long a silence what the head does is nobody's business but its own.
+#: After so long a silence, head motion without a target counts as idle, no longer as expression.
 _IDLE_AFTER_S: Final = 4.0
 _LEAST_MOUTH_GAIN: Final = 0.85
 
@@ -261,8 +265,8 @@ class ExpressionLayer:
         """Create the layer with the face at neutral.
 
         source: of live expression; None: affect only, in the mouth. voice: prosody of the sound.
-        requests: the settings set last. rest_after_s: seconds of silence after which a face without
-        source counts as resting.
+        servos: those that show the expression; empty: only displays do. requests: the settings set
+        last. rest_after_s: seconds of silence after which a face without source counts as resting.
         """
         self.voice = voice
         self._source = source
@@ -274,7 +278,7 @@ class ExpressionLayer:
         self._silent_s = 0.0
         self._arousal = self._valence = 0.0
         self._is_speaking = False
-        #: What is shown now.
+        #: The expression that is shown now.
         self.expression: Expression = NO_EXPRESSION
 
     @property
@@ -350,7 +354,10 @@ class ExpressionLayer:
         self.expression = self._performed.step(live, performed, amount)
 
     def claims(self, mouth: Claim) -> list[Claim]:
-        """Return the goals of lips and expression as claims, given `mouth`, the lips' claim."""
+        """Return the claims of lips and expression for the 10 ms of the last `advance`.
+
+        mouth: the lips' claim; while the face does not speak, its corners may smile instead.
+        """
         is_idle = self._silent_s > _IDLE_AFTER_S and self.requests.look_at_deg is None
         claims = self._claims.claims(self.expression, Layer.IDLE if is_idle else Layer.EXPRESSION)
         if self._is_speaking:
@@ -360,7 +367,7 @@ class ExpressionLayer:
 
 def expression_source(settings: ExpressionSettings, seed: int) -> ExpressionSource:
     """Return the source of a face's live expressions. seed: of random motion."""
-    # Loaded by faces that show an expression alone.
+    # Imported here: only faces that show an expression load it.
     from lipsync.expression.live_expression import LiveExpression
 
     shares = {} if settings.eye_contact is None else {"talking_mutual_share": settings.eye_contact}

@@ -50,7 +50,7 @@ class ServoLayers:
         self._step = period_s / HANDOVER_S
         self._owners = np.full(len(self.servo_names), -1)
         self._shown_deg = neutral_deg
-        # Where the newest owner took a servo over, and how far the way to it is done, 0 to 1.
+        # The goal at which a servo's newest owner took over, and the share of the way done since.
         self._start_deg = neutral_deg
         self._progress = np.ones(len(self.servo_names))
 
@@ -70,10 +70,11 @@ class ServoLayers:
         return dict(zip(self.servo_names, owners, strict=True))
 
     def compose(self, claims: Sequence[Claim]) -> Array:
-        """Return each servo's goal: its owner's, or during a hand-over one on the way to that.
+        """Return each servo's goal: its owner's, or during a hand-over one on the way to that goal.
 
-        The first pose is used as it is. From then on a new owner starts from the servo's last goal,
-        and controls it fully after HANDOVER_S.
+        Of all layers that claim a servo the highest owns it. Goals of the first call are returned
+        as they are. Later a new owner starts from the servo's last goal, and controls the servo
+        fully after HANDOVER_S.
 
         Parameters
         ----------
@@ -85,20 +86,22 @@ class ServoLayers:
         Array
             (n_servos,) degrees.
         """
-        wanted_deg = self._neutral_deg.copy()
+        # Higher layers overwrite lower ones.
+        goals_deg = self._neutral_deg.copy()
         owners = np.full(len(self.servo_names), int(Layer.NEUTRAL))
         for claim in sorted(claims, key=lambda claim: claim.layer):
-            wanted_deg[claim.servos] = claim.positions_deg
+            goals_deg[claim.servos] = claim.positions_deg
             owners[claim.servos] = int(claim.layer)
-        changed = (owners != self._owners) & (self._owners >= 0)
+        is_new = (owners != self._owners) & (self._owners >= 0)
         self._owners = owners
-        self._start_deg = np.where(changed, self._shown_deg, self._start_deg)
-        self._progress = np.where(changed, 0.0, self._progress)
+        self._start_deg = np.where(is_new, self._shown_deg, self._start_deg)
+        self._progress = np.where(is_new, 0.0, self._progress)
         under_way = self._progress < 1.0
         if under_way.any():
             self._progress = np.minimum(1.0, self._progress + self._step)
-            left = 1.0 - self._progress**2 * (3.0 - 2.0 * self._progress)
-            handed_deg = wanted_deg + left * (self._start_deg - wanted_deg)
-            wanted_deg = np.where(under_way, handed_deg, wanted_deg)
-        self._shown_deg = wanted_deg
-        return wanted_deg
+            # Smooth step, 3 u^2 - 2 u^3, from the goal at the hand-over to the owner's present one.
+            way_left = 1.0 - self._progress**2 * (3.0 - 2.0 * self._progress)
+            handed_deg = goals_deg + way_left * (self._start_deg - goals_deg)
+            goals_deg = np.where(under_way, handed_deg, goals_deg)
+        self._shown_deg = goals_deg
+        return goals_deg

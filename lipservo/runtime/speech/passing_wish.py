@@ -11,14 +11,14 @@ _MOOD: Final = ("affect_valence", "affect_arousal")
 
 
 def with_expiry(values: Mapping[str, float], now_s: float) -> dict[str, float]:
-    """Return settings with `look_weight` 1 added to a look angle, `affect_at_s` to a mood.
+    """Return the settings with `look_weight` 1 added to a look angle, `affect_at_s` to a mood.
 
-    From `affect_at_s` on the mood fades; it is `now_s`, of the monotonic clock that all processes
-    of a computer share. Given values are never changed.
+    From `affect_at_s` on the mood fades: it is `now_s`, on the monotonic clock that all processes
+    of a computer share. Values that were given are kept, these two also.
     """
-    whole = dict(values)
-    if any(name in whole for name in _WHERE):
-        whole.setdefault("look_weight", 1.0)
-    if any(name in whole for name in _MOOD):
-        whole.setdefault("affect_at_s", round(now_s, 3))
-    return whole
+    completed = dict(values)
+    if any(name in completed for name in _WHERE):
+        completed.setdefault("look_weight", 1.0)
+    if any(name in completed for name in _MOOD):
+        completed.setdefault("affect_at_s", round(now_s, 3))
+    return completed

@@ -20,7 +20,8 @@ from lipsync.offline.performance import Performance, PerformanceError, sound_fil
 from lipsync.offline.performed_motion import EASING_S, StoredMotion
 from lipsync.phonemes import PhonemeEvent
 
-#: Faces last to the end of the sound, rounded up to 10 ms; formats differ by a packet.
+#: Motion and sound may differ by so much in length: motion is rounded up to 10 ms, and sound
+#: formats pad by a packet.
 _MOST_APART_S: Final = 0.1
 
 Samples = NDArray[np.float32]
@@ -70,10 +71,11 @@ class PerformedStream(PlayoutStream):
 
 
 def performed_line(performance: Performance, path: Path) -> PerformedLine:
-    """Return the line of the performance that was read from `path`, with its sound checked.
+    """Return the playable line of the performance that was read from `path`; its sound is checked.
 
-    Raises PerformanceError where the sound is missing, has changed, is damaged within its first
-    minute, or is not as long as the faces.
+    The sound is decoded later, as `PerformedLine.chunks` yields it. Raises PerformanceError where
+    the sound is missing, has changed, is damaged within its first minute, or is not as long as the
+    motion.
     """
     sound = performance.sound
 
@@ -85,6 +87,7 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
                 raise PerformanceError(_with_names(str(error), file)) from error
 
     def _with_names(line: str, file: Path) -> str:
+        """Return a message in which the stored sound's name replaces the temporary file's."""
         return f"{path}: its sound {line.replace(str(file), sound.name)}"
 
     with sound_file(sound, path) as file:
@@ -100,45 +103,46 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
             f"{path}: damaged: its faces last {performance.duration_s:.2f} s, its sound "
             f"{sound_s:.2f} s; render it again with `lipservo lines render`"
         )
-    return _line(performance, path.name, sounds, sound_s, checked.sample_rate_hz)
+    return _make_line(performance, path.name, sounds, sound_s, checked.sample_rate_hz)
 
 
 def line_of(
     performance: Performance, name: str, samples: Samples, sample_rate_hz: int
 ) -> PerformedLine:
-    """Return the line of a performance whose sound (n,) is decoded already.
+    """Return the playable line of a performance whose sound is decoded already.
 
-    name: of its stream.
+    name: of its stream. samples: (n,) mono, at `sample_rate_hz`.
     """
     sound_s = len(samples) / sample_rate_hz
-    return _line(performance, name, lambda: iter([samples]), sound_s, sample_rate_hz)
+    return _make_line(performance, name, lambda: iter([samples]), sound_s, sample_rate_hz)
 
 
-def _line(
+def _make_line(
     performance: Performance,
     name: str,
     sounds: Callable[[], Iterator[Samples]],
     sound_s: float,
     sample_rate_hz: int,
 ) -> PerformedLine:
-    """Return the line of a performance; phonemes are moved by the silence before the sound.
+    """Return the playable line of a performance; its phonemes begin after the leading silence.
 
-    sounds: as in `PerformedLine`. sound_s: duration of the sound.
+    name: of its stream. sounds: as in `PerformedLine`. sound_s: duration of the sound, s.
     """
     return PerformedLine(
         name,
         sounds,
         max(sound_s, performance.duration_s) + EASING_S,
         sample_rate_hz,
-        tuple(_later(event) for event in performance.phonemes),
+        tuple(_after_silence(event) for event in performance.phonemes),
         StoredMotion(performance),
     )
 
 
 def performed_in(playout: Playout) -> Callable[[float], tuple[StoredMotion, float] | None]:
-    """Return a function from sound time to (stored motion, seconds since its start) in the playout.
+    """Return a function that finds which stored motion the playout plays at a sound time, in s.
 
-    The function returns None where no performance plays.
+    It returns (motion, seconds since the motion's start), negative in the leading silence; None
+    where no performance plays.
     """
 
     def performed_at(sound_s: float) -> tuple[StoredMotion, float] | None:
@@ -150,6 +154,7 @@ def performed_in(playout: Playout) -> Callable[[float], tuple[StoredMotion, floa
     return performed_at
 
 
-def _later(event: PhonemeEvent) -> PhonemeEvent:
+def _after_silence(event: PhonemeEvent) -> PhonemeEvent:
+    """Return the phoneme moved later by the silence that precedes the sound."""
     end_s = None if event.end_s is None else event.end_s + EASING_S
     return replace(event, start_s=event.start_s + EASING_S, end_s=end_s)

@@ -28,7 +28,7 @@ from lipsync.recognition.text_decoder import MovedBy, TextError, TextFollower
 from lipsync.spoken_text import UnitKind
 from lipsync.timeline import PhonemeTimeline
 
-#: Ten seconds: more than any delay from sound to face.
+#: Voice frames of ten seconds: more than any delay from sound to face.
 _N_KEPT: Final = 1_000
 
 
@@ -37,25 +37,26 @@ class HeardVoice:
 
     def __init__(self, listener: VoiceTracker) -> None:
         self._listener = listener
-        self._kept: list[tuple[int, VoiceFrame]] = [(-1, SILENT_VOICE)] * _N_KEPT
+        # A ring: the frame of block n at index n modulo the length, with n to tell an older one.
+        self._numbered_frames: list[tuple[int, VoiceFrame]] = [(-1, SILENT_VOICE)] * _N_KEPT
 
     def hear(self, block: AudioBlock) -> None:
         """Analyse the next 10 ms of sound and keep the resulting voice frame."""
-        n = round(block.start_s / BLOCK_S)
-        self._kept[n % _N_KEPT] = (n, self._listener.feed(block.samples))
+        number = round(block.start_s / BLOCK_S)
+        self._numbered_frames[number % _N_KEPT] = (number, self._listener.feed(block.samples))
 
     def at(self, sound_s: float) -> VoiceFrame:
         """Return the voice frame around sound time `sound_s` (10 ms); silence if none is kept."""
-        n = math.floor(sound_s / BLOCK_S + 1e-6)
-        kept, frame = self._kept[n % _N_KEPT]
-        return frame if kept == n else SILENT_VOICE
+        number = math.floor(sound_s / BLOCK_S + 1e-6)
+        stored_number, frame = self._numbered_frames[number % _N_KEPT]
+        return frame if stored_number == number else SILENT_VOICE
 
     def peaks(self, after_s: float, until_s: float, most: int) -> list[float]:
         """Return the peak (0 to 1) of each 10 ms between two sound times.
 
         after_s, until_s: the sound times. Of more than `most` peaks the last are returned.
         """
-        first, last = (math.floor(each / BLOCK_S + 1e-6) for each in (after_s, until_s))
+        first, last = (math.floor(time_s / BLOCK_S + 1e-6) for time_s in (after_s, until_s))
         return [self.at(n * BLOCK_S).peak for n in range(max(first, last - most) + 1, last + 1)]
 
 
@@ -126,13 +127,13 @@ class RecognizedPhonemes:
         return list(step.updates)
 
 
-#: What is known beforehand is told so far ahead of the sound: more than the longest look-ahead
-#: that moves a mouth, less than a sentence in every update.
+#: Phonemes known beforehand are passed on so far ahead of the sound: more than the longest
+#: look-ahead that moves a mouth, less than a sentence in every update.
 _AHEAD_S = 1.0
 
 
 class SpokenPhonemes:
-    """A `PhonemeSource` of a playout: a recogniser, and phonemes known with the streams."""
+    """A `PhonemeSource` of a playout: phonemes are recognised, or known with the streams."""
 
     def __init__(
         self, playout: Playout, recognizer: LiveRecognizer, voice: HeardVoice | None = None
@@ -144,10 +145,11 @@ class SpokenPhonemes:
         self._listener = recognizer if isinstance(recognizer, Listener) else None
         self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._recognition = RecognizerStream(recognizer)
-        self._followed: UnitKind = "text"
-        self._units, self._news = FollowedUnits(playout), MoverNews(playout)
-        # What is heard, as what is told of it is final later.
-        self._ears = PhonemeTimeline()
+        self._followed_kind: UnitKind = "text"
+        self._sent_units, self._mover_news = FollowedUnits(playout), MoverNews(playout)
+        # All recognised phonemes: while units came with times, they become final later than the
+        # recogniser says, and those in between must be passed on again.
+        self._recognised = PhonemeTimeline()
         self._final_s = 0.0
 
     @property
@@ -169,21 +171,22 @@ class SpokenPhonemes:
     def moved_by(self) -> MovedBy | None:
         """The source of the motion: sound, text, words, phonemes or visemes; None: not known.
 
-        Phonemes and visemes come with the stream, all else from the recogniser.
+        Of the sound that has just become final. Phonemes and visemes come with the stream; text and
+        words are followed by the recogniser, in the units that the client sent.
         """
         now_s = self._playout.committed_s - self.latency_s
         if self._playout.knows_phonemes(now_s):
             return "phonemes"
-        if (units := self._units.kind_at(now_s)) is not None:
+        if (units := self._sent_units.kind_at(now_s)) is not None:
             return units
         if self._follower is None or (moved_by := self._follower.moved_by) != "text":
             return None if self._follower is None else moved_by
-        return _FOLLOWED[self._followed]
+        return _MOVER_OF_KIND[self._followed_kind]
 
     @property
     def units_shifted_s(self) -> float | None:
         """How much later than sent timed units are heard, s; None where none move the mouth."""
-        return self._units.shifted_s
+        return self._sent_units.shifted_s
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
@@ -217,59 +220,63 @@ class SpokenPhonemes:
 
         Committed sound is written to the loudspeaker, to be heard later.
         """
+        # Pairs: sound for the recogniser, silent where phonemes are known, and sound as spoken.
         blocks = self._playout.commit(until_s)
         for words in self._playout.take_words():
             if self._follower is not None:
-                self._follow(self._follower, words)
+                self._follow_words(self._follower, words)
         if self._voice is not None:
             for _, spoken in blocks:
                 self._voice.hear(spoken)
-        self._units.take()
+        self._sent_units.add_committed()
         step = self._recognition.feed([heard for heard, _ in blocks])
-        updates = [self._with_timed(update) for update in step.updates]
-        if (shifted := self._units.newly_shifted()) is not None:
-            self._news.shifted(*shifted)
+        updates = [self._with_sent_units(update) for update in step.updates]
+        if (shifted := self._sent_units.newly_shifted()) is not None:
+            self._mover_news.report_shift(*shifted)
         has_text = self._follower is not None and bool(self._follower.saying[0])
-        self._news.moved(
+        self._mover_news.report_mover(
             self.moved_by,
             is_speech=self.hearing == "speech",
             has_text=has_text,
-            are_spoken=self._units.is_believed,
+            are_spoken=self._sent_units.is_believed,
         )
         return updates
 
-    def _with_timed(self, update: PhonemeUpdate) -> PhonemeUpdate:
-        """Return a recogniser's update with phonemes and visemes that came with the streams put in.
+    def _with_sent_units(self, update: PhonemeUpdate) -> PhonemeUpdate:
+        """Return a recogniser's update in which known phonemes replace the recognised ones.
 
-        Units that clients sent with times replace recognised phonemes only where they agree with
-        the sound; while there are such units, phonemes become final later.
+        Known are the phonemes that synthesised speech has, and units that clients sent with times,
+        these only where they agree with the sound. While there are such units, phonemes become
+        final later, so that the sound can still move them.
         """
-        self._ears.apply(update)
+        self._recognised.apply(update)
         if update.evidence is not None:
-            self._units.hear(update.evidence)
+            self._sent_units.hear(update.evidence)
         final_s = update.final_until_s
-        if not self._units.is_empty and update.evidence is not None:
+        if not self._sent_units.is_empty and update.evidence is not None:
             final_s = max(self._final_s, min(final_s, update.heard_until_s - FOLLOWING_LATENCY_S))
+        # The update then has to reach back to what was final last, not only to what is new.
         if self._final_s < update.replace_from_s:
-            heard = _cut(self._ears.events, self._final_s, math.inf)
+            heard = _clipped(self._recognised.events, self._final_s, math.inf)
             update = replace(update, replace_from_s=self._final_s, events=tuple(heard))
         update, self._final_s = replace(update, final_until_s=final_s), final_s
         stretches = (
             *self._playout.known_phonemes(update.replace_from_s),
-            *self._units.stretches(update.replace_from_s, update.heard_until_s + _AHEAD_S),
+            *self._sent_units.stretches(update.replace_from_s, update.heard_until_s + _AHEAD_S),
         )
         return with_known(update, sorted(stretches, key=lambda stretch: stretch[0]))
 
-    def _follow(self, follower: TextFollower, words: StartedWords) -> None:
+    def _follow_words(self, follower: TextFollower, words: StartedWords) -> None:
+        """Give the recogniser the words that come next, instead of earlier ones if they are new."""
         if words.is_new:
             follower.forget()
-        self._followed = words.kind
-        with suppress(TextError):  # too many wait: these are heard as any others
+        self._followed_kind = words.kind
+        with suppress(TextError):  # too many words wait: these are recognised like any others
             follower.tell(words.words, words.behind_s)
 
 
-#: By the kind of what is followed: what moves the mouth.
-_FOLLOWED: Final[dict[UnitKind, MovedBy]] = {
+#: What moves the mouth, by the kind of the units that the recogniser follows in the sound.
+_MOVER_OF_KIND: Final[dict[UnitKind, MovedBy]] = {
     "text": "text",
     "word": "words",
     "phoneme": "phonemes",
@@ -283,21 +290,22 @@ def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> Phon
     stretches: (start_s, end_s, events) in order of time, not overlapping.
     """
     events, posteriors = list(update.events), update.posteriors
-    for start_s, end_s, known in stretches:
-        posteriors = None  # what is known is not doubted
+    for start_s, end_s, known_events in stretches:
+        posteriors = None  # known phonemes are certain
         known_until_s = min(end_s, update.heard_until_s + _AHEAD_S)
-        near = [event for event in known if event.start_s < known_until_s]
-        near = [event for event in near if _end_s(event) > update.replace_from_s]
-        # What is said may be cut off within a phoneme, and go on within one.
-        known_part = _cut(near, start_s, end_s)
-        # Beyond what is told of a stretch nothing else is, or the two would overlap later.
-        after = _cut(events, end_s, math.inf) if known_until_s == end_s else []
-        events = [*_cut(events, -math.inf, start_s), *known_part, *after]
+        overlapping = [event for event in known_events if event.start_s < known_until_s]
+        overlapping = [event for event in overlapping if _end_s(event) > update.replace_from_s]
+        # Speech may be cut off within a phoneme, and continue within one.
+        known_part = _clipped(overlapping, start_s, end_s)
+        # While the rest of a stretch is not passed on yet, nor is anything behind it: the two would
+        # overlap later.
+        after = _clipped(events, end_s, math.inf) if known_until_s == end_s else []
+        events = [*_clipped(events, -math.inf, start_s), *known_part, *after]
     return replace(update, events=tuple(events), posteriors=posteriors)
 
 
-def _cut(events: Iterable[PhonemeEvent], from_s: float, until_s: float) -> list[PhonemeEvent]:
-    """Return the events, or parts of them, that lie between two times."""
+def _clipped(events: Iterable[PhonemeEvent], from_s: float, until_s: float) -> list[PhonemeEvent]:
+    """Return the events, or parts of events, that lie between two times, in s."""
     found = []
     for event in events:
         start_s, end_s = max(event.start_s, from_s), min(_end_s(event), until_s)

@@ -81,10 +81,10 @@ class Delay:
         return f"{self.total_s * 1e3:.0f} ms = {listed}"
 
 
-#: From wherever it is to rest: as fast as a mouth closes for a P, so that with the servos' own lag
-#: it is closed within 200 ms.
+#: From any pose to rest: as fast as a mouth closes for a P, so that with the servos' own lag the
+#: mouth is closed within 200 ms.
 CLOSING_S = 0.10
-#: Back from rest to what is said by then: no jump, and over before the first vowel is.
+#: Back from rest to the pose of the speech by then: no jump, and over before the first vowel is.
 JOINING_S = 0.08
 
 
@@ -97,11 +97,12 @@ class CutOff:
         period_s: seconds from one pose to the next.
         """
         self._period_s = period_s
+        # Where the present path begins; and how much of the path to rest, or back, is done: 0 to 1.
         self._start_deg: Array = np.zeros(n_servos)
         self._rest_deg: Array = np.zeros(n_servos)
-        self._closed = 1.0
-        self._joined = 0.0
-        #: Sound that comes before it is not shown.
+        self._closed_share = 1.0
+        self._joined_share = 0.0
+        #: Sound time: faces of earlier sound are not shown.
         self.until_s = -np.inf
         self.is_closing = False
 
@@ -120,7 +121,7 @@ class CutOff:
             return
         self.is_closing = True
         self._start_deg, self._rest_deg = shown_deg, rest_deg
-        self._closed = 0.0
+        self._closed_share = 0.0
 
     def close(self) -> Array:
         """Return the next pose on the path to rest.
@@ -130,11 +131,13 @@ class CutOff:
         Array
             (n_servos,) degrees.
         """
-        self._closed = min(1.0, self._closed + self._period_s / CLOSING_S)
-        return self._between(self._start_deg, self._rest_deg, self._closed)
+        self._closed_share = min(1.0, self._closed_share + self._period_s / CLOSING_S)
+        return self._between(self._start_deg, self._rest_deg, self._closed_share)
 
     def join(self, live_deg: Array) -> Array:
-        """Return the next pose on the path back from rest to the live pose.
+        """Return the next pose on the path back from rest to the live pose, at its end that pose.
+
+        The first call after `close` starts the path at the pose that was reached then.
 
         Parameters
         ----------
@@ -148,12 +151,12 @@ class CutOff:
         """
         if self.is_closing:
             self.is_closing = False
-            self._start_deg = self._between(self._start_deg, self._rest_deg, self._closed)
-            self._joined = 0.0
-        if self._joined >= 1.0:
+            self._start_deg = self._between(self._start_deg, self._rest_deg, self._closed_share)
+            self._joined_share = 0.0
+        if self._joined_share >= 1.0:
             return live_deg
-        self._joined = min(1.0, self._joined + self._period_s / JOINING_S)
-        return self._between(self._start_deg, live_deg, self._joined)
+        self._joined_share = min(1.0, self._joined_share + self._period_s / JOINING_S)
+        return self._between(self._start_deg, live_deg, self._joined_share)
 
     @staticmethod
     def _between(start_deg: Array, end_deg: Array, share: float) -> Array:
@@ -161,10 +164,11 @@ class CutOff:
         return np.asarray(start_deg + share * share * (3.0 - 2.0 * share) * (end_deg - start_deg))
 
 
-#: Two of these, one after the other: 3 mm in a third of a second, without a step in speed.
+#: Of each of two low-passes, one after the other: 3 mm in a third of a second, without a step in
+#: speed.
 _TIME_CONSTANT_S: Final = 0.06
-#: Closer than an encoder step moves a lip.
-_THERE_MM: Final = 0.005
+#: An offset so close to the wanted one counts as that: less than an encoder step moves a lip.
+_SETTLED_MM: Final = 0.005
 
 
 class LipGapOffset:
@@ -200,10 +204,11 @@ class LipGapOffset:
             (..., n_components).
         """
         if not self.is_settled:
+            # Two first-order low-passes in a row, until both are at the wanted offset.
             self._halfway_mm += self._share * (self.wanted_mm - self._halfway_mm)
             self._shown_mm += self._share * (self._halfway_mm - self._shown_mm)
             if max(abs(self.wanted_mm - mm) for mm in (self._halfway_mm, self._shown_mm)) < (
-                _THERE_MM
+                _SETTLED_MM
             ):
                 self._halfway_mm = self._shown_mm = self.wanted_mm
         return self.shifted(face)
@@ -228,19 +233,19 @@ class LipGapOffset:
 
 #: After a stall, targets that would be shown longer ago than this are not computed any more.
 _OLDEST_WORTH_SHOWING_S = 0.100
-#: Of what a stall skipped, so much is still worked out for those that remember: filters of lag and
-#: trim (0.2 s), backlash (until the joint turns), hand-overs (0.3 s) and the motion itself, which
-#: goes back as far.
+#: Of the time that a stall skipped, so much is still computed, unpublished, for all that has a
+#: memory: filters of lag and trim (0.2 s), backlash (until the joint turns), hand-overs between
+#: owners (0.3 s), and the motion itself, which looks back as far as this.
 _REMEMBERED_S = 1.0
 #: Goals that have not changed for so long are those of a mouth at rest: longer than any filter here
 #: remembers.
 _STILL_PERIODS: Final = round(_REMEMBERED_S / PUBLISH_PERIOD_S)
-#: A sound that stood still goes on once it is so much further.
+#: After a stall of the sound's clock, the mouth opens again once sound time is so much later.
 _GOES_ON_S = 0.03
-#: The window of a pose after which nothing is known.
+#: Times and closures of a window with a single pose, after which nothing is known.
 _NOW: Final = np.zeros(1)
-_FREE: Final = np.zeros(1, dtype=np.bool_)
-#: Servos that are later than this are not fully made up for: all else would wait for them.
+_NO_CLOSURE: Final = np.zeros(1, dtype=np.bool_)
+#: Lags above this are compensated in part only: all other servos would have to wait.
 _MOST_ADVANCE_S = 0.200
 
 
@@ -249,8 +254,8 @@ class SpeechOptions:
     """The optional parts of a face's speech side.
 
     least_delay_s: least delay from sound to face: the loudspeaker's latency. expression: moves head
-    and eyes. lip_gap: lips more open or closed than planned; None: as planned. plan: keeps the
-    mouth's joints within their speeds; None: they are not limited here.
+    and eyes; None: they stay. lip_gap: opens or closes the lips more than planned; None: as
+    planned. plan: keeps the mouth's joints within their speeds; None: they are not limited here.
     """
 
     least_delay_s: float = 0.0
@@ -305,19 +310,22 @@ class Speech:
         self.expression = options.expression
         self.lip_gap = options.lip_gap
         self._plan = options.plan
-        self._goals_deg = self._mouth_deg = np.zeros(len(self.mouth))
-        # The first sound is shown a delay late; until then the closed mouth is published.
+        # Newest goals of the mouth's servos, and the pose that results; they differ by backlash.
+        self._goals_deg = self._mouth_pose_deg = np.zeros(len(self.mouth))
+        # Numbers of the next periods of 10 ms, from sound time 0 on, to be published and computed.
+        # The first sound is shown a delay late; until then, in periods before 0, the mouth is shut.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
         self._n_computed = self._n_published
         self._newest_goal_s, self._newest_sound_s = -math.inf, -self.delay.total_s
-        self._window: FaceWindow | None = None
+        self._last_window: FaceWindow | None = None
+        # The goals published last, and for how many periods they have been the same.
         self._still_deg, self._n_still = self._goals_deg, 0
 
     @property
     def is_still(self) -> bool:
-        """Whether the mouth rests, with goals that stay as they are for as long as it does.
+        """Whether the mouth rests, and the goals of all servos have not changed for over 1 s.
 
-        Never so of a face that moves its head as well.
+        Always False for a face whose expression moves servos, for example a neck.
         """
         has_gap = self.lip_gap is None or self.lip_gap.is_settled
         return self._n_still > _STILL_PERIODS and has_gap and not self._cut_off.is_closing
@@ -392,11 +400,15 @@ class Speech:
         return self._clock.sound_s(display_s) - self.delay.total_s
 
     def advance(self, now_s: float) -> None:
-        """Recognise, compute and publish all that is due at monotonic `now_s`."""
-        self._hear(now_s)
+        """Recognise, compute and publish all that is due at monotonic `now_s`.
+
+        After a stall, targets that are too old to be shown are not published, and the oldest of
+        them not computed. While speech is cut off, poses on the path to rest are published instead.
+        """
+        self._update_phonemes(now_s)
         heard_s = self._clock.sound_s(now_s)
         if self._cut_off.is_closing and heard_s - self.delay.synthesis_s < self._cut_off.until_s:
-            self._close(now_s)
+            self._publish_closing(now_s)
             return
         n_due = self._n_due(heard_s)
         n_too_old = n_due - round(_OLDEST_WORTH_SHOWING_S / PUBLISH_PERIOD_S)
@@ -404,30 +416,36 @@ class Speech:
         if self._cut_off.is_closing:
             self._n_computed = max(self._n_computed, n_due - 1)
         for n in range(max(self._n_computed, n_remembered), n_due):
-            targets = self._targets(n * PUBLISH_PERIOD_S)
+            targets = self._compute_targets(n * PUBLISH_PERIOD_S)
             if n >= max(n_too_old, self._n_published):
                 self._publish(targets)
         self._n_computed = self._n_published = max(self._n_computed, n_due)
 
     def hold(self, now_s: float) -> None:
-        """Publish what is due at monotonic `now_s` for a mouth that `is_still`: the same goals.
+        """Publish the last goals again for each 10 ms until monotonic `now_s`, while `is_still`.
 
-        What is heard meanwhile, and all that is remembered of the motion, waits for `advance`.
+        Nothing is recognised or computed: the next `advance` does that for the time passed.
         """
         n_due = self._n_due(self._clock.sound_s(now_s))
         for n in range(self._n_published, n_due):
-            self._publish(ServoTargets(self._goal_s(n * PUBLISH_PERIOD_S)[0], self._still_deg))
+            self._publish(ServoTargets(self._times_s(n * PUBLISH_PERIOD_S)[0], self._still_deg))
         self._n_published = max(self._n_published, n_due)
 
     def _n_due(self, heard_s: float) -> int:
-        """Return the number of periods whose targets are due when sound is heard at `heard_s`."""
+        """Return how many periods of 10 ms, from sound time 0 on, have targets that are due.
+
+        heard_s: sound time until which sound was heard.
+        """
         # Half a nanosecond of grace, or rounding would hold a target back for a whole period.
         return math.floor((heard_s - self.delay.synthesis_s + 5e-10) / PUBLISH_PERIOD_S) + 1
 
-    def _goal_s(self, sound_s: float) -> tuple[float, float]:
-        """Return when servos get goals for the face of `sound_s`, and when it is shown."""
+    def _times_s(self, sound_s: float) -> tuple[float, float]:
+        """Return (goal_s, shown_s) of the face of sound time `sound_s`, both monotonic.
+
+        goal_s: when the servos are to get their goals. shown_s: when the face is shown.
+        """
         shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
-        # Servos are asked before the face is shown, by as much as they are late.
+        # Servos get their goals earlier than the face is shown, by as much as they lag.
         return shown_s - self.delay.actuation_s, shown_s
 
     def cut_off(self, now_s: float, rest: Array, until_s: float | None = None) -> None:
@@ -440,15 +458,15 @@ class Speech:
         rest : Array
             (n_components,), the face of a mouth at rest.
         until_s : float | None
-            Sound time; None: until the sound's clock, which has stopped, goes on.
+            Sound time; None: until the sound's clock, which has stopped, is 30 ms further.
         """
         if until_s is None:
             until_s = self._clock.sound_s(now_s) - self.delay.synthesis_s + _GOES_ON_S
         rest_deg = self._calibration.positions_deg(
             rest if self.lip_gap is None else self.lip_gap.shifted(rest)
         )
-        self._cut_off.begin(self._mouth_deg, rest_deg, until_s)
-        # Targets may have been dated ahead of this moment.
+        self._cut_off.begin(self._mouth_pose_deg, rest_deg, until_s)
+        # Targets already published may be dated later than now; the path to rest begins now.
         self._newest_goal_s = min(self._newest_goal_s, now_s)
 
     @property
@@ -463,9 +481,9 @@ class Speech:
     def captured_s(self, goal_s: float) -> float | None:
         """Return when the sound that moves the servos at `goal_s` was captured, both monotonic s.
 
-        None before any sound moves them, or where it is not known. Call in order of time.
+        None before any sound moves them, or where the clock does not know. Call in order of time.
         """
-        # Beyond the newest target, whatever is shown was made of that one.
+        # After the newest target's time, the servos still show the sound of that target.
         sound_s = self._newest_sound_s - max(0.0, self._newest_goal_s - goal_s)
         return None if sound_s < 0.0 else self._clock.captured_s(sound_s)
 
@@ -475,73 +493,80 @@ class Speech:
         phoneme = SILENCE if event is None else event.phoneme
         return phoneme, self._synthesizer.frame_at(sound_s)
 
-    def _hear(self, now_s: float) -> None:
+    def _update_phonemes(self, now_s: float) -> None:
+        """Recognise the sound due at monotonic `now_s`; pass its phonemes to the synthesiser."""
         updates = self._phonemes.updates(self._clock.sound_s(now_s))
         self._clock.arrived(now_s, self._phonemes.heard_until_s)
         for update in updates:
             self._synthesizer.push(update)
 
-    def _close(self, now_s: float) -> None:
-        """Publish poses on the path to rest up to monotonic `now_s`, whatever the sound's clock."""
+    def _publish_closing(self, now_s: float) -> None:
+        """Publish poses on the path to rest up to monotonic `now_s`, even if the sound stalls."""
         self._n_still = 0
         self._newest_goal_s = max(self._newest_goal_s, now_s - _OLDEST_WORTH_SHOWING_S)
-        # Every period counts, also where ticks are farther apart: it closes in the same time.
+        # One pose for each 10 ms, even if ticks are farther apart: the mouth closes equally fast.
         while self._newest_goal_s < now_s + PUBLISH_PERIOD_S / 2:
             self._newest_goal_s += PUBLISH_PERIOD_S
-            self._plan_mouth(TargetWindow(_NOW, self._cut_off.close()[None], _FREE))
+            self._plan_mouth(TargetWindow(_NOW, self._cut_off.close()[None], _NO_CLOSURE))
             shown_s = self._newest_goal_s + self.delay.actuation_s
-            pose_deg = self._compose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
+            pose_deg = self._compose_pose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
             goals_deg = self._lag.feed(pose_deg)
             self._publish(ServoTargets(self._newest_goal_s, goals_deg))
 
-    def _targets(self, sound_s: float) -> ServoTargets:
+    def _compute_targets(self, sound_s: float) -> ServoTargets:
         """Compute the servo goals, in degrees, that show the face of sound time `sound_s`.
 
-        Called once for every period of 10 ms, in order: trim, backlash, joint plan and lag go on by
-        a period in each call. A still mouth gets its last goals again, at little cost.
+        Called once for every period of 10 ms, in order: the filters of trim, backlash, joint plan
+        and lag advance by a period in each call. A still mouth gets its last goals again, at little
+        cost.
         """
         phoneme, frame = self.shown_at(sound_s)
         window = frame_alone(frame) if self._plan is None else self._synthesizer.window_after(frame)
-        goal_s, shown_s = self._goal_s(sound_s)
+        goal_s, shown_s = self._times_s(sound_s)
         self._newest_goal_s, self._newest_sound_s = goal_s, sound_s
-        is_same, self._window = window is self._window, window
+        # At rest the synthesiser returns the same window again, and nothing need be computed.
+        is_same, self._last_window = window is self._last_window, window
         if is_same and self.is_still and self._plan is not None:
             self._plan.stay()
             self._express(sound_s, shown_s, phoneme, frame.expression)
             return ServoTargets(goal_s, self._still_deg)
+        # Faces now and later, and last the present one with pressed lips, become joint angles. The
+        # present pose may still be on its way back from rest, after a cut-off.
         faces = np.concatenate([window.faces, window.shut[None]])
         if self.lip_gap is not None:
             faces = self.lip_gap.feed(faces)
         poses_deg = self._calibration.poses_deg(faces) + self._trim.feed(phoneme)
         poses_deg[0] = self._cut_off.join(poses_deg[0])
         self._plan_mouth(TargetWindow(window.times_s, poses_deg[:-1], window.closed, poses_deg[-1]))
-        pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
+        pose_deg = self._compose_pose(sound_s, shown_s, phoneme, frame.expression)
         goals_deg = self._lag.feed(pose_deg)
         is_same = is_same and not (self.expression is not None and self.expression.moves_servos)
         is_same = is_same and np.array_equal(goals_deg, self._still_deg)
         self._still_deg, self._n_still = goals_deg, self._n_still + 1 if is_same else 0
         return ServoTargets(goal_s, goals_deg)
 
-    def _plan_mouth(self, wanted: TargetWindow) -> None:
-        """Set the mouth's next goals from the poses `wanted` now and later.
+    def _plan_mouth(self, window: TargetWindow) -> None:
+        """Set the mouth's next goals, and the pose to which they bring it, from target poses.
+
+        window: target poses of the mouth's joints, now and in the near future, degrees.
 
         Backlash is compensated before the plan, so that the plan sees every reversal and keeps the
         limits of the servos, not those of their horns.
         """
-        ahead = replace(wanted, positions_deg=self._backlash.feed(wanted.positions_deg))
+        ahead = replace(window, positions_deg=self._backlash.feed(window.positions_deg))
         self._goals_deg = ahead.positions_deg[0]
         if self._plan is not None:
             self._goals_deg = self._plan.step(ahead)
-        # The pose to which these goals bring the mouth.
-        self._mouth_deg = self._goals_deg - (ahead.positions_deg[0] - wanted.positions_deg[0])
+        # Without the compensation, goals are the pose to which they bring the mouth.
+        self._mouth_pose_deg = self._goals_deg - (ahead.positions_deg[0] - window.positions_deg[0])
 
-    def _compose(
+    def _compose_pose(
         self, sound_s: float, shown_s: float, phoneme: str, performed: Expression
     ) -> Array:
-        """Return the pose (n_servos,) of the next 10 ms from the mouth's goals and the expression.
+        """Return the pose (n_servos,), degrees, of mouth and expression for the next 10 ms.
 
         sound_s, shown_s: sound time, and monotonic time of display. phoneme: spoken then.
-        performed: the expression that a performance contains.
+        performed: the expression that a rendered performance contains for it.
         """
         mouth = Claim(Layer.LIPS, self.mouth, self._goals_deg)
         self._express(sound_s, shown_s, phoneme, performed)
@@ -549,7 +574,7 @@ class Speech:
         return self._layers.compose(claims)
 
     def _express(self, sound_s: float, shown_s: float, phoneme: str, performed: Expression) -> None:
-        """Compute the next 10 ms of expression; arguments as of `_compose`."""
+        """Compute the next 10 ms of expression, if any; arguments as `_compose_pose`."""
         if self.expression is not None:
             is_speaking = phoneme != SILENCE
             self.expression.advance(sound_s, shown_s, is_speaking=is_speaking, performed=performed)

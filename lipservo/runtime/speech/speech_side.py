@@ -26,9 +26,9 @@ from lipsync.motion.rounding import ROUNDED, ROUNDING_S, lip_width_of
 from lipsync.phonemes import PHONEMES, SILENCE, LiveRecognizer
 from lipsync.recognition.own_noise import ServoSpeeds
 
-#: The gain is followed so often, and once it is so far from the one that is in force: arousal
-#: takes half a second to rise, and each change is eased over 0.3 s.
-_EVERY_S: Final = 0.5
+#: Gain and valence are passed on so often at most, and once they are so far from those in force:
+#: arousal takes half a second to rise, and each change is eased over 0.3 s.
+_FOLLOWED_EVERY_S: Final = 0.5
 _SMALLEST_CHANGE: Final = 0.02
 
 
@@ -39,50 +39,52 @@ class AdjustableMouth:
     """
 
     def __init__(self, synthesizer: Synthesizer) -> None:
-        self._live = synthesizer if isinstance(synthesizer, FinishedSynthesizer) else None
-        self._strength = 1.0 if self._live is None else self._live.strength
+        self._synthesizer = synthesizer if isinstance(synthesizer, FinishedSynthesizer) else None
+        self._strength = 1.0 if self._synthesizer is None else self._synthesizer.strength
         self._gain, self._valence = 1.0, 0.0
         self._due_s = 0.0
 
     @property
     def is_settled(self) -> bool:
-        """Whether a voice that only fades changes neither gain nor valence any more."""
+        """Whether gain and valence in force are neutral (1 and 0), so that they stay in silence."""
         return max(abs(self._gain - 1.0), abs(self._valence)) < _SMALLEST_CHANGE
 
     def change(self, settings: Mapping[str, float]) -> None:
         """Pass on changed settings, by name, that the synthesiser knows; it eases them in."""
-        if self._live is None:
+        if self._synthesizer is None:
             return
         if "strength" in settings and settings["strength"] != self._strength:
             self._strength = settings["strength"]
             self._set_strength()
-        for name in self._live.adjustable & settings.keys() - {"strength"}:
-            self._live.adjust(name, settings[name])
+        for name in self._synthesizer.adjustable & settings.keys() - {"strength"}:
+            self._synthesizer.adjust(name, settings[name])
 
     def follow(self, now_s: float, gain: float, valence: float) -> None:
         """Set the motion's gain and valence (-1 to 1) at monotonic `now_s`, at most each 0.5 s."""
         change = max(abs(gain - self._gain), abs(valence - self._valence))
-        if self._live is None or now_s < self._due_s or change < _SMALLEST_CHANGE:
+        if self._synthesizer is None or now_s < self._due_s or change < _SMALLEST_CHANGE:
             return
-        self._due_s = now_s + _EVERY_S
+        self._due_s = now_s + _FOLLOWED_EVERY_S
         if gain != self._gain:
             self._gain = gain
             self._set_strength()
         if valence != self._valence:
             self._valence = valence
-            self._live.smile(valence)
+            self._synthesizer.smile(valence)
 
     def _set_strength(self) -> None:
-        if self._live is not None:
-            self._live.adjust("strength", min(STRONGEST, self._strength * self._gain))
+        """Set the synthesiser's amplitude to the set strength times the gain, within its limit."""
+        if self._synthesizer is not None:
+            self._synthesizer.adjust("strength", min(STRONGEST, self._strength * self._gain))
 
 
-#: A loudspeaker whose position stays for so long stands still: a few buffers of the slowest device.
+#: A loudspeaker whose position has not changed for so long has stalled: a few buffers of the
+#: slowest device.
 _STALE_S: Final = 0.15
-#: At rest the speech side works so often; its goals are published as often as ever.
+#: At rest the speech side computes so often; goals are still published every 10 ms.
 REST_PERIOD_S: Final = 0.05
-#: Its clock runs on a little until it stands still, too. The mouth opens again once lips and sound
-#: are as near as that, which nobody notices.
+#: When a loudspeaker stalls, the clock runs on a little. The mouth opens again once the clock is
+#: ahead of the loudspeaker by less than this, an error that nobody notices.
 _CAUGHT_UP_S: Final = 0.03
 
 
@@ -111,8 +113,10 @@ class OwnVoice:
         self._clock = clock
         self._speech = speech
         self._rest = rest
-        self._logged_s = -1.0
-        self._reported_position_s, self._moved_s = -math.inf, -math.inf
+        # Start of the phoneme logged last, timeline s.
+        self._logged_start_s = -1.0
+        # The loudspeaker's last position, and the monotonic time since which it is there.
+        self._reported_position_s, self._position_moved_s = -math.inf, -math.inf
         self._has_stalled = False
         clock.lead_s = speech.delay.total_s
 
@@ -121,18 +125,18 @@ class OwnVoice:
         self.playout.begin(self._clock.lead_s, self._quiet_s)
 
     def advance(self, now_s: float) -> None:
-        """Run the playout until monotonic `now_s`, and log phonemes that are heard.
+        """Run the playout until monotonic `now_s`, and append each phoneme heard to its `phonemes`.
 
         Closes the mouth when speech is cut off or the loudspeaker stalls.
         """
         self.follow(now_s)
-        self._get_up()
+        self._wake_if_resting()
         position_s = self._clock.sound_s(now_s) - self._clock.lead_s
         if self.playout.advance(position_s):
             self._speech.cut_off(now_s, self._rest, self.playout.committed_s)
         event = self._speech.event_at(max(0.0, position_s))
-        if event is not None and event.start_s > self._logged_s:
-            self._logged_s = event.start_s
+        if event is not None and event.start_s > self._logged_start_s:
+            self._logged_start_s = event.start_s
             end_s = event.start_s if event.end_s is None else event.end_s
             self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
 
@@ -151,7 +155,7 @@ class OwnVoice:
         self.playout.requests.append(PlayoutRequest("interrupt"))
         self.playout.advance(self.playout.position_s)
 
-    def _get_up(self) -> None:
+    def _wake_if_resting(self) -> None:
         """Wake a resting face and delay its speech for the servos, if there is sound to play."""
         expression = self._speech.expression
         if expression is not None and expression.is_resting and not self.playout.is_over:
@@ -159,26 +163,28 @@ class OwnVoice:
             self.be_quiet()
 
     def follow(self, now_s: float) -> None:
-        """Pass the loudspeaker's position to the clock; close the mouth while it has stalled."""
+        """Pass the loudspeaker's position to the clock; close the mouth while it stalls."""
         report = self.playout.report()
         if report is None:
             return
         reported_s, position_s = report
         self._clock.played(reported_s, position_s)
+        # By how much the clock is ahead of the reported position, as that would be now.
         ahead_s = (
             self._clock.sound_s(now_s) - self._clock.lead_s - position_s - (now_s - reported_s)
         )
+        # A stall begins when the position stays, and ends when it moves again and the clock agrees.
         if position_s != self._reported_position_s:
-            self._reported_position_s, self._moved_s = position_s, now_s
+            self._reported_position_s, self._position_moved_s = position_s, now_s
             self._has_stalled = self._has_stalled and ahead_s > _CAUGHT_UP_S
-        elif now_s - self._moved_s > _STALE_S:
+        elif now_s - self._position_moved_s > _STALE_S:
             self._has_stalled = True
         if self._has_stalled:
             self._speech.cut_off(now_s, self._rest)
 
 
-#: Lips of the page's head round so much before their sound, and this quickly, s: the middle of a
-#: cubic of `ROUNDING_S`.
+#: On the dashboard's head, lips round so much before the sound, the middle of a cubic of
+#: `ROUNDING_S`; and the time constant of the rounding, s.
 _ROUNDING_LEAD_S: Final = ROUNDING_S / 2.0
 _ROUNDING_TIME_S: Final = 0.03
 
@@ -186,8 +192,8 @@ _ROUNDING_TIME_S: Final = 0.03
 class SpeechBoard:
     """A writer of what a face shows, as speech records, to a `LiveBoard` (shared memory).
 
-    The dashboard draws its head from them, with lips that round where those of the talker, and so
-    of the robot, hardly do (`lipsync.motion.rounding`).
+    The dashboard draws its head from the records. Its lips round for W, UW and the like, which the
+    recorded talker's, and so the robot's, hardly do (`lipsync.motion.rounding`).
     """
 
     def __init__(self, board: LiveBoard, face: FaceModel) -> None:
@@ -220,17 +226,22 @@ class SpeechBoard:
         self._shown_until_s = max(self._shown_until_s, sound_s)
 
     def _rounded(self, frame: Frame, speech: Speech) -> Array:
-        """Return the frame's face (n_components,), its lips rounded for W, UW and the like."""
+        """Return the frame's face (n_components,), its lips rounded for W, UW and the like.
+
+        For the dashboard's head. The rounding, 0 to 1, follows the phonemes with a time constant
+        of 30 ms, and leads them a little. Faces without a measure of lip width stay as they are.
+        """
         if self._width is None:
             return frame.coefficients
         event = speech.event_at(frame.time_s + _ROUNDING_LEAD_S)
-        wanted = float(event is not None and PHONEMES.index(event.phoneme) in ROUNDED)
+        goal = float(event is not None and PHONEMES.index(event.phoneme) in ROUNDED)
         passed_s = max(0.0, frame.time_s - self._shown_until_s)
-        self._rounding += (1.0 - math.exp(-passed_s / _ROUNDING_TIME_S)) * (wanted - self._rounding)
+        self._rounding += (1.0 - math.exp(-passed_s / _ROUNDING_TIME_S)) * (goal - self._rounding)
         return self._width.rounded(frame.coefficients, self._rounding)
 
 
-#: Full speed is told three times, a tenth of a second apart, since no chip acknowledges it.
+#: Servos are sent their full speed three times, a tenth of a second apart, since no chip
+#: acknowledges it: sound waits so much longer.
 _MARGIN_S: Final = 0.3
 
 
@@ -257,8 +268,10 @@ class SpeechSide:
         """
         self._quiet_s, self._is_live = quiet_s, is_live
         self._was_stopped = False
-        self._held_s: float | None = None
-        self._worked_s = -math.inf
+        # Monotonic times: until which `hold` has put work off, None: not at all; and of the last
+        # computation at rest.
+        self._put_off_s: float | None = None
+        self._computed_s = -math.inf
         self._rest = rest
         self.speech = speech
         self.voice = voice
@@ -289,6 +302,7 @@ class SpeechSide:
         return zero_s
 
     def _await_servos(self, now_s: float) -> None:
+        """Keep the voice silent, or the mouth at rest, until servos that get torque now follow."""
         if self.voice is not None:
             self.voice.be_quiet()
         elif self._rest is not None and self._quiet_s:
@@ -299,29 +313,29 @@ class SpeechSide:
         """Recognise, play and publish all that is due at monotonic `now_s`."""
         if self.voice is not None:
             self.voice.advance(now_s)
-        self._go_on(now_s)
+        self._advance_parts(now_s)
 
     def hold(self, now_s: float, *, has_news: bool) -> bool:
         """Publish the unchanged goals due at monotonic `now_s` of a face at rest; save computing.
 
         Return False if the caller has to call `advance`: something is spoken, a microphone is open,
         a goal still changes, or `has_news` (a stop or a setting is to be followed). At rest the
-        speech side computes only every 50 ms. What was put off is done before False is returned, so
-        that all comes as it would have in every period.
+        speech side computes only every 50 ms; the periods put off are computed before False is
+        returned, with the same result as if computed in time.
         """
         voice, is_still = self.voice, self.speech.is_still
         if not is_still or voice is None or has_news or not (voice.is_idle and self._is_settled):
-            if self._held_s is not None:
-                self.speech.advance(self._held_s)
-                self._held_s = None
+            if self._put_off_s is not None:
+                self.speech.advance(self._put_off_s)
+                self._put_off_s = None
             return False
         voice.follow(now_s)
-        if now_s < self._worked_s + REST_PERIOD_S - PUBLISH_PERIOD_S / 2.0:
+        if now_s < self._computed_s + REST_PERIOD_S - PUBLISH_PERIOD_S / 2.0:
             self.speech.hold(now_s)
-            self._held_s = now_s
+            self._put_off_s = now_s
             return True
-        self._worked_s, self._held_s = now_s, None
-        self._go_on(now_s)
+        self._computed_s, self._put_off_s = now_s, None
+        self._advance_parts(now_s)
         voice.advance(now_s)
         return True
 
@@ -329,7 +343,8 @@ class SpeechSide:
     def _is_settled(self) -> bool:
         return self._mouth is None or self._mouth.is_settled
 
-    def _go_on(self, now_s: float) -> None:
+    def _advance_parts(self, now_s: float) -> None:
+        """Advance speech to monotonic `now_s`, pass on gain and valence, and write the board."""
         self.speech.advance(now_s)
         if self._mouth is not None and self.speech.expression is not None:
             affect = self.speech.expression
@@ -373,7 +388,10 @@ class SpeechSide:
             self.voice.fall_silent()
 
     def follow_stop(self, now_s: float, *, is_stopped: bool) -> None:
-        """Silence the face and rest its mouth while `is_stopped`; call before `advance`."""
+        """Silence the face and rest its mouth while `is_stopped`; call before each `advance`.
+
+        After a stop the voice or the mouth waits again until the servos follow.
+        """
         if is_stopped:
             self.fall_silent()
             if self._rest is not None:
@@ -384,7 +402,11 @@ class SpeechSide:
 
 
 def mouth_plan(face: Face) -> JointPlan:
-    """Return a planner of the calibrated joints' goals, keeping to set and measured top speeds."""
+    """Return a planner of goals, every 10 ms, for the mouth's joints, in the calibration's order.
+
+    It keeps to the speed and acceleration limits of the face's YAML, and to the top speed that the
+    calibration has measured, if any.
+    """
     servos = [face.settings.servos[name] for name in face.calibration.servo_names]
     speeds_deg_s = np.array([servo.max_speed_deg_s for servo in servos])
     if face.calibration.following is not None:

@@ -34,7 +34,7 @@ Record = np.void
 EXPRESSION_NAMES: Final = tuple(Expression.__dataclass_fields__)
 #: Blocks of sound between two ticks of the slowest face (10 Hz), and some that came late.
 MOST_PEAKS: Final = 16
-#: What is said once: names and numbers of everything.
+#: The layout, which is written once: names and numbers of all that is in the records.
 _ABOUT_BYTES: Final = 1 << 16
 _ABOUT_HEAD: Final = struct.Struct("<II")
 #: Number, checksum, then the record.
@@ -89,6 +89,7 @@ class _Ring:
     """
 
     def __init__(self, memory: mmap.mmap, offset: int, kind: np.dtype[Any]) -> None:
+        """Use `memory` from byte `offset` on; its records stay. kind: NumPy type of a record."""
         self._memory = memory
         self._offset = offset
         self._kind = kind
@@ -120,10 +121,13 @@ class _Ring:
         self._n_written = max((number for number, _ in self._slots()), default=0)
 
     def newer_than(self, number: int) -> list[tuple[int, Record]]:
-        """Return (number, record) of every intact record numbered above `number`, oldest first."""
+        """Return (number, record) of every intact record numbered above `number`, oldest first.
+
+        Records older than the ring, or being written now, are missing.
+        """
         next_start = self._offset + (number + 1) % _N_SLOTS * self._slot_bytes
         if _HEAD.unpack_from(self._memory, next_start)[0] <= number:
-            return []  # what comes next is not there yet: the usual case
+            return []  # the next record has not been written yet: the usual case
         found = []
         for n, start in self._slots():
             if n <= number:
@@ -134,6 +138,7 @@ class _Ring:
         return sorted(found, key=itemgetter(0))
 
     def _slots(self) -> list[tuple[int, int]]:
+        """Return (number of its record, offset in the memory) of each slot; number 0: empty."""
         starts = (self._offset + i * self._slot_bytes for i in range(_N_SLOTS))
         return [(_HEAD.unpack_from(self._memory, start)[0], start) for start in starts]
 
@@ -146,6 +151,7 @@ class LiveBoard:
 
     def __init__(self, fd: int, *, writable: bool) -> None:
         """Map the memory of descriptor `fd`. Raises ValueError if that contains no board."""
+        # The memory holds the layout as JSON, the ring of servo records, that of speech records.
         self._fd = fd
         access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
         self._memory = mmap.mmap(fd, 0, access=access)
@@ -234,7 +240,7 @@ def _layout(record: Mapping[str, Any]) -> BoardLayout:
     return BoardLayout(**{**record, **lists})
 
 
-#: Of a face, by their numbers on the board.
+#: The states of a face; their indices are the numbers in the records.
 FACE_STATES = tuple(state.value for state in FaceState)
 
 

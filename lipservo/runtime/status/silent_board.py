@@ -35,7 +35,7 @@ class SilentBoard:
     @classmethod
     @contextmanager
     def create(cls, settings: FaceSettings, config: str) -> Iterator[Self]:
-        """Yield a new board for a face. config: its name or YAML path, as in its status."""
+        """Yield a new, open board for a face without speech. config: its name or YAML path."""
         n_components = load_face_model(None).n_components
         servos, rate_hz = tuple(settings.servos), settings.rate_hz
         layout = BoardLayout(
