@@ -4,7 +4,7 @@ import pytest
 from spoken_phonemes import spoken
 
 from lipsync.expectation.expectation import track_of
-from lipsync.motion.finishing import OPEN, closures, planned
+from lipsync.motion.finishing import OPEN, closures, plan_closure
 from lipsync.phonemes import PHONEMES, PhonemeEvent
 
 MOMENTS = {PHONEMES.index("M"): 0.03, PHONEMES.index("P"): 0.03}
@@ -16,7 +16,7 @@ def amounts(events, lookahead_s: float, until_s: float) -> dict[float, float]:
     track, now, found = track_of(events), OPEN, {}
     for tick in range(round(until_s / TICK_S)):
         time_s = tick * TICK_S
-        now = planned(now, MOMENTS, track, time_s, time_s + lookahead_s)
+        now = plan_closure(now, MOMENTS, track, time_s, time_s + lookahead_s)
         found[round(time_s, 3)] = now.share(time_s)
     return found
 
