@@ -187,12 +187,12 @@ MARKERS_47 = PointLayout("markers-47", _WITH_INNER_LIPS, (13, 14))
 
 def _face_mesh() -> PointLayout:
     """Return the layout of all 478 points: both lips, the irises, and the rest as `skin`."""
-    other_groups = {*OUTER_LIP, *INNER_LIP, *IRISES}
+    grouped = {*OUTER_LIP, *INNER_LIP, *IRISES}
     groups = (
         (OUTER_LIP_GROUP, OUTER_LIP),
         (INNER_LIP_GROUP, INNER_LIP),
         ("iris", IRISES),
-        ("skin", tuple(n for n in range(N_LANDMARKS) if n not in other_groups)),
+        ("skin", tuple(n for n in range(N_LANDMARKS) if n not in grouped)),
     )
     return PointLayout("face-mesh-478", groups, (13, 14))
 
