@@ -147,10 +147,9 @@ def layout_of(description: Mapping[str, Any]) -> PointLayout:
     name = str(description["name"])
     try:
         groups = tuple(
-            (str(group), _checked_landmarks(numbers))
-            for group, numbers in description["groups"].items()
+            (str(group), _landmarks(numbers)) for group, numbers in description["groups"].items()
         )
-        upper, lower = _checked_landmarks(description["lip_gap"])
+        upper, lower = _landmarks(description["lip_gap"])
     except (AttributeError, TypeError, ValueError) as error:
         raise LayoutError(
             f"layout {name}: `groups` must map names to lists of landmark numbers, lip_gap be two "
@@ -159,7 +158,7 @@ def layout_of(description: Mapping[str, Any]) -> PointLayout:
     return PointLayout(name, groups, (upper, lower))
 
 
-def _checked_landmarks(numbers: Iterable[object]) -> tuple[int, ...]:
+def _landmarks(numbers: Iterable[object]) -> tuple[int, ...]:
     landmarks = tuple(numbers)
     for number in landmarks:
         if type(number) is not int or number < 0:
