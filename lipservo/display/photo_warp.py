@@ -96,7 +96,7 @@ class PhotoWarp:
         """
         turn, shift = self.turn(frame)
         places_px = self._photo.in_picture(self._skin_places(frame))
-        skin = self.contact.held(places_px, frame) @ turn.T + shift
+        skin = self.contact.bring_together(places_px, frame) @ turn.T + shift
         eyes = self._eyes_of(self.own_px @ turn.T + shift)
         rest = self.mesh.rest_px
         rim = _smooth(skin[self.rim, :2] - rest[self.rim])
