@@ -27,7 +27,7 @@ _STILL_PX = 0.02
 class PhotoDisplay:
     """A display of one photograph, drawn a frame at a time. Needs OpenCV, the extra `film`.
 
-    A map holds for each pixel of the moving part its position in the photograph; `_still_map` is
+    A map holds for each pixel of the moving part its position in the photograph; `_still` is
     that of a face that does not move.
     """
 
@@ -44,11 +44,11 @@ class PhotoDisplay:
         high = np.clip(np.ceil(rest_px.max(axis=0)) + 2, None, (width, height)).astype(int)
         self._box = (slice(low[1], high[1]), slice(low[0], high[0]))
         rows, columns = np.mgrid[self._box].astype(np.float32)
-        self._still_map = np.stack([columns, rows])
-        n_coarse = -(-np.array(self._still_map.shape[1:]) // _COARSE) + 1
+        self._still = np.stack([columns, rows])
+        n_coarse = -(-np.array(self._still.shape[1:]) // _COARSE) + 1
         rows, columns = (_COARSE * np.mgrid[: n_coarse[0], : n_coarse[1]]).astype(np.float32)
-        self._still_coarse_map = np.stack([columns + low[0], rows + low[1]])
-        rows, columns = (self._still_map[::-1] - low[::-1, None, None]).astype(np.float32) / _COARSE
+        self._coarse_still = np.stack([columns + low[0], rows + low[1]])
+        rows, columns = (self._still[::-1] - low[::-1, None, None]).astype(np.float32) / _COARSE
         self._coarse_positions = np.ascontiguousarray(columns), np.ascontiguousarray(rows)
 
     @property
@@ -121,34 +121,32 @@ class PhotoDisplay:
         moves = np.asarray(~is_still[self._mesh.triangles].all(axis=1))
         moves[self._mesh.skin] |= not is_still[self._eyes].all()
         moved_background = np.flatnonzero(moves[: self._mesh.skin.start])
-        maps = self._still_map
+        maps = self._still
         if len(moved_background):  # smooth and wide: a coarse map will do, of all there is
             maps = self._coarse_map(moved_px)
         maps = maps.copy()
         skin = self._mesh.triangles[self._mesh.skin][moves[self._mesh.skin]]
         fine = np.vstack([self._mesh.triangles[self.warp.eye_fans], skin])
-        self._fill_map(maps, moved_px - self.corner_px, rest, fine)
+        self._fill(maps, moved_px - self.corner_px, rest, fine)
         return maps
 
     def _coarse_map(self, moved_px: Array) -> NDArray[np.float32]:
-        """Return the map of `source_of` for all of the mesh, computed at every fourth pixel and interpolated."""
+        """Return the map of `source_of` for all of the mesh, from every fourth pixel each way."""
         import cv2
 
         corner = np.array(self.corner_px)
-        maps = self._still_coarse_map.copy()
-        self._fill_map(
-            maps, (moved_px - corner) / _COARSE, self._mesh.rest_px, self._mesh.triangles
-        )
+        maps = self._coarse_still.copy()
+        self._fill(maps, (moved_px - corner) / _COARSE, self._mesh.rest_px, self._mesh.triangles)
         columns, rows = self._coarse_positions
-        offsets = (maps - self._still_coarse_map).astype(np.float32)
-        full_size = [
+        offsets = (maps - self._coarse_still).astype(np.float32)
+        wide = [
             cv2.remap(each, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             for each in offsets
         ]
-        return np.asarray(self._still_map + np.stack(full_size))
+        return np.asarray(self._still + np.stack(wide))
 
     @staticmethod
-    def _fill_map(
+    def _fill(
         maps: NDArray[np.float32], moved_px: Array, rest_px: Array, triangles: Indices
     ) -> None:
         """Write into `maps` from where in the photograph the pixels of moved triangles come.
