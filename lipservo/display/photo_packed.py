@@ -92,7 +92,7 @@ def _contact_values(contact: LipContact) -> dict[str, object]:
 
 
 def _pack_part(part: SeenPart, body: Body) -> dict[str, object]:
-    """Add the arrays of a part of the mouth's inside to `body`; return their places for the header."""
+    """Add the arrays of a part of the mouth's inside to `body`; return their header entries."""
     return {
         "places": body.add(part.places_px, "<f4"),
         "colours": body.add(part.colours.round().clip(0, 255), "u1"),
