@@ -96,7 +96,7 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
         performed,
         how.method,
         {} if how.expression is None else line_expression(how.expression, line, len(faces)),
-        _origin_digest(performed, script, how),
+        _origin(performed, script, how),
     )
     seconds = time.perf_counter() - began_s
     duration_s = len(line.samples) / SAMPLE_RATE_HZ
@@ -112,9 +112,7 @@ def is_rendered(output: Path, sound: Path, script: Script, how: Rendering) -> bo
     """
     try:
         performance = read_performance(output)
-        if performance.origin != _origin_digest(
-            performed_sound(sound, included=False), script, how
-        ):
+        if performance.origin != _origin(performed_sound(sound, included=False), script, how):
             return False
         if how.includes_sound:
             with sound_file(performance.sound, output):
@@ -124,7 +122,7 @@ def is_rendered(output: Path, sound: Path, script: Script, how: Rendering) -> bo
     return True
 
 
-def _origin_digest(sound: PerformedSound, script: Script, how: Rendering) -> str:
+def _origin(sound: PerformedSound, script: Script, how: Rendering) -> str:
     """Return a digest of all that the performance of a line depends on, as 64 hex digits.
 
     The sound counts by name and bytes, phones by their file's bytes, models by theirs.
@@ -146,7 +144,7 @@ def _origin_digest(sound: PerformedSound, script: Script, how: Rendering) -> str
 def _common_origin(how: Rendering) -> list[object]:
     """Return what all lines with these options depend on: version, options, digests of models.
 
-    It is computed once per process, as the models are loaded once, too.
+    It is computed once per process for equal options, as the models are loaded once, too.
     """
     models = resources.files("lipsync.models")
     expression: object = None
