@@ -68,6 +68,7 @@ class MouthParts:
     """
 
     def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
+        """Take teeth and tongue from the photograph's head; pair the rows of the rim."""
         parts = {part.name: part for part in photo.twin.parts}
         photographed = dict(zip(photo.twin.components, photo.own.tolist(), strict=True))
         self.upper = _shaded_part(photo, parts["teeth_upper"], {})
@@ -78,6 +79,7 @@ class MouthParts:
         self.jaw_px = {
             name: photo.matrix @ moves[front].mean(axis=0) for name, moves in lower.morphs.items()
         }
+        # The rim runs from a corner over the upper lip to the other, and back along the lower.
         half = len(lips_px) // 2
         self.upper_rows = np.arange(half + 1)
         self.lower_rows = np.concatenate([np.arange(half, len(lips_px)), [0]])[::-1]
@@ -96,6 +98,7 @@ class MouthInside:
     """
 
     def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
+        """Draw teeth and tongue as sprites, once for all frames."""
         self._photo = photo
         parts = MouthParts(photo, lips_px)
         self._upper, self._lower = _drawn_sprite(parts.upper), _drawn_sprite(parts.lower)
@@ -222,8 +225,10 @@ class _Opening:
             np.interp(s, at_s, chain[:, 1]) for at_s, chain in zip(self._s, chains, strict=True)
         )
         within = (s >= self._s[0][0]) & (s <= self._s[0][-1])
+        # Which share of each pixel's height lies between the lips.
         open_px = np.minimum(t + 0.5, bottom) - np.maximum(t - 0.5, top)
         self.hole = np.where(within, np.clip(open_px, 0.0, 1.0), 0.0).astype(np.float32)
+        # The same without the part, next to both lips, that shows nothing.
         margin = np.interp(s, self._s[0], hidden_px) / 2
         top, bottom = top + margin, bottom - margin
         open_px = np.minimum(t + 0.5, bottom) - np.maximum(t - 0.5, top)

@@ -32,6 +32,10 @@ class PhotoDisplay:
     """
 
     def __init__(self, photo: PhotoFace) -> None:
+        """Prepare the maps of `photo`, in full and at every fourth pixel each way.
+
+        Raises MissingExtraError without OpenCV.
+        """
         check_extra("cv2", "drawing a photograph")
         self._photo = photo
         self.warp = PhotoWarp(photo)
@@ -40,6 +44,7 @@ class PhotoDisplay:
         self._inside = MouthInside(photo, self.warp.own_px[self.warp.lips])
         rest_px = self._mesh.rest_px
         height, width = photo.picture.shape[:2]
+        # The part of the picture in which something moves.
         low = np.clip(np.floor(rest_px.min(axis=0)) - 1, 0, None).astype(int)
         high = np.clip(np.ceil(rest_px.max(axis=0)) + 2, None, (width, height)).astype(int)
         self._box = (slice(low[1], high[1]), slice(low[0], high[0]))

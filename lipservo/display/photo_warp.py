@@ -47,6 +47,7 @@ class PhotoWarp:
     """
 
     def __init__(self, photo: PhotoFace) -> None:
+        """Build the mesh of `photo`: the face's skin, the eyes, and rings round the face."""
         self._photo = photo
         skin = photo.twin.parts[0]
         triangles = _coarser_triangles(skin.triangles)
@@ -170,7 +171,9 @@ def pose_rad(frame: Frame) -> tuple[float, float, float]:
 
 
 def rotation(pitch: float, yaw: float, roll: float) -> Array:
-    """Return the rotation by roll, then pitch, then yaw; x to the right, y up, z to the viewer.
+    """Return the matrix of a rotation by roll, then pitch, then yaw of a head.
+
+    Axes: x to the right, y up, z to the viewer.
 
     Parameters
     ----------
@@ -180,7 +183,7 @@ def rotation(pitch: float, yaw: float, roll: float) -> Array:
     Returns
     -------
     Array
-        (3, 3).
+        (3, 3), to be multiplied with column vectors.
     """
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in (-pitch, yaw, -roll))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])

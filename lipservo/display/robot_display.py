@@ -96,7 +96,8 @@ def moved_channels(
 ) -> dict[tuple[str, str], float]:
     """Return degrees by (channel, side), in the drawing's directions, from angles of servos.
 
-    A channel is a motion of the drawing, as `jaw`. Servos without one in `rig` are left out.
+    A channel is a motion of the drawing, such as `jaw`; sides are "left" and "right". Servos
+    without a channel in `rig` are left out.
     """
     degrees: dict[tuple[str, str], float] = {}
     for name, deg in positions_deg.items():

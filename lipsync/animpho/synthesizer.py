@@ -72,6 +72,7 @@ class PublishedSynthesizer:
         published_derivatives: bool = False,
         longest_phone_s: float = LONGEST_PHONE_S,
     ) -> None:
+        """Create the synthesiser with a closed mouth; the parameters are those of the class."""
         self._units = units
         self._known_phonemes = units.known_phonemes
         self._strategy = strategy or PrioritySelection()

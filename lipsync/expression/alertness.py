@@ -25,6 +25,7 @@ class Alertness:
     """
 
     def __init__(self, idle_after_s: float, rest_after_s: float) -> None:
+        """Start in idle; the parameters are those of the class."""
         self._idle_after_s = idle_after_s
         self._rest_after_s = rest_after_s
         self._awake_share = 0.0

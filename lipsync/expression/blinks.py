@@ -112,6 +112,7 @@ class BrowFlashes:
     """A generator of raised brows, 0 to 1: short flashes when pitch rises, and by high pitch."""
 
     def __init__(self, random: Random) -> None:
+        """Create the generator with brows at rest; `random`: its random generator."""
         self._random = random
         self._fast_share = -math.expm1(-CUE_PERIOD_S / _FAST_S)
         self._slow_share = -math.expm1(-CUE_PERIOD_S / _SLOW_S)

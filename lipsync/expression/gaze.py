@@ -95,6 +95,7 @@ class GazeHabit:
     away_sd_s: float
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a share below 0.05 or above 1."""
         if not _LEAST_SHARE <= self.mutual_share <= 1.0:
             raise ValueError(
                 f"mutual_share, the share of time looking at the partner, is {self.mutual_share}; "
@@ -155,6 +156,7 @@ class Gaze:
     """
 
     def __init__(self, random: Random, talking: GazeHabit, listening: GazeHabit) -> None:
+        """Start with gaze straight ahead, at a partner, with the habit of a listener."""
         self._random = random
         self._habits = (listening, talking)
         self._habit = listening

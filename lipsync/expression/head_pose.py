@@ -47,6 +47,7 @@ class ProsodyAccents:
     """
 
     def __init__(self, random: Random) -> None:
+        """Create the generator at rest: averages 0, no nod."""
         self._random = random
         self._fast_share = -math.expm1(-CUE_PERIOD_S / _FAST_S)
         self._slow_share = -math.expm1(-CUE_PERIOD_S / _SLOW_S)
@@ -143,6 +144,7 @@ class _Axis:
     """
 
     def __init__(self) -> None:
+        """Create the angle at rest at 0 degrees, with 1 degree of travel to spend."""
         self.angle_deg = 0.0
         self.goal_deg = 0.0
         self.home_deg = 0.0
@@ -286,15 +288,18 @@ class HeadPose:
     """The head's pitch, yaw and roll: conversation and idle motion mixed, and its part of gaze."""
 
     def __init__(self, seed: int) -> None:
+        """Create the generators of the head's motion; `seed`: of their random numbers."""
         self._drift = HeadDrift(Random(f"{seed} head"))
         self._accents = ProsodyAccents(Random(f"{seed} accents"))
         self._idle = IdlePosture(Random(f"{seed} idle"))
+        # A slow filter for turning and drifting, and after it a quick one that lets nods through.
         self._turning_pitch, self._turning_yaw, self._turning_roll = (
             DampedFollower(_TURNING_HZ, _MOST_DEG_S) for _ in range(3)
         )
         self._pitch, self._yaw, self._roll = (
             DampedFollower(_HEAD_HZ, _MOST_DEG_S) for _ in range(3)
         )
+        # Where gaze was directed last, the head's part of that, and its part for the partner.
         self._aim_deg = self._aim_part_deg = self._partner_part_deg = STRAIGHT_AHEAD
 
     def settle(self) -> None:

@@ -51,6 +51,10 @@ class ModelFile:
     """
 
     def __init__(self, name: str, archive: ArrayArchive) -> None:
+        """Read and check the header of an open archive.
+
+        Raises ModelError if the header is damaged or of another version or inventory of phonemes.
+        """
         self.name = name
         self._archive = archive
         try:

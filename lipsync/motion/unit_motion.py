@@ -102,8 +102,9 @@ def span_at(
 def guessed_s(phonemes: list[int], times_s: list[float]) -> float:
     """Return the probable duration in s of the present phone, at the speaker's pace.
 
-    The pace is the duration of the two phones before over their usual one; of it, in logarithms,
-    half is believed. phonemes, times_s: what `context_at` returns.
+    phonemes, times_s: what `context_at` returns, first of the phone before last, the last and the
+    present one: their indices, and how many seconds ago they began. The pace is the duration of the
+    two phones before over their usual one, 1/2 to 2; in logarithms half of it is believed.
     """
     usual_s = elapsed_s = 0.0
     for phoneme, begun_s, next_begun_s in zip(phonemes[:2], times_s[:2], times_s[1:3], strict=True):

@@ -42,6 +42,7 @@ class PlannedMotion:
     def __init__(
         self, faces: Array, frame_rate_hz: float, events: tuple[PhonemeEvent, ...]
     ) -> None:
+        """Lay a spline through the faces and join the phonemes; parameters: see the class."""
         self._last_s = (len(faces) - 1) / frame_rate_hz
         times_s = np.arange(len(faces)) / frame_rate_hz
         self._spline = CubicSpline(times_s, faces) if len(faces) > 1 else None

@@ -463,6 +463,11 @@ class _UnitSearch:
     """
 
     def __init__(self, model: StateModel, cepstra: Array, spans: Spans) -> None:
+        """Rank the stored units for each phone of a line, and use the most similar one of each.
+
+        model: the stored units and states. cepstra: (n, m), the line's sound. spans: the line's
+        units.
+        """
         self._model = model
         self._spans = spans
         self._window: Window = gaussian_window(WINDOW_DEVIATION_S, model.frame_rate_hz)

@@ -156,6 +156,7 @@ def _check_model(model: OfflineModel) -> None:
     states, sound = model.states, model.sound
     # n states, p components.
     n, p, n_frames = states.n_states, states.n_components, len(states.states)
+    # The widths between the sound networks' layers: each layer takes what the one before returns.
     widths = [sound.mean.shape[0], *(layer.shape[-1] for layer in sound.layers[::2])]
     shapes = {
         "states/cepstra": (states.cepstra.shape[:1], (n_frames,)),
@@ -166,6 +167,7 @@ def _check_model(model: OfflineModel) -> None:
         "units/first": (states.units.first.shape, states.units.phonemes.shape),
         "units/end": (states.units.end.shape, states.units.phonemes.shape),
         "sound/spread": (sound.spread.shape, sound.mean.shape),
+        # (m,) doubled is (m, m).
         "voice/precision": (model.voice.precision.shape, 2 * model.voice.mean.shape),
         "sound/layers": (tuple(layer.shape[1] for layer in sound.layers[::2]), tuple(widths[:-1])),
     }
