@@ -104,7 +104,7 @@ class MouthInside:
         self._upper, self._lower = _drawn_sprite(parts.upper), _drawn_sprite(parts.lower)
         self._jaw_px = parts.jaw_px
         self._photographed = dict(zip(photo.twin.components, photo.own.tolist(), strict=True))
-        self._tone = _tone(photo.picture, lips_px)
+        self._tint = _tint(photo.picture, lips_px)
         self._upper_rows, self._lower_rows = parts.upper_rows, parts.lower_rows
         self._photographed_px, self._gap_px = lips_px[:, :2], parts.hidden_px
 
@@ -183,7 +183,7 @@ class MouthInside:
         shadow = 0.45 + 0.55 * np.clip(
             gaps.below_upper_px / (SHADOW_MM * self._photo.px_per_mm), 0.0, 1.0
         )
-        return np.asarray(pixels * (light * shadow[..., None]) * self._tone, dtype=np.float32)
+        return np.asarray(pixels * (light * shadow[..., None]) * self._tint, dtype=np.float32)
 
 
 class _Opening:
@@ -318,7 +318,7 @@ def _drawn_sprite(part: SeenPart) -> _Sprite:
     return _Sprite(blurred.astype(np.float32), low)
 
 
-def _tone(picture: Picture, lips_px: Array) -> Pixels:
+def _tint(picture: Picture, lips_px: Array) -> Pixels:
     """Return the colour of the photograph's light at the lips, (3,), relative to white."""
     height, width = picture.shape[:2]
     low = np.clip(np.floor(lips_px[:, :2].min(axis=0)).astype(int) - 10, 0, None)

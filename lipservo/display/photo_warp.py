@@ -205,8 +205,8 @@ def _loop(loops: list[Indices], start: Indices) -> Indices:
     """Return the loop of vertices through start[0], from it on in the direction of start[1]."""
     first, then = start.tolist()
     (loop,) = (each for each in loops if first in each)
-    at = int(np.flatnonzero(loop == first)[0])
-    turned = np.roll(loop, -at)
+    position = int(np.flatnonzero(loop == first)[0])
+    turned = np.roll(loop, -position)
     if int(np.flatnonzero(turned == then)[0]) < len(turned) / 2:
         return turned
     return np.concatenate([turned[:1], turned[:0:-1]])

@@ -207,12 +207,12 @@ class _Canvas:
         lower_edge = below + np.column_stack([np.zeros(5), 1.15 * thick * _LIP_BULGE])
         self._fill(_ring(above, below), _CAVITY, None)
         gap = max(0.0, lower_middle - upper_middle)
-        at = _MOUTH_AT + _UNIT * np.array([-9.0, min(upper_middle, 0.0)])
-        self._fill(_box(at[0], at[1], _UNIT * 18, _UNIT * min(gap, 5.0)), _TEETH, None)
+        xy = _MOUTH_AT + _UNIT * np.array([-9.0, min(upper_middle, 0.0)])
+        self._fill(_box(xy[0], xy[1], _UNIT * 18, _UNIT * min(gap, 5.0)), _TEETH, None)
         # The lower teeth, up to 3.5 mm of them, in what is left of the opening.
         teeth_mm = max(0.0, min(gap - 5.0, 3.5))
-        at = _MOUTH_AT + _UNIT * np.array([-8.0, lower_middle - teeth_mm])
-        self._fill(_box(at[0], at[1], _UNIT * 16, _UNIT * teeth_mm), _TEETH, None)
+        xy = _MOUTH_AT + _UNIT * np.array([-8.0, lower_middle - teeth_mm])
+        self._fill(_box(xy[0], xy[1], _UNIT * 16, _UNIT * teeth_mm), _TEETH, None)
         self._fill(_ring(above, upper_edge), _LIPS, _LIP_LINE)
         self._fill(_ring(below, lower_edge), _LIPS, _LIP_LINE)
 

@@ -13,11 +13,11 @@ from lipsync.arrays import Array
 
 
 def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
-    """Return b_t's index: the AnimPho that follows a_{t-1} in training and moves most like a_t.
+    """Return the index of the recorded piece that follows `previous` and moves most like `chosen`.
 
-    AnimPhos are recorded pieces of motion. Wei and Deng, eq. (3). It is a_t (`chosen`) itself when
-    that follows a_{t-1} (`previous`), or when no AnimPho does: a_{t-1} was the last one of a
-    sentence.
+    Wei and Deng, eq. (3): b_t, of the AnimPhos that follow a_{t-1} (`previous`) in training, for
+    a_t (`chosen`). It is a_t itself when that follows a_{t-1}, or when no AnimPho does: a_{t-1} was
+    the last one of a sentence.
     """
     followers = units.successors[previous]
     if len(followers) == 0 or chosen in followers:

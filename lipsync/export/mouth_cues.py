@@ -314,13 +314,13 @@ def _fill_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
     A pause of 0.12 s or more gets that shape relaxed, until it differs from the shape after the
     pause; where it never does, the pause stays X.
     """
-    found = list(cues)
+    changed = list(cues)
     for i in range(1, len(cues) - 1):
         if cues[i].shape == "X":
             duration_cs = cues[i].end_cs - cues[i].start_cs
             shape = _pause_shape(cues[i - 1].shape, cues[i + 1].shape, duration_cs)
-            found[i] = MouthCue(shape, cues[i].start_cs, cues[i].end_cs)
-    return merge_cues(found)
+            changed[i] = MouthCue(shape, cues[i].start_cs, cues[i].end_cs)
+    return merge_cues(changed)
 
 
 def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
@@ -342,17 +342,17 @@ def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
 
 def _lengthen_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
     """Return the cues with closures A below 80 ms begun 60 ms earlier at most, if there is room."""
-    found = list(cues)
-    for i in range(len(found) - 1, 0, -1):
-        cue, before = found[i], found[i - 1]
+    changed = list(cues)
+    for i in range(len(changed) - 1, 0, -1):
+        cue, before = changed[i], changed[i - 1]
         lacking_cs = _SHORTEST_STRETCH_CS - (cue.end_cs - cue.start_cs)
         spare_cs = before.end_cs - before.start_cs - 1
         earlier_cs = min(lacking_cs, _MOST_EARLIER_CS, spare_cs)
         if cue.shape == "A" and earlier_cs > 0:
             border_cs = cue.start_cs - earlier_cs
-            found[i] = MouthCue(cue.shape, border_cs, cue.end_cs)
-            found[i - 1] = MouthCue(before.shape, before.start_cs, border_cs)
-    return found
+            changed[i] = MouthCue(cue.shape, border_cs, cue.end_cs)
+            changed[i - 1] = MouthCue(before.shape, before.start_cs, border_cs)
+    return changed
 
 
 def _replace_short_shapes(cues: Sequence[MouthCue]) -> list[MouthCue]:
@@ -360,19 +360,19 @@ def _replace_short_shapes(cues: Sequence[MouthCue]) -> list[MouthCue]:
 
     An open mouth between two closures stays, however short: else the closures would be one.
     """
-    found = list(cues)
+    changed = list(cues)
     while True:
-        for i, cue in enumerate(found):
+        for i, cue in enumerate(changed):
             if cue.shape in "AX" or cue.end_cs - cue.start_cs >= _SHORTEST_SHAPE_CS:
                 continue
             # The neighbour whose shape it gets; none between two closures.
-            donor = next((j for j in (i + 1, i - 1) if _is_open(found, j)), None)
+            donor = next((j for j in (i + 1, i - 1) if _is_open(changed, j)), None)
             if donor is not None:
-                found[i] = MouthCue(found[donor].shape, cue.start_cs, cue.end_cs)
-                found = merge_cues(found)
+                changed[i] = MouthCue(changed[donor].shape, cue.start_cs, cue.end_cs)
+                changed = merge_cues(changed)
                 break
         else:
-            return found
+            return changed
 
 
 def _is_open(cues: Sequence[MouthCue], i: int) -> bool:
@@ -385,7 +385,7 @@ def _add_tweens(cues: Sequence[MouthCue]) -> list[MouthCue]:
     It lies before, around or after the border of the two, as the table says, and takes at most a
     third (or a quarter) of the cues that it shortens.
     """
-    found = list(cues)
+    changed = list(cues)
     for first, second in pairwise(cues):
         if (first.shape, second.shape) not in _TWEENS:
             continue
@@ -401,5 +401,5 @@ def _add_tweens(cues: Sequence[MouthCue]) -> list[MouthCue]:
             continue
         back_cs = {"early": tween_cs, "centred": tween_cs // 2, "late": 0}[place]
         start_cs = second.start_cs - back_cs
-        found = overwrite_cues(found, MouthCue(shape, start_cs, start_cs + tween_cs))
-    return found
+        changed = overwrite_cues(changed, MouthCue(shape, start_cs, start_cs + tween_cs))
+    return changed

@@ -448,7 +448,7 @@ class FinishedSynthesizer:
         if self._unit_motion is not None:
             offset = self._unit_motion.at(time_s, self._inner.track)
         # The plans of this tick; None for a time too long ago.
-        finish = self._ticks.at(time_s, self._decide)
+        finish = self._ticks.at(time_s, self._decide_tick)
         if finish is not None and finish.is_still:
             return replace(frame, coefficients=self._rest)
         face = frame.coefficients
@@ -534,7 +534,7 @@ class FinishedSynthesizer:
         moved = min(1.0, strength)
         return self._width.smiling(self._width.rounded(face, moved * rounding), moved * smile)
 
-    def _decide(self, time_s: float, last: _Finish) -> _Finish:
+    def _decide_tick(self, time_s: float, last: _Finish) -> _Finish:
         """Return the plans for the tick of 10 ms that ends at `time_s`, from what is known then.
 
         last: the plans of the tick before.

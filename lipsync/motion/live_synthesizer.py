@@ -153,7 +153,8 @@ class ExpectedMotion:
         posteriors = update.posteriors
         if posteriors is None:
             return
-        # A new pair of phonemes that are heard may be a mistake (docs/decisions/motion.md).
+        # Recognised phonemes move the mouth without back-off: where training did not have a pair of
+        # them the recogniser may be mistaken (docs/decisions/motion.md).
         self._expectation = self._without_back_off
         if self._posteriors.push(posteriors) or self._has_warned:
             return
@@ -170,7 +171,7 @@ class ExpectedMotion:
 
         Times may step back by half a second; for an earlier time the face at rest is returned.
         """
-        tick = self._ticks.at(time_s, self._decide)
+        tick = self._ticks.at(time_s, self._decide_tick)
         if tick is None:
             return Frame(time_s, self._rest)
         # How much of the tick is over, 0 to 1.
@@ -220,7 +221,7 @@ class ExpectedMotion:
         """Return the phoneme at sound time `time_s` as known now, for displays; None if unknown."""
         return self._timeline.event_at(time_s)
 
-    def _decide(self, time_s: float, last: _Tick) -> _Tick:
+    def _decide_tick(self, time_s: float, last: _Tick) -> _Tick:
         """Return the motion of the tick that ends at `time_s`, from what is known at that time.
 
         last: the motion of the tick before.

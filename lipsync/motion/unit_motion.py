@@ -193,10 +193,10 @@ class UnitMotion:
             (n_components,); None for a time before the newest 64 ticks.
         """
         self._track = track
-        stretch = self._ticks.at(time_s, self._decide)
+        stretch = self._ticks.at(time_s, self._decide_tick)
         return None if stretch is None else stretch.trajectory.at(time_s)[0]
 
-    def _decide(self, time_s: float, last: _Stretch) -> _Stretch:
+    def _decide_tick(self, time_s: float, last: _Stretch) -> _Stretch:
         """Return the stretch of motion for the tick that ends at `time_s`, from what is known then.
 
         The stretch `last` of the tick before is returned while it still applies. The whole tick
