@@ -104,6 +104,7 @@ def write_film(
     checked = None if sound is None else checked_sound(sound)
     n = 0
     with written_whole(out) as partial, _film_errors(out, av.FFmpegError):
+        # FFmpeg's name of the container format.
         kind = {"mkv": "matroska"}.get(out.suffix.lower()[1:], out.suffix.lower()[1:])
         with open_film(str(partial), "w", format=kind, options=_format_options(kind)) as file:
             video = file.add_stream(

@@ -104,11 +104,11 @@ def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> 
     lengths[candidates] = 1.0
     if len(previous):
         # The longest chain among each AnimPho's predecessors, 0 where it has none.
-        before = units.predecessors
+        predecessors = units.predecessors
         # reduceat needs a non-empty stretch for every row: the 0 serves AnimPhos without any.
-        previous_lengths = np.append(previous[before.indices], 0.0)
-        longest = np.maximum.reduceat(previous_lengths, before.starts[:-1])
-        longest[before.starts[:-1] == before.starts[1:]] = 0.0
+        previous_lengths = np.append(previous[predecessors.indices], 0.0)
+        longest = np.maximum.reduceat(previous_lengths, predecessors.starts[:-1])
+        longest[predecessors.starts[:-1] == predecessors.starts[1:]] = 0.0
         lengths[candidates] += longest[candidates]
     return lengths
 

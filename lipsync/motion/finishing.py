@@ -121,6 +121,7 @@ class LipGap:
         excess_mm = width_mm - distance_mm + _CORNER_MM
         # The excess, or 0 where there is none, with the corner between both rounded by a hyperbola.
         soft_mm = (excess_mm + math.sqrt(excess_mm**2 + _CORNER_MM**2)) / 2.0
+        # The gap's vector becomes shorter by this share of it, and the face follows.
         share = min(amount, 1.0) * soft_mm / math.sqrt(width_mm**2 + _CORNER_MM**2)
         return np.asarray(face - (share * gap_mm) @ self.response)
 
@@ -207,12 +208,12 @@ def closures(
     touched last. track: the phonemes, known until `known_until_s`. A phoneme for which the lips
     have not touched yet keeps them closed until its end.
     """
-    # A tightest moment is at most so far from its onset, before or after.
+    # From the phone before the present one on: its lips may be nearest only after its end.
     first = bisect_right(track.starts_s, time_s) - 2
     for i in range(max(0, first), len(track.phonemes)):
         start_s, end_s = track.starts_s[i], track.ends_s[i]
         if end_s > known_until_s + _ROUNDING_S:
-            end_s = math.inf
+            end_s = math.inf  # not known yet
         if start_s > known_until_s + _ROUNDING_S:
             return
         if track.phonemes[i] in tightest_s:
@@ -221,11 +222,12 @@ def closures(
                 # A short one is tightest in its middle, but F and V after a vowel towards the end.
                 moment_s = min(moment_s, (start_s + end_s) / 2.0)
             from_s, until_s = moment_s - HOLD_S / 2.0, moment_s + HOLD_S / 2.0
+            # Lips stay shut while an M sounds, until they must part for the next phone.
             if track.phonemes[i] == _HUMMED:
                 from_s = min(from_s, start_s + HOLD_S)
                 until_s = max(until_s, min(end_s, known_until_s) - _HUM_ENDS_S)
             if touched_s < start_s - HOLD_S:
-                until_s = max(until_s, end_s)  # told late: close late, as long as it goes on
+                until_s = max(until_s, end_s)  # known late: close late, while the phone lasts
             yield from_s, until_s
 
 
@@ -527,7 +529,7 @@ class FinishedSynthesizer:
         """Return the face (n_components,) with its mouth's corners moved.
 
         strength: below 1, moves them less. rounding: 0 to 1 moves them together; smile: -1
-        (together) to 1 (apart).
+        (together) to 1 (apart). The face itself is returned for a model without points of the lips.
         """
         if self._width is None:
             return face

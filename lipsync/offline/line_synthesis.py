@@ -486,6 +486,7 @@ class _UnitSearch:
         """Return the states open to a frame now, and its distances from them, by equation (2)."""
         states: list[Indices] = []
         distances: list[Array] = []
+        # Of the stored units in use for the phones to the frame's left and right.
         for number in {int(self._left[frame]), int(self._right[frame])}:
             ranked = self._ranked[number]
             states += ranked.states

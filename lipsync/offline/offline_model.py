@@ -235,7 +235,10 @@ def line_inputs(
 def _phonemes_on_grid(
     events: Sequence[PhonemeEvent], n_frames: int, margin: int
 ) -> NDArray[np.int64]:
-    """Return phoneme numbers (n_frames + 2 margin,), one per 10 ms; SIL in margins and gaps."""
+    """Return phoneme numbers, one per 10 ms: (n_frames + 2 margin,), with SIL in margins and gaps.
+
+    margin: number of frames before and after the line, in which nothing is said.
+    """
     grid = np.full(n_frames + 2 * margin, _INDEX_OF[SILENCE], dtype=np.int64)
     for event in events:
         first = round(event.start_s * FRAMES_PER_S) + margin
