@@ -109,7 +109,7 @@ class ExpectedMotion:
         self._rest = rest
         self._lookahead_s = lookahead_s
         self.known_s = min(lookahead_s, USED_LOOKAHEAD_S)
-        # Expected faces are averaged over one tick before and after, if the look-ahead reaches so far.
+        # The mean of expected faces reaches one tick ahead, if the look-ahead does.
         n_ahead = min(_AVERAGED_TICKS, int(self.known_s / TICK_S + _ROUNDING_TICKS))
         self._averaged_ahead_s = n_ahead * TICK_S
         self._weights = _bell(2 * n_ahead + 1)
