@@ -431,7 +431,7 @@ class FinishedSynthesizer:
         adjusted, or a value beyond its limits.
         """
         if name not in self._adjusters:
-            raise StyleError(f"{name} cannot be adjusted; {', '.join(sorted(self._adjust))} can")
+            raise StyleError(f"{name} cannot be adjusted; {', '.join(sorted(self._adjusters))} can")
         Style(**{name: value})
         self._adjusters[name](value)
 
