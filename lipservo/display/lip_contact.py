@@ -53,7 +53,7 @@ class LipContact:
         self.gaps = photo.lip_gaps
         corner, other = own_px[lips[0], :2], own_px[lips[half], :2]
         along = (other - corner) / np.linalg.norm(other - corner)
-        #: From the upper lip to the lower one.
+        #: Unit vector from the upper lip to the lower one.
         self.down = np.array([-along[1], along[0]])
         share = np.linspace(0.0, 1.0, half + 1)[1:-1]
         own_gap = self._gap_px(own_px)
@@ -63,6 +63,7 @@ class LipContact:
         self.least_px = np.minimum(own_gap, 0.0)
         self.own_gap_mm = max(self._widest_mm(photo.own), 1e-3)
         reach_px = _LIP_MM * photo.px_per_mm
+        #: Of the upper and the lower lip, how far each vertex of the skin moves with the rim.
         self.felt = [
             _motion_with_rim(own_px[:, :2], rim, reach_px, side * self.down)
             for rim, side in ((self.upper, -1.0), (self.lower, 1.0))

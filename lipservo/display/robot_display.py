@@ -230,8 +230,10 @@ class _Canvas:
         all).
         """
         xy = np.asarray(points, dtype=np.float64)
+        # Features are narrowed about the middle of the face, x = 200, and moved as the head turns.
         if on == "face":
             xy = (xy - (200.0, 0.0)) * self._narrowing + (200.0, 0.0) + self._feature_shift
+        # The skull moves less, and rolls about the neck at (200, 360).
         if on != "field":
             xy = (xy + self._skull_shift - (200.0, 360.0)) @ self._turn.T + (200.0, 360.0)
         return xy * self._scale + self._shift

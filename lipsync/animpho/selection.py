@@ -56,7 +56,7 @@ def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -
     Parameters
     ----------
     units : AnimPhoUnits
-        All AnimPhos.
+        All AnimPhos, recorded pieces of motion.
     previous : int
         Index of the AnimPho played before.
     candidates : Indices

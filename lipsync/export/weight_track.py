@@ -150,6 +150,7 @@ def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
     """
     frame, fraction = divmod(max(time_s, 0.0) * _RATE_HZ, 1.0)
     name = subject.encode("ascii")
+    # The layout is described at the top of this module.
     return b"".join(
         (
             struct.pack(">Bi", _LIVE_LINK_VERSION, len(_DEVICE_ID)),
@@ -187,6 +188,7 @@ def vmc_packets(shapes: Iterable[tuple[str, float]]) -> list[bytes]:
     packets = [_BUNDLE_HEAD]
     messages = [osc_message(_VALUE_ADDRESS, name, value) for name, value in shapes]
     for message in (*messages, osc_message(_APPLY_ADDRESS)):
+        # In an OSC bundle each message comes after its size.
         element = struct.pack(">i", len(message)) + message
         if len(packets[-1]) + len(element) > MOST_BYTES:
             packets.append(_BUNDLE_HEAD)

@@ -169,7 +169,7 @@ class VoiceLikeness:
 
 
 def mean_cepstrum(samples: NDArray[np.float32]) -> Array:
-    """Return a sound's mean cepstrum over its audible frames, without the first coefficient.
+    """Return a sound's mean cepstrum over its audible frames, without the first (its level).
 
     Parameters
     ----------
