@@ -124,14 +124,14 @@ class NaiveSelection:
     name = "naive"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Return the choice of the AnimPho of `phoneme` that starts nearest the closed mouth."""
+        """Return the recorded piece (AnimPho) of `phoneme` that starts nearest the closed mouth."""
         return Choice(nearest_to_rest(units, units.of_phoneme(phoneme)), False, np.empty(0))
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Return the choice of the successor of `previous` for `phoneme` with the smallest jump.
+        """Return the recorded piece (AnimPho) for `phoneme` that followed `previous`, with the least jump.
 
-        If no AnimPho of the phoneme is a successor of `previous`, it is that of all AnimPhos with
-        the smallest jump, eq. (1), and `missed` is set.
+        If no AnimPho of the phoneme followed that of `previous` in training, it is that of all
+        AnimPhos with the smallest jump, eq. (1), and `missed` is set.
         """
         connected = np.intersect1d(
             units.of_phoneme(phoneme), units.successors[previous.animpho], assume_unique=True
@@ -152,19 +152,19 @@ class PrioritySelection:
     name = "priority"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Return the choice of the AnimPho of `phoneme` that starts nearest the closed mouth.
+        """Return the recorded piece (AnimPho) of `phoneme` that starts nearest the closed mouth.
 
-        The priorities are 1 for each AnimPho of the phoneme, else 0.
+        The chain lengths are 1 for each AnimPho of the phoneme, else 0.
         """
         candidates = units.of_phoneme(phoneme)
         lengths = chain_lengths(units, candidates, np.zeros(0))
         return Choice(nearest_to_rest(units, candidates), False, lengths)
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Return the choice of the AnimPho of `phoneme` with the highest chain length v_i, eq. (2).
+        """Return the recorded piece (AnimPho) of `phoneme` with the highest chain length v_i, eq. (2).
 
-        Among equals a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by eq.
-        (1).
+        Among equals it is a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by
+        eq. (1).
         """
         candidates = units.of_phoneme(phoneme)
         lengths = chain_lengths(units, candidates, previous.chain_lengths)

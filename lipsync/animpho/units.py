@@ -98,7 +98,7 @@ class AnimPhoUnits:
 
     @property
     def frames(self) -> Array:
-        """Every sample of every AnimPho, as the faces that occur in speech.
+        """Every sample of every AnimPho (recorded piece of motion): the faces that occur in speech.
 
         Returns
         -------

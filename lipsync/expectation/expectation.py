@@ -370,7 +370,7 @@ class Expectation:
         return self.slots.faces(by_slot, timing) + self.windows.faces(by_window, timing)
 
     def faces_after(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array:
-        """Return the expected faces at times, by the phonemes known until one and the same instant.
+        """Return the expected faces at times, by the phonemes known until one instant, with back-off.
 
         Parameters
         ----------
@@ -490,6 +490,7 @@ def constant_expectation(faces: Array) -> Expectation:
     n_components = faces.shape[1]
     width = 2 * n_components
     tables = np.zeros((SLOTS, UNKNOWN + 1, width))
+    # Two rectifiers, of x and of -x, whose difference is x; slot 2 is the present phoneme.
     tables[2, : len(PHONEMES)] = np.concatenate([faces, -faces], axis=1)
     timing = np.zeros((N_TIMING + 1, width))
     hidden = np.concatenate([np.eye(width), np.zeros((1, width))])[None]

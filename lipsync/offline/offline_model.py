@@ -58,7 +58,7 @@ def at_times(frames: Array, times_s: Array) -> Array:
 
     Parameters
     ----------
-    found : Array
+    frames : Array
         (n, 13) cepstra, 100 a second from 0 s on.
     times_s : Array
         (m,) s.
@@ -107,7 +107,7 @@ def is_heard(cepstra: Array) -> NDArray[np.bool_]:
 
     Parameters
     ----------
-    found : Array
+    cepstra : Array
         (n, 13), plain cepstra.
 
     Returns
