@@ -169,7 +169,7 @@ class _Canvas:
         self._fill(_circle(iris_middle, _IRIS), _IRIS_COLOUR, None)
         self._fill(_circle(iris_middle, 5.5), _PUPIL, None)
         lid = self._channel_deg.get(("lid", side))
-        # Share of the eye that the lid covers: 14 % at 0 degrees or without a lid servo, all at -45.
+        # The covered share of the eye: 14 % at 0 degrees or without a servo, all at -45 degrees.
         shut = 0.14 if lid is None else 0.14 - 0.86 * lid / 45.0 if lid < 0 else 0.14 - lid / 90.0
         lid_y = middle[1] - _EYE_RADIUS + 2 * _EYE_RADIUS * min(1.0, max(0.0, shut))
         # The part of the eye's circle above the edge of the lid, from its right end over the top.

@@ -124,14 +124,14 @@ class NaiveSelection:
     name = "naive"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Return the recorded piece (AnimPho) of `phoneme` that starts nearest the closed mouth."""
+        """Choose the recorded piece (AnimPho) of `phoneme` that starts nearest the closed mouth."""
         return Choice(nearest_to_rest(units, units.of_phoneme(phoneme)), False, np.empty(0))
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Return the recorded piece (AnimPho) for `phoneme` that followed `previous`, with the least jump.
+        """Choose the recorded piece (AnimPho) of `phoneme` that jumps least after that of `previous`.
 
-        If no AnimPho of the phoneme followed that of `previous` in training, it is that of all
-        AnimPhos with the smallest jump, eq. (1), and `missed` is set.
+        Only pieces are considered that followed it in training. If there are none, the piece with
+        the smallest jump of all, eq. (1), is chosen, and `missed` is set.
         """
         connected = np.intersect1d(
             units.of_phoneme(phoneme), units.successors[previous.animpho], assume_unique=True
@@ -152,7 +152,7 @@ class PrioritySelection:
     name = "priority"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Return the recorded piece (AnimPho) of `phoneme` that starts nearest the closed mouth.
+        """Choose the recorded piece (AnimPho) of `phoneme` that starts nearest the closed mouth.
 
         The chain lengths are 1 for each AnimPho of the phoneme, else 0.
         """
@@ -161,7 +161,7 @@ class PrioritySelection:
         return Choice(nearest_to_rest(units, candidates), False, lengths)
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Return the recorded piece (AnimPho) of `phoneme` with the highest chain length v_i, eq. (2).
+        """Choose the recorded piece (AnimPho) of `phoneme` with the greatest chain length v_i, eq. (2).
 
         Among equals it is a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by
         eq. (1).

@@ -370,7 +370,7 @@ class Expectation:
         return self.slots.faces(by_slot, timing) + self.windows.faces(by_window, timing)
 
     def faces_after(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array:
-        """Return the expected faces at times, by the phonemes known until one instant, with back-off.
+        """Return the expected faces at times, with back-off, by the phonemes known at one instant.
 
         Parameters
         ----------
