@@ -128,7 +128,7 @@ class NaiveSelection:
         return Choice(nearest_to_rest(units, units.of_phoneme(phoneme)), False, np.empty(0))
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Choose the recorded piece (AnimPho) of `phoneme` that jumps least after that of `previous`.
+        """Choose the recorded piece (AnimPho) of `phoneme` that jumps least after `previous`.
 
         Only pieces are considered that followed it in training. If there are none, the piece with
         the smallest jump of all, eq. (1), is chosen, and `missed` is set.
@@ -161,7 +161,7 @@ class PrioritySelection:
         return Choice(nearest_to_rest(units, candidates), False, lengths)
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Choose the recorded piece (AnimPho) of `phoneme` with the greatest chain length v_i, eq. (2).
+        """Choose the recorded piece (AnimPho) of `phoneme` that ends the longest chain, eq. (2).
 
         Among equals it is a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by
         eq. (1).
@@ -247,7 +247,7 @@ class GuidedSelection:
         self._candidates = {p: _candidates(units, p) for p in units.known_phonemes}
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> Choice:
-        """Return the AnimPho of `phoneme` that costs least for the rest of a phone.
+        """Return the recorded piece (AnimPho) that costs least for the rest of a phone.
 
         Parameters
         ----------

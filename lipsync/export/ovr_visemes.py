@@ -133,6 +133,7 @@ def _viseme_parts(events: Sequence[PhonemeEvent], tightest_s: Array) -> list[_Pa
 
 def _faded_share(before: _Part, part: _Part, times_s: Array) -> Array:
     """Return how far the viseme `before` has faded into `part` at each time: (n_times,), 0 to 1."""
+    # A closure is complete at its `full_s`; any other viseme fades in around its beginning.
     if part.full_s is not None:
         begin_s, end_s = part.full_s - CLOSING_S, part.full_s
     else:
