@@ -208,7 +208,7 @@ class PublishedSynthesizer:
         """
         position, velocity = self._state_at(start_s)
         if self._choice is None:
-            # Out of silence b_1 = a_1 and d_1[1] = 0 (the paper is silent; live-lip-sync.md).
+            # Out of silence b_1 = a_1 and d_1[1] = 0 (our choice; the paper does not say).
             chosen = self._strategy.first(self._units, phoneme)
             connected = chosen.animpho
         else:
