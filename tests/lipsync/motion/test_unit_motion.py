@@ -132,7 +132,7 @@ def test_position_and_speed_are_continuous_whatever_arrives(updates, ahead_s, un
 
 
 def one_animpho() -> AnimPhoUnits:
-    """Nothing but one AnimPho of AA, which nothing follows."""
+    """Return a single AnimPho (recorded piece of motion), of AA, which nothing follows."""
     nothing = IndexLists.from_pairs(np.empty(0, int), np.empty(0, int), 1)
     aa = np.array([PHONEMES.index("AA")])
     return replace(
