@@ -33,7 +33,8 @@ UNREADABLE: Final = (
 _MOST_MEMBERS: Final = 1_000
 #: Of the list of members at the end of an archive.
 _MOST_LISTED_BYTES: Final = 128 * _MOST_MEMBERS
-#: "PK\5\6", of which the size of the list, and the length of a comment, which NumPy never writes.
+#: A zip archive's last record: "PK\5\6", the size of the list of members, and the length of a
+#: comment, which NumPy never writes.
 _END: Final = struct.Struct("<4s8xL4xH")
 _END_64_BYTES: Final = 20
 #: Before a member: the lengths of its name and of what follows the name (APPNOTE.TXT, 4.3.7).
@@ -48,7 +49,11 @@ _HEADER: Final = re.compile(
 
 
 def about_in(head: bytes) -> bytes:
-    """Return what the first bytes of an archive hold of its array `about`; b"": it is not first."""
+    """Return the content of the array `about` as far as it lies in an archive's first bytes `head`.
+
+    Empty if the archive does not begin with `about`, or is none; the array's own header is
+    included.
+    """
     if not head.startswith(b"PK\3\4") or len(head) < _LOCAL_HEAD.size:
         return b""
     n_name, n_extra = _LOCAL_HEAD.unpack_from(head)
@@ -76,7 +81,7 @@ class ArrayArchive:
         file: open; the caller closes it. most_bytes: limit of all arrays together, unpacked.
         most_of: lower limits of single arrays, in bytes unpacked, by name.
         """
-        _check_list(file)
+        _check_member_list(file)
         self._zip = zipfile.ZipFile(file)
         self._members = {
             member.filename.removesuffix(".npy"): member for member in self._zip.infolist()
@@ -107,11 +112,12 @@ class ArrayArchive:
         Raises one of `UNREADABLE` if the array is damaged.
         """
         with self._opened(name) as (file, shape, dtype, order):
+            # Read in pieces into one buffer, so that never twice the array is in memory.
             data = bytearray(math.prod(shape) * dtype.itemsize)
-            held = memoryview(data)
+            view = memoryview(data)
             n_read = 0
             while chunk := file.read(_CHUNK_BYTES):
-                held[n_read : n_read + len(chunk)] = chunk
+                view[n_read : n_read + len(chunk)] = chunk
                 n_read += len(chunk)
             if n_read != len(data):
                 raise ValueError(f"array {name!r} is cut short")
@@ -144,18 +150,19 @@ class ArrayArchive:
             raise ValueError(f"array {name!r} is compressed in a way that NumPy does not write")
         with self._zip.open(member) as file:
             head = file.read(_HEAD_BYTES)
+            # NumPy's magic string, version 1.0, and the length of the header that follows.
             if head[:8] != b"\x93NUMPY\x01\x00" or len(head) != _HEAD_BYTES:
                 raise ValueError(f"array {name!r} has no plain numbers")
             n_header = int.from_bytes(head[8:], "little")
-            found = _HEADER.fullmatch(file.read(n_header).decode("latin-1"))
-            if found is None:
+            header_match = _HEADER.fullmatch(file.read(n_header).decode("latin-1"))
+            if header_match is None:
                 raise ValueError(f"array {name!r} has no plain numbers")
-            dtype = np.dtype(found[1])
-            shape = tuple(int(each) for each in found[3].replace(",", " ").split())
+            dtype = np.dtype(header_match[1])
+            shape = tuple(int(each) for each in header_match[3].replace(",", " ").split())
             n_bytes = member.file_size - _HEAD_BYTES - n_header
             if dtype.itemsize == 0 or math.prod(shape) * dtype.itemsize != n_bytes:
                 raise ValueError(f"array {name!r}: {n_bytes} bytes for {shape} values")
-            yield file, shape, dtype, "F" if found[2] == "True" else "C"
+            yield file, shape, dtype, "F" if header_match[2] == "True" else "C"
 
 
 def arrays_of(file: IO[bytes], most_bytes: int) -> dict[str, NDArray[Any]]:
@@ -177,15 +184,15 @@ def arrays_of(file: IO[bytes], most_bytes: int) -> dict[str, NDArray[Any]]:
         return {name: archive[name] for name in archive.names}
 
 
-def _check_list(file: IO[bytes]) -> None:
+def _check_member_list(file: IO[bytes]) -> None:
     """Raise ValueError unless the file ends with a zip member list of bounded size; then rewind."""
     end = file.seek(0, io.SEEK_END)
     file.seek(max(0, end - _END.size - _END_64_BYTES))
     tail = file.read()
     if len(tail) < _END.size or tail[-_END.size :][:4] != b"PK\x05\x06":
         raise ValueError("the file is not an archive of arrays")
-    _, n_listed, n_comment = _END.unpack(tail[-_END.size :])
-    if n_comment or tail.startswith(b"PK\x06\x07") or n_listed > _MOST_LISTED_BYTES:
+    _, n_list_bytes, n_comment = _END.unpack(tail[-_END.size :])
+    if n_comment or tail.startswith(b"PK\x06\x07") or n_list_bytes > _MOST_LISTED_BYTES:
         raise ValueError("the file's list of arrays is too long")
     file.seek(0)
 

@@ -11,19 +11,19 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-#: Of a line's frames, 100 a second, so many are computed at once.
+#: So many rows are computed at once, of a line's frames 2.56 s.
 _ROWS_AT_ONCE = 256
 
 
 def in_blocks(compute: Callable[[slice], NDArray[Any]], n: int) -> NDArray[Any]:
-    """Return the rows 0 to n - 1 of a long computation, computed by slices, end to end.
+    """Return rows 0 to n - 1 of a long computation, which is done in blocks of 256 rows.
 
     Parameters
     ----------
     compute : Callable
-        From a slice of the rows to these rows.
+        Returns the rows of the slice that it gets.
     n : int
-        How many rows there are.
+        Number of rows.
 
     Returns
     -------
@@ -33,4 +33,4 @@ def in_blocks(compute: Callable[[slice], NDArray[Any]], n: int) -> NDArray[Any]:
     if n <= _ROWS_AT_ONCE:
         return compute(slice(n))
     starts = range(0, n, _ROWS_AT_ONCE)
-    return np.concatenate([compute(slice(at, at + _ROWS_AT_ONCE)) for at in starts])
+    return np.concatenate([compute(slice(first, first + _ROWS_AT_ONCE)) for first in starts])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-#: What recognisers work at; sources resample to it.
+#: The sample rate of recognisers; sources of sound resample to it.
 SAMPLE_RATE_HZ = 16_000
 #: Sources hand sound out in blocks of this length.
 BLOCK_S = 0.010

@@ -36,7 +36,7 @@ INNER_LIP_GROUP = "inner_lip"
 OUTER_LIP_GROUP = "outer_lip"
 #: Lips count as closed at this inner gap; 98 % of P closures in grid_s1 get there.
 CLOSED_GAP_MM = 1.0
-#: What a file of a layout must hold.
+#: The keys that a layout's file must have.
 _NEEDED = ("name", "groups", "lip_gap")
 
 
@@ -159,11 +159,11 @@ def layout_of(description: Mapping[str, Any]) -> PointLayout:
 
 
 def _landmarks(numbers: Iterable[object]) -> tuple[int, ...]:
-    found = tuple(numbers)
-    for number in found:
+    landmarks = tuple(numbers)
+    for number in landmarks:
         if type(number) is not int or number < 0:
             raise ValueError(f"{number!r} is not a landmark number")
-    return tuple(n for n in found if isinstance(n, int))
+    return tuple(n for n in landmarks if isinstance(n, int))
 
 
 _WITHOUT_INNER_LIPS: tuple[tuple[str, tuple[int, ...]], ...] = (
@@ -186,12 +186,12 @@ MARKERS_47 = PointLayout("markers-47", _WITH_INNER_LIPS, (13, 14))
 
 def _face_mesh() -> PointLayout:
     """Return the layout of all 478 points: both lips, the irises, and the rest as `skin`."""
-    named = {*OUTER_LIP, *INNER_LIP, *IRISES}
+    grouped = {*OUTER_LIP, *INNER_LIP, *IRISES}
     groups = (
         (OUTER_LIP_GROUP, OUTER_LIP),
         (INNER_LIP_GROUP, INNER_LIP),
         ("iris", IRISES),
-        ("skin", tuple(n for n in range(N_LANDMARKS) if n not in named)),
+        ("skin", tuple(n for n in range(N_LANDMARKS) if n not in grouped)),
     )
     return PointLayout("face-mesh-478", groups, (13, 14))
 

@@ -37,22 +37,22 @@ def check_output(
 ) -> None:
     """Raise OutputError if a file could not be written to `path` later; leave no file behind.
 
-    replaces: returns whether an existing file may be replaced, given its first 4096 bytes; an
-    empty file always may. kind: the files that `replaces` accepts, in words, for the error message.
+    replaces: returns whether an existing file may be replaced, given its first 4096 bytes; an empty
+    file always may. kind: the files that `replaces` accepts, in words, for the error message.
     inputs: files that the command reads, which are never written over.
     """
     try:
-        place = _place(path)
-        found = place.stat() if place.exists() else None
-        if found is not None:
-            _check_replaced(path, place, found, replaces, kind, inputs)
+        place = _real_path(path)
+        status = place.stat() if place.exists() else None
+        if status is not None:
+            _check_existing(path, place, status, replaces, kind, inputs)
         with _open_partial(place):
             pass
-        _partial(place).unlink()
+        _partial_path(place).unlink()
     except OutputError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
-        raise _explained(path, error) from error
+        raise _explained_error(path, error) from error
 
 
 @contextmanager
@@ -63,20 +63,20 @@ def written_whole(path: Path) -> Iterator[Path]:
     be written, for example on a full disk.
     """
     try:
-        place = _place(path)
-        partial = _partial(place)
+        place = _real_path(path)
+        partial = _partial_path(place)
         with _open_partial(place):
             pass
         try:
             yield partial
-            _sync(partial)
+            _flush(partial)
             os.replace(partial, place)
         except BaseException:
             partial.unlink(missing_ok=True)
             raise
-        _sync(place.parent)
+        _flush(place.parent)
     except OSError as error:
-        raise _explained(path, error) from error
+        raise _explained_error(path, error) from error
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -85,7 +85,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def _place(path: Path) -> Path:
+def _real_path(path: Path) -> Path:
     """Return the real path of a file, symbolic links resolved. Raises OSError for a link loop."""
     place = Path(os.path.realpath(path))
     if place.is_symlink():
@@ -93,14 +93,14 @@ def _place(path: Path) -> Path:
     return place
 
 
-def _partial(place: Path) -> Path:
+def _partial_path(place: Path) -> Path:
     return place.with_name(place.name + PARTIAL_SUFFIX)
 
 
 @contextmanager
 def _open_partial(place: Path) -> Iterator[None]:
     """Create the partial file of `place`, deleting an earlier one; two writers never share it."""
-    partial = _partial(place)
+    partial = _partial_path(place)
     partial.unlink(missing_ok=True)
     descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
@@ -109,22 +109,22 @@ def _open_partial(place: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _check_replaced(
+def _check_existing(
     path: Path,
     place: Path,
-    found: os.stat_result,
+    status: os.stat_result,
     replaces: Callable[[bytes], bool],
     kind: str,
     inputs: Iterable[Path | None],
 ) -> None:
     """Raise OutputError unless the existing file may be replaced, as in `check_output`.
 
-    path: as the user wrote it, for messages; place: the same with links resolved; found: its
-    status.
+    path: as the user wrote it, for messages; place: the same with links resolved; status: of the
+    file there.
     """
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise OutputError(f"{path}: is a folder; name a file in it")
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OutputError(f"{path}: is a device or a pipe, not a file; choose another name")
     for each in inputs:
         if each is not None and each.exists() and place.samefile(each):
@@ -136,7 +136,7 @@ def _check_replaced(
         raise OutputError(f"{path}: exists already{other}; choose another name")
 
 
-def _sync(path: Path) -> None:
+def _flush(path: Path) -> None:
     """Flush a file or folder to the disk; for folders, ignore file systems that refuse it."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
@@ -148,7 +148,7 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _explained(path: Path, error: OSError | ValueError) -> OutputError:
+def _explained_error(path: Path, error: OSError | ValueError) -> OutputError:
     reason = error.strerror if isinstance(error, OSError) else str(error)
     if isinstance(error, FileNotFoundError) and not path.parent.is_dir():
         reason = f"there is no folder {path.parent}"

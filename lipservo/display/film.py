@@ -21,19 +21,19 @@ from lipsync.output_file import written_whole
 from lipsync.video.face_detection import Picture
 
 FILM_RATE_HZ = 25
-#: What is written by the name of the file.
+#: Endings of a film's name; the ending chooses the file format.
 FILM_ENDINGS = (".mp4", ".mov", ".mkv")
 #: Speech is encoded as well at this rate as at any other, and every player knows it.
 _SOUND_RATE_HZ = 48_000
 _SOUND_BITS_PER_S = 128_000
 #: Constant rate factor of x264: 18 can hardly be told from the picture itself.
 _QUALITY = "18"
-#: Each picture of a film is asked for so many samples of sound before it.
+#: Samples of sound in a block of the AAC encoder.
 _SAMPLES_A_FRAME = 1024
 
 
 class FilmError(UserError):
-    """A film that cannot be made; one line: which one, why, and the remedy."""
+    """Error for a film that cannot be made; one line says which one, why, and the remedy."""
 
 
 class Display(Protocol):
@@ -75,9 +75,9 @@ def film(
 ) -> int:
     """Film a face: one picture per frame, frame n at sound time n / rate_hz; return their number.
 
-    sound: its file; None: a silent film. face: draws the pictures. out: the film, replaced if it
-    exists. progress: called with the number of pictures so far. Raises FilmError, OutputError,
-    SoundError.
+    sound: the sound file; None: a silent film. face: draws the pictures. out: the film's file,
+    replaced if it exists. progress: called with the number of pictures so far. Raises FilmError,
+    OutputError, SoundError.
     """
     return write_film(
         (face.draw(frame) for frame in frames), face.size, sound, out, rate_hz, progress
@@ -94,37 +94,38 @@ def write_film(
 ) -> int:
     """Write pictures and their sound as a film; return the number of pictures.
 
-    size: width and height in px of each picture, even. sound: its file; None: a silent film. out:
-    replaced. rate_hz: of pictures. progress: called with the number of pictures so far. Raises
-    FilmError, OutputError, SoundError, MissingExtraError.
+    size: width and height in px of each picture, even. sound: the sound file; None: a silent film.
+    out: the film's file, replaced if it exists. rate_hz: pictures a second. progress: called with
+    the number of pictures so far. Raises FilmError, OutputError, SoundError, MissingExtraError.
     """
     check_film(out)
     import av
 
     checked = None if sound is None else checked_sound(sound)
     n = 0
-    with written_whole(out) as partial, _explained(out, av.FFmpegError):
+    with written_whole(out) as partial, _film_errors(out, av.FFmpegError):
+        # FFmpeg's name of the container format.
         kind = {"mkv": "matroska"}.get(out.suffix.lower()[1:], out.suffix.lower()[1:])
-        with open_film(str(partial), "w", format=kind, options=_options(kind)) as file:
+        with open_film(str(partial), "w", format=kind, options=_format_options(kind)) as file:
             video = file.add_stream(
                 "libx264", rate=rate_hz, options={"crf": _QUALITY, "preset": "veryfast"}
             )
             video.width, video.height = size
             video.pix_fmt = "yuv420p"
             video.time_base = Fraction(1, rate_hz)
-            voice = None
+            sound_track = None
             if sound is not None and checked is not None:
-                voice = _Voice(file, _sound_of_film(sound, checked))
+                sound_track = _SoundTrack(file, _resampled_pieces(sound, checked))
             for n, picture in enumerate(pictures, start=1):
-                if voice is not None:
-                    voice.encode_until(n / rate_hz)
-                shot = av.VideoFrame.from_ndarray(picture, format="rgb24")
-                shot.pts, shot.time_base = n - 1, Fraction(1, rate_hz)
-                file.mux(video.encode(shot))
+                if sound_track is not None:
+                    sound_track.encode_until(n / rate_hz)
+                video_frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+                video_frame.pts, video_frame.time_base = n - 1, Fraction(1, rate_hz)
+                file.mux(video.encode(video_frame))
                 progress(n)
-            if voice is not None:
-                voice.encode_until(n / rate_hz)
-                voice.end()
+            if sound_track is not None:
+                sound_track.encode_until(n / rate_hz)
+                sound_track.end()
             file.mux(video.encode(None))
         if not n:
             raise FilmError(f"{out}: the sound is empty, so there is nothing to film")
@@ -132,43 +133,47 @@ def write_film(
 
 
 def open_film(*given: Any, **how: Any) -> Any:
-    """Open a film to read or write it; arguments and result as of PyAV's `av.open`."""
+    """Open a film to read or write it; arguments and result are those of PyAV's `av.open`."""
     import av
 
     return av.open(*given, **how)
 
 
-class _Voice:
-    """The sound track of an open film, read and encoded in step with its pictures."""
+class _SoundTrack:
+    """The sound track of an open film, read and encoded in step with its pictures.
+
+    pieces: mono samples at 48 kHz, a piece at a time; they are encoded as two equal channels.
+    """
 
     def __init__(self, file: Any, pieces: Iterator[Samples]) -> None:
         self._file, self._pieces = file, pieces
-        self._held = np.zeros(0, np.float32)
+        self._buffered = np.zeros(0, np.float32)
         self._stream = file.add_stream("aac", rate=_SOUND_RATE_HZ, layout="stereo")
         self._stream.bit_rate = _SOUND_BITS_PER_S
-        self._next = 0
+        self._n_encoded = 0
 
     def encode_until(self, time_s: float) -> None:
         """Encode the next samples in blocks, up to at least `time_s` or the sound's end."""
-        until = round(time_s * _SOUND_RATE_HZ)
-        while self._next < until:
-            while len(self._held) < _SAMPLES_A_FRAME:
+        end_sample = round(time_s * _SOUND_RATE_HZ)
+        while self._n_encoded < end_sample:
+            while len(self._buffered) < _SAMPLES_A_FRAME:
                 piece = next(self._pieces, None)
                 if piece is None:
                     break
-                self._held = np.concatenate([self._held, piece])
-            block, self._held = np.split(self._held, [_SAMPLES_A_FRAME])
+                self._buffered = np.concatenate([self._buffered, piece])
+            block, self._buffered = np.split(self._buffered, [_SAMPLES_A_FRAME])
             if not len(block):
                 return
             self._encode(np.stack([block, block]))
-            self._next += len(block)
+            self._n_encoded += len(block)
 
     def _encode(self, block: Samples) -> None:
+        """Encode one block, (2, n) samples, and write it into the film behind the blocks before."""
         import av
 
         sound = av.AudioFrame.from_ndarray(block, format="fltp", layout="stereo")
         sound.sample_rate = _SOUND_RATE_HZ
-        sound.pts, sound.time_base = self._next, Fraction(1, _SOUND_RATE_HZ)
+        sound.pts, sound.time_base = self._n_encoded, Fraction(1, _SOUND_RATE_HZ)
         self._file.mux(self._stream.encode(sound))
 
     def end(self) -> None:
@@ -176,11 +181,12 @@ class _Voice:
         self._file.mux(self._stream.encode(None))
 
 
-def _options(kind: str) -> dict[str, str]:
+def _format_options(kind: str) -> dict[str, str]:
+    """Return the options of the container format; MP4 and MOV get their index at the front."""
     return {} if kind == "matroska" else {"movflags": "faststart"}
 
 
-def _sound_of_film(sound: Path, checked: CheckedSound) -> Iterator[Samples]:
+def _resampled_pieces(sound: Path, checked: CheckedSound) -> Iterator[Samples]:
     """Yield a sound at the film's rate in pieces of a second: never all of it is held."""
     import soxr
 
@@ -192,7 +198,7 @@ def _sound_of_film(sound: Path, checked: CheckedSound) -> Iterator[Samples]:
 
 
 @contextmanager
-def _explained(out: Path, fault: type[Exception]) -> Iterator[None]:
+def _film_errors(out: Path, fault: type[Exception]) -> Iterator[None]:
     """Turn a block's error of type `fault` into OSError if it has an errno, else into FilmError.
 
     OSError is the disk's, which `written_whole` reports; FilmError names the film `out`.

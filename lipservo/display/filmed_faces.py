@@ -26,7 +26,7 @@ from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.video.face_detection import Picture
 from lipsync.video.face_tracker import open_tracker
 
-#: Whose head a film moves head and eyes as, where none is asked to be still.
+#: The shipped face by whose expression settings head and eyes move, unless they are to be still.
 _HEAD = "face_head"
 
 
@@ -54,11 +54,11 @@ class FilmRequest:
 def make_film(request: FilmRequest, chosen: ChosenMotion, advance: Advance) -> dict[str, float]:
     """Make the film; return its number of pictures, its duration and the time spent, in s.
 
-    chosen: options of the motion from the command line. advance: called with the step, the number
-    done and the number in all. Raises UserError.
+    chosen: options of the motion from the command line. advance: called with the name of the step,
+    the number done and the number in all. Raises UserError.
     """
     began_s = time.perf_counter()
-    # What can be wrong with the face is told before anything is heard.
+    # First the faces, so that an error in them is raised before the sound is recognised.
     displays = [_display(request)]
     if request.beside is not None:
         displays.append(_display(request))
@@ -69,10 +69,10 @@ def make_film(request: FilmRequest, chosen: ChosenMotion, advance: Advance) -> d
             motions = [filmed_trace(request.trace, sound, request.model, request.rate_hz)]
         else:
             assert request.speech is not None
-            speech = _speech(request, chosen)
+            speech = _speech_request(request, chosen)
             motions = [stack.enter_context(filmed(request.speech, speech, request.rate_hz))]
             if request.beside is not None:
-                motions.append(_other(request, chosen, motions[0], stack))
+                motions.append(_right_motion(request, chosen, motions[0], stack))
         advance("listening", 1, 1)
         n_all = len(motions[0].frames)
         n = write_film(
@@ -91,16 +91,16 @@ class Beside:
     """Two displays of one frame, drawn side by side."""
 
     def __init__(self, left: Display, right: Display) -> None:
-        self._both = left, right
+        self._displays = left, right
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels of both pictures side by side."""
-        return sum(each.size[0] for each in self._both), self._both[0].size[1]
+        return sum(each.size[0] for each in self._displays), self._displays[0].size[1]
 
     def draw(self, frame: object) -> Picture:
         """Return the pictures of both displays side by side, (height, width, 3)."""
-        return np.hstack([each.draw(frame) for each in self._both])  # type: ignore[arg-type]
+        return np.hstack([each.draw(frame) for each in self._displays])  # type: ignore[arg-type]
 
 
 def photograph(
@@ -127,9 +127,9 @@ def photograph(
 
 
 def _display(request: FilmRequest) -> Display:
-    """Return what draws the requested face: the twin, the robot, both, or a photograph.
+    """Return the display of the requested face: the twin, the robot, both, or a photograph.
 
-    Raises UserError.
+    The twin is the program's own head. Raises UserError.
     """
     face = load_face(request.model)
     if request.face == "twin":
@@ -147,10 +147,10 @@ def _display(request: FilmRequest) -> Display:
     )
 
 
-def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
+def _speech_request(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
     """Return the request for the motion of the film's speech, completed by the face's YAML."""
     settings, folder = load_settings(request.config)
-    # A robot is filmed as it would move.
+    # A robot is filmed as it would move; other faces move enough for viewers at 3 m.
     stage = 0.0 if request.face in ("robot", "beside") else ON_STAGE
     return SpeechRequest(
         motion_options(chosen, settings.motion, folder, stage),
@@ -163,7 +163,7 @@ def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
     )
 
 
-def _other(
+def _right_motion(
     request: FilmRequest, chosen: ChosenMotion, first: FilmedMotion, stack: ExitStack
 ) -> FilmedMotion:
     """Return the motion of the right face: of a performance, or by another strategy.
@@ -174,8 +174,8 @@ def _other(
     """
     assert request.beside is not None
     if Path(request.beside).suffix == SUFFIX:
-        other = _speech(request, chosen)
-        found = stack.enter_context(filmed(request.beside, other, request.rate_hz))
+        speech = _speech_request(request, chosen)
+        right = stack.enter_context(filmed(request.beside, speech, request.rate_hz))
     else:
         if first.sound is None or (request.speech or "").endswith(SUFFIX):
             raise UserError(f"--beside {request.beside}: needs a performance, as the first is one")
@@ -184,21 +184,21 @@ def _other(
             raise UserError(
                 f"--beside {request.beside}: name a performance (.perf), or {', '.join(STRATEGIES)}"
             )
-        other = _speech(request, replace(chosen, strategy=strategy))
-        found = stack.enter_context(filmed(request.speech or "", other, request.rate_hz))
-    frames = found.frames[: len(first.frames)]
+        speech = _speech_request(request, replace(chosen, strategy=strategy))
+        right = stack.enter_context(filmed(request.speech or "", speech, request.rate_hz))
+    frames = right.frames[: len(first.frames)]
     frames += (frames[-1],) * (len(first.frames) - len(frames))
-    return replace(found, frames=frames)
+    return replace(right, frames=frames)
 
 
 def _pictures(motions: Sequence[FilmedMotion], displays: Sequence[Display]) -> Iterator[Picture]:
     """Yield for each frame one picture, with the faces of all motions side by side."""
-    drawn = [_drawn(motion, display) for motion, display in zip(motions, displays, strict=True)]
+    drawers = [_drawer(motion, display) for motion, display in zip(motions, displays, strict=True)]
     for n in range(len(motions[0].frames)):
-        yield np.hstack([draw(n) for draw in drawn])
+        yield np.hstack([draw(n) for draw in drawers])
 
 
-def _drawn(motion: FilmedMotion, display: Display) -> Callable[[int], Picture]:
+def _drawer(motion: FilmedMotion, display: Display) -> Callable[[int], Picture]:
     """Return a function that draws picture n of a motion.
 
     A robot alone is drawn at the goals that a traced run sent to its servos, if there are any.

@@ -34,9 +34,10 @@ LONGEST_FILM_S = 600.0
 
 @dataclass(frozen=True, slots=True)
 class FilmedMotion:
-    """A motion to film. frames: one per picture, n at n / rate s. sound: its file; None: silent.
+    """A motion to film: one frame per picture, frame n at n / rate s of sound time.
 
-    servos, sent_deg (n, n_servos): the goals that a traced run sent to its servos; else (), None.
+    sound: the sound file; None: a silent film. servos, sent_deg (n, n_servos): the goals that a
+    traced run sent to its servos; else (), None.
     """
 
     frames: tuple[Frame, ...]
@@ -49,10 +50,10 @@ class FilmedMotion:
 class SpeechRequest:
     """What is known of the words of a sound, and the options by which it becomes motion.
 
-    config, model: the face's YAML and face model, None: the default one. script: labels;
-    text: the words of the sound; with neither the recogniser finds the phonemes. head: name of
-    the face by whose expression head and eyes move; None: they are still. channel: the one that
-    moves the mouth; all are in the film.
+    config, model: the face's YAML and face model, None: the default one. script: labels; text: the
+    words of the sound; with neither the recogniser finds the phonemes. head: name of the face by
+    whose expression settings head and eyes move; None: they are still. channel: the sound channel
+    that moves the mouth; all are in the film.
     """
 
     motion: MotionOptions
@@ -76,22 +77,23 @@ def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[Filmed
             performance = read_performance(path)
             performance.check_face(load_face(request.model), speech)
             sound = stack.enter_context(sound_file(performance.sound, path))
-            yield FilmedMotion(_performed(performance, rate_hz), sound)
+            yield FilmedMotion(_frames_of_performance(performance, rate_hz), sound)
             return
         if not _is_file(path):
             if named_file(speech) is not None:
                 raise UserError(f"{speech}: no such file; give a sound, or a text in quotes")
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="lipservo-")))
-            path, script = _spoken(speech, request.config, folder)
+            path, script = _synthesise_text(speech, request.config, folder)
             labels = None if script is None else LabelFile(script, "phones")
             request = replace(request, script=labels, text="" if script else speech)
-        yield FilmedMotion(_heard(path, request, rate_hz), path)
+        yield FilmedMotion(_frames_of_sound(path, request, rate_hz), path)
 
 
 def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: int) -> FilmedMotion:
     """Return the motion of a traced run from sound time 0 to the end of `sound`, or of the trace.
 
-    sound: None: the film is silent. Raises TraceError, UserError.
+    sound: the sound file; None: the film is silent, and as long as the trace. Raises TraceError,
+    UserError.
     """
     run = read_trace(trace)
     face = load_face(model)
@@ -102,21 +104,22 @@ def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: i
     end_s = float(run.sound_s[-1]) if sound is None else checked_sound(sound).duration_s
     times_s = _times_s(end_s, rate_hz)
 
-    def at(values: Array) -> Array:
+    def interpolated(values: Array) -> Array:
         columns = [np.interp(times_s, run.sound_s, column) for column in values.T]
         return np.stack(columns, axis=1)
 
-    frames = tuple(map(Frame, times_s.tolist(), at(run.coefficients)))
-    return FilmedMotion(frames, sound, run.servos, at(run.sent_deg))
+    frames = tuple(map(Frame, times_s.tolist(), interpolated(run.coefficients)))
+    return FilmedMotion(frames, sound, run.servos, interpolated(run.sent_deg))
 
 
 def _times_s(duration_s: float, rate_hz: int) -> Array:
+    """Return the sound time of each picture, (n,) s. Raises UserError for over 10 minutes."""
     if duration_s > LONGEST_FILM_S:
         raise UserError(f"{duration_s:.0f} s of sound: too long; cut it to {LONGEST_FILM_S:.0f} s")
     return np.arange(max(1, int(np.ceil(duration_s * rate_hz)))) / rate_hz
 
 
-def _performed(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
+def _frames_of_performance(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
     """Return the frames of a performance, interpolated to `rate_hz` pictures a second."""
     times_s = _times_s(performance.duration_s, rate_hz)
     known_s = np.arange(len(performance.coefficients)) / RATE_HZ
@@ -124,10 +127,10 @@ def _performed(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
     tracks = {
         name: np.interp(times_s, known_s, values) for name, values in performance.expression.items()
     }
-    return _frames(times_s, np.stack(columns, axis=1), tracks)
+    return _joined_frames(times_s, np.stack(columns, axis=1), tracks)
 
 
-def _heard(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...]:
+def _frames_of_sound(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...]:
     """Return the frames of a sound file, with `rate_hz` pictures a second.
 
     Phonemes are those of the request's script or text, else recognised. Head and eyes move, and the
@@ -138,9 +141,9 @@ def _heard(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...
         path, labels, request.motion, request.config, request.model, request.text, request.channel
     )
     times_s = _times_s(spoken.duration_s, rate_hz)
-    found = tuple(spoken.frames(times_s))
+    frames = tuple(spoken.frames(times_s))
     if request.head is None:
-        return found
+        return frames
     n_known = int(np.ceil(spoken.duration_s * RATE_HZ)) + 1
     line = Line(tuple(spoken.events()), read_speech(path, request.channel))
     known_s = np.arange(n_known) / RATE_HZ
@@ -148,11 +151,11 @@ def _heard(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...
         name: np.interp(times_s, known_s, values)
         for name, values in line_expression(request.head, line, n_known).items()
     }
-    tracks["lip_tuck"] = np.array([frame.expression.lip_tuck or 0.0 for frame in found])
-    return _frames(times_s, np.stack([frame.coefficients for frame in found]), tracks)
+    tracks["lip_tuck"] = np.array([frame.expression.lip_tuck or 0.0 for frame in frames])
+    return _joined_frames(times_s, np.stack([frame.coefficients for frame in frames]), tracks)
 
 
-def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Frame, ...]:
+def _joined_frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Frame, ...]:
     """Return a frame for each time, with its face and expression.
 
     times_s: (n,) seconds of sound time; faces: (n, n_components); tracks: (n,) by name, of which
@@ -171,7 +174,7 @@ def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Fra
     )
 
 
-def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
+def _synthesise_text(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
     """Synthesise a text by the face's voice into `folder`; return the sound file and a TextGrid.
 
     The TextGrid of the phonemes is None if the voice does not report them.
@@ -186,12 +189,12 @@ def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
     if not all(each.phonemes for each in sentences):
         return sound, None
     script = folder / "spoken.TextGrid"
-    write_tiers(script, {"phones": tuple(_joined(sentences))})
+    write_tiers(script, {"phones": tuple(_joined_phonemes(sentences))})
     return sound, script
 
 
-def _joined(sentences: Sequence[SynthesizedSpeech]) -> Iterator[tuple[str, float, float]]:
-    """Yield (phoneme, start s, end s) of sentences that follow one another."""
+def _joined_phonemes(sentences: Sequence[SynthesizedSpeech]) -> Iterator[tuple[str, float, float]]:
+    """Yield (phoneme, start s, end s) of sentences that follow one another, from 0 s on."""
     begins_s = 0.0
     for sentence in sentences:
         for event in sentence.phonemes:

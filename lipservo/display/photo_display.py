@@ -18,16 +18,24 @@ from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
 from lipsync.video.face_detection import Picture
 
-#: The background's map is drawn for one pixel in so many each way.
+#: The background's map is computed for one pixel in so many each way.
 _COARSE = 4
-#: What moves less than this is not drawn anew, px.
+#: Triangles whose vertices move less than this are not drawn anew, px.
 _STILL_PX = 0.02
 
 
 class PhotoDisplay:
-    """A display of one photograph, drawn a frame at a time. Needs OpenCV, the extra `film`."""
+    """A display of one photograph, drawn a frame at a time. Needs OpenCV, the extra `film`.
+
+    A map holds for each pixel of the moving part its position in the photograph; `_still` is
+    that of a face that does not move.
+    """
 
     def __init__(self, photo: PhotoFace) -> None:
+        """Prepare the maps of `photo`, in full and at every fourth pixel each way.
+
+        Raises MissingExtraError without OpenCV.
+        """
         check_extra("cv2", "drawing a photograph")
         self._photo = photo
         self.warp = PhotoWarp(photo)
@@ -36,6 +44,7 @@ class PhotoDisplay:
         self._inside = MouthInside(photo, self.warp.own_px[self.warp.lips])
         rest_px = self._mesh.rest_px
         height, width = photo.picture.shape[:2]
+        # The part of the picture in which something moves.
         low = np.clip(np.floor(rest_px.min(axis=0)) - 1, 0, None).astype(int)
         high = np.clip(np.ceil(rest_px.max(axis=0)) + 2, None, (width, height)).astype(int)
         self._box = (slice(low[1], high[1]), slice(low[0], high[0]))
@@ -43,9 +52,9 @@ class PhotoDisplay:
         self._still = np.stack([columns, rows])
         n_coarse = -(-np.array(self._still.shape[1:]) // _COARSE) + 1
         rows, columns = (_COARSE * np.mgrid[: n_coarse[0], : n_coarse[1]]).astype(np.float32)
-        self._still_coarse = np.stack([columns + low[0], rows + low[1]])
+        self._coarse_still = np.stack([columns + low[0], rows + low[1]])
         rows, columns = (self._still[::-1] - low[::-1, None, None]).astype(np.float32) / _COARSE
-        self._at_coarse = np.ascontiguousarray(columns), np.ascontiguousarray(rows)
+        self._coarse_positions = np.ascontiguousarray(columns), np.ascontiguousarray(rows)
 
     @property
     def own(self) -> Array:
@@ -108,32 +117,33 @@ class PhotoDisplay:
         Returns
         -------
         NDArray[np.float32]
-            (2, rows, columns) pixels, x and y.
+            (2, rows, columns) pixels, x and y; row 0 and column 0 are `corner_px` in the picture.
         """
         rest = self._mesh.rest_px
-        still = np.asarray((np.abs(moved_px - rest) < _STILL_PX).all(axis=1))
-        # Where nothing moves the map is there already; but what lies over what moves is drawn.
-        goes = np.asarray(~still[self._mesh.triangles].all(axis=1))
-        goes[self._mesh.skin] |= not still[self._eyes].all()
-        around = np.flatnonzero(goes[: self._mesh.skin.start])
+        is_still = np.asarray((np.abs(moved_px - rest) < _STILL_PX).all(axis=1))
+        # Triangles that do not move are in the map already; but when an eye moves, the skin, which
+        # lies over the eyes, is drawn as well.
+        moves = np.asarray(~is_still[self._mesh.triangles].all(axis=1))
+        moves[self._mesh.skin] |= not is_still[self._eyes].all()
+        moved_background = np.flatnonzero(moves[: self._mesh.skin.start])
         maps = self._still
-        if len(around):  # smooth and wide: a coarse map will do, of all there is
-            maps = self._coarse(moved_px)
+        if len(moved_background):  # smooth and wide: a coarse map will do, of all there is
+            maps = self._coarse_map(moved_px)
         maps = maps.copy()
-        skin = self._mesh.triangles[self._mesh.skin][goes[self._mesh.skin]]
+        skin = self._mesh.triangles[self._mesh.skin][moves[self._mesh.skin]]
         fine = np.vstack([self._mesh.triangles[self.warp.eye_fans], skin])
-        self._draw(maps, moved_px - self.corner_px, rest, fine)
+        self._fill(maps, moved_px - self.corner_px, rest, fine)
         return maps
 
-    def _coarse(self, moved_px: Array) -> NDArray[np.float32]:
-        """Return the map of `source_of` for all of the mesh, computed at every fourth pixel."""
+    def _coarse_map(self, moved_px: Array) -> NDArray[np.float32]:
+        """Return the map of `source_of` for all of the mesh, from every fourth pixel each way."""
         import cv2
 
         corner = np.array(self.corner_px)
-        maps = self._still_coarse.copy()
-        self._draw(maps, (moved_px - corner) / _COARSE, self._mesh.rest_px, self._mesh.triangles)
-        columns, rows = self._at_coarse
-        offsets = (maps - self._still_coarse).astype(np.float32)
+        maps = self._coarse_still.copy()
+        self._fill(maps, (moved_px - corner) / _COARSE, self._mesh.rest_px, self._mesh.triangles)
+        columns, rows = self._coarse_positions
+        offsets = (maps - self._coarse_still).astype(np.float32)
         wide = [
             cv2.remap(each, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             for each in offsets
@@ -141,21 +151,21 @@ class PhotoDisplay:
         return np.asarray(self._still + np.stack(wide))
 
     @staticmethod
-    def _draw(
+    def _fill(
         maps: NDArray[np.float32], moved_px: Array, rest_px: Array, triangles: Indices
     ) -> None:
-        """Write into `maps` where the pixels of moved triangles come from in the photograph.
+        """Write into `maps` from where in the photograph the pixels of moved triangles come.
 
         maps: (2, rows, columns), x and y in pixels, changed in place. moved_px, rest_px: (n, 2)
         vertices in pixels of the maps and of the photograph. triangles: (m, 3) indices of vertices.
         """
         corners = moved_px[triangles]
-        found = covered(corners, *maps.shape[1:])
-        flat = found.rows * maps.shape[2] + found.columns
+        covered_pixels = covered(corners, *maps.shape[1:])
+        flat_indices = covered_pixels.rows * maps.shape[2] + covered_pixels.columns
         for layer, values in zip(
-            maps, found.interpolated(corners, rest_px[triangles]), strict=True
+            maps, covered_pixels.interpolated(corners, rest_px[triangles]), strict=True
         ):
-            layer.reshape(-1)[flat] = values
+            layer.reshape(-1)[flat_indices] = values
 
     @property
     def corner_px(self) -> tuple[int, int]:

@@ -46,7 +46,7 @@ HAND_POINTS: Mapping[str, int] = {
 _CLOSED_MM = 1.2
 #: How far a measured lip gap may be off, mm.
 _GAP_NOISE_MM = 0.4
-#: Of the inner lips, upper before lower.
+#: Opposite landmarks of the inner lips, (upper, lower), from one corner to the other.
 _LIP_PAIRS = tuple(zip(INNER_LIP[1:10], INNER_LIP[:10:-1], strict=True))
 
 
@@ -58,8 +58,9 @@ class PhotoError(UserError):
 class LipGaps:
     """Distances of the model's inner lips, as a linear function of the coefficients.
 
-    along (n,): position of each gap from one corner (0) to the other (1). at_zero (n,), each (n,
-    n_components): in mm. The gap at both corners is always 0.
+    along (n,): position of each gap from one corner of the mouth (0) to the other (1). at_zero
+    (n,): the gaps in mm at coefficients 0; each (n, n_components): their change in mm per
+    coefficient. The gap at both corners is always 0.
     """
 
     along: Array
@@ -105,9 +106,10 @@ class LipGaps:
 class PhotoFace:
     """A photograph with a head fitted to it.
 
-    picture (height, width, 3). twin: the head, in mm; at coefficients `own` it is as photographed.
-    matrix (3, 3), shift_px (3,): `places_mm @ matrix.T + shift_px` are pixels, x right, y down and
-    z towards the viewer, a pixel's middle at whole numbers. lip_gaps: of the model.
+    picture (height, width, 3). twin: the head, in mm. own (n_components,): the coefficients at
+    which the head is as photographed. matrix (3, 3), shift_px (3,): `places_mm @ matrix.T +
+    shift_px` are pixels, x right, y down and z towards the viewer, a pixel's middle at whole
+    numbers. lip_gaps: of the model.
     """
 
     picture: Picture
@@ -169,17 +171,17 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
     # The landmarks on the mean head (mm) and in the picture (pixels, y up, z to the viewer).
     mean = load_mean_face()
     numbers = sorted(number for number in landmarks_px if number < N_SKIN)
-    on_head = mean.vertices_mm[numbers]
+    head_mm = mean.vertices_mm[numbers]
     in_picture = _with_depth([np.asarray(landmarks_px[n], dtype=np.float64) for n in numbers])
     is_flat = in_picture is None
     if in_picture is None:
         flat = np.array([landmarks_px[n][:2] for n in numbers], dtype=np.float64)
         in_picture = np.column_stack([flat * (1.0, -1.0), np.zeros(len(flat))])
     # The scale, rotation and shift from head to picture; points without depth get the mean head's.
-    reference = on_head * (1.0, 1.0, 0.0) if is_flat else on_head
+    reference = head_mm * (1.0, 1.0, 0.0) if is_flat else head_mm
     scale, rotation, shift = (each[0] for each in fit_similarity(reference[None], in_picture))
     if is_flat:
-        in_picture[:, 2] = scale * on_head[:, 2]
+        in_picture[:, 2] = scale * head_mm[:, 2]
     _check_size_and_pose(scale * np.ptp(mean.vertices_mm[:N_SKIN, 0]), rotation)
     # The way back, by which the landmarks of this face come to millimetres of the head.
     to_head = (np.array([1 / scale]), rotation.T[None], -(shift @ rotation)[None] / scale)
@@ -187,7 +189,7 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
     # The mean head bent so that its landmarks are this face's, and its mouth as photographed.
     fitted = _fitted_head(mean, numbers, own_mm, landmarks_px, to_head)
     gaps = lip_gaps(face)
-    own = _own_coefficients(face, gaps, fitted)
+    own = _photographed_coefficients(face, gaps, fitted)
     # The picture's y points down.
     mirror = np.array([1.0, -1.0, 1.0])
     matrix = mirror[:, None] * scale * rotation
@@ -228,53 +230,58 @@ def _fitted_head(
 ) -> MeanFace:
     """Return the mean head with its landmarks `numbers` at `own_mm`, the rest following smoothly.
 
-    landmarks_px: for the irises, which `to_head` (scale, rotation, shift) brings from pixels to mm.
+    own_mm: (n, 3), the photographed landmarks on the head. landmarks_px: for the irises, which
+    `to_head` (scale, rotation, shift) brings from pixels to mm.
     """
     surface = head_surface(mean)
-    still = np.flatnonzero(mean.behind > 2.0)
-    held = np.concatenate([numbers, still])
-    given = np.zeros((len(held), 3))
-    given[: len(numbers)] = own_mm - mean.vertices_mm[numbers]
-    places = mean.vertices_mm + spread(surface.stiffness, held, given)
+    # The back of the head stays; between it and the landmarks the surface bends like a shell.
+    fixed = np.flatnonzero(mean.behind > 2.0)
+    given_vertices = np.concatenate([numbers, fixed])
+    moves_mm = np.zeros((len(given_vertices), 3))
+    moves_mm[: len(numbers)] = own_mm - mean.vertices_mm[numbers]
+    places = mean.vertices_mm + spread(surface.stiffness, given_vertices, moves_mm)
     irises = mean.irises_mm.copy()
-    for at, (iris, rim) in enumerate(((RIGHT_IRIS, RIGHT_EYE), (LEFT_IRIS, LEFT_EYE))):
+    for side, (iris, rim) in enumerate(((RIGHT_IRIS, RIGHT_EYE), (LEFT_IRIS, LEFT_EYE))):
+        # Tracked irises are used; others move with their eye's rim.
         if all(number in landmarks_px and len(landmarks_px[number]) == 3 for number in iris):
-            seen = np.stack([landmarks_px[number] for number in iris]) * (1.0, -1.0, -1.0)
-            irises[at] = apply_similarity(seen[None], *to_head)[0]
+            iris_px = np.stack([landmarks_px[number] for number in iris]) * (1.0, -1.0, -1.0)
+            irises[side] = apply_similarity(iris_px[None], *to_head)[0]
         else:
-            moved = places[list(rim)].mean(axis=0) - mean.vertices_mm[list(rim)].mean(axis=0)
-            irises[at] = mean.irises_mm[at] + moved
+            rim_move_mm = places[list(rim)].mean(axis=0) - mean.vertices_mm[list(rim)].mean(axis=0)
+            irises[side] = mean.irises_mm[side] + rim_move_mm
     return MeanFace(places, mean.triangles, mean.behind, irises)
 
 
 def lip_gaps(face: FaceModel) -> LipGaps:
     """Return the gaps along a model's lips; one gap in the middle if it has no inner lips."""
     landmarks = face.layout.landmarks
-    found = [
+    # Of each pair that the model has: its position from corner to corner, and both points' indices.
+    pairs = [
         (n / (len(_LIP_PAIRS) + 1), landmarks.index(upper), landmarks.index(lower))
         for n, (upper, lower) in enumerate(_LIP_PAIRS, start=1)
         if upper in landmarks and lower in landmarks
     ] or [(0.5, face.layout.upper_lip, face.layout.lower_lip)]
-    along, upper, lower = (np.array(each) for each in zip(*found, strict=True))
+    along, upper, lower = (np.array(each) for each in zip(*pairs, strict=True))
     upper, lower = upper.astype(int), lower.astype(int)
     mean = face.mean_mm[upper, 1] - face.mean_mm[lower, 1] - face.lips_touching_mm[1]
     basis = face.basis.reshape(face.n_components, -1, 3)[:, :, 1]
     return LipGaps(along, mean, (basis[:, upper] - basis[:, lower]).T)
 
 
-def _own_coefficients(face: FaceModel, gaps: LipGaps, fitted: MeanFace) -> Array:
+def _photographed_coefficients(face: FaceModel, gaps: LipGaps, fitted: MeanFace) -> Array:
     """Return the coefficients of the mouth in a photograph, (n_components,).
 
     The rest if the lips are closed; else, of all mouths with these lip gaps, the likeliest by the
-    model's covariance. Proportions that differ from the speaker's are not counted as motion.
-    fitted: the head fitted to the photograph.
+    model's covariance (the conditional mean of a Gaussian). Proportions that differ from the
+    speaker's are not counted as motion. fitted: the head fitted to the photograph.
     """
     upper, lower = (list(each) for each in zip(*_LIP_PAIRS, strict=True))
-    own_mm = fitted.vertices_mm[upper, 1] - fitted.vertices_mm[lower, 1]
-    if own_mm.max() < _CLOSED_MM:
+    gaps_mm = fitted.vertices_mm[upper, 1] - fitted.vertices_mm[lower, 1]
+    if gaps_mm.max() < _CLOSED_MM:
         return face.rest
-    at = np.arange(1, len(own_mm) + 1) / (len(own_mm) + 1)
-    wider = np.interp(gaps.along, at, own_mm) - gaps.gaps_mm(face.rest)
+    along = np.arange(1, len(gaps_mm) + 1) / (len(gaps_mm) + 1)
+    # How much wider the photographed gaps are than the model's at rest.
+    wider_mm = np.interp(gaps.along, along, gaps_mm) - gaps.gaps_mm(face.rest)
     gain = face.covariance @ gaps.each.T
-    noise = np.eye(len(wider)) * _GAP_NOISE_MM**2
-    return np.asarray(face.rest + gain @ np.linalg.solve(gaps.each @ gain + noise, wider))
+    noise = np.eye(len(wider_mm)) * _GAP_NOISE_MM**2
+    return np.asarray(face.rest + gain @ np.linalg.solve(gaps.each @ gain + noise, wider_mm))

@@ -41,8 +41,8 @@ Landmarks = Mapping[int, Array]
 def read_photo(path: Path) -> tuple[Picture, float]:
     """Return a photograph, upright, RGB, at most 1920 px long, and its scale.
 
-    The scale is the width returned by the upright width in the file. Raises PhotoError,
-    MissingExtraError.
+    The scale is the width of the returned picture over the upright width in the file. Raises
+    PhotoError, MissingExtraError.
     """
     if not os.path.isfile(path):  # of a name that is too long Path raises
         raise PhotoError(f"{str(path)[:200]!r}: no such file")
@@ -123,7 +123,7 @@ def read_landmarks(path: Path, share: float) -> Landmarks:
     except OSError as error:
         raise PhotoError(f"{path}: cannot be read ({error.strerror})") from error
     except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise PhotoError(f"{path}: {_no_points(error)}") from error
+        raise PhotoError(f"{path}: {_points_error_text(error)}") from error
     try:
         return {number: _scaled(place, share) for number, place in landmarks_of(points).items()}
     except PhotoError as error:
@@ -139,7 +139,7 @@ def landmarks_of(points: object) -> Landmarks:
         named = dict(points)  # type: ignore[call-overload]
         found = {_number(name): np.array(place, dtype=np.float64) for name, place in named.items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise PhotoError(_no_points(error)) from error
+        raise PhotoError(_points_error_text(error)) from error
     for number, place in found.items():
         if place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
             raise PhotoError(f"landmark {number} must be [x, y] or [x, y, z]")
@@ -149,7 +149,8 @@ def landmarks_of(points: object) -> Landmarks:
     return found
 
 
-def _no_points(error: Exception) -> str:
+def _points_error_text(error: Exception) -> str:
+    """Return the error text for a file without usable points; it shows the form wanted."""
     return (
         f'no points of a face ({error}); write {{"points_px": {{"nose_tip": [x, y], ...}}}}, '
         "names: " + ", ".join(HAND_POINTS)
@@ -178,21 +179,27 @@ def framed(
             size,
         )
     middle = np.mean([place[:2] for place in landmarks.values()], axis=0)
+    # How far the corner of the cut may move, and the affine map of the cut; a pixel's middle is at
+    # whole numbers.
     room = np.maximum(np.array([width, height]) - np.array(size) / scale, 0.0)
     corner = np.clip(middle - _MIDDLE * np.array(size) / scale, 0.0, room)
     shift = scale * (0.5 - corner) - 0.5
     matrix = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
-    cut = cv2.warpAffine(
+    framed_picture = cv2.warpAffine(
         picture, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     )
-    moved = {
+    framed_landmarks = {
         number: np.concatenate([scale * place[:2] + shift, scale * place[2:]])
         for number, place in landmarks.items()
     }
-    return np.asarray(cut, dtype=np.uint8), moved
+    return np.asarray(framed_picture, dtype=np.uint8), framed_landmarks
 
 
 def _number(name: str) -> int:
+    """Return the number of a landmark, given as a name of `HAND_POINTS` or as digits.
+
+    Raises ValueError for a number that the face mesh lacks, or text that is neither.
+    """
     number = HAND_POINTS[name] if name in HAND_POINTS else int(name)
     if not 0 <= number < N_LANDMARKS:
         raise ValueError(f"there is no landmark {number}")
@@ -200,4 +207,8 @@ def _number(name: str) -> int:
 
 
 def _scaled(place: Array, share: float) -> Array:
+    """Return a landmark's place in a picture that is scaled by `share`.
+
+    A pixel's middle is at whole numbers; a depth, if given, is scaled as well.
+    """
     return np.concatenate([(place[:2] + 0.5) * share - 0.5, place[2:] * share])

@@ -57,9 +57,9 @@ def pack_photo(photo: PhotoFace, face: FaceModel) -> bytes:
         "eyes": [eye.tolist() for eye in warp.eyes],
         "rings": [share for _, share in RINGS],
         "rim_neighbours": RIM_NEIGHBOURS,
-        "contact": _contact(warp.contact),
-        "upper": _part(parts.upper, body),
-        "lower": _part(parts.lower, body),
+        "contact": _contact_values(warp.contact),
+        "upper": _pack_part(parts.upper, body),
+        "lower": _pack_part(parts.lower, body),
         "jaw_px": {name: way.tolist() for name, way in parts.jaw_px.items()},
         "hidden_px": parts.hidden_px.tolist(),
         "darkness": DARKNESS.tolist(),
@@ -72,7 +72,7 @@ def pack_photo(photo: PhotoFace, face: FaceModel) -> bytes:
     return body.behind(header)
 
 
-def _contact(contact: LipContact) -> dict[str, object]:
+def _contact_values(contact: LipContact) -> dict[str, object]:
     """Return the arrays of a lip contact as JSON values, from which a web page computes the same.
 
     `felt` has rows, columns and values of two sparse matrices.
@@ -91,7 +91,8 @@ def _contact(contact: LipContact) -> dict[str, object]:
     }
 
 
-def _part(part: SeenPart, body: Body) -> dict[str, object]:
+def _pack_part(part: SeenPart, body: Body) -> dict[str, object]:
+    """Add the arrays of a part of the mouth's inside to `body`; return their header entries."""
     return {
         "places": body.add(part.places_px, "<f4"),
         "colours": body.add(part.colours.round().clip(0, 255), "u1"),

@@ -17,13 +17,14 @@ from lipsync.face.frame import Frame
 from lipsync.markers import INNER_LIP
 from lipsync.twin.head_surface import FACE_RIM, LEFT_EYE, RIGHT_EYE, boundary_loops
 
-#: How far round the face the background gives way, in parts of its size, and by how much.
+#: Rings of vertices round the face: how far outside its rim, in parts of its size, and which share
+#: of the rim's motion each follows; beyond the last the background is still.
 RINGS = ((0.06, 0.9), (0.16, 0.68), (0.30, 0.42), (0.48, 0.2), (0.70, 0.0))
-#: Of so many neighbours on each side the rim's motion is the mean before the rings take it over.
+#: The rings follow the rim's motion averaged over so many neighbours on each side.
 RIM_NEIGHBOURS = 4
 #: A head turned farther than this shows what no photograph from the front has, degrees.
 MOST_POSE_DEG = {"pitch": 10.0, "yaw": 12.0, "roll": 12.0}
-#: What lids, brows and lips can be asked for without looking like a mask.
+#: Limits of the expression in a photograph: beyond them a face looks like a mask.
 MOST = {
     "lid_left": (0.0, 1.0),
     "lid_right": (0.0, 1.0),
@@ -39,39 +40,46 @@ class PhotoWarp:
     The mesh's vertices are those of the skin, then of each eye its rim and its middle, then rings
     round the face. places_mm (n_skin, 3): the skin's vertices on the head. targets: by the name of
     a motion of the head (a component of the model, or lids, brows, smile), how far the amount 1 of
-    it moves each of them, mm. lips, rim, eyes: rows of the skin's vertices round the inner lips
-    (from a corner), the face and each eye.
+    it moves each vertex of the skin, mm. own_px (n_skin, 3): the skin's vertices as photographed,
+    with depth. lips, rim, eyes: rows of the skin's vertices round the inner lips (from a corner),
+    the face and each eye. mesh: the flat mesh. eye_fans: rows of its triangles that are eyes.
+    contact: brings lips together.
     """
 
     def __init__(self, photo: PhotoFace) -> None:
+        """Build the mesh of `photo`: the face's skin, the eyes, and rings round the face."""
         self._photo = photo
         skin = photo.twin.parts[0]
-        triangles = _half_as_fine(skin.triangles)
+        triangles = _coarser_triangles(skin.triangles)
         front = triangles[photo.twin.face_vertices[triangles].all(axis=1)]
-        used = np.unique(front)
+        # Only the vertices of the face are used, numbered anew.
+        used_vertices = np.unique(front)
         self._number = np.full(len(skin.places_mm), -1)
-        self._number[used] = np.arange(len(used))
+        self._number[used_vertices] = np.arange(len(used_vertices))
         faces = self._number[front]
-        self.places_mm = skin.places_mm[used]
-        self.targets = {name: moves[used] for name, moves in skin.morphs.items()}
+        self.places_mm = skin.places_mm[used_vertices]
+        self.targets = {name: moves[used_vertices] for name, moves in skin.morphs.items()}
         loops = [np.array(loop) for loop in boundary_loops(faces)]
         self.lips = _loop(loops, self._number[list(INNER_LIP[:2])])
         self.rim = _loop(loops, self._number[list(FACE_RIM[:2])])
         self.eyes = [_loop(loops, self._number[list(each[:2])]) for each in (LEFT_EYE, RIGHT_EYE)]
         #: Of the skin in the photograph, with depth.
-        self.own_px = own_px = photo.in_picture(self._skin_places(Frame(0.0, photo.own)))
+        self.own_px = own_px = photo.in_picture(self._skin_places_mm(Frame(0.0, photo.own)))
+        # From the back to the front. The eyes' vertices come after the skin's.
         faces = faces[np.argsort(own_px[faces, 2].mean(axis=1))]
         first = len(own_px)
         eye_fans = []
         for eye in self.eyes:
-            eye_fans.append(_fan(first, len(eye)))
+            eye_fans.append(_fan_triangles(first, len(eye)))
             first += len(eye) + 1
+        # Rings of vertices, each a larger copy of the rim about its middle.
         rim_px = own_px[self.rim, :2]
         middle = rim_px.mean(axis=0)
         rings = np.vstack([middle + (1 + far) * (rim_px - middle) for far, _ in RINGS])
         ring_rows = np.vstack([self.rim, first + np.arange(len(rings)).reshape(len(RINGS), -1)])
-        back = np.concatenate([_band(*pair) for pair in pairwise(ring_rows)])
-        rest_px = np.vstack([own_px[:, :2], *self._eyes_of(own_px), rings])
+        # The background's triangles, and those of the eyes, are drawn before the skin.
+        back = np.concatenate([_band_triangles(*pair) for pair in pairwise(ring_rows)])
+        rest_px = np.vstack([own_px[:, :2], *self._eyes_px(own_px), rings])
         behind = np.vstack([back[::-1], *eye_fans])
         #: Rows of the mesh's triangles that are eyes.
         self.eye_fans = slice(len(back), len(behind))
@@ -87,7 +95,7 @@ class PhotoWarp:
         Parameters
         ----------
         frame : Frame
-            Mouth and expression.
+            Mouth shape and expression.
 
         Returns
         -------
@@ -95,21 +103,25 @@ class PhotoWarp:
             (n, 2) pixels; and the depth of the skin's vertices, (n_skin,).
         """
         turn, shift = self.turn(frame)
-        places_px = self._photo.in_picture(self._skin_places(frame))
-        skin = self.contact.held(places_px, frame) @ turn.T + shift
-        eyes = self._eyes_of(self.own_px @ turn.T + shift)
+        places_px = self._photo.in_picture(self._skin_places_mm(frame))
+        # The skin and the eyes turn with the head; rings follow the rim of the face.
+        skin = self.contact.bring_together(places_px, frame) @ turn.T + shift
+        eyes = self._eyes_px(self.own_px @ turn.T + shift)
         rest = self.mesh.rest_px
-        rim = _smooth(skin[self.rim, :2] - rest[self.rim])
+        rim = _smoothed_along_rim(skin[self.rim, :2] - rest[self.rim])
         rings = rest[-len(RINGS) * len(rim) :] + np.vstack([share * rim for _, share in RINGS])
         return self._unfold.unfolded(np.vstack([skin[:, :2], *eyes, rings])), skin[:, 2]
 
     def turn(self, frame: Frame) -> tuple[Array, Array]:
-        """Return a frame's head rotation and shift about the neck, `px @ turn.T + shift`."""
+        """Return a frame's head rotation (3, 3) and shift (3,), in px: `px @ turn.T + shift`.
+
+        The head turns about the neck.
+        """
         angles = pose_rad(frame)
         if not any(angles):
             return np.eye(3), np.zeros(3)
-        own = self._photo.matrix / self._photo.px_per_mm
-        turn = own @ rotation(*angles) @ own.T
+        picture_axes = self._photo.matrix / self._photo.px_per_mm
+        turn = picture_axes @ rotation(*angles) @ picture_axes.T
         pivot = self._photo.in_picture(self._photo.twin.pivot_mm)
         return turn, pivot - turn @ pivot
 
@@ -117,11 +129,13 @@ class PhotoWarp:
         """Return the mesh's vertex of a landmark of the 478-point face mesh; -1: not drawn."""
         return int(self._number[landmark])
 
-    def _eyes_of(self, skin_px: Array) -> list[Array]:
+    def _eyes_px(self, skin_px: Array) -> list[Array]:
+        """Return of each eye the vertices of its rim and its middle, (n_rim + 1, 2)."""
         loops = [skin_px[eye, :2] for eye in self.eyes]
         return [np.vstack([loop, loop.mean(axis=0)]) for loop in loops]
 
-    def _skin_places(self, frame: Frame) -> Array:
+    def _skin_places_mm(self, frame: Frame) -> Array:
+        """Return the places of the skin's vertices on the head in a frame, (n_skin, 3) mm."""
         places = self.places_mm.copy()
         for name, amount in amounts_of(frame, self._photo.twin.components).items():
             if amount:
@@ -140,6 +154,7 @@ def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
     for name, (least, most) in MOST.items():
         amounts[name] = min(most, max(least, values[name] or 0.0))
     for side in ("left", "right"):
+        # The target that keeps a half shut lid outside the eyeball (lipsync/twin/twin.py).
         lid = amounts[f"lid_{side}"]
         amounts[f"lid_{side}_over"] = lid * (1 - lid)
     return amounts
@@ -156,7 +171,9 @@ def pose_rad(frame: Frame) -> tuple[float, float, float]:
 
 
 def rotation(pitch: float, yaw: float, roll: float) -> Array:
-    """Return the rotation by roll, then pitch, then yaw; x to the right, y up, z to the viewer.
+    """Return the matrix of a rotation by roll, then pitch, then yaw of a head.
+
+    Axes: x to the right, y up, z to the viewer.
 
     Parameters
     ----------
@@ -166,7 +183,7 @@ def rotation(pitch: float, yaw: float, roll: float) -> Array:
     Returns
     -------
     Array
-        (3, 3).
+        (3, 3), to be multiplied with column vectors.
     """
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in (-pitch, yaw, -roll))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
@@ -175,8 +192,11 @@ def rotation(pitch: float, yaw: float, roll: float) -> Array:
     return np.asarray(about_y @ about_x @ about_z)
 
 
-def _half_as_fine(triangles: Indices) -> Indices:
-    """Return the triangles before the last subdivision into four, (n, 3) -> (n / 4, 3)."""
+def _coarser_triangles(triangles: Indices) -> Indices:
+    """Return the triangles before the last subdivision into four, (n, 3) -> (n / 4, 3).
+
+    Four triangles in a row are the parts of one, and its corners are those of the first three.
+    """
     four = triangles.reshape(-1, 4, 3)
     return np.column_stack([four[:, 0, 0], four[:, 1, 1], four[:, 2, 2]])
 
@@ -185,28 +205,29 @@ def _loop(loops: list[Indices], start: Indices) -> Indices:
     """Return the loop of vertices through start[0], from it on in the direction of start[1]."""
     first, then = start.tolist()
     (loop,) = (each for each in loops if first in each)
-    at = int(np.flatnonzero(loop == first)[0])
-    turned = np.roll(loop, -at)
+    position = int(np.flatnonzero(loop == first)[0])
+    turned = np.roll(loop, -position)
     if int(np.flatnonzero(turned == then)[0]) < len(turned) / 2:
         return turned
     return np.concatenate([turned[:1], turned[:0:-1]])
 
 
-def _fan(first: int, n: int) -> Indices:
+def _fan_triangles(first: int, n: int) -> Indices:
     """Return triangles from a loop of `n` vertices from `first` on to its middle, the next one."""
-    here = first + np.arange(n)
-    return np.column_stack([here, np.roll(here, -1), np.full(n, first + n)])
+    loop = first + np.arange(n)
+    return np.column_stack([loop, np.roll(loop, -1), np.full(n, first + n)])
 
 
-def _band(inner: Indices, outer: Indices) -> Indices:
+def _band_triangles(inner: Indices, outer: Indices) -> Indices:
+    """Return triangles that fill the band between two loops of equally many vertices, (2 n, 3)."""
     ahead, outer_ahead = np.roll(inner, -1), np.roll(outer, -1)
     return np.vstack(
         [np.column_stack([inner, ahead, outer]), np.column_stack([ahead, outer_ahead, outer])]
     )
 
 
-def _smooth(moves: Array) -> Array:
+def _smoothed_along_rim(moves: Array) -> Array:
     """Return the rim's moves (n, 2), averaged over neighbours, so that rings do not cross."""
-    near = range(-RIM_NEIGHBOURS, RIM_NEIGHBOURS + 1)
-    around = [np.roll(moves, shift, axis=0) for shift in near]
-    return np.asarray(np.mean(around, axis=0))
+    shifts = range(-RIM_NEIGHBOURS, RIM_NEIGHBOURS + 1)
+    shifted = [np.roll(moves, shift, axis=0) for shift in shifts]
+    return np.asarray(np.mean(shifted, axis=0))

@@ -19,7 +19,8 @@ from lipsync.face.frame import Frame
 from lipsync.video.face_detection import Picture
 
 Colour = tuple[int, int, int]
-#: Units of the drawing for a millimetre, and of its whole field.
+#: The drawing has units of its own, like the dashboard's: so many for a millimetre of the robot,
+#: and width and height of the whole field.
 _UNIT, _FIELD = 2.6, (400.0, 440.0)
 _HORN_MM, _JAW_MM = 8.0, 88.0
 _MOUTH_AT, _HALF_MM, _INNER_MM = np.array([200.0, 280.0]), 27.0, 11.0
@@ -95,16 +96,17 @@ def moved_channels(
 ) -> dict[tuple[str, str], float]:
     """Return degrees by (channel, side), in the drawing's directions, from angles of servos.
 
-    A channel is a motion of the drawing, as `jaw`. Servos without one in `rig` are left out.
+    A channel is a motion of the drawing, such as `jaw`; sides are "left" and "right". Servos
+    without a channel in `rig` are left out.
     """
-    found: dict[tuple[str, str], float] = {}
+    degrees: dict[tuple[str, str], float] = {}
     for name, deg in positions_deg.items():
         servo = rig.get(name)
         if servo is None or servo.channel is None:
             continue
         sides = ("left", "right") if servo.side == "both" else (servo.side,)
-        found |= {(servo.channel, side): servo.sign * deg for side in sides}
-    return found
+        degrees |= {(servo.channel, side): servo.sign * deg for side in sides}
+    return degrees
 
 
 class _Canvas:
@@ -117,15 +119,20 @@ class _Canvas:
         shift: Array,
         moved: Mapping[tuple[str, str], float],
     ) -> None:
+        """Begin a picture of `size` (width, height), in px, with an empty field.
+
+        scale, shift: from units of the drawing to pixels. moved: degrees by (channel, side), in the
+        drawing's directions.
+        """
         self.picture: Picture = np.full((size[1], size[0], 3), _FIELD_COLOUR, dtype=np.uint8)
-        self._moved, self._scale, self._shift = moved, scale, shift
-        yaw, pitch, roll = (self._deg(f"neck_{each}", "left") for each in ("yaw", "pitch", "roll"))
-        aside, up = np.sin(np.radians([yaw, pitch]))
+        self._channel_deg, self._scale, self._shift = moved, scale, shift
+        yaw, pitch, roll = (self._deg(f"neck_{axis}", "left") for axis in ("yaw", "pitch", "roll"))
+        yaw_share, pitch_share = np.sin(np.radians([yaw, pitch]))
         turn = np.radians(roll)
         self._turn = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-        self._skull_shift = np.array([26.0 * aside, -22.0 * up])
-        self._feature_shift = np.array([44.0 * aside, -38.0 * up])
-        self._narrow = np.array([np.cos(np.radians(yaw)), 1.0])
+        self._skull_shift = np.array([26.0 * yaw_share, -22.0 * pitch_share])
+        self._feature_shift = np.array([44.0 * yaw_share, -38.0 * pitch_share])
+        self._narrowing = np.array([np.cos(np.radians(yaw)), 1.0])
 
     def head(self, has_eyes: bool) -> None:
         """Draw neck, skull, nose and brows, and eyes if `has_eyes`."""
@@ -139,14 +146,14 @@ class _Canvas:
                          [272, 284], [236, 292]], dtype=float)  # fmt: skip
         skull = np.vstack([half, (400.0, 0.0) + half[:0:-1] * (-1.0, 1.0)])
         self._fill(_curve(skull), _SKULL, _LINE, "skull")
-        for x in (103, 297):
-            self._fill(_circle((x, 226), 9.0), _JAW, _LINE, "skull")
+        for ear_x in (103, 297):
+            self._fill(_circle((ear_x, 226), 9.0), _JAW, _LINE, "skull")
         self._fill(np.array([[200, 188], [213, 234], [200, 239], [187, 234]]), _JAW, _LINE)
-        for side, way in (("right", -1.0), ("left", 1.0)):
-            middle = np.array([200.0 + way * _EYES_APART, _EYES_Y])
+        for side, direction in (("right", -1.0), ("left", 1.0)):
+            middle = np.array([200.0 + direction * _EYES_APART, _EYES_Y])
             if has_eyes:
                 self._eye(side, middle)
-            if ("brow", side) in self._moved:
+            if ("brow", side) in self._channel_deg:
                 up = -_UNIT * _horn_mm(self._deg("brow", side))
                 brow = _curve(
                     middle + np.array([[-26, -39 + up], [0, -46 + up], [26, -39 + up]]),
@@ -157,22 +164,25 @@ class _Canvas:
     def _eye(self, side: str, middle: Array) -> None:
         """Draw an eye with iris, pupil and upper lid; `middle`: (2,) in drawing units."""
         self._fill(_circle(middle, _EYE_RADIUS), _WHITE, _LINE)
-        looks = np.sin(np.radians([self._deg("eye_yaw", side), -self._deg("eye_pitch", side)]))
-        at = middle + 0.55 * _EYE_RADIUS * looks / 0.5
-        self._fill(_circle(at, _IRIS), _IRIS_COLOUR, None)
-        self._fill(_circle(at, 5.5), _PUPIL, None)
-        lid = self._moved.get(("lid", side))
+        look_share = np.sin(np.radians([self._deg("eye_yaw", side), -self._deg("eye_pitch", side)]))
+        iris_middle = middle + 0.55 * _EYE_RADIUS * look_share / 0.5
+        self._fill(_circle(iris_middle, _IRIS), _IRIS_COLOUR, None)
+        self._fill(_circle(iris_middle, 5.5), _PUPIL, None)
+        lid = self._channel_deg.get(("lid", side))
+        # The covered share of the eye: 14 % at 0 degrees or without a servo, all at -45 degrees.
         shut = 0.14 if lid is None else 0.14 - 0.86 * lid / 45.0 if lid < 0 else 0.14 - lid / 90.0
-        edge = middle[1] - _EYE_RADIUS + 2 * _EYE_RADIUS * min(1.0, max(0.0, shut))
+        lid_y = middle[1] - _EYE_RADIUS + 2 * _EYE_RADIUS * min(1.0, max(0.0, shut))
         # The part of the eye's circle above the edge of the lid, from its right end over the top.
-        down = np.clip((edge - middle[1]) / _EYE_RADIUS, -1.0, 1.0)
-        angle = np.linspace(np.arcsin(down), -np.pi - np.arcsin(down), 40)
+        edge_share = np.clip((lid_y - middle[1]) / _EYE_RADIUS, -1.0, 1.0)
+        angle = np.linspace(np.arcsin(edge_share), -np.pi - np.arcsin(edge_share), 40)
         arc = np.column_stack([np.cos(angle), np.sin(angle)])
         self._fill(middle + _EYE_RADIUS * arc, _LID, _LINE)
 
     def mouth(self) -> None:
         """Draw lips, teeth and the cavity between the lips."""
         pout = min(1.0, max(-1.0, _horn_mm(self._deg("protrusion", "left")) / _HORN_MM))
+        # Positions in mm from the middle of the closed mouth, x right and y down: of each lip its
+        # middle and its two horns, and the corners.
         inner = _INNER_MM - 2 * pout
         jaw = self._jaw_mm
         corner = {
@@ -185,65 +195,71 @@ class _Canvas:
         upper = {side: -_horn_mm(self._deg("upper_lip", side)) for side in ("left", "right")}
         lower = {side: jaw + _horn_mm(self._deg("lower_lip", side)) for side in ("left", "right")}
         ends = (-corner["right"][0], corner["right"][1]), corner["left"]
-        mid_upper, mid_lower = sum(upper.values()) / 2, sum(lower.values()) / 2
+        upper_middle, lower_middle = sum(upper.values()) / 2, sum(lower.values()) / 2
 
-        def chain(lip: Mapping[str, float], mid: float) -> Array:
-            points = [ends[0], (-inner, lip["right"]), (0.0, mid), (inner, lip["left"]), ends[1]]
+        def chain(lip: Mapping[str, float], middle: float) -> Array:
+            points = [ends[0], (-inner, lip["right"]), (0.0, middle), (inner, lip["left"]), ends[1]]
             return _MOUTH_AT + _UNIT * np.array(points)
 
-        above, below = chain(upper, mid_upper + 0.4), chain(lower, mid_lower)
+        # The two edges of the opening; each lip is a band of some thickness outside its edge.
+        above, below = chain(upper, upper_middle + 0.4), chain(lower, lower_middle)
         thick = _UNIT * (5 + 2.5 * pout)
-        high = above - np.column_stack([np.zeros(5), thick * _LIP_BULGE])
-        deep = below + np.column_stack([np.zeros(5), 1.15 * thick * _LIP_BULGE])
+        upper_edge = above - np.column_stack([np.zeros(5), thick * _LIP_BULGE])
+        lower_edge = below + np.column_stack([np.zeros(5), 1.15 * thick * _LIP_BULGE])
         self._fill(_ring(above, below), _CAVITY, None)
-        gap = max(0.0, mid_lower - mid_upper)
-        at = _MOUTH_AT + _UNIT * np.array([-9.0, min(mid_upper, 0.0)])
-        self._fill(_box(at[0], at[1], _UNIT * 18, _UNIT * min(gap, 5.0)), _TEETH, None)
-        low = max(0.0, min(gap - 5.0, 3.5))
-        at = _MOUTH_AT + _UNIT * np.array([-8.0, mid_lower - low])
-        self._fill(_box(at[0], at[1], _UNIT * 16, _UNIT * low), _TEETH, None)
-        self._fill(_ring(above, high), _LIPS, _LIP_LINE)
-        self._fill(_ring(below, deep), _LIPS, _LIP_LINE)
+        gap = max(0.0, lower_middle - upper_middle)
+        xy = _MOUTH_AT + _UNIT * np.array([-9.0, min(upper_middle, 0.0)])
+        self._fill(_box(xy[0], xy[1], _UNIT * 18, _UNIT * min(gap, 5.0)), _TEETH, None)
+        # The lower teeth, up to 3.5 mm of them, in what is left of the opening.
+        teeth_mm = max(0.0, min(gap - 5.0, 3.5))
+        xy = _MOUTH_AT + _UNIT * np.array([-8.0, lower_middle - teeth_mm])
+        self._fill(_box(xy[0], xy[1], _UNIT * 16, _UNIT * teeth_mm), _TEETH, None)
+        self._fill(_ring(above, upper_edge), _LIPS, _LIP_LINE)
+        self._fill(_ring(below, lower_edge), _LIPS, _LIP_LINE)
 
     @property
     def _jaw_mm(self) -> float:
         return _JAW_MM * float(np.sin(np.radians(self._deg("jaw", "left"))))
 
     def _deg(self, channel: str, side: str) -> float:
-        return self._moved.get((channel, side), 0.0)
+        return self._channel_deg.get((channel, side), 0.0)
 
-    def _placed(self, points: Array, on: str) -> Array:
-        """Return the pixels of points in drawing units; `on`: they turn with `face` or `skull`.
+    def _to_pixels(self, points: Array, on: str) -> Array:
+        """Return the pixels (n, 2) of points (n, 2) in drawing units.
 
-        On `field` they are still.
+        on: with what the points turn: "face" (features of the face), "skull" or "field" (not at
+        all).
         """
-        at = np.asarray(points, dtype=np.float64)
+        xy = np.asarray(points, dtype=np.float64)
+        # Features are narrowed about the middle of the face, x = 200, and moved as the head turns.
         if on == "face":
-            at = (at - (200.0, 0.0)) * self._narrow + (200.0, 0.0) + self._feature_shift
+            xy = (xy - (200.0, 0.0)) * self._narrowing + (200.0, 0.0) + self._feature_shift
+        # The skull moves less, and rolls about the neck at (200, 360).
         if on != "field":
-            at = (at + self._skull_shift - (200.0, 360.0)) @ self._turn.T + (200.0, 360.0)
-        return at * self._scale + self._shift
+            xy = (xy + self._skull_shift - (200.0, 360.0)) @ self._turn.T + (200.0, 360.0)
+        return xy * self._scale + self._shift
 
     def _fill(self, points: Array, colour: Colour, line: Colour | None, on: str = "face") -> None:
         """Fill the polygon `points`, (n, 2) in drawing units.
 
-        line: colour of the outline; None: no outline. on: the part with which the points turn, as
-        for `_placed`.
+        line: colour of the outline; None: no outline. on: with what the points turn, as for
+        `_to_pixels`.
         """
         import cv2
 
-        at = np.rint(self._placed(points, on) * 2**_BITS).astype(np.int32)[None]
-        cv2.fillPoly(self.picture, at, colour, cv2.LINE_AA, _BITS)
+        pixels = np.rint(self._to_pixels(points, on) * 2**_BITS).astype(np.int32)[None]
+        cv2.fillPoly(self.picture, pixels, colour, cv2.LINE_AA, _BITS)
         if line is not None:
-            wide = max(1, round(1.6 * self._scale))
-            cv2.polylines(self.picture, at, True, line, wide, cv2.LINE_AA, _BITS)
+            width_px = max(1, round(1.6 * self._scale))
+            cv2.polylines(self.picture, pixels, True, line, width_px, cv2.LINE_AA, _BITS)
 
     def _line(self, points: Array, colour: Colour, wide: float) -> None:
+        """Draw an open line of `wide` drawing units through `points`, (n, 2), on the face."""
         import cv2
 
-        at = np.rint(self._placed(points, "face") * 2**_BITS).astype(np.int32)[None]
+        pixels = np.rint(self._to_pixels(points, "face") * 2**_BITS).astype(np.int32)[None]
         width = max(1, round(wide * self._scale))
-        cv2.polylines(self.picture, at, False, colour, width, cv2.LINE_AA, _BITS)
+        cv2.polylines(self.picture, pixels, False, colour, width, cv2.LINE_AA, _BITS)
 
 
 def _horn_mm(deg: float) -> float:
@@ -266,18 +282,18 @@ def _ring(one: Array, other: Array) -> Array:
 def _curve(points: Array, *, closed: bool = True) -> Array:
     """Return points on a Catmull-Rom curve through `points`, (n, 2) -> (m, 2)."""
     if closed:
-        around = np.vstack([points[-1:], points, points[:2]])
+        padded = np.vstack([points[-1:], points, points[:2]])
     else:
-        around = np.vstack([points[:1], points, points[-1:]])
-    share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None]
-    found = []
-    for before, start, end, after in zip(
-        around[:-3], around[1:-2], around[2:-1], around[3:], strict=True
+        padded = np.vstack([points[:1], points, points[-1:]])
+    u = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None]
+    pieces = []
+    for point_before, start, end, point_after in zip(
+        padded[:-3], padded[1:-2], padded[2:-1], padded[3:], strict=True
     ):
-        a, b = (end - before) / 2, (after - start) / 2
-        cubic = 2 * start - 2 * end + a + b
-        square = -3 * start + 3 * end - 2 * a - b
-        found.append(((cubic * share + square) * share + a) * share + start)
+        slope_start, slope_end = (end - point_before) / 2, (point_after - start) / 2
+        cubic = 2 * start - 2 * end + slope_start + slope_end
+        square = -3 * start + 3 * end - 2 * slope_start - slope_end
+        pieces.append(((cubic * u + square) * u + slope_start) * u + start)
     if not closed:
-        found.append(points[-1:])
-    return np.vstack(found)
+        pieces.append(points[-1:])
+    return np.vstack(pieces)

@@ -26,7 +26,8 @@ from lipsync.prosody.voice_tracker import VoiceTracker
 #: A live head's velocity follows loudness 50 ms late, with this 20 ms (eight lines of LibriSpeech);
 #: a human one's 30 ms (docs/expression.md).
 _LEAD_S: Final = 0.03
-#: Before its line the face listens so long: it begins in the middle of a conversation.
+#: The generators run so long, in silence, before the line: it begins in the middle of a
+#: conversation.
 _BEFORE_S: Final = 3.0
 #: A shorter pause is one within a sentence.
 _PAUSE_S: Final = 0.3
@@ -47,7 +48,7 @@ def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[n
     Returns
     -------
     dict[str, NDArray[np.float32]]
-        (n_frames,) at i / 100 s of sound time, by names of `EXPRESSION_NAMES`.
+        (n_frames,) each at i / 100 s of sound time, by the names `EXPRESSION_NAMES`.
 
     Raises
     ------
@@ -59,16 +60,17 @@ def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[n
     source = expression_source(settings.expression, seed)
     n_before = round(_BEFORE_S * RATE_HZ)
     voices = voice_frames(line.samples)[round(_LEAD_S * RATE_HZ) :]
-    heard = chain(repeat(SILENT_VOICE, n_before), voices, repeat(SILENT_VOICE))
+    # The voice leads by 30 ms; before it and after it there is silence.
+    line_voices = chain(repeat(SILENT_VOICE, n_before), voices, repeat(SILENT_VOICE))
     silences_s = chain(repeat(_PAUSE_S, n_before), silent_s(line.events, n_frames))
     shown = np.empty((n_frames, len(EXPRESSION_NAMES)), dtype=np.float32)
-    for n, quiet_s in enumerate(silences_s):
-        voice = next(heard)
+    for n, silence_s in enumerate(silences_s):
+        voice = next(line_voices)
         cue = ExpressionCue(
             time_s=n * CUE_PERIOD_S,
             voice=voice,
-            is_speaking=quiet_s == 0.0,
-            silent_s=quiet_s,
+            is_speaking=silence_s == 0.0,
+            silent_s=silence_s,
             arousal=voice.arousal,
         )
         expression = source.step(cue)
@@ -78,7 +80,7 @@ def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[n
 
 
 def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
-    """Return the prosody of a sound, relative to the baselines of the whole sound.
+    """Return the prosody (loudness, pitch, arousal) of a sound, relative to that of all of it.
 
     Parameters
     ----------
@@ -91,26 +93,27 @@ def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
         One for each 10 ms.
     """
     tracker = VoiceTracker()
-    for _ in range(2):  # once to learn what is usual in this line
-        frames = [tracker.feed(block) for block in _blocks(samples)]
+    for _ in range(2):  # the first time only to learn what is usual in this line
+        frames = [tracker.feed(block) for block in _blocks_of_10_ms(samples)]
     return frames
 
 
 def silent_s(events: Sequence[PhonemeEvent], n_frames: int) -> Iterator[float]:
     """Yield for each 10 ms the seconds since speech ended, plus 0.3; 0 in speech and short pauses.
 
-    Before the first phone of `events` the seconds count from the start of the sound.
+    A pause is short below 0.3 s. Before the first phone of `events` the seconds count from the
+    start of the sound.
     """
     spoken = [event for event in events if event.phoneme != SILENCE]
-    end_s = -np.inf  # of what was said so far
-    ahead = iter(spoken)
-    coming = next(ahead, None)
+    end_s = -np.inf  # of the phones so far
+    later_events = iter(spoken)
+    next_event = next(later_events, None)
     for n in range(n_frames):
         time_s = n / RATE_HZ
-        while coming is not None and coming.start_s <= time_s:
-            end_s = max(end_s, time_s if coming.end_s is None else coming.end_s)
-            coming = next(ahead, None)
-        begins_s = np.inf if coming is None else coming.start_s
+        while next_event is not None and next_event.start_s <= time_s:
+            end_s = max(end_s, time_s if next_event.end_s is None else next_event.end_s)
+            next_event = next(later_events, None)
+        begins_s = np.inf if next_event is None else next_event.start_s
         if time_s < end_s or begins_s - end_s < _PAUSE_S:
             yield 0.0
         else:
@@ -118,7 +121,7 @@ def silent_s(events: Sequence[PhonemeEvent], n_frames: int) -> Iterator[float]:
             yield _PAUSE_S + (time_s - end_s if np.isfinite(end_s) else time_s)
 
 
-def _blocks(samples: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
+def _blocks_of_10_ms(samples: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
     n_block = round(SAMPLE_RATE_HZ * CUE_PERIOD_S)
     for start in range(0, len(samples), n_block):
         yield samples[start : start + n_block]

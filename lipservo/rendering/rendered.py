@@ -36,11 +36,13 @@ from lipsync.offline.performance import (
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
-    """Options of rendering lines. strength: scale of the mouth's motion, 1 as the speaker's.
+    """Options of rendering lines.
 
+    strength: scale of the mouth's motion, 1 as the recorded speaker's. method: how faces are made.
     model, offline: files of the face model and of its offline model; None: the shipped ones.
-    includes_sound: whether the sound is stored in the file, or only its name and checksum.
-    expression: the face, by name or YAML, whose head and eyes are stored too; None: none are.
+    includes_sound: whether the sound is stored in the performance file, or only its name and
+    checksum. expression: the face, by name or YAML, by whose expression settings head and eyes are
+    stored too; None: none are.
     """
 
     method: LineMethod
@@ -68,37 +70,37 @@ class Rendered:
 def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendered:
     """Render a sound to the performance file `output`, whole or not at all; return its figures.
 
-    script: its phones or text, if known; how: options. Raises UserError with one line about a bad
-    sound, script or model.
+    script: the sound's phones or text, if known; how: options. Raises UserError with one line about
+    a bad sound, script or model.
     """
-    performance, done = rendered_line(sound, script, how)
+    performance, rendered = rendered_line(sound, script, how)
     write_performance(performance, output)
-    return replace(done, output=output)
+    return replace(rendered, output=output)
 
 
 def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performance, Rendered]:
     """Compute the performance of a sound (a line) without writing it; return it and its figures.
 
-    The figures are those of `Rendered`; as there is no output file yet, `output` holds `sound`.
-    script: the line's phones or text, if known; how: options. Raises UserError.
+    As there is no output file yet, `output` of the figures holds `sound`. script: the line's phones
+    or text, if known; how: options. Raises UserError.
     """
     speaker = load_speaker(how.model, how.offline)
-    line, heard_notes = spoken_line(sound, script)
+    line, line_notes = spoken_line(sound, script)
     began_s = time.perf_counter()
     faces, notes = rendered_faces(speaker, line, how.method, how.strength)
-    heard = performed_sound(sound, included=how.includes_sound)
+    performed = performed_sound(sound, included=how.includes_sound)
     performance = Performance(
         speaker.face.checksum,
         faces.astype(np.float32),
         line.events,
-        heard,
+        performed,
         how.method,
         {} if how.expression is None else line_expression(how.expression, line, len(faces)),
-        _origin(heard, script, how),
+        _origin(performed, script, how),
     )
     seconds = time.perf_counter() - began_s
     duration_s = len(line.samples) / SAMPLE_RATE_HZ
-    all_notes = (*heard_notes, *notes)
+    all_notes = (*line_notes, *notes)
     return performance, Rendered(sound, duration_s, len(line.events), seconds, all_notes)
 
 
@@ -109,11 +111,11 @@ def is_rendered(output: Path, sound: Path, script: Script, how: Rendering) -> bo
     an option, the version of lipservo), or if its content is missing or damaged.
     """
     try:
-        found = read_performance(output)
-        if found.origin != _origin(performed_sound(sound, included=False), script, how):
+        performance = read_performance(output)
+        if performance.origin != _origin(performed_sound(sound, included=False), script, how):
             return False
         if how.includes_sound:
-            with sound_file(found.sound, output):
+            with sound_file(performance.sound, output):
                 pass  # it compares the bytes with their checksum
     except (UserError, OSError):
         return False
@@ -121,7 +123,10 @@ def is_rendered(output: Path, sound: Path, script: Script, how: Rendering) -> bo
 
 
 def _origin(sound: PerformedSound, script: Script, how: Rendering) -> str:
-    """Return a digest of all that the performance of a line depends on, as 64 hex digits."""
+    """Return a digest of all that the performance of a line depends on, as 64 hex digits.
+
+    The sound counts by name and bytes, phones by their file's bytes, models by theirs.
+    """
     phones: list[str] = []
     if script.phones is not None:
         labels = script.phones
@@ -130,14 +135,17 @@ def _origin(sound: PerformedSound, script: Script, how: Rendering) -> str:
         [sound.name, sound.sha256],
         phones,
         [script.text, script.channel],
-        _origin_of_all(how),
+        _common_origin(how),
     ]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
 @cache
-def _origin_of_all(how: Rendering) -> list[object]:
-    """Return what all lines of a process depend on, which loads its models once, too."""
+def _common_origin(how: Rendering) -> list[object]:
+    """Return what all lines with these options depend on: version, options, digests of models.
+
+    It is computed once per process for equal options, as the models are loaded once, too.
+    """
     models = resources.files("lipsync.models")
     expression: object = None
     if how.expression is not None:
@@ -192,6 +200,6 @@ def load_speaker(model: Path | None, offline: Path | None) -> Speaker:
         face = read_face(file)
         expectation = read_expectation(file, face.n_components)
         soft = read_soft_expectation(file, face.n_components)
-    found = load_offline_model(offline)
-    found.check_face(face, str(offline or "the shipped offline model"))
-    return Speaker(face, expectation, found, soft)
+    offline_model = load_offline_model(offline)
+    offline_model.check_face(face, str(offline or "the shipped offline model"))
+    return Speaker(face, expectation, offline_model, soft)

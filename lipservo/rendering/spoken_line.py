@@ -28,19 +28,20 @@ from lipsync.recognition.recognizers import make_recognizer
 from lipsync.spoken_text import PronouncedWord, SpokenText, SpokenUnit
 from lipsync.text_to_speech.pronunciation import pronounced_units
 
-#: A line is heard whole: a longer sound is cut into lines by whoever knows where they end.
+#: A line is recognised as a whole; a longer sound must be cut into lines beforehand.
 LONGEST_LINE_S = 300.0
 
 
 class LineError(UserError):
-    """A sound that cannot be rendered as a line; one line: which one, why, and the remedy."""
+    """Error for a sound that cannot be rendered as a line: which one, why, and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """What is known of a sound's speech. phones: labels of phones or words. text: its words.
+    """What is known of a sound's speech.
 
-    With neither the recogniser finds the phonemes. channel: the one heard; "": all are mixed.
+    phones: labels of phones or words. text: the sound's words. With neither the recogniser finds
+    the phonemes. channel: the sound channel that is used; "": all are mixed.
     """
 
     phones: LabelFile | None = None
@@ -51,8 +52,9 @@ class Script:
 def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
     """Return the samples and phones of a sound file as a line, and notes for a person.
 
-    Raises SoundError, LabelError, AlignmentError, PronunciationError, and LineError for a sound
-    longer than `LONGEST_LINE_S`.
+    The phones are those of the script's labels; else its text is aligned with the sound; else they
+    are recognised, along the labelled words if there are any. Raises SoundError, LabelError,
+    AlignmentError, PronunciationError, and LineError for a sound longer than `LONGEST_LINE_S`.
     """
     duration_s = checked_sound(sound, script.channel).duration_s
     if duration_s > LONGEST_LINE_S:
@@ -93,7 +95,7 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
 
 def pronounced_words(words: Sequence[TimedUnit]) -> tuple[PronouncedWord, ...]:
     """Return the words of a label file with their pronunciations. Raises PronunciationError."""
-    units = (SpokenUnit(w.label, round(w.start_s * SAMPLE_RATE_HZ)) for w in words)
+    units = (SpokenUnit(word.label, round(word.start_s * SAMPLE_RATE_HZ)) for word in words)
     return pronounced_units(SpokenText("word", tuple(units), SAMPLE_RATE_HZ))
 
 

@@ -36,7 +36,8 @@ class SpokenSound:
     """A sound file, the source of its phonemes, and the options by which they become motion.
 
     labels: phonemes or words; None: the recogniser is used, and follows `text` if not empty.
-    channel: the one that is heard; "": all are mixed.
+    config, model: the face's YAML, by name or path, and its face model; None: the default one.
+    channel: the sound channel that is used; "": all are mixed.
     """
 
     path: Path
@@ -71,6 +72,8 @@ class SpokenSound:
     def frames(self, times_s: Sequence[float] | Array) -> Iterator[Frame]:
         """Yield the mouth shapes that the robot shows at given times of the sound.
 
+        The speech side of a running face computes them, 100 a second, on the sound's own clock.
+
         Parameters
         ----------
         times_s : Sequence[float] | Array
@@ -83,8 +86,8 @@ class SpokenSound:
         """
         face = assemble_face(self.config, self.model)
         synthesizer = make_synthesizer(face.model, self.motion, self.model)
-        known = () if self.labels is None else self.labels.phones
-        script = ScriptedPhonemes(known) if known else None
+        phones = () if self.labels is None else self.labels.phones
+        script = ScriptedPhonemes(phones) if phones else None
         recognizer = self._recognizer()
         with open_sound(Sound("file", str(self.path), channel=self.channel)) as source:
             speech = Speech(
@@ -114,9 +117,9 @@ def spoken_sound(
 ) -> SpokenSound:
     """Return a `SpokenSound` of the file `sound`, whose motion options are those in `chosen`.
 
-    Options that `chosen` lacks are those of the face YAML `config`. script: labels of the
-    phonemes, None: recognised; model: file of the face model, None: the default; stage: as of
-    `motion_options`. Raises UserError.
+    Options that `chosen` lacks are those of the face YAML `config`. script: labels of the phonemes,
+    None: recognised; model: file of the face model, None: the default; stage: how far the mouth
+    moves for viewers at 3 m, 0 to 1, where YAML and `chosen` say nothing. Raises UserError.
     """
     settings, folder = load_settings(config)
     options = motion_options(chosen, settings.motion, folder, stage)

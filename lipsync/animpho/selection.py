@@ -1,8 +1,8 @@
-"""Selection of the AnimPho for the next phoneme: the paper's two strategies, and a guided one.
+"""Selection of the AnimPho (recorded piece of mouth motion) of a phoneme: three strategies.
 
-The paper's strategies use no later phonemes. They keep no state: what they need to remember is in
-the `Choice` that they returned last, so that a choice can be undone. They select a connected and
-smooth motion, and know of the mouth only through the phonemes.
+The two strategies of Wei and Deng's paper use no later phonemes. They keep no state: what they need
+to remember is in the `Choice` that they returned last, so that a choice can be undone. They select
+a connected and smooth motion, and know of the mouth only through the phonemes.
 
 `GuidedSelection` adds nearness to a target motion, which is given at five times of the rest of the
 phone, to the paper's terms: the join, the recorded chain, the table T.
@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.animpho.trajectory import left_samples
+from lipsync.animpho.trajectory import remainder_weights
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
 
@@ -23,12 +23,12 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The AnimPho (unit of captured mouth motion) selected for a phoneme p_t, after a_{t-1}.
+    """The AnimPho (recorded piece of mouth motion) selected for a phoneme p_t, after a_{t-1}.
 
-    animpho: its index. missed: whether it is outside L(p_t), the phoneme's AnimPhos, or outside
-    T(a_{t-1}), the successors; False for a first phoneme. chain_lengths: (m,), the priorities v_i
-    of Wei and Deng, eq. (2), of all m AnimPhos, 0 outside L(p_t); empty for strategies without
-    priorities.
+    animpho: its index. missed: whether the AnimPho is outside L(p_t), the phoneme's AnimPhos, or
+    outside T(a_{t-1}), the AnimPhos that followed the last one in the recordings; False for a first
+    phoneme. chain_lengths: (m,), the priorities v_i of Wei and Deng, eq. (2), of all m AnimPhos, 0
+    outside L(p_t); empty for strategies without priorities.
     """
 
     animpho: int
@@ -56,7 +56,7 @@ def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -
     Parameters
     ----------
     units : AnimPhoUnits
-        All AnimPhos.
+        All AnimPhos, recorded pieces of motion.
     previous : int
         Index of the AnimPho played before.
     candidates : Indices
@@ -81,14 +81,15 @@ def nearest_to_rest(units: AnimPhoUnits, candidates: Indices) -> int:
 
 
 def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> Array:
-    """Return each AnimPho's chain length v_i: 0 outside `candidates`, else Wei and Deng, eq. (2).
+    """Return the chain lengths v_i: 0 outside `candidates`, else Wei and Deng, eq. (2).
 
-    A candidate's v_i is the largest v_j of its predecessors plus 1; 1 where it has no predecessor.
+    v_i tells how many phonemes in a row the recording that ends with AnimPho i spells: the largest
+    v_j of its predecessors plus 1; 1 where it has no predecessor.
 
     Parameters
     ----------
     units : AnimPhoUnits
-        m AnimPhos.
+        m AnimPhos, recorded pieces of motion of one phoneme each.
     candidates : Indices
         (k,) indices of the AnimPhos of the phoneme.
     previous : Array
@@ -102,33 +103,35 @@ def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> 
     lengths = np.zeros(len(units))
     lengths[candidates] = 1.0
     if len(previous):
-        before = units.predecessors
+        # The longest chain among each AnimPho's predecessors, 0 where it has none.
+        predecessors = units.predecessors
         # reduceat needs a non-empty stretch for every row: the 0 serves AnimPhos without any.
-        reached = np.append(previous[before.indices], 0.0)
-        longest = np.maximum.reduceat(reached, before.starts[:-1])
-        longest[before.starts[:-1] == before.starts[1:]] = 0.0
+        previous_lengths = np.append(previous[predecessors.indices], 0.0)
+        longest = np.maximum.reduceat(previous_lengths, predecessors.starts[:-1])
+        longest[predecessors.starts[:-1] == predecessors.starts[1:]] = 0.0
         lengths[candidates] += longest[candidates]
     return lengths
 
 
 class NaiveSelection:
-    """Strategy: the smoothest of the phoneme's AnimPhos that follow the last AnimPho in training.
+    """Strategy: the smoothest of the phoneme's AnimPhos that followed the last AnimPho in training.
 
-    The smoothest has the smallest jump from the last AnimPho's end, eq. (1). Where none of the
-    phoneme's AnimPhos follows, it is the smoothest of all AnimPhos.
+    AnimPhos are recorded pieces of motion. The smoothest has the smallest jump from the last
+    AnimPho's end, eq. (1). Where none of the phoneme's AnimPhos follows, it is the smoothest of all
+    AnimPhos.
     """
 
     name = "naive"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Return the choice of the AnimPho of `phoneme` that starts nearest the closed mouth."""
+        """Choose the recorded piece (AnimPho) of `phoneme` that starts nearest the closed mouth."""
         return Choice(nearest_to_rest(units, units.of_phoneme(phoneme)), False, np.empty(0))
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Return the choice of the successor of `previous` for `phoneme` with the smallest jump.
+        """Choose the recorded piece (AnimPho) of `phoneme` that jumps least after `previous`.
 
-        If no AnimPho of the phoneme is a successor of `previous`, it is that of all AnimPhos with
-        the smallest jump, eq. (1), and `missed` is set.
+        Only pieces are considered that followed it in training. If there are none, the piece with
+        the smallest jump of all, eq. (1), is chosen, and `missed` is set.
         """
         connected = np.intersect1d(
             units.of_phoneme(phoneme), units.successors[previous.animpho], assume_unique=True
@@ -142,26 +145,26 @@ class NaiveSelection:
 class PrioritySelection:
     """Strategy: the AnimPho that ends the longest recorded chain which spells the phonemes so far.
 
-    Among equals one that follows the last AnimPho in training, then the one with the smallest jump
-    from the last AnimPho's end.
+    AnimPhos are recorded pieces of motion. Among equals it is one that follows the last AnimPho in
+    the recordings, then the one with the smallest jump from the last AnimPho's end.
     """
 
     name = "priority"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Return the choice of the AnimPho of `phoneme` that starts nearest the closed mouth.
+        """Choose the recorded piece (AnimPho) of `phoneme` that starts nearest the closed mouth.
 
-        The priorities are 1 for each AnimPho of the phoneme, else 0.
+        The chain lengths are 1 for each AnimPho of the phoneme, else 0.
         """
         candidates = units.of_phoneme(phoneme)
         lengths = chain_lengths(units, candidates, np.zeros(0))
         return Choice(nearest_to_rest(units, candidates), False, lengths)
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Return the choice of the AnimPho of `phoneme` with the highest chain length v_i, eq. (2).
+        """Choose the recorded piece (AnimPho) of `phoneme` that ends the longest chain, eq. (2).
 
-        Among equals a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by eq.
-        (1).
+        Among equals it is a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by
+        eq. (1).
         """
         candidates = units.of_phoneme(phoneme)
         lengths = chain_lengths(units, candidates, previous.chain_lengths)
@@ -179,7 +182,7 @@ STRATEGIES: dict[str, SelectionStrategy] = {
 
 
 #: An AnimPho plays moved by this share of the way to where the mouth is expected (docs/motion.md).
-MOVED = 0.7
+MOVED_SHARE = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +204,7 @@ class SelectionCosts:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """The mouth's state at the time within a phone at which a new stretch of motion begins.
+    """The mouth's state where a new stretch of motion joins the old one; no joint of a robot.
 
     share: fraction of the phone that is over, from 0 to below 1; position, speed: (n_components,)
     each, of the mouth now, speed per second; spacing_s: seconds between two of the five samples of
@@ -217,9 +220,10 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class _Candidates:
-    """The AnimPhos L(p) of a phoneme: indices (k,), samples (k, 5 n_components).
+    """The AnimPhos (recorded pieces of motion) of a phoneme.
 
-    products: (k, 25), of the samples with each other over the components.
+    indices (k,); samples (k, 5 n_components); products: (k, 25), of the samples with each other
+    over the components.
     """
 
     indices: Indices
@@ -230,29 +234,29 @@ class _Candidates:
 class GuidedSelection:
     """Selection of the AnimPho of a phoneme that fits a target motion at the least cost.
 
-    Nearness, join and speed are squares of terms linear in the samples x (5, n_components) of an
-    AnimPho, so their sum is x' M x + v x, with one M (5, 5) and one v for all candidates: two
-    matrix products.
+    An AnimPho is a recorded piece of motion. Nearness, join and speed are squares of terms linear
+    in its samples x (5, n_components), so their sum is x' M x - 2 v x + a constant, with one M (5,
+    5) and one v (5, n_components) for all candidates: two matrix products.
     """
 
     def __init__(self, units: AnimPhoUnits, costs: SelectionCosts | None = None) -> None:
         self.units = units
         self._costs = costs or SelectionCosts()
-        near = [1.0 / SAMPLES_PER_ANIMPHO] * SAMPLES_PER_ANIMPHO
-        self._weights = np.array([*near, self._costs.position, self._costs.speed_s2])
+        nearness_weights = [1.0 / SAMPLES_PER_ANIMPHO] * SAMPLES_PER_ANIMPHO
+        self._weights = np.array([*nearness_weights, self._costs.position, self._costs.speed_s2])
         self._candidates = {p: _candidates(units, p) for p in units.known_phonemes}
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> Choice:
-        """Return the AnimPho of `phoneme` that costs least for the rest of a phone.
+        """Return the recorded piece (AnimPho) that costs least for the rest of a phone.
 
         Parameters
         ----------
         phoneme : str
             One of the model's known phonemes.
         target : Array
-            (5, n_components), the wanted face at even times from now until the phone's end.
+            (5, n_components), the expected faces at even times from now until the phone's end.
         joint : Joint
-            State of the mouth that the AnimPho continues.
+            The mouth's state now, which the AnimPho continues.
 
         Returns
         -------
@@ -260,22 +264,26 @@ class GuidedSelection:
             The AnimPho, and the chain lengths that the next choice needs.
         """
         candidates = self._candidates[phoneme]
-        left = left_samples(joint.share)
-        begins = left[0] - MOVED * left.mean(axis=0)
-        step = (left[1] - left[0]) / joint.spacing_s
-        # Nearness; eq. (1), of position and of speed: rows that should vanish, each by its weight.
-        seen = np.vstack([left, begins, step])
-        position = joint.position - MOVED * target.mean(axis=0)
-        wanted = np.vstack([target, position, joint.speed])
-        weighted = seen.T * self._weights
-        squares, products = weighted @ seen, weighted @ wanted
+        remainder = remainder_weights(joint.share)
+        first_sample = remainder[0] - MOVED_SHARE * remainder.mean(axis=0)
+        first_speed = (remainder[1] - remainder[0]) / joint.spacing_s
+        # Seven terms, linear in an AnimPho's five samples, and what each should be: the samples
+        # themselves (nearness), and position and speed at the start (eq. (1)). The AnimPho plays
+        # moved by a share of its distance from the target, which changes the position.
+        terms = np.vstack([remainder, first_sample, first_speed])
+        position = joint.position - MOVED_SHARE * target.mean(axis=0)
+        targets = np.vstack([target, position, joint.speed])
+        weighted = terms.T * self._weights
+        # The weighted sum of squared differences, without the part that is equal for all.
+        squares, products = weighted @ terms, weighted @ targets
         cost = candidates.products @ squares.ravel() - candidates.samples @ (2.0 * products.ravel())
-        before = np.zeros(0) if joint.previous is None else joint.previous.chain_lengths
-        lengths = chain_lengths(self.units, candidates.indices, before)
-        follow = candidates.indices
+        # The paper's terms: a successor of the last AnimPho, and a long recorded chain.
+        previous_lengths = np.zeros(0) if joint.previous is None else joint.previous.chain_lengths
+        lengths = chain_lengths(self.units, candidates.indices, previous_lengths)
+        successors = candidates.indices
         if joint.previous is not None:
-            follow = self.units.successors[joint.previous.animpho]
-        missed = ~np.isin(candidates.indices, follow)
+            successors = self.units.successors[joint.previous.animpho]
+        missed = ~np.isin(candidates.indices, successors)
         cost += self._costs.unconnected * missed
         cost -= self._costs.chain * np.log2(lengths[candidates.indices])
         best = int(np.argmin(cost))

@@ -1,8 +1,9 @@
 """The published live method, end to end: phonemes in, face coefficients at any time out.
 
-A phoneme is planned once, when its first instant is due; frames already shown never change. The
-caller shows the face `longest_phone_s` after the sound arrives, so that the end of every phoneme up
-to that length is known by then; a longer one plays for that long and is then held.
+A phoneme's motion is planned once, when its first instant is due, from a recorded piece of motion
+(an AnimPho); frames already shown never change. The caller shows the face `longest_phone_s` after
+the sound arrives, so that the end of every phoneme up to that length is known by then; a longer one
+plays for that long and is then held.
 """
 
 import math
@@ -56,10 +57,11 @@ class _Stretch:
 class PublishedSynthesizer:
     """Wei and Deng's synthesis and blending over a revisable stream of phonemes.
 
-    units: the AnimPhos; strategy: selects one per phoneme, None: PrioritySelection;
-    longest_phone_s: a longer phoneme is held after this time, which is also the look-ahead.
-    published_derivatives: keep eq. (5)'s derivative per sample spacing at a joint, so that the
-    speed jumps when durations differ; by default the speed per second is continuous.
+    units: the AnimPhos, recorded pieces of motion; strategy: selects one per phoneme, None:
+    PrioritySelection; longest_phone_s: a longer phoneme is held after this time, which is also the
+    look-ahead. published_derivatives: keep eq. (5)'s derivative per sample spacing where two pieces
+    join, so that the speed jumps when durations differ; by default the speed per second is
+    continuous.
     """
 
     def __init__(
@@ -70,8 +72,9 @@ class PublishedSynthesizer:
         published_derivatives: bool = False,
         longest_phone_s: float = LONGEST_PHONE_S,
     ) -> None:
+        """Create the synthesiser with a closed mouth; the parameters are those of the class."""
         self._units = units
-        self._known = units.known_phonemes
+        self._known_phonemes = units.known_phonemes
         self._strategy = strategy or PrioritySelection()
         self._published_derivatives = published_derivatives
         self.longest_phone_s = longest_phone_s
@@ -113,7 +116,7 @@ class PublishedSynthesizer:
         Times may step back within the newest 16 pieces of motion: a few phonemes.
         """
         while (until_s := self._end_of_plan_s()) <= time_s:
-            self._plan(until_s)
+            self._add_motion(until_s)
         self._shown_until_s = max(self._shown_until_s, time_s)
         for stretch in reversed(self._stretches):
             if stretch.trajectory.start_s <= time_s:
@@ -149,34 +152,36 @@ class PublishedSynthesizer:
         newest = self._stretches[-1]
         if math.isfinite(newest.until_s):
             return newest.until_s
+        # The mouth rests or is held: the first later phoneme known, but no time already shown.
         earliest_s = max(newest.trajectory.start_s, self._shown_until_s)
         for event in self._timeline.events_after(newest.after_s):
             if event.end_s is None or event.end_s > earliest_s:
                 return max(event.start_s, earliest_s)
         return math.inf
 
-    def _plan(self, start_s: float) -> None:
+    def _add_motion(self, start_s: float) -> None:
         """Append the motion from sound time `start_s` on, for the phoneme at that time.
 
-        In a pause the mouth closes; where less than 20 ms of the phoneme is left it keeps its
-        position; else AnimPhos are played.
+        In a pause, or where no phoneme is known, the mouth closes; where less than 20 ms of the
+        phoneme is left the mouth keeps its position; else AnimPhos, recorded pieces of motion, are
+        played.
         """
         event = self._timeline.event_at(start_s)
         end_s = math.inf if event is None or event.end_s is None else event.end_s
         remaining_s = end_s - start_s
-        is_pause = remaining_s > PAUSE_S or SILENCE not in self._known
+        is_pause = remaining_s > PAUSE_S or SILENCE not in self._known_phonemes
         if event is None or (event.phoneme == SILENCE and is_pause):
             self._choice = None
-            self._rest(start_s, event, self._units.rest)
+            self._hold(start_s, event, self._units.rest)
         elif remaining_s < _SHORTEST_PHONE_S:
-            self._rest(start_s, event, self._state_at(start_s)[0])
+            self._hold(start_s, event, self._state_at(start_s)[0])
         else:
             played_s = min(remaining_s, self.longest_phone_s)
-            self._speak(event.phoneme, start_s, played_s)
+            self._add_phone(event.phoneme, start_s, played_s)
             if played_s < remaining_s:
-                self._rest(start_s + played_s, event, self._stretches[-1].trajectory.samples[-1])
+                self._hold(start_s + played_s, event, self._stretches[-1].trajectory.samples[-1])
 
-    def _rest(self, start_s: float, event: PhonemeEvent | None, position: Array) -> None:
+    def _hold(self, start_s: float, event: PhonemeEvent | None, position: Array) -> None:
         """Append motion that eases to `position` and holds it until a phoneme starts after `event`.
 
         event: the phoneme in which the mouth rests; None: no phoneme is known at `start_s`.
@@ -185,25 +190,25 @@ class PublishedSynthesizer:
         trajectory = ease(start_s, SETTLE_S, *self._state_at(start_s), position)
         self._stretches.append(_Stretch(trajectory, math.inf, after_s))
 
-    def _speak(self, phoneme: str, start_s: float, duration_s: float) -> None:
-        """Append the motion of a phoneme from `start_s` on: an AnimPho of it, `duration_s` long.
+    def _add_phone(self, phoneme: str, start_s: float, duration_s: float) -> None:
+        """Append the motion of a phoneme: an AnimPho (recorded piece) of it, `duration_s` long.
 
         A phoneme without AnimPhos is replaced by similar ones, which share its time evenly.
         """
-        parts = stand_in(phoneme, self._known)
+        parts = stand_in(phoneme, self._known_phonemes)
         share_s = duration_s / len(parts)
         for number, part in enumerate(parts):
-            self._play_animpho(part, start_s + number * share_s, share_s)
+            self._add_animpho(part, start_s + number * share_s, share_s)
 
-    def _play_animpho(self, phoneme: str, start_s: float, duration_s: float) -> None:
-        """Append the motion of one AnimPho of `phoneme`, `duration_s` long, from `start_s` on.
+    def _add_animpho(self, phoneme: str, start_s: float, duration_s: float) -> None:
+        """Append the motion of one AnimPho (recorded piece) of `phoneme`, `duration_s` long.
 
         The strategy selects the AnimPho to fit the last one; the motion begins at the mouth's
         present position.
         """
         position, velocity = self._state_at(start_s)
         if self._choice is None:
-            # Out of silence b_1 = a_1 and d_1[1] = 0 (the paper is silent; live-lip-sync.md).
+            # Out of silence b_1 = a_1 and d_1[1] = 0 (our choice; the paper does not say).
             chosen = self._strategy.first(self._units, phoneme)
             connected = chosen.animpho
         else:
@@ -212,6 +217,7 @@ class PublishedSynthesizer:
         animphos = self._units.samples
         samples = blend(translate(animphos[connected], position), animphos[chosen.animpho])
         spacing_s = duration_s / (len(samples) - 1)
+        # The slope per sample spacing at the first sample.
         first = velocity * spacing_s
         if self._published_derivatives:
             previous = self._stretches[-1].trajectory
@@ -223,5 +229,5 @@ class PublishedSynthesizer:
         self.misses += chosen.missed
 
     def _state_at(self, time_s: float) -> tuple[Array, Array]:
-        """Return position and velocity per second of the newest stretch at sound time `time_s`."""
+        """Return the newest motion's position and velocity per second at sound time `time_s`."""
         return self._stretches[-1].trajectory.at(time_s)

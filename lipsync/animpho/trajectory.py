@@ -1,6 +1,7 @@
 """Functions that join an AnimPho's samples to the motion so far, and the curve through the samples.
 
-Samples are numbered 1..5 as in the paper in the formulas, 0..4 in the code.
+An AnimPho is a recorded piece of mouth motion, of five samples. They are numbered 1..5 as in the
+paper in the formulas, 0..4 in the code.
 """
 
 from dataclasses import dataclass
@@ -12,10 +13,11 @@ from lipsync.arrays import Array
 
 
 def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
-    """Return b_t's index: the AnimPho that follows a_{t-1} in training and moves most like a_t.
+    """Return the index of the recorded piece that follows `previous` and moves most like `chosen`.
 
-    Wei and Deng, eq. (3). It is a_t (`chosen`) itself when that follows a_{t-1} (`previous`), or
-    when no AnimPho does: a_{t-1} was the last one of a sentence.
+    Wei and Deng, eq. (3): b_t, of the AnimPhos that follow a_{t-1} (`previous`) in training, for
+    a_t (`chosen`). It is a_t itself when that follows a_{t-1}, or when no AnimPho does: a_{t-1} was
+    the last one of a sentence.
     """
     followers = units.successors[previous]
     if len(followers) == 0 or chosen in followers:
@@ -25,12 +27,12 @@ def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
 
 
 def translate(animpho: Array, start: Array) -> Array:
-    """Return an AnimPho moved as a whole so that it begins at `start`: b'_t of Wei and Deng.
+    """Return a recorded piece of motion moved to begin at `start`: b'_t of Wei and Deng.
 
     Parameters
     ----------
     animpho : Array
-        (5, n_components) samples.
+        (5, n_components) samples of the recorded piece.
     start : Array
         (n_components,) position.
 
@@ -42,31 +44,32 @@ def translate(animpho: Array, start: Array) -> Array:
     return np.asarray(animpho + (start - animpho[0]))
 
 
-def left_samples(share: float) -> Array:
-    """Return weights that resample the rest of an AnimPho, after a `share` of it, to five samples.
+def remainder_weights(share: float) -> Array:
+    """Return weights that resample the rest of a recorded piece at five times.
 
     Parameters
     ----------
     share : float
-        Fraction that has passed, 0 to below 1.
+        Fraction of the piece that has passed, 0 to below 1.
 
     Returns
     -------
     Array
-        (5, 5): each row holds one new sample's weights on the AnimPho's five samples.
+        (5, 5): each row holds one new sample's weights on the piece's five samples.
     """
-    at = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
-    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(SAMPLES_PER_ANIMPHO)))
+    positions = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
+    # Linear interpolation: the two samples around a position share it by nearness.
+    return np.maximum(0.0, 1.0 - np.abs(positions[:, None] - np.arange(SAMPLES_PER_ANIMPHO)))
 
 
-def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
+def blend(connected: Array, chosen: Array, joined_share: float = 1.0) -> Array:
     """Return samples that begin as the AnimPho b'_t and end as a_t: m_t of Wei and Deng, eq. (4).
 
     Parameters
     ----------
     connected,chosen : Array
-        (5, n_components): b'_t and a_t.
-    joined_by : float
+        (5, n_components): b'_t and a_t, two recorded pieces of motion.
+    joined_share : float
         Above 0 to 1: fraction of m_t after which it equals a_t; the paper's is 1.
 
     Returns
@@ -75,7 +78,7 @@ def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
         (5, n_components) samples of m_t.
     """
     weight = np.linspace(0.0, 1.0, SAMPLES_PER_ANIMPHO)[:, None]
-    weight = np.minimum(1.0, weight / joined_by)
+    weight = np.minimum(1.0, weight / joined_share)
     return (1.0 - weight) * connected + weight * chosen
 
 
@@ -129,12 +132,12 @@ class Trajectory:
         return self.duration_s / (len(self.samples) - 1)
 
     def at(self, time_s: float) -> tuple[Array, Array]:
-        """Return position and derivative at sound time `time_s`. Wei and Deng, Algorithm 1.
+        """Return position and speed of the curve at a sound time. Wei and Deng, Algorithm 1.
 
         Parameters
         ----------
         time_s : float
-            At least start_s; past the end, the last sample at rest is returned.
+            Sound time, at least start_s; past the end, the last sample at rest is returned.
 
         Returns
         -------
@@ -144,6 +147,7 @@ class Trajectory:
         if time_s > self.end_s + _ROUNDING_S:
             return self.samples[-1], np.zeros_like(self.samples[-1])
         u = max(0.0, (time_s - self.start_s) / self.spacing_s)
+        # Hermite's cubic between the samples i and i + 1, at the share u of the way.
         i = min(int(u), len(self.samples) - 2)
         u -= i
         p, q = self.samples[i], self.samples[i + 1]
@@ -159,15 +163,15 @@ class Trajectory:
 
 
 def ease(
-    start_s: float, duration_s: float, position: Array, velocity: Array, to: Array
+    start_s: float, duration_s: float, position: Array, velocity: Array, goal: Array
 ) -> Trajectory:
-    """Return the trajectory that brings a moving mouth smoothly from `position` to rest at `to`.
+    """Return the trajectory that brings a moving mouth smoothly from `position` to rest at `goal`.
 
     Parameters
     ----------
     start_s,duration_s : float
         Start and length in seconds.
-    position,to : Array
+    position,goal : Array
         (n_components,) first and last position.
     velocity : Array
         (n_components,) per second, at the start.
@@ -175,11 +179,11 @@ def ease(
     Returns
     -------
     Trajectory
-        From `position` to `to`, at rest after `duration_s` seconds.
+        From `position` to `goal`, at rest after `duration_s` seconds.
     """
     return Trajectory(
         start_s,
         duration_s,
-        np.stack([position, to]),
-        np.stack([velocity * duration_s, np.zeros_like(to)]),
+        np.stack([position, goal]),
+        np.stack([velocity * duration_s, np.zeros_like(goal)]),
     )

@@ -1,4 +1,6 @@
-"""AnimPhos, the animation units of Wei and Deng: five frames each, and which may follow which.
+"""AnimPhos, recorded pieces of mouth motion (Wei and Deng), and which may follow which.
+
+Each is the motion of one phoneme, as five samples.
 
 The paper's tables of zeros and ones are `IndexLists`: the AnimPhos that follow each AnimPho, and
 the AnimPhos of each phoneme.
@@ -68,7 +70,7 @@ SAMPLES_PER_ANIMPHO = 5
 
 @dataclass(frozen=True, slots=True)
 class AnimPhoUnits:
-    """All AnimPhos (units of captured mouth motion) of a speaker and the paper's two tables.
+    """All AnimPhos (recorded pieces of mouth motion) of a speaker and the paper's two tables.
 
     rest: (n_components,), the closed mouth, from which a chain of AnimPhos begins. samples: (m, 5,
     n_components). successors: T of the paper, `successors[i]` = T(a_i). predecessors: `successors`
@@ -96,7 +98,7 @@ class AnimPhoUnits:
 
     @property
     def frames(self) -> Array:
-        """Every sample of every AnimPho, as the faces that occur in speech.
+        """Every sample of every AnimPho (recorded piece of motion): the faces that occur in speech.
 
         Returns
         -------
@@ -139,9 +141,9 @@ def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> AnimPhoUnits:
         """Build the AnimPhos from the file's arrays, by name; ValueError if these are damaged."""
         samples = np.asarray(arrays["samples"], dtype=np.float64)
-        successors = _lists(arrays["successor_starts"], arrays["successors"])
-        phoneme_table = _lists(arrays["phoneme_starts"], arrays["phoneme_animphos"])
-        _check(samples, successors, phoneme_table, face.n_components)
+        successors = _index_lists(arrays["successor_starts"], arrays["successors"])
+        phoneme_table = _index_lists(arrays["phoneme_starts"], arrays["phoneme_animphos"])
+        _check_animphos(samples, successors, phoneme_table, face.n_components)
         return AnimPhoUnits(
             face.rest, samples, successors, successors.transposed(len(samples)), phoneme_table
         )
@@ -150,7 +152,9 @@ def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
 
 
 def animpho_arrays(units: AnimPhoUnits) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays that a model file stores for AnimPhos, without the closed mouth (`rest`).
+    """Return the arrays that a model file stores for AnimPhos (recorded pieces of motion).
+
+    The closed mouth, `rest`, is not among them: the face's part of the file holds it.
 
     Parameters
     ----------
@@ -171,11 +175,11 @@ def animpho_arrays(units: AnimPhoUnits) -> dict[str, NDArray[np.generic]]:
     }
 
 
-def _lists(starts: NDArray[np.generic], indices: NDArray[np.generic]) -> IndexLists:
+def _index_lists(starts: NDArray[np.generic], indices: NDArray[np.generic]) -> IndexLists:
     return IndexLists(starts.astype(np.int64), indices.astype(np.int64))
 
 
-def _check(
+def _check_animphos(
     samples: Array, successors: IndexLists, phoneme_table: IndexLists, n_components: int
 ) -> None:
     """Raise ValueError unless tables and samples fit together and all samples are finite."""
@@ -189,8 +193,8 @@ def _check(
     for lists, n_rows in ((successors, m), (phoneme_table, len(PHONEMES))):
         if len(lists) != n_rows:
             raise ValueError(f"the file's table of AnimPhos has {len(lists)} rows, not {n_rows}")
-        ends_right = lists.starts[0] == 0 and lists.starts[-1] == len(lists.indices)
-        if not ends_right or (np.diff(lists.starts) < 0).any():
+        covers_all = lists.starts[0] == 0 and lists.starts[-1] == len(lists.indices)
+        if not covers_all or (np.diff(lists.starts) < 0).any():
             raise ValueError("its table of AnimPhos (recorded pieces) has rows out of order")
         if len(lists.indices) and not 0 <= lists.indices.min() <= lists.indices.max() < m:
             raise ValueError(f"its table names a piece of motion beyond the {m} that it has")
@@ -225,28 +229,30 @@ class FaceInOtherLayout(FaceWithAnimPhos):
 def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
     """Return the model with the points of another layout; `model` itself if it has these already.
 
-    Raises LayoutError for a point that cannot be computed.
+    A point of the inner lips that the model lacks lies, at rest, half-way between two opposite
+    points of the outer lips, and moves with the nearer one. Raises LayoutError for any other point
+    that the model lacks.
     """
     if model.layout == layout:
         return model
     basis = model.basis.reshape(model.n_components, -1, 3)
     rest_mm = model.markers_mm(model.rest[None])[0]
-    at = {landmark: i for i, landmark in enumerate(model.layout.landmarks)}
+    index_of = {landmark: i for i, landmark in enumerate(model.layout.landmarks)}
     means, rows = [], []
     for landmark in layout.landmarks:
-        mean_mm = model.mean_mm[at[landmark]] if landmark in at else None
+        mean_mm = model.mean_mm[index_of[landmark]] if landmark in index_of else None
         moves_with = landmark
         if mean_mm is None:
             moves_with, opposite = _OUTER_OF_INNER.get(landmark, (landmark, landmark))
-            if not {moves_with, opposite} <= set(at):
+            if not {moves_with, opposite} <= set(index_of):
                 raise LayoutError(
                     f"landmark {landmark} is unknown in a model of {model.layout.name}; train one "
                     f"by `lipservo learn face --markers {layout.n_points}`"
                 )
-            thickness_mm = (rest_mm[at[opposite]] - rest_mm[at[moves_with]]) / 2.0
-            mean_mm = model.mean_mm[at[moves_with]] + thickness_mm
+            thickness_mm = (rest_mm[index_of[opposite]] - rest_mm[index_of[moves_with]]) / 2.0
+            mean_mm = model.mean_mm[index_of[moves_with]] + thickness_mm
         means.append(mean_mm)
-        rows.append(basis[:, at[moves_with]])
+        rows.append(basis[:, index_of[moves_with]])
     fields = face_fields(model) | {
         "layout": layout,
         "mean_mm": np.array(means),

@@ -1,5 +1,6 @@
-"""The face expected for a mouth, given the phonemes known at an instant.
+"""The face expected for a mouth: its predicted mean motion, given the phonemes known at an instant.
 
-articulation (features of each phoneme's mouth), context (what is known at an instant), expectation
-(context to face, NumPy only), training (scikit-learn, offline).
+expectation: by networks, from decided phonemes. back_off: a fixed method's share for pairs of
+phonemes that training did not have. soft_expectation: from the recogniser's probabilities of
+phonemes. All are inference only, with NumPy; lipservo_lab trains them.
 """

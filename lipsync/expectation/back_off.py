@@ -1,7 +1,8 @@
-"""Back-off of the learned expectation to a fixed method, for diphones that training did not have.
+"""Back-off of the expectation (predicted mean motion of the mouth) to a fixed method.
 
-After Cohen and Massaro, "Modeling coarticulation in synthetic visual speech", 1993: every phone
-pulls at the face, the stronger the nearer; as far as the phones of a context are known.
+It is used for diphones, pairs of phonemes in sequence, that training did not have. After Cohen and
+Massaro, "Modeling coarticulation in synthetic visual speech", 1993: every phone pulls at the face,
+the stronger the nearer; as far as the phones of a context are known.
 """
 
 import math
@@ -23,10 +24,11 @@ _SILENCE: Final = PHONEMES.index(SILENCE)
 
 @dataclass(frozen=True, slots=True)
 class BackOff:
-    """What the fixed method knows, and which phonemes followed each other in training.
+    """The data of the fixed method, and which phonemes followed each other in training.
 
     centres: (40, n_components), the mean face in the middle of each phoneme. diphones: (41, 41),
-    whether the second phoneme followed the first in training; True for those unknown.
+    whether the second phoneme followed the first in training; the last row and column are for
+    UNKNOWN, and True.
     """
 
     centres: Array
@@ -64,12 +66,16 @@ class BackOff:
         return face + share * (self._fixed(phonemes, times_s, known_s) - face) if share else face
 
     def _fixed(self, phonemes: list[int], times_s: list[float], known_s: float) -> Array:
-        """Return the fixed method's face (n_components,) in a context, as `mixed` gets it."""
+        """Return the face (n_components,) of the fixed method in a context, as `mixed` gets it.
+
+        It is the mean of the `centres` of the context's phonemes, weighted by their pulls.
+        """
         ends_s = [known_s if math.isnan(end_s) else end_s for end_s in times_s[3:]]
         borders_s = [*(-since_s for since_s in times_s[:3]), *ends_s]
         rows, exponents = [], []
         for phoneme, start_s, end_s in zip(phonemes, borders_s[:-1], borders_s[1:], strict=True):
             if phoneme < len(PHONEMES):
+                # A silence is as near as its nearer end, any other phone as its middle.
                 from_edge_s = max(start_s, -end_s, 0.0)
                 tau_s = from_edge_s if phoneme == _SILENCE else abs(start_s + end_s) / 2.0
                 rows.append(phoneme)

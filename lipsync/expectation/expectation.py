@@ -1,8 +1,8 @@
-"""The learned expectation of the mouth given a context: a few small networks, averaged.
+"""The expectation: the mean motion of the mouth that small networks predict for decided phonemes.
 
-The context is what is known about the phonemes at one instant, and the networks' only input. The
-rule that makes it live: with look-ahead L, at time t a phoneme is known when it begins at or before
-t + L, and its end only when it lies at or before t + L.
+The networks' only input is a context: what is known about the phonemes around one instant. The rule
+that makes the prediction live: with look-ahead L, at time t a phoneme is known when it begins at or
+before t + L, and its end only when it lies at or before t + L.
 
 Inference only, NumPy only. Every network has two hidden layers of rectifiers. Phonemes enter by
 table look-up (a row for each slot and phoneme, the first layer already applied to the phoneme's
@@ -39,9 +39,10 @@ _ROUNDING_S = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class PhonemeTrack:
-    """Phonemes (indices in `PHONEMES`) end to end over all time: gaps are silence, silences joined.
+    """Decided phonemes end to end over all time, as indices in `PHONEMES`; gaps are silence.
 
-    starts_s[0] is minus infinity; ends_s[i] = starts_s[i + 1]; the last end is infinite.
+    Phoneme i lasts from starts_s[i] to ends_s[i] = starts_s[i + 1]; no silence follows a silence.
+    starts_s[0] is minus infinity, the last end is infinite.
     """
 
     phonemes: tuple[int, ...]
@@ -53,32 +54,33 @@ def track_of(events: Iterable[PhonemeEvent]) -> PhonemeTrack:
     """Return the track of phoneme events, which must be in order of time and not overlap."""
     phonemes, starts_s, end_s = [_SILENCE], [-math.inf], -math.inf
 
-    def begin(phoneme: int, start_s: float) -> None:
+    def begin_phoneme(phoneme: int, start_s: float) -> None:
         if not (phoneme == phonemes[-1] == _SILENCE):
             phonemes.append(phoneme)
             starts_s.append(start_s)
 
     for event in events:
         if event.start_s > end_s + _ROUNDING_S:
-            begin(_SILENCE, end_s)
-        begin(_INDEX_OF[event.phoneme], event.start_s)
+            begin_phoneme(_SILENCE, end_s)
+        begin_phoneme(_INDEX_OF[event.phoneme], event.start_s)
         end_s = math.inf if event.end_s is None else event.end_s
     if math.isfinite(end_s):
-        begin(_SILENCE, end_s)
+        begin_phoneme(_SILENCE, end_s)
     return PhonemeTrack(tuple(phonemes), tuple(starts_s), (*starts_s[1:], math.inf))
 
 
 def context_at(
     track: PhonemeTrack, time_s: float, known_until_s: float
 ) -> tuple[list[int], list[float]]:
-    """Return the five phonemes around `time_s`, and six times in seconds, as far as known.
+    """Return the context of `time_s`: five phonemes around it and six times, as far as known.
 
     Phonemes: indices of the two before, the present one, the two after; UNKNOWN where there is no
-    such phoneme or it is not known. Times: since the starts of the first three, infinite where
-    there is no such phoneme; until the ends of the last three, NaN where that end is not known at
-    sound time `known_until_s`.
+    such phoneme or it is not known. Times, in seconds: since the starts of the first three,
+    infinite where there is no such phoneme; until the ends of the last three, NaN where that end
+    lies after the sound time `known_until_s`.
     """
     limit_s = known_until_s + _ROUNDING_S
+    # The index of the present phoneme.
     at = bisect_right(track.starts_s, min(time_s + _ROUNDING_S, limit_s)) - 1
     phonemes = [track.phonemes[i] if i >= 0 else UNKNOWN for i in (at - 2, at - 1, at)]
     times_s = [time_s - track.starts_s[i] if i >= 0 else math.inf for i in (at - 2, at - 1, at)]
@@ -88,6 +90,7 @@ def context_at(
         times_s.append(end_s - time_s if known else math.nan)
         if i < at + 2:
             phonemes.append(track.phonemes[i + 1] if known else UNKNOWN)
+        # Beyond the first end that is not known nothing is known: fill up and stop.
         if not known:
             missing = at + 2 - i
             times_s.extend([math.nan] * missing)
@@ -113,11 +116,11 @@ def contexts(
     Returns
     -------
     tuple[Indices, Array]
-        Phonemes (n, 5) and times (n, 6) in s.
+        Phonemes (n, 5) and times (n, 6) in s, as `context_at` returns them.
     """
-    found = [context_at(track, float(t), float(t) + lookahead_s) for t in times_s]
-    phonemes = np.array([p for p, _ in found], dtype=np.int64).reshape(-1, SLOTS)
-    return phonemes, np.array([t for _, t in found]).reshape(-1, 6)
+    each_context = [context_at(track, float(t), float(t) + lookahead_s) for t in times_s]
+    phonemes = np.array([p for p, _ in each_context], dtype=np.int64).reshape(-1, SLOTS)
+    return phonemes, np.array([t for _, t in each_context]).reshape(-1, 6)
 
 
 #: Times are capped here, s: since the starts of the phone before last, the last, this one; until
@@ -160,6 +163,7 @@ def timing_features(times_s: Array, lookahead_s: Array) -> Array:
     share = np.where(known, np.clip(times_s, 0.0, _LONGEST_S), 0.0) / _LONGEST_S
     ends_s = np.where(known[:, 3:], times_s[:, 3:], np.inf)
     starts_s = np.where(known[:, :3], times_s[:, :3], np.inf)
+    # Each falls from 1 to 0 with the time until an end, and since a start.
     near = [np.exp(-ends_s / unit_s) for unit_s in _NEAR_S]
     fresh = np.exp(-starts_s / _NEAR_S[1])
     lookahead = lookahead_s[:, None] / _LOOKAHEAD_UNIT_S
@@ -171,11 +175,13 @@ def timing_features(times_s: Array, lookahead_s: Array) -> Array:
 
 
 def _pace(starts_s: Array) -> Array:
-    """Return the speaker's pace (n, 3): two phonemes' durations in 0.1 s, their mean's logarithm.
+    """Return the speaker's pace (n, 3): two durations in units of 0.1 s and their mean's log.
 
-    starts_s: (n, 3), times since these two and the next one began. By the logarithm half as fast is
-    as far from usual as twice as fast.
+    starts_s: (n, 3), seconds since the phone before last, the last phone and the present phone
+    began, infinite where there is none. The durations are those of the first two. With a logarithm
+    half as fast is as far from usual as twice as fast.
     """
+    # Where there was no such phoneme its duration counts as 1.5 units.
     heard = np.isfinite(starts_s[:, :2])
     before = np.where(heard, starts_s[:, :2], 0.0)
     lasted = np.where(heard, (before - np.where(heard, starts_s[:, 1:], 0.0)) / _USUAL_S, _UNHEARD)
@@ -201,8 +207,8 @@ def timing_features_at(times_s: list[float], lookahead_s: float) -> list[float]:
     begun_s = [time_s if ok else math.inf for time_s, ok in zip(times_s[:3], known, strict=False)]
     ends_s = [time_s if ok else math.inf for time_s, ok in zip(times_s[3:], known[3:], strict=True)]
     lasted = [
-        min(max((a - b) / _USUAL_S, 0.0), _SLOWEST) if math.isfinite(a) else _UNHEARD
-        for a, b in pairwise(begun_s)
+        min(max((begun - ended) / _USUAL_S, 0.0), _SLOWEST) if math.isfinite(begun) else _UNHEARD
+        for begun, ended in pairwise(begun_s)
     ]
     return [
         *share,
@@ -234,9 +240,11 @@ def window_shares(times_s: Array, lookahead_s: Array) -> Array:
     Array
         (n, N_WINDOWS, SLOTS), 0 to 1.
     """
+    # The borders of the five phonemes, s after the instant; unknown ends lie at the limit.
     limit_s = lookahead_s[:, None]
     ends_s = np.where(np.isnan(times_s[:, 3:]), limit_s, np.minimum(times_s[:, 3:], limit_s))
     borders_s = np.concatenate([-times_s[:, :3], np.maximum.accumulate(ends_s, axis=1)], axis=1)
+    # The overlap of each window with each phoneme.
     from_s = np.maximum(borders_s[:, None, :-1], _WINDOWS_S[:-1, None])
     until_s = np.minimum(borders_s[:, None, 1:], _WINDOWS_S[1:, None])
     return np.asarray(np.clip((until_s - from_s) / _WINDOW_S, 0.0, 1.0))
@@ -264,7 +272,7 @@ class Stack:
         Parameters
         ----------
         first : Array
-            (n, m h1): sums of the phonemes' table rows.
+            (n, m h1): the phonemes' part of the first layer, sums of rows of their tables.
         timing : Array
             (n, N_TIMING) timing features.
 
@@ -285,13 +293,14 @@ class Stack:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """The learned map from a context to the face: two families of networks that err differently.
+    """The predictor of the mouth's mean motion: two families of networks that err differently.
 
-    Their outputs are averaged. The first reads phonemes by their number in the sequence:
-    slot_tables (SLOTS, 41, m h1), the first layer for each slot and phoneme. The second reads them
-    by their time: for each window of 40 ms, which share of it each phoneme fills; window_tables
-    (N_WINDOWS, 41, m h1). The last row of a table is for UNKNOWN. back_off: the fixed method that
-    has a share where phonemes meet that did not in training; None: of models without one.
+    The mean of their outputs is the face expected in a context. The first family reads phonemes by
+    their number in the sequence: slot_tables (SLOTS, 41, m h1), the first layer for each slot and
+    phoneme. The second reads them by their time: for each window of 40 ms, which share of it each
+    phoneme fills; window_tables (N_WINDOWS, 41, m h1). The last row of a table is for UNKNOWN.
+    back_off: the fixed method that has a share where phonemes meet that did not in training; None:
+    of models without one.
     """
 
     slot_tables: Array
@@ -301,7 +310,7 @@ class Expectation:
     back_off: BackOff | None = None
 
     def at(self, phonemes: list[int], times_s: list[float], lookahead_s: float) -> Array:
-        """Return the expected face in one context: that of `faces`, with back-off.
+        """Return the face expected in one context (`context_at`), with the back-off's share in it.
 
         Parameters
         ----------
@@ -320,6 +329,7 @@ class Expectation:
         timing = np.array([timing_features_at(times_s, lookahead_s)])
         by_slot = self.slot_tables[_SLOT_NUMBERS, phonemes].sum(axis=0)[None]
         filled = window_shares(np.array([times_s]), np.array([lookahead_s]))[0]
+        # Only the rows of phonemes that fill a part of a window, each weighted by that part.
         windows, slots = np.nonzero(filled)
         rows = self.window_tables[windows, np.array(phonemes)[slots]]
         by_window = (filled[windows, slots] @ rows)[None]
@@ -345,12 +355,14 @@ class Expectation:
         Array
             (n, n_components) face coefficients.
         """
+        # For few contexts the scalar computation is the quicker.
         if len(phonemes) <= _FEW:
             each = zip(times_s.tolist(), lookahead_s.tolist(), strict=True)
             timing = np.array([timing_features_at(*context) for context in each])
         else:
             timing = timing_features(times_s, lookahead_s)
         by_slot = self.slot_tables[np.arange(SLOTS), phonemes].sum(axis=1)
+        # All windows' rows, weighted by the share that each phoneme fills, in one product.
         filled = window_shares(times_s, lookahead_s).reshape(len(phonemes), 1, -1)
         windows = np.arange(N_WINDOWS)[:, None]
         rows = self.window_tables[windows, phonemes[:, None, :]]
@@ -358,7 +370,7 @@ class Expectation:
         return self.slots.faces(by_slot, timing) + self.windows.faces(by_window, timing)
 
     def faces_after(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array:
-        """Return the expected faces at times, by the phonemes known until one and the same instant.
+        """Return the expected faces at times, with back-off, by the phonemes known at one instant.
 
         Parameters
         ----------
@@ -374,12 +386,12 @@ class Expectation:
         Array
             (n, n_components) face coefficients.
         """
-        found = [context_at(track, time_s, known_until_s) for time_s in times_s.tolist()]
-        phonemes = np.array([phonemes for phonemes, _ in found])
+        each_context = [context_at(track, time_s, known_until_s) for time_s in times_s.tolist()]
+        phonemes = np.array([phonemes for phonemes, _ in each_context])
         known_s = np.maximum(known_until_s - times_s, 0.0)
-        faces = self.faces(phonemes, np.array([times for _, times in found]), known_s)
+        faces = self.faces(phonemes, np.array([times for _, times in each_context]), known_s)
         if self.back_off is not None:
-            for i, (context, known) in enumerate(zip(found, known_s.tolist(), strict=True)):
+            for i, (context, known) in enumerate(zip(each_context, known_s.tolist(), strict=True)):
                 faces[i] = self.back_off.mixed(faces[i], *context, known)
         return faces
 
@@ -389,8 +401,8 @@ class Expectation:
         Returns
         -------
         dict[str, Array]
-            By name; `slot_tables` has a row of each phoneme of each slot, shape (slots, phonemes, m
-            h1).
+            By name, each in the shape that its class describes; those of the back-off only if there
+            is one.
         """
         arrays = {
             "slot_tables": self.slot_tables,
@@ -406,6 +418,7 @@ class Expectation:
     def check(self, n_components: int) -> None:
         """Raise ValueError unless shapes fit each other and `n_components`, and all is finite."""
         shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
+        # Of both families: the expected shapes follow from those of the hidden layers.
         families = (
             ("slot", SLOTS, self.slot_tables, self.slots),
             ("window", N_WINDOWS, self.window_tables, self.windows),
@@ -413,17 +426,17 @@ class Expectation:
         for name, n_tables, tables, stack in families:
             n_networks, n_inputs, n_second = stack.hidden.shape
             width = n_networks * (n_inputs - 1)
-            n_last = n_networks * n_second + 1
+            n_output_rows = n_networks * n_second + 1
             shapes[f"{name}_tables"] = (tables.shape, (n_tables, UNKNOWN + 1, width))
             shapes[f"{name}s_timing"] = (stack.timing.shape, (N_TIMING + 1, width))
-            shapes[f"{name}s_output"] = (stack.output.shape, (n_last, n_components))
+            shapes[f"{name}s_output"] = (stack.output.shape, (n_output_rows, n_components))
         if self.back_off is not None:
             centres, diphones = self.back_off.centres, self.back_off.diphones
             shapes["centres"] = (centres.shape, (UNKNOWN, n_components))
             shapes["diphones"] = (diphones.shape, (UNKNOWN + 1, UNKNOWN + 1))
-        for field, (found, expected) in shapes.items():
-            if found != expected:
-                raise ValueError(f"array {field} has shape {found}, expected {expected}")
+        for field, (shape, expected) in shapes.items():
+            if shape != expected:
+                raise ValueError(f"array {field} has shape {shape}, expected {expected}")
         for field, values in self.arrays().items():
             if not np.isfinite(values).all():
                 raise ValueError(f"array {field} has values that are not finite")
@@ -477,6 +490,7 @@ def constant_expectation(faces: Array) -> Expectation:
     n_components = faces.shape[1]
     width = 2 * n_components
     tables = np.zeros((SLOTS, UNKNOWN + 1, width))
+    # Two rectifiers, of x and of -x, whose difference is x; slot 2 is the present phoneme.
     tables[2, : len(PHONEMES)] = np.concatenate([faces, -faces], axis=1)
     timing = np.zeros((N_TIMING + 1, width))
     hidden = np.concatenate([np.eye(width), np.zeros((1, width))])[None]
@@ -496,14 +510,15 @@ EXPECTATION_PART = "expectation"
 
 
 def read_expectation(file: ModelFile, n_components: int) -> Expectation:
-    """Return the expectation, the map from phonemes to faces, of an open model file.
+    """Return the expectation, which predicts mean faces from phonemes, of an open model file.
 
-    n_components: of the face. Raises ModelError if it is missing, damaged or of another number.
+    n_components: number of components of the face. Raises ModelError if the expectation is missing,
+    damaged or made for another number of components.
     """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> Expectation:
-        found = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
-        expectation = expectation_of(found)
+        floats = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
+        expectation = expectation_of(floats)
         expectation.check(n_components)
         return expectation
 

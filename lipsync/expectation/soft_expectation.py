@@ -1,12 +1,13 @@
-"""The mouth expected from all posteriors of a recogniser, not from its decision alone.
+"""The soft expectation: the mouth's mean motion, predicted from the recogniser's probabilities.
 
-A decoder names one phoneme for each instant and discards how sure it was; what it discards is
-missed in the motion. Here the posteriors of the frames around an instant, written as features of
-phonemes (articulation and viseme class, so that unknown words are made of known parts), become a
-face: by a ridge over random cosines (Rahimi and Recht, "Random features for large-scale kernel
-machines", NIPS 2007) and a small network of rectifiers, averaged. The face has its share in the
-motion where the recogniser doubts, and none where it is sure: phonemes known from a text or a file
-are as sharp as posteriors can be, and move the mouth as they are decided.
+A decoder decides for one phoneme at each instant and discards how sure it was; what it discards is
+missed in the motion. Here the posteriors, the recogniser's probabilities of all phonemes, of the
+frames around an instant, written as features of phonemes (articulation and viseme class, so that
+unknown words are made of known parts), become a face: by a ridge over random cosines (Rahimi and
+Recht, "Random features for large-scale kernel machines", NIPS 2007) and a small network of
+rectifiers, averaged. The face has its share in the motion where the recogniser doubts, and none
+where it is sure: phonemes known from a text or a file are as sharp as posteriors can be, and move
+the mouth as they are decided.
 
 Inference only, NumPy only, bounded. Its arrays are an optional part of a model file.
 """
@@ -48,9 +49,10 @@ _ROUNDING_S = 1e-6
 
 
 class BelievedFrames:
-    """The newest posteriors of each of the last 256 frames, from a recogniser's several heads.
+    """A buffer of posteriors, the recogniser's probabilities of phonemes, of the last 256 frames.
 
-    A head with a longer delay estimates a frame later, and its posteriors replace the earlier ones.
+    The recogniser has several heads. A head with a longer delay estimates a frame later, and its
+    posteriors replace the earlier ones.
     """
 
     def __init__(self) -> None:
@@ -58,13 +60,14 @@ class BelievedFrames:
         self._frames = np.full(_KEPT, -1)
 
     def push(self, posteriors: FramePosteriors) -> bool:
-        """Store new posteriors; return whether all are valid and of our inventory and rate.
+        """Store new posteriors; return whether all are valid and of our inventory and frame rate.
 
-        Posteriors that are not are ignored.
+        Of another inventory or rate nothing is stored. Invalid rows (not summing to 1, or negative)
+        and frames before 0 are left out.
         """
         values = posteriors.values[-_KEPT:]
-        is_ours = values.shape[1:] == (len(posteriors.delays), len(PHONEMES))
-        if not is_ours or posteriors.frames_per_s != FRAMES_PER_S:
+        has_all_phonemes = values.shape[1:] == (len(posteriors.delays), len(PHONEMES))
+        if not has_all_phonemes or posteriors.frames_per_s != FRAMES_PER_S:
             return False
         first = posteriors.first_frame + len(posteriors.values) - len(values)
         sums = values.sum(axis=2)
@@ -72,10 +75,10 @@ class BelievedFrames:
         usable = (np.abs(sums - 1.0) <= _SUM_TOLERANCE) & (values.min(axis=2) >= 0.0)
         for head, delay in enumerate(posteriors.delays):
             frames = np.arange(first - delay, first - delay + len(values))
-            kept = usable[:, head] & (frames >= 0)
-            places = frames[kept] % _KEPT
-            self._rows[places] = values[kept, head]
-            self._frames[places] = frames[kept]
+            is_stored = usable[:, head] & (frames >= 0)
+            places = frames[is_stored] % _KEPT
+            self._rows[places] = values[is_stored, head]
+            self._frames[places] = frames[is_stored]
         return bool(usable.all())
 
     def around(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array32:
@@ -98,14 +101,16 @@ class BelievedFrames:
         Array32
             (n, n_frames, n_phonemes), 0 to 1.
         """
+        # The buffer is a ring: frame f lies at f modulo 256, if it has not been replaced since.
         frames = np.rint(times_s * FRAMES_PER_S).astype(np.int64)[:, None] + OFFSETS
         places = frames % _KEPT
         rows: Array32 = self._rows[places]
         missing = self._frames[places] != frames
         if missing.any():
+            # Elsewhere the decided phoneme, as if the recogniser were sure of it.
             middles_s = (frames[missing] + 0.5) / FRAMES_PER_S
-            at = np.searchsorted(np.array(track.starts_s), middles_s, side="right") - 1
-            sharp = _SHARP[np.array(track.phonemes)[at]]
+            index = np.searchsorted(np.array(track.starts_s), middles_s, side="right") - 1
+            sharp = _SHARP[np.array(track.phonemes)[index]]
             sharp[middles_s > known_until_s + _ROUNDING_S] = 0.0
             rows[missing] = sharp
         return rows
@@ -127,32 +132,35 @@ def window_means(rows: Array32) -> Array32:
     Array32
         (n, n_windows, k) means.
     """
+    # The windows lie end to end, so the sums of all are taken between their first frames.
     sums = np.add.reduceat(rows, _FIRST_OF, axis=1)
     return np.asarray(sums / _LENGTHS, np.float32)
 
 
 def shares_of(rows: Array32) -> Array:
-    """Return which share of the motion is by posteriors: larger where these are in doubt.
+    """Return the soft expectation's share of the motion, which grows with the recogniser's doubt.
+
+    The doubt is 1 minus the largest posterior, averaged over the known frames within 0.1 s.
 
     Parameters
     ----------
     rows : Array32
-        (n, n_frames, n_phonemes) posteriors around each time.
+        (n, n_frames, n_phonemes) posteriors around each time; all 0 in frames not known.
 
     Returns
     -------
     Array
-        (n,), 0 to 0.6, `LARGEST_SHARE`.
+        (n,), 0 to `LARGEST_SHARE`, 0.6.
     """
     surest = rows[:, _NEAR].max(axis=2)
-    known = np.maximum((surest > 0.0).sum(axis=1), 1)
-    doubt = 1.0 - surest.sum(axis=1) / known
+    n_known = np.maximum((surest > 0.0).sum(axis=1), 1)
+    doubt = 1.0 - surest.sum(axis=1) / n_known
     return np.asarray(np.clip(SHARE_PER_DOUBT * doubt, 0.0, LARGEST_SHARE), np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class SoftExpectation:
-    """The learned map from posteriors to a face; d = n_windows k inputs.
+    """The learned map from mean posteriors around an instant to a face; d = n_windows k inputs.
 
     looks: (n_phonemes, k), features of each phoneme. frequencies (d, n_cosines) and phases of the
     cosines; first (d + 1, h1) and second (h1 + 1, h2), layers of rectifiers with their biases last.
@@ -172,7 +180,7 @@ class SoftExpectation:
         Parameters
         ----------
         means : Array32
-            (n, n_windows, n_phonemes) mean posteriors.
+            (n, n_windows, n_phonemes) mean posteriors, of `window_means`.
 
         Returns
         -------
@@ -196,10 +204,10 @@ class SoftExpectation:
         """
         inputs = (means @ self.looks).reshape(len(means), -1)
         cosines = np.cos(inputs @ self.frequencies + self.phases)
-        once = np.maximum(inputs @ self.first[:-1] + self.first[-1], 0.0)
-        twice = np.maximum(once @ self.second[:-1] + self.second[-1], 0.0)
+        layer1 = np.maximum(inputs @ self.first[:-1] + self.first[-1], 0.0)
+        layer2 = np.maximum(layer1 @ self.second[:-1] + self.second[-1], 0.0)
         ones = np.ones((len(means), 1), np.float32)
-        return np.concatenate([cosines, inputs, twice, ones], axis=1)
+        return np.concatenate([cosines, inputs, layer2, ones], axis=1)
 
     def mixed(
         self,
@@ -209,7 +217,7 @@ class SoftExpectation:
         times_s: Array,
         known_until_s: float,
     ) -> Array:
-        """Return the faces by decided phonemes mixed with those by posteriors, by `shares_of`.
+        """Return faces expected from decided phonemes, with a share of those from posteriors.
 
         Parameters
         ----------
@@ -248,10 +256,10 @@ class SoftExpectation:
             "output": (n_cosines + d + h2 + 1, n_components),
         }
         for name, expected in shapes.items():
-            found: Array32 = getattr(self, name)
-            if found.shape != expected:
-                raise ValueError(f"array soft/{name} has shape {found.shape}, not {expected}")
-            if not np.isfinite(found).all():
+            values: Array32 = getattr(self, name)
+            if values.shape != expected:
+                raise ValueError(f"array soft/{name} has shape {values.shape}, not {expected}")
+            if not np.isfinite(values).all():
                 raise ValueError(f"array soft/{name} of the file has values that are not finite")
 
 
@@ -266,18 +274,18 @@ def softened_line(
     posteriors: FramePosteriors,
     times_s: Array,
 ) -> Array:
-    """Return the faces of a whole recognised recording, mixed with those by its posteriors.
+    """Return a whole recording's faces, with the share of those expected from its posteriors.
 
     Parameters
     ----------
     soft : SoftExpectation
-        The expectation by posteriors.
+        The map from posteriors to faces.
     faces : Array
-        (n, n_components), by decided phonemes.
+        (n, n_components), expected from decided phonemes.
     events : Sequence[PhonemeEvent]
         Decided phonemes.
     posteriors : FramePosteriors
-        Posteriors of the whole recording.
+        The recogniser's probabilities of phonemes for the whole recording.
     times_s : Array
         (n,) sound times of the faces.
 
@@ -287,29 +295,31 @@ def softened_line(
         (n, n_components) mixed faces.
     """
     believed, track = BelievedFrames(), track_of(events)
-    mixed, n_heard = faces.copy(), 0
+    mixed, n_pushed = faces.copy(), 0
+    # Stretch by stretch, as only 256 frames are remembered: first all posteriors that its faces
+    # need, up to those of the head with the longest delay, then the faces.
     stretches = (times_s * FRAMES_PER_S / _STRETCH_FRAMES).astype(np.int64)
     for stretch in np.unique(stretches).tolist():
         inside = stretches == stretch
-        reach = (stretch + 1) * _STRETCH_FRAMES + int(OFFSETS[-1]) + max(posteriors.delays) + 1
+        end_frame = (stretch + 1) * _STRETCH_FRAMES + int(OFFSETS[-1]) + max(posteriors.delays) + 1
         newest = replace(
             posteriors,
-            first_frame=posteriors.first_frame + n_heard,
-            values=posteriors.values[n_heard:reach],
+            first_frame=posteriors.first_frame + n_pushed,
+            values=posteriors.values[n_pushed:end_frame],
         )
         believed.push(newest)
-        n_heard += len(newest.values)
+        n_pushed += len(newest.values)
         mixed[inside] = soft.mixed(faces[inside], believed, track, times_s[inside], np.inf)
     return mixed
 
 
-#: The part of a model file that holds it.
+#: The part of a model file that holds the soft expectation.
 SOFT_PART: Final = "soft"
 _NAMES = tuple(field.name for field in fields(SoftExpectation))
 
 
 def read_soft_expectation(file: ModelFile, n_components: int) -> SoftExpectation | None:
-    """Return the expectation by posteriors of a model file; None if it has none. Raises ModelError.
+    """Return a model file's map from posteriors to faces; None if it has none. Raises ModelError.
 
     n_components: number of components of the face that the expectation moves.
     """

@@ -49,9 +49,9 @@ class MeasureError(UserError):
 class LipMeasures:
     """The linear map from faces to the distances `MEASURES`, in mm from the mouth at rest.
 
-    per_face: (n_components, n_measures). rest: (n_components,), the face at rest. rest_gap_mm: its
-    lip gap. highest_mm, lowest_mm: (n_measures,), the 99th and the 1st percentile of the recorded
-    faces. spread_mm: (n_measures,), their standard deviation.
+    per_face: (n_components, n_measures), mm per coefficient. rest: (n_components,), the face at
+    rest. rest_gap_mm: its lip gap. highest_mm, lowest_mm: (n_measures,), the 99th and the 1st
+    percentile of the recorded faces. spread_mm: (n_measures,), their standard deviation.
     """
 
     per_face: Array
@@ -82,17 +82,17 @@ def lip_measures(model: FaceWithAnimPhos) -> LipMeasures:
 
     Raises MeasureError for a layout that lacks one of the landmarks.
     """
-    points = np.stack([_weights(model, name) for name in MEASURES])
-    per_face = model.basis @ points.T
+    weights = np.stack([_measure_weights(model, name) for name in MEASURES])
+    per_face = model.basis @ weights.T
     touching_mm = float(model.lips_touching_mm[_UP])
     rest_mm = model.markers_mm(model.rest[None])[0].ravel()
-    rest_gap_mm = float(points[MEASURES.index(GAP)] @ rest_mm) - touching_mm
+    rest_gap_mm = float(weights[MEASURES.index(GAP)] @ rest_mm) - touching_mm
     recorded_mm = (model.animphos.frames - model.rest) @ per_face
     low, high = np.percentile(recorded_mm, [100.0 - _WIDEST_PERCENT, _WIDEST_PERCENT], axis=0)
     return LipMeasures(per_face, model.rest, rest_gap_mm, high, low, recorded_mm.std(axis=0))
 
 
-def _weights(model: FaceModel, name: str) -> Array:
+def _measure_weights(model: FaceModel, name: str) -> Array:
     """Return weights (3 n_points,) whose dot product with a face's points is the measure `name`."""
     weights = np.zeros((model.layout.n_points, 3))
     if name == GAP:
@@ -100,11 +100,11 @@ def _weights(model: FaceModel, name: str) -> Array:
         weights[model.layout.lower_lip, _UP] -= 1.0
         return weights.ravel()
     for landmarks, axis, weight in _TERMS[name]:
-        weights[_points(model, landmarks), axis] += weight / len(landmarks)
+        weights[_point_indices(model, landmarks), axis] += weight / len(landmarks)
     return weights.ravel()
 
 
-def _points(model: FaceModel, landmarks: Sequence[int]) -> list[int]:
+def _point_indices(model: FaceModel, landmarks: Sequence[int]) -> list[int]:
     """Return the indices of `landmarks` in the model's points; MeasureError if one is missing."""
     missing = [n for n in landmarks if n not in model.layout.landmarks]
     if missing:
@@ -129,7 +129,7 @@ ARKIT_NAMES: tuple[str, ...] = (
     "browOuterUpRight", "cheekPuff", "cheekSquintLeft", "cheekSquintRight", "noseSneerLeft",
     "noseSneerRight", "tongueOut",
 )  # fmt: skip
-#: Those that speech moves.
+#: The blendshapes that speech moves.
 MOUTH_NAMES: tuple[str, ...] = (
     "jawOpen", "mouthClose", "mouthFunnel", "mouthPucker", "mouthStretchLeft", "mouthStretchRight",
     "mouthLowerDownLeft", "mouthLowerDownRight", "mouthUpperUpLeft", "mouthUpperUpRight",
@@ -142,9 +142,9 @@ _TUCKED_GAP, _TUCKED_UPPER_UP = 0.12, 0.3
 #: turn their eyes without turning the head.
 _EYE_RANGE_DEG = 30.0
 
-_AT = {name: i for i, name in enumerate(ARKIT_NAMES)}
-_OUT = np.array([_AT[name] for name in MOUTH_NAMES])
-_IN = {name: i for i, name in enumerate(MEASURES)}
+_ARKIT_INDEX = {name: i for i, name in enumerate(ARKIT_NAMES)}
+_MOUTH_INDICES = np.array([_ARKIT_INDEX[name] for name in MOUTH_NAMES])
+_INDEX = {name: i for i, name in enumerate(MEASURES)}
 
 
 class ArkitMap:
@@ -169,11 +169,11 @@ class ArkitMap:
         Array
             (52,), each from 0 to 1, in the order of `ARKIT_NAMES`.
         """
-        found = np.zeros(len(ARKIT_NAMES))
-        found[_OUT] = self.mouth(frame.coefficients, frame.expression.lip_tuck or 0.0)
+        values = np.zeros(len(ARKIT_NAMES))
+        values[_MOUTH_INDICES] = self.mouth(frame.coefficients, frame.expression.lip_tuck or 0.0)
         if frame.expression != NO_EXPRESSION:
-            _add_expression(found, frame.expression)
-        return found
+            _add_expression(values, frame.expression)
+        return values
 
     def mouth(self, coefficients: Array, lip_tuck: float = 0.0) -> Array:
         """Return the blendshapes of the mouth, in the order of `MOUTH_NAMES`.
@@ -194,14 +194,15 @@ class ArkitMap:
             (11,), each from 0 to 1.
         """
         mm = self._measures.of(coefficients)
-        gap = _share(mm[_IN[GAP]] - self._shut_mm, self._highest(GAP) - self._shut_mm)
+        gap = _share(mm[_INDEX[GAP]] - self._shut_mm, self._highest(GAP) - self._shut_mm)
+        # With a tucked lower lip lips and jaw are open at least so far that the teeth are seen.
         gap = max(gap, _TUCKED_GAP * lip_tuck)
-        jaw = max(_share(mm[_IN["jaw"]], self._highest("jaw")), _TUCKED_GAP * lip_tuck)
-        narrowed_mm = -(mm[_IN["corner_left"]] + mm[_IN["corner_right"]])
+        jaw = max(_share(mm[_INDEX["jaw"]], self._highest("jaw")), _TUCKED_GAP * lip_tuck)
+        narrowed_mm = -(mm[_INDEX["corner_left"]] + mm[_INDEX["corner_right"]])
         rounding = _share(narrowed_mm, self._narrowest_mm)
 
-        def side(name: str) -> float:
-            return _share(mm[_IN[name]], self._highest(name))
+        def range_share(name: str) -> float:
+            return _share(mm[_INDEX[name]], self._highest(name))
 
         return np.array(
             [
@@ -209,22 +210,22 @@ class ArkitMap:
                 max(0.0, jaw - gap),
                 rounding * gap,
                 rounding * (1.0 - gap),
-                side("corner_left"),
-                side("corner_right"),
+                range_share("corner_left"),
+                range_share("corner_right"),
                 # Lips that touch are not drawn apart, wherever they are.
-                (1.0 - lip_tuck) * min(gap, side("lower_left")),
-                (1.0 - lip_tuck) * min(gap, side("lower_right")),
-                max(min(gap, side("upper_left")), _TUCKED_UPPER_UP * lip_tuck),
-                max(min(gap, side("upper_right")), _TUCKED_UPPER_UP * lip_tuck),
+                (1.0 - lip_tuck) * min(gap, range_share("lower_left")),
+                (1.0 - lip_tuck) * min(gap, range_share("lower_right")),
+                max(min(gap, range_share("upper_left")), _TUCKED_UPPER_UP * lip_tuck),
+                max(min(gap, range_share("upper_right")), _TUCKED_UPPER_UP * lip_tuck),
                 lip_tuck,
             ]
         )
 
     def _highest(self, name: str) -> float:
-        return float(self._measures.highest_mm[_IN[name]])
+        return float(self._measures.highest_mm[_INDEX[name]])
 
     def _lowest(self, name: str) -> float:
-        return float(self._measures.lowest_mm[_IN[name]])
+        return float(self._measures.lowest_mm[_INDEX[name]])
 
 
 def vowels(values: Array) -> dict[str, float]:
@@ -242,7 +243,7 @@ def vowels(values: Array) -> dict[str, float]:
     dict[str, float]
         By vowel, 0 to 1; together 1 at most.
     """
-    jaw, closed, funnel, pucker, left, right = values[_OUT[:6]].tolist()
+    jaw, closed, funnel, pucker, left, right = values[_MOUTH_INDICES[:6]].tolist()
     opened, rounded = max(0.0, jaw - closed), min(1.0, funnel + pucker)
     wide = 0.5 * (left + right) * (1.0 - rounded)
     return {
@@ -259,8 +260,8 @@ def _share(value: float, full: float) -> float:
     return min(max(float(value) / full, 0.0), 1.0) if full > 0.0 else 0.0
 
 
-def _add_expression(found: Array, expression: Expression) -> None:
-    """Write the eyes, lids and brows that are not None into the blendshapes `found` (52,)."""
+def _add_expression(blendshapes: Array, expression: Expression) -> None:
+    """Write the eyes, lids and brows that are not None into `blendshapes` (52,), in place."""
     values = {
         "eyeBlinkLeft": expression.lid_left,
         "eyeBlinkRight": expression.lid_right,
@@ -278,4 +279,4 @@ def _add_expression(found: Array, expression: Expression) -> None:
             values[f"eyeLook{name}"] = sign * yaw_deg / _EYE_RANGE_DEG
     for name, value in values.items():
         if value is not None:
-            found[_AT[name]] = _share(value, 1.0)
+            blendshapes[_ARKIT_INDEX[name]] = _share(value, 1.0)

@@ -43,23 +43,23 @@ def centiseconds(time_s: float) -> int:
     return round(time_s / CENTISECOND_S)
 
 
-def joined(cues: Iterable[MouthCue]) -> list[MouthCue]:
+def merge_cues(cues: Iterable[MouthCue]) -> list[MouthCue]:
     """Return the cues, in order, with neighbours of equal shape merged and empty cues left out."""
-    found: list[MouthCue] = []
+    merged: list[MouthCue] = []
     for cue in cues:
         if cue.end_cs <= cue.start_cs:
             continue
-        if found and found[-1].shape == cue.shape:
-            cue = MouthCue(cue.shape, found.pop().start_cs, cue.end_cs)
-        found.append(cue)
-    return found
+        if merged and merged[-1].shape == cue.shape:
+            cue = MouthCue(cue.shape, merged.pop().start_cs, cue.end_cs)
+        merged.append(cue)
+    return merged
 
 
-def overwritten(cues: Sequence[MouthCue], new: MouthCue) -> list[MouthCue]:
+def overwrite_cues(cues: Sequence[MouthCue], new: MouthCue) -> list[MouthCue]:
     """Return the cues with `new` in place of whatever was there between its start and end."""
-    before = [MouthCue(c.shape, c.start_cs, min(c.end_cs, new.start_cs)) for c in cues]
-    after = [MouthCue(c.shape, max(c.start_cs, new.end_cs), c.end_cs) for c in cues]
-    return joined([*(c for c in before if c.end_cs > c.start_cs), new, *after])
+    before = [MouthCue(cue.shape, cue.start_cs, min(cue.end_cs, new.start_cs)) for cue in cues]
+    after = [MouthCue(cue.shape, max(cue.start_cs, new.end_cs), cue.end_cs) for cue in cues]
+    return merge_cues([*(cue for cue in before if cue.end_cs > cue.start_cs), new, *after])
 
 
 def cues_tsv(cues: Sequence[MouthCue]) -> str:
@@ -118,12 +118,13 @@ def _truncated(duration_s: float) -> str:
     return _seconds(int((duration_s + 5e-10) / CENTISECOND_S))
 
 
-#: How open, from shut to wide, and how rounded; only which is nearer to which matters.
+#: Of each shape how open it is, from 0 (shut) to 1 (wide), and how rounded; only which shape is
+#: nearer to which matters.
 _PLACES: Mapping[Shape, tuple[float, float]] = {
     "A": (0.0, 0.0), "X": (0.0, 0.0), "G": (0.1, 0.0), "B": (0.3, 0.0), "C": (0.6, 0.0),
     "H": (0.65, 0.0), "D": (1.0, 0.0), "E": (0.5, 0.6), "F": (0.3, 1.5),
 }  # fmt: skip
-#: What a mouth relaxes to when nothing is asked of it.
+#: The shape to which a mouth relaxes from each shape when no phone asks for one.
 _RELAXED: Mapping[Shape, Shape] = {
     "A": "A", "B": "B", "C": "B", "D": "C", "E": "C", "F": "B", "G": "X", "H": "B", "X": "X",
 }  # fmt: skip
@@ -175,6 +176,7 @@ class _MouthSpan:
 
     @property
     def is_anticipated(self) -> bool:
+        """Whether the mouth forms this span's shape early: that of a vowel with only one shape."""
         return self.is_vowel and len(self.shapes) == 1
 
 
@@ -191,8 +193,8 @@ def rule_cues(
     if end_cs <= 0:
         return []
     spans = _mouth_spans(events, end_cs, stops_at_burst=stops_at_burst)
-    cues = _without_pauses(_animated(spans))
-    return _tweened(_without_short_shapes(_with_long_closures(cues)))
+    cues = _fill_pauses(_choose_shapes(spans))
+    return _add_tweens(_replace_short_shapes(_lengthen_closures(cues)))
 
 
 def _mouth_spans(
@@ -200,37 +202,39 @@ def _mouth_spans(
 ) -> list[_MouthSpan]:
     """Return the spans of phonemes and of the silences between, from 0 to `total_cs`, without gaps.
 
-    stops_at_burst: as in `rule_cues`: a stop's closure is then put before its label.
+    stops_at_burst: as in `rule_cues`: a stop's closure is then put before its label, for half the
+    length of the phone before.
     """
     spans: list[_MouthSpan] = []
-    now_cs = before_cs = 0
+    now_cs = previous_cs = 0
     for event in events:
         start_cs = min(max(now_cs, centiseconds(event.start_s)), total_cs)
-        end = total_cs if event.end_s is None else centiseconds(event.end_s)
-        end_cs = min(max(start_cs, end), total_cs)
+        label_end_cs = total_cs if event.end_s is None else centiseconds(event.end_s)
+        end_cs = min(max(start_cs, label_end_cs), total_cs)
         spans.append(_MouthSpan("X", now_cs, start_cs))
         if stops_at_burst and event.phoneme in _STOPS:
-            closed = min(max(before_cs // 2, _CLOSURE_CS[0]), _CLOSURE_CS[1])
-            first, then = _STOPS[event.phoneme]
-            spans = _cut_at(spans, max(0, start_cs - closed))
-            spans.append(_MouthSpan(first, max(0, start_cs - closed), start_cs))
-            spans.append(_MouthSpan(then, start_cs, end_cs))
+            closure_cs = min(max(previous_cs // 2, _CLOSURE_CS[0]), _CLOSURE_CS[1])
+            closure_shapes, burst_shapes = _STOPS[event.phoneme]
+            spans = _cut_spans_at(spans, max(0, start_cs - closure_cs))
+            spans.append(_MouthSpan(closure_shapes, max(0, start_cs - closure_cs), start_cs))
+            spans.append(_MouthSpan(burst_shapes, start_cs, end_cs))
         else:
-            spans += _of_phone(event.phoneme, start_cs, end_cs)
-        before_cs, now_cs = end_cs - start_cs, end_cs
+            spans += _phone_spans(event.phoneme, start_cs, end_cs)
+        previous_cs, now_cs = end_cs - start_cs, end_cs
     spans.append(_MouthSpan("X", now_cs, total_cs))
     return [span for span in spans if span.end_cs > span.start_cs]
 
 
-def _cut_at(spans: Sequence[_MouthSpan], time_cs: int) -> list[_MouthSpan]:
+def _cut_spans_at(spans: Sequence[_MouthSpan], time_cs: int) -> list[_MouthSpan]:
+    """Return the spans as far as they lie before `time_cs`."""
     return [
-        _MouthSpan(w.shapes, w.start_cs, min(w.end_cs, time_cs), w.is_vowel)
-        for w in spans
-        if w.start_cs < time_cs
+        _MouthSpan(span.shapes, span.start_cs, min(span.end_cs, time_cs), span.is_vowel)
+        for span in spans
+        if span.start_cs < time_cs
     ]
 
 
-def _of_phone(phone: str, start_cs: int, end_cs: int) -> list[_MouthSpan]:
+def _phone_spans(phone: str, start_cs: int, end_cs: int) -> list[_MouthSpan]:
     """Return the spans of a phone, two for a diphthong; times in hundredths of a second."""
     shapes = _shapes_of(phone, end_cs - start_cs)
     is_vowel = phone in _VOWELS
@@ -267,7 +271,7 @@ def _shapes_of(phone: str, duration_cs: int) -> tuple[str, ...]:
     return (_SHAPES_OF[phone],)
 
 
-def _nearest(shape: Shape, allowed: str) -> Shape:
+def _nearest_shape(shape: Shape, allowed: str) -> Shape:
     """Return the allowed shape nearest to `shape` in openness and rounding; of equals the first."""
     return min(
         (each for each in _PLACES if each in allowed),
@@ -275,47 +279,48 @@ def _nearest(shape: Shape, allowed: str) -> Shape:
     )
 
 
-def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
+def _choose_shapes(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
     """Return cues for spans: each gets that of its shapes nearest to the last shape, relaxed.
 
     A vowel with only one shape begins early: spans up to 0.2 s before it get their shape nearest to
     the vowel's.
     """
     shapes: list[Shape] = []
-    reference: Shape = "X"
-    anticipated = -1
+    previous: Shape = "X"
+    last_vowel = -1
     for i, span in enumerate(spans):
-        shape = _nearest(reference, span.shapes)
+        shape = _nearest_shape(previous, span.shapes)
         shapes.append(shape)
-        reference = _RELAXED[shape]
+        previous = _RELAXED[shape]
         if not span.is_anticipated:
             continue
-        reference = before = shape
-        for j in range(i - 1, anticipated, -1):
+        previous = next_shape = shape
+        # Back through the spans up to 0.2 s before the vowel, until one cannot have its shape.
+        for j in range(i - 1, last_vowel, -1):
             if span.start_cs - spans[j].start_cs > _ANTICIPATED_CS:
                 break
-            before = shapes[j] = _nearest(before, spans[j].shapes)
-            if before != shape:
+            next_shape = shapes[j] = _nearest_shape(next_shape, spans[j].shapes)
+            if next_shape != shape:
                 break
-        anticipated = i
-    return joined(
-        MouthCue(shape, w.start_cs, w.end_cs) for shape, w in zip(shapes, spans, strict=True)
+        last_vowel = i
+    return merge_cues(
+        MouthCue(shape, s.start_cs, s.end_cs) for shape, s in zip(shapes, spans, strict=True)
     )
 
 
-def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
+def _fill_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
     """Return the cues with inner pauses X of up to 0.35 s replaced by the shape before.
 
     A pause of 0.12 s or more gets that shape relaxed, until it differs from the shape after the
     pause; where it never does, the pause stays X.
     """
-    found = list(cues)
+    changed = list(cues)
     for i in range(1, len(cues) - 1):
         if cues[i].shape == "X":
             duration_cs = cues[i].end_cs - cues[i].start_cs
             shape = _pause_shape(cues[i - 1].shape, cues[i + 1].shape, duration_cs)
-            found[i] = MouthCue(shape, cues[i].start_cs, cues[i].end_cs)
-    return joined(found)
+            changed[i] = MouthCue(shape, cues[i].start_cs, cues[i].end_cs)
+    return merge_cues(changed)
 
 
 def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
@@ -335,47 +340,52 @@ def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
     return "X"
 
 
-def _with_long_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
+def _lengthen_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
     """Return the cues with closures A below 80 ms begun 60 ms earlier at most, if there is room."""
-    found = list(cues)
-    for i in range(len(found) - 1, 0, -1):
-        cue, before = found[i], found[i - 1]
-        missing_cs = _SHORTEST_STRETCH_CS - (cue.end_cs - cue.start_cs)
+    changed = list(cues)
+    for i in range(len(changed) - 1, 0, -1):
+        cue, before = changed[i], changed[i - 1]
+        lacking_cs = _SHORTEST_STRETCH_CS - (cue.end_cs - cue.start_cs)
         spare_cs = before.end_cs - before.start_cs - 1
-        earlier_cs = min(missing_cs, _MOST_EARLIER_CS, spare_cs)
+        earlier_cs = min(lacking_cs, _MOST_EARLIER_CS, spare_cs)
         if cue.shape == "A" and earlier_cs > 0:
             border_cs = cue.start_cs - earlier_cs
-            found[i] = MouthCue(cue.shape, border_cs, cue.end_cs)
-            found[i - 1] = MouthCue(before.shape, before.start_cs, border_cs)
-    return found
+            changed[i] = MouthCue(cue.shape, border_cs, cue.end_cs)
+            changed[i - 1] = MouthCue(before.shape, before.start_cs, border_cs)
+    return changed
 
 
-def _without_short_shapes(cues: Sequence[MouthCue]) -> list[MouthCue]:
+def _replace_short_shapes(cues: Sequence[MouthCue]) -> list[MouthCue]:
     """Return the cues with open shapes below 70 ms replaced by the open shape after, else before.
 
     An open mouth between two closures stays, however short: else the closures would be one.
     """
-    found = list(cues)
+    changed = list(cues)
     while True:
-        for i, cue in enumerate(found):
+        for i, cue in enumerate(changed):
             if cue.shape in "AX" or cue.end_cs - cue.start_cs >= _SHORTEST_SHAPE_CS:
                 continue
-            taker = next((j for j in (i + 1, i - 1) if _is_open(found, j)), None)
-            if taker is not None:
-                found[i] = MouthCue(found[taker].shape, cue.start_cs, cue.end_cs)
-                found = joined(found)
+            # The neighbour whose shape it gets; none between two closures.
+            donor = next((j for j in (i + 1, i - 1) if _is_open(changed, j)), None)
+            if donor is not None:
+                changed[i] = MouthCue(changed[donor].shape, cue.start_cs, cue.end_cs)
+                changed = merge_cues(changed)
                 break
         else:
-            return found
+            return changed
 
 
 def _is_open(cues: Sequence[MouthCue], i: int) -> bool:
     return 0 <= i < len(cues) and cues[i].shape not in "AX"
 
 
-def _tweened(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """Return the cues with a shape of 40 to 80 ms inserted between pairs of `_TWEENS`."""
-    found = list(cues)
+def _add_tweens(cues: Sequence[MouthCue]) -> list[MouthCue]:
+    """Return the cues with a third shape of 40 to 80 ms inserted between pairs of `_TWEENS`.
+
+    It lies before, around or after the border of the two, as the table says, and takes at most a
+    third (or a quarter) of the cues that it shortens.
+    """
+    changed = list(cues)
     for first, second in pairwise(cues):
         if (first.shape, second.shape) not in _TWEENS:
             continue
@@ -391,5 +401,5 @@ def _tweened(cues: Sequence[MouthCue]) -> list[MouthCue]:
             continue
         back_cs = {"early": tween_cs, "centred": tween_cs // 2, "late": 0}[place]
         start_cs = second.start_cs - back_cs
-        found = overwritten(found, MouthCue(shape, start_cs, start_cs + tween_cs))
-    return found
+        changed = overwrite_cues(changed, MouthCue(shape, start_cs, start_cs + tween_cs))
+    return changed

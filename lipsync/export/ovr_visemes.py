@@ -17,7 +17,7 @@ from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 OVR_NAMES = ("sil", "PP", "FF", "TH", "DD", "kk", "CH", "SS", "nn", "RR", "aa", "E", "ih", "oh",
              "ou")  # fmt: skip
 
-#: Of each phone: one viseme, or the two ends of a diphthong. HH takes that of the phone after it.
+#: Of each phone one viseme, or the two of a diphthong. HH takes the viseme of the phone after it.
 _VISEMES_OF: Mapping[str, tuple[str, ...]] = {
     SILENCE: ("sil",),
     **dict.fromkeys(("P", "B", "M"), ("PP",)),
@@ -53,7 +53,7 @@ _CLOSING = (*BILABIALS, *LABIODENTALS)
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A viseme from start to end, in s.
+    """A viseme from start to end, in s: all of a phone, or a part of a diphthong.
 
     full_s: when its weight must be 1, because its lips are closed; None: at no certain time.
     """
@@ -84,20 +84,21 @@ def viseme_weights(events: Iterable[PhonemeEvent], times_s: Array, tightest_s: A
     Array
         (n_times, 15), from 0 to 1, each row's sum 1.
     """
-    parts = _parts(tuple(events), tightest_s)
+    parts = _viseme_parts(tuple(events), tightest_s)
     weights = np.zeros((len(times_s), len(OVR_NAMES)))
-    reached = np.ones(len(times_s))
+    share = np.ones(len(times_s))
     before = _Part(SILENCE_VISEME, -math.inf, 0.0)
     for part in parts:
-        # What comes later is never further than what comes before it: no weight is negative.
-        now = np.minimum(reached, _passed(before, part, times_s))
-        weights[:, OVR_NAMES.index(before.viseme)] += reached - now
-        before, reached = part, now
-    weights[:, OVR_NAMES.index(before.viseme)] += reached
+        # Of the weight 1, as much as goes to this viseme and later ones: never more than went to
+        # the viseme before and later ones, so that no weight is negative.
+        later_share = np.minimum(share, _faded_share(before, part, times_s))
+        weights[:, OVR_NAMES.index(before.viseme)] += share - later_share
+        before, share = part, later_share
+    weights[:, OVR_NAMES.index(before.viseme)] += share
     return weights
 
 
-def _parts(events: Sequence[PhonemeEvent], tightest_s: Array) -> list[_Part]:
+def _viseme_parts(events: Sequence[PhonemeEvent], tightest_s: Array) -> list[_Part]:
     """Return the visemes of phonemes in order, `sil` in gaps and after the last phoneme.
 
     tightest_s: (40,), as in `viseme_weights`. A phoneme without an end lasts for ever.
@@ -109,15 +110,15 @@ def _parts(events: Sequence[PhonemeEvent], tightest_s: Array) -> list[_Part]:
             parts.append(_Part(SILENCE_VISEME, end_s, event.start_s))
         end_s = math.inf if event.end_s is None else event.end_s
         if event.phoneme == _FOLLOWS:
-            following = events[i + 1].phoneme if i + 1 < len(events) else SILENCE
-            viseme = _VISEMES_OF.get(following, (SILENCE_VISEME,))[0]
+            next_phoneme = events[i + 1].phoneme if i + 1 < len(events) else SILENCE
+            viseme = _VISEMES_OF.get(next_phoneme, (SILENCE_VISEME,))[0]
             parts.append(_Part(viseme, event.start_s, end_s))
             continue
         visemes = _VISEMES_OF[event.phoneme]
         full_s = None
         if event.phoneme in _CLOSING:
-            tightest = event.start_s + float(tightest_s[PHONEMES.index(event.phoneme)])
-            full_s = min(tightest, end_s) - HOLD_S / 2.0
+            tightest_at_s = event.start_s + float(tightest_s[PHONEMES.index(event.phoneme)])
+            full_s = min(tightest_at_s, end_s) - HOLD_S / 2.0
         border_s = end_s
         if len(visemes) > 1 and math.isfinite(end_s):
             border_s = event.start_s + _FIRST_PART * (end_s - event.start_s)
@@ -130,15 +131,16 @@ def _parts(events: Sequence[PhonemeEvent], tightest_s: Array) -> list[_Part]:
     return parts
 
 
-def _passed(before: _Part, part: _Part, times_s: Array) -> Array:
+def _faded_share(before: _Part, part: _Part, times_s: Array) -> Array:
     """Return how far the viseme `before` has faded into `part` at each time: (n_times,), 0 to 1."""
+    # A closure is complete at its `full_s`; any other viseme fades in around its beginning.
     if part.full_s is not None:
-        begins_s, full_s = part.full_s - CLOSING_S, part.full_s
+        begin_s, end_s = part.full_s - CLOSING_S, part.full_s
     else:
         fade_s = min(_FADE_S, before.end_s - before.start_s, part.end_s - part.start_s)
-        begins_s, full_s = part.start_s - fade_s / 2.0, part.start_s + fade_s / 2.0
+        begin_s, end_s = part.start_s - fade_s / 2.0, part.start_s + fade_s / 2.0
     if before.full_s is not None:  # a closure is held before it opens
-        begins_s = max(begins_s, before.full_s + HOLD_S)
-        full_s = max(full_s, begins_s + _SHORTEST_FADE_S)
-    share = np.clip((times_s - begins_s) / max(full_s - begins_s, _SHORTEST_FADE_S), 0.0, 1.0)
+        begin_s = max(begin_s, before.full_s + HOLD_S)
+        end_s = max(end_s, begin_s + _SHORTEST_FADE_S)
+    share = np.clip((times_s - begin_s) / max(end_s - begin_s, _SHORTEST_FADE_S), 0.0, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, FaceWithAnimPhos
 from lipsync.arrays import Array, in_blocks
 from lipsync.export.arkit import GAP, MEASURES, LipMeasures
-from lipsync.export.mouth_cues import CENTISECOND_S, MouthCue, Shape, centiseconds, joined
+from lipsync.export.mouth_cues import CENTISECOND_S, MouthCue, Shape, centiseconds, merge_cues
 from lipsync.motion.finishing import BILABIAL_GAP_MM
 from lipsync.phonemes import stand_in
 
 #: The phones whose recorded mouths are the drawing of a shape, as Rhubarb's README names them.
-#: Not H: no marker lies on the tongue. A and X are told by the gap.
+#: Not H: no marker lies on the tongue. A and X are recognised by the lip gap.
 _DRAWN_BY: Mapping[Shape, tuple[str, ...]] = {
     "B": ("K", "S", "T", "IY"),
     "C": ("EH", "AE"),
@@ -38,8 +38,8 @@ _PAUSE_CS = 35
 class ShapePrototypes:
     """Recorded mouths, one for each shape, with which a mouth is compared.
 
-    measures: of the face model. places: (7, n_measures), measures of A and of the shapes that
-    phones draw, in standard deviations of the recorded faces.
+    measures: the distances of the face model's mouth. places: (7, n_measures), measures of A and of
+    the shapes that phones draw (`_NAMES`), in standard deviations of the recorded faces.
     """
 
     measures: LipMeasures
@@ -49,7 +49,8 @@ class ShapePrototypes:
 def shape_prototypes(model: FaceWithAnimPhos, measures: LipMeasures) -> ShapePrototypes:
     """Return each shape's prototype: the median recorded mouth in the middle of its phones.
 
-    A is the mouth at rest, whose lips touch. measures: must be those of `model`.
+    The recorded mouths are those of the model's AnimPhos, pieces of motion of one phone each. A is
+    the mouth at rest, whose lips touch. measures: must be those of `model`.
     """
     units = model.animphos
     middle = SAMPLES_PER_ANIMPHO // 2
@@ -58,7 +59,7 @@ def shape_prototypes(model: FaceWithAnimPhos, measures: LipMeasures) -> ShapePro
         known = {p for phone in phones for p in stand_in(phone, units.known_phonemes)}
         chosen = np.concatenate([units.of_phoneme(phone) for phone in sorted(known)])
         places.append(np.median(measures.of(units.samples[chosen, middle]), axis=0))
-    return ShapePrototypes(measures, np.stack(places) / _scale(measures))
+    return ShapePrototypes(measures, np.stack(places) / _deviations_mm(measures))
 
 
 def motion_cues(
@@ -89,23 +90,24 @@ def motion_cues(
     ValueError
         The motion is shorter than the sound.
     """
-    n = centiseconds(duration_s)
-    if len(coefficients) < n:
-        raise ValueError(f"{len(coefficients)} frames of motion; this sound needs {n}")
-    if n == 0:
+    n_cs = centiseconds(duration_s)
+    if len(coefficients) < n_cs:
+        raise ValueError(f"{len(coefficients)} frames of motion; this sound needs {n_cs}")
+    if n_cs == 0:
         return []
-    scale = _scale(prototypes.measures)
+    deviations_mm = _deviations_mm(prototypes.measures)
 
-    def costs_of(some: slice) -> Array:
-        at = prototypes.measures.of(coefficients[:n][some]) / scale
-        return np.asarray(((at[:, None, :] - prototypes.places[None]) ** 2).sum(axis=2))
+    def costs_of(rows: slice) -> Array:
+        measured = prototypes.measures.of(coefficients[:n_cs][rows]) / deviations_mm
+        return np.asarray(((measured[:, None, :] - prototypes.places[None]) ** 2).sum(axis=2))
 
-    costs = in_blocks(costs_of, n)
-    costs[shut[:n], 1:] += _CLOSURE_PRICE
-    cues = joined(
-        MouthCue(_NAMES[shape], start, end) for shape, start, end in _segments(costs, SHORTEST_CS)
+    costs = in_blocks(costs_of, n_cs)
+    # Where the lips touch, any shape but A costs more than the worst likeness.
+    costs[shut[:n_cs], 1:] += _CLOSURE_PRICE
+    cues = merge_cues(
+        MouthCue(_NAMES[shape], start, end) for shape, start, end in _stretches(costs, SHORTEST_CS)
     )
-    return [replace(cue, shape="X") if _is_pause(cue, n) else cue for cue in cues]
+    return [replace(cue, shape="X") if _is_pause(cue, n_cs) else cue for cue in cues]
 
 
 def lips_shut(measures: LipMeasures, coefficients: Array) -> NDArray[np.bool_]:
@@ -143,17 +145,18 @@ def sampling_times_s(duration_s: float) -> Array:
     return np.asarray(np.arange(centiseconds(duration_s)) * CENTISECOND_S, dtype=np.float64)
 
 
-def _scale(measures: LipMeasures) -> Array:
+def _deviations_mm(measures: LipMeasures) -> Array:
     """Return the standard deviations (n_measures,) of the measures, with 1 in place of any 0."""
     scale: Array = np.where(measures.spread_mm > 0.0, measures.spread_mm, 1.0)
     return scale
 
 
-def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
+def _stretches(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
     """Return the cheapest stretches (shape, start, end) that cover the rows of costs (n, n_shapes).
 
-    Every stretch has at least `shortest` rows, where there are as many. Dynamic programming over
-    stretches, as of a hidden semi-Markov model with a shortest duration.
+    Every stretch has at least `shortest` rows, where there are as many, and its cost is the sum of
+    its shape's costs. Dynamic programming over stretches, as of a hidden semi-Markov model with a
+    shortest duration.
     """
     n, n_shapes = costs.shape
     shortest = min(shortest, n)
@@ -168,19 +171,22 @@ def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
         if t < shortest:
             bests.append(bests[-1])
             continue
+        # A stretch that begins as late as it may: after the cheapest way to cover all before it.
         start = t - shortest
-        new = totals[-1] - totals[0]
+        new_costs = totals[-1] - totals[0]
         if start:
             before = bests[-shortest]
             cheapest = int(before.argmin())
-            new = new + before[cheapest]
+            new_costs = new_costs + before[cheapest]
             came_from[t] = cheapest
-        longer = bests[-1] + costs[t - 1]
-        goes_on = longer <= new
-        bests.append(np.where(goes_on, longer, new))
+        # Or the stretch that covers row t - 1 already goes on, if that is no dearer.
+        continued_costs = bests[-1] + costs[t - 1]
+        goes_on = continued_costs <= new_costs
+        bests.append(np.where(goes_on, continued_costs, new_costs))
         begins[t] = np.where(goes_on, begins[t - 1], start)
         came_from[t] = np.where(goes_on, came_from[t - 1], came_from[t])
     found: list[tuple[int, int, int]] = []
+    # Back from the cheapest shape at the end, stretch by stretch.
     end, shape = n, int(bests[-1].argmin())
     while end > 0:
         start = int(begins[end, shape])
@@ -189,7 +195,7 @@ def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
     return found[::-1]
 
 
-def _is_pause(cue: MouthCue, n: int) -> bool:
-    """Return whether a cue A is a pause: over 0.35 s long, or at 0, or until `n` centiseconds."""
+def _is_pause(cue: MouthCue, n_cs: int) -> bool:
+    """Return whether a cue A is a pause: over 0.35 s long, or at 0, or until `n_cs` cs."""
     is_long = cue.end_cs - cue.start_cs > _PAUSE_CS
-    return cue.shape == "A" and (is_long or cue.start_cs == 0 or cue.end_cs == n)
+    return cue.shape == "A" and (is_long or cue.start_cs == 0 or cue.end_cs == n_cs)

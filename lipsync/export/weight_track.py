@@ -86,7 +86,7 @@ def track_csv(track: WeightTrack) -> Iterator[str]:
         [f"{time_s:.6f}", *_fixed(values)]
         for time_s, values in zip(track.times_s, track.values, strict=True)
     )
-    return _csv(chain([["time_s", *track.names]], rows))
+    return _csv_lines(chain([["time_s", *track.names]], rows))
 
 
 def live_link_csv(track: WeightTrack) -> Iterator[str]:
@@ -101,7 +101,7 @@ def live_link_csv(track: WeightTrack) -> Iterator[str]:
         for time_s, values in zip(track.times_s, track.values, strict=True)
     )
     names = (name[0].upper() + name[1:] for name in track.names)
-    return _csv(chain([["Timecode", "BlendShapeCount", *names, *_ROTATIONS]], rows))
+    return _csv_lines(chain([["Timecode", "BlendShapeCount", *names, *_ROTATIONS]], rows))
 
 
 def _timecode(time_s: float, rate_hz: float) -> str:
@@ -109,6 +109,7 @@ def _timecode(time_s: float, rate_hz: float) -> str:
     if rate_hz != round(rate_hz):
         raise ValueError(f"a timecode needs whole frames per second, not {rate_hz} Hz")
     thousandths = round(time_s * rate_hz * 1000)
+    # The rest of a second, in thousandths of a frame.
     seconds, rest = divmod(thousandths, round(rate_hz) * 1000)
     minutes, second = divmod(seconds, 60)
     hour, minute = divmod(minutes, 60)
@@ -119,11 +120,11 @@ def _fixed(values: Array) -> list[str]:
     return [f"{value:.{_DECIMALS}f}" for value in values]
 
 
-def _csv(rows: Iterable[Sequence[str]]) -> Iterator[str]:
+def _csv_lines(rows: Iterable[Sequence[str]]) -> Iterator[str]:
     return (",".join(row) + "\n" for row in rows)
 
 
-_VERSION = 6
+_LIVE_LINK_VERSION = 6
 _N_FLOATS, _N_ROTATIONS = 61, 9
 _RATE_HZ = 60
 #: Any 36 characters, as a UUID is written; receivers tell devices apart by it.
@@ -147,22 +148,23 @@ def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
     bytes
         One UDP datagram.
     """
-    frame, part = divmod(max(time_s, 0.0) * _RATE_HZ, 1.0)
+    frame, fraction = divmod(max(time_s, 0.0) * _RATE_HZ, 1.0)
     name = subject.encode("ascii")
+    # The layout is described at the top of this module.
     return b"".join(
         (
-            struct.pack(">Bi", _VERSION, len(_DEVICE_ID)),
+            struct.pack(">Bi", _LIVE_LINK_VERSION, len(_DEVICE_ID)),
             _DEVICE_ID,
             struct.pack(">i", len(name)),
             name,
             # 32 bits hold 414 days at 60 a second; then it begins anew.
-            struct.pack(">ifii", int(frame) % 2**31, part, _RATE_HZ, 1),
+            struct.pack(">ifii", int(frame) % 2**31, fraction, _RATE_HZ, 1),
             struct.pack(f">B{_N_FLOATS}f", _N_FLOATS, *values.tolist(), *([0.0] * _N_ROTATIONS)),
         )
     )
 
 
-_VALUE, _APPLY = "/VMC/Ext/Blend/Val", "/VMC/Ext/Blend/Apply"
+_VALUE_ADDRESS, _APPLY_ADDRESS = "/VMC/Ext/Blend/Val", "/VMC/Ext/Blend/Apply"
 #: "Immediately", section "OSC Bundles".
 _BUNDLE_HEAD = b"#bundle\x00" + struct.pack(">Q", 1)
 #: A datagram of this size passes an Ethernet unbroken (1500 bytes less IPv6's and UDP's headers).
@@ -181,11 +183,12 @@ def osc_message(address: str, *arguments: str | float) -> bytes:
 def vmc_packets(shapes: Iterable[tuple[str, float]]) -> list[bytes]:
     """Return OSC datagrams that set blendshapes by name; the last one ends with the Apply message.
 
-    shapes: (name, weight) each. One datagram, unless they are too many for its 1452 bytes.
+    shapes: (name, weight) each. All are in one datagram, unless that would exceed 1452 bytes.
     """
     packets = [_BUNDLE_HEAD]
-    messages = [osc_message(_VALUE, name, value) for name, value in shapes]
-    for message in (*messages, osc_message(_APPLY)):
+    messages = [osc_message(_VALUE_ADDRESS, name, value) for name, value in shapes]
+    for message in (*messages, osc_message(_APPLY_ADDRESS)):
+        # In an OSC bundle each message comes after its size.
         element = struct.pack(">i", len(message)) + message
         if len(packets[-1]) + len(element) > MOST_BYTES:
             packets.append(_BUNDLE_HEAD)

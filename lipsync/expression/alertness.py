@@ -25,6 +25,7 @@ class Alertness:
     """
 
     def __init__(self, idle_after_s: float, rest_after_s: float) -> None:
+        """Start in idle; the parameters are those of the class."""
         self._idle_after_s = idle_after_s
         self._rest_after_s = rest_after_s
         self._awake_share = 0.0
@@ -41,15 +42,16 @@ class Alertness:
         self.has_turned = False
         self.turn_ended = False
 
-    def hear(self, cue: ExpressionCue) -> None:
+    def update(self, cue: ExpressionCue) -> None:
         """Update the state by the next cue, 10 ms after the last cue."""
         silent_s = 0.0 if cue.is_speaking else bounded(cue.silent_s, 0.0, 1e9)
+        # The robot has just stopped, or a person's silence has just become a pause.
         self.turn_ended = (self.is_speaking and not cue.is_speaking) or (
-            not cue.is_speaking and self._silent_s < _HEARER_PAUSE_S <= silent_s
+            not cue.is_speaking and self._silent_s < _PAUSE_S <= silent_s
         )
         self.is_speaking = cue.is_speaking
         self._silent_s = silent_s
-        self._notice(cue.look_at_deg)
+        self._notice_partner(cue.look_at_deg)
         self.is_idle = silent_s > self._idle_after_s
         self.wants_rest = min(silent_s, self._unmoved_s) >= self._rest_after_s
         if self.wants_rest:
@@ -61,12 +63,12 @@ class Alertness:
         self._talking_share = toward(self._talking_share, float(cue.is_speaking), step_s)
         self.talking = smoothstep(self._talking_share)
 
-    def _notice(self, look_at_deg: tuple[float, float] | None) -> None:
+    def _notice_partner(self, look_at_deg: tuple[float, float] | None) -> None:
         """Update by one cue where the partner is, whether it has turned, and how long nobody moved.
 
         look_at_deg: (yaw, pitch) of the person to look at; None: nobody.
         """
-        target_deg = _seen(look_at_deg)
+        target_deg = _clipped_target(look_at_deg)
         noticed_deg = self._noticed_deg
         if target_deg is None or noticed_deg is None:
             self.has_turned = target_deg is not noticed_deg
@@ -83,10 +85,10 @@ class Alertness:
 
 #: Whoever listens takes a silence of the other as the end of a phrase after this time, as the
 #: face's own speech side does.
-_HEARER_PAUSE_S = 0.3
+_PAUSE_S = 0.3
 
 
-def _seen(look_at_deg: tuple[float, float] | None) -> tuple[float, float] | None:
+def _clipped_target(look_at_deg: tuple[float, float] | None) -> tuple[float, float] | None:
     """Return a target's (yaw, pitch) clipped to +-60 and +-40 degrees; None: no target, or NaN."""
     if look_at_deg is None:
         return None

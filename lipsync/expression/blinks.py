@@ -25,13 +25,13 @@ _NO_BLINK_DEG, _ALL_BLINK_DEG, _MOST_BLINKING = 5.0, 28.0, 0.97
 class Blinks:
     """A generator of blinks: spontaneous at log-normal intervals, at ends of speech, with saccades.
 
-    The interval is drawn anew after each blink, in units of the mean interval, so that the rate may
-    change while it passes.
+    The interval until the next spontaneous blink is drawn anew after each blink, in units of the
+    mean interval, so that the rate may change while it passes.
     """
 
     def __init__(self, random: Random) -> None:
         self._random = random
-        self._left = self._drawn_interval()
+        self._interval_left = self._drawn_interval()
         self._since_s = REFRACTORY_S
         self._until_end_blink_s = math.inf
 
@@ -43,7 +43,7 @@ class Blinks:
         now, else 0.
         """
         self._since_s += CUE_PERIOD_S
-        self._left -= rate_per_min / 60.0 * CUE_PERIOD_S
+        self._interval_left -= rate_per_min / 60.0 * CUE_PERIOD_S
         self._until_end_blink_s -= CUE_PERIOD_S
         random = self._random
         if speech_ended and random.random() < _AT_END:
@@ -52,10 +52,10 @@ class Blinks:
         if saccade_deg > _NO_BLINK_DEG:
             chance = bounded((saccade_deg - _NO_BLINK_DEG) / _ALL_BLINK_DEG, 0.0, _MOST_BLINKING)
             with_saccade = random.random() < chance
-        is_due = with_saccade or self._left <= 0.0 or self._until_end_blink_s <= 0.0
+        is_due = with_saccade or self._interval_left <= 0.0 or self._until_end_blink_s <= 0.0
         if is_due and self._since_s >= REFRACTORY_S and rate_per_min > 0.0:
             self._since_s = 0.0
-            self._left = self._drawn_interval()
+            self._interval_left = self._drawn_interval()
             self._until_end_blink_s = math.inf
         return closure(self._since_s)
 
@@ -65,7 +65,7 @@ class Blinks:
 
 
 def closure(since_s: float) -> float:
-    """Return how far a blink shuts the lids `since_s` after it began: 0 to 1 and back to 0."""
+    """Return how far a blink shuts the lids `since_s` seconds after its beginning, 0 to 1."""
     if since_s >= CLOSING_S + HOLDING_S + OPENING_S:
         return 0.0
     if since_s < CLOSING_S:
@@ -83,18 +83,19 @@ WIDEST, _SLEEPIEST = -0.4, 0.65
 def lid_position(eye_pitch_deg: float, offset: float, size: float, blink: float) -> float:
     """Return the position of a lid: 0 open, 1 shut, below 0 wider than at rest.
 
-    eye_pitch_deg: the lid follows the eye up and down. offset: by arousal. size: factor of these
-    two, 0 to 1. blink: 0 to 1, closes that share of what is open, so that 1 is shut and neither end
-    has a corner.
+    eye_pitch_deg: the lid follows the eye up and down. offset: added, by arousal. size: factor of
+    these two, 0 to 1. blink: 0 to 1, closes that share of what is open, so that 1 is shut and
+    neither end has a corner.
     """
     if eye_pitch_deg < 0.0:
         follow = min(_MOST_DOWN, -_PER_DEG_DOWN * eye_pitch_deg)
     else:
         follow = -min(_MOST_UP, _PER_DEG_UP * eye_pitch_deg)
-    base = size * bounded(follow + offset, WIDEST, _SLEEPIEST)
-    return base + (1.0 - base) * blink
+    open_position = size * bounded(follow + offset, WIDEST, _SLEEPIEST)
+    return open_position + (1.0 - open_position) * blink
 
 
+#: Time constants of the fast and the slow mean of pitch.
 _FAST_S, _SLOW_S = 0.05, 0.5
 #: Seven of ten rises of pitch go with a flash (71 %, Cave et al., ICSLP 1996), some come unasked.
 _RISING, _WITH_RISE = 0.6, 0.71
@@ -108,13 +109,14 @@ _PER_PITCH, _MOST_BY_PITCH = 0.08, 0.2
 
 
 class BrowFlashes:
-    """A generator of raised brows, 0 to 1: flashes when pitch rises, and a share of the pitch."""
+    """A generator of raised brows, 0 to 1: short flashes when pitch rises, and by high pitch."""
 
     def __init__(self, random: Random) -> None:
+        """Create the generator with brows at rest; `random`: its random generator."""
         self._random = random
         self._fast_share = -math.expm1(-CUE_PERIOD_S / _FAST_S)
         self._slow_share = -math.expm1(-CUE_PERIOD_S / _SLOW_S)
-        self._kept = math.exp(-CUE_PERIOD_S / _DECAY_S)
+        self._decay = math.exp(-CUE_PERIOD_S / _DECAY_S)
         self._fast = 0.0
         self._slow = 0.0
         self._since_s = _APART_S
@@ -124,8 +126,8 @@ class BrowFlashes:
     def step(self, voice: VoiceFrame, is_speaking: bool, is_idle: bool) -> float:
         """Advance by one cue, 10 ms; return how far brows are raised, 0 to 1.
 
-        voice: its pitch counts while `is_speaking`, the robot speaks. No flash begins while
-        `is_idle`.
+        voice: its pitch counts only while the robot speaks (`is_speaking`). No flash begins while
+        `is_idle`. Pitch rises where its fast mean exceeds its slow mean by 0.6 standard deviations.
         """
         self._since_s += CUE_PERIOD_S
         if is_speaking and voice.is_speech and voice.pitch_hz > 0.0:
@@ -136,17 +138,18 @@ class BrowFlashes:
             self._fast -= self._slow_share * self._fast
             self._slow -= self._slow_share * self._slow
         if self._since_s > _HOLD_S:
-            self._flash *= self._kept
+            self._flash *= self._decay
         excess = self._fast - self._slow
         was_rising, self._was_rising = self._was_rising, excess > _RISING
         if self._since_s >= _APART_S and not is_idle:
             if self._was_rising and not was_rising:
-                self._begin(excess, _WITH_RISE)
+                self._maybe_begin_flash(excess, _WITH_RISE)
             elif self._random.random() < _UNASKED_PER_S * CUE_PERIOD_S:
-                self._begin(0.0, 1.0)
+                self._maybe_begin_flash(0.0, 1.0)
         return self._flash + bounded(_PER_PITCH * self._slow, 0.0, _MOST_BY_PITCH)
 
-    def _begin(self, excess: float, chance: float) -> None:
+    def _maybe_begin_flash(self, excess: float, chance: float) -> None:
+        """Begin a flash with probability `chance`; it is the larger the more `excess` pitch has."""
         if self._random.random() < chance:
             self._since_s = 0.0
             self._flash = min(_MOST_FLASH, _LEAST_FLASH + _FLASH_PER_EXCESS * excess)

@@ -67,8 +67,9 @@ class ExpressionSource(Protocol):
         """Whether the face is at neutral, and stays there until a person speaks or moves."""
 
 
-#: Nearer than this, and slower than this a time constant, it has arrived: the last thousandth of a
-#: degree would take forever, and a neck that holds must hold. A servo's pulse is 0.088 degrees.
+#: A follower nearer to its target than this, and slower than this in a time constant, is set to the
+#: target: the last thousandth of a degree would take forever, and a neck that holds must hold. A
+#: servo's pulse is 0.088 degrees.
 _ARRIVED = 1e-3
 
 
@@ -98,11 +99,11 @@ class DampedFollower:
         if -_ARRIVED < error < _ARRIVED and abs(speed_per_s) < _ARRIVED * w:
             self.value, self._speed_per_s = target, 0.0
             return target
-        most = self._most_error
-        if error > most:
-            error = most
-        elif error < -most:
-            error = -most
+        most_error = self._most_error
+        if error > most_error:
+            error = most_error
+        elif error < -most_error:
+            error = -most_error
         rise = (speed_per_s + w * error) * CUE_PERIOD_S
         self.value += (error + rise) * self._decay - error
         self._speed_per_s = (speed_per_s - w * rise) * self._decay

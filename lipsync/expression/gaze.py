@@ -26,8 +26,8 @@ def drawn_magnitude_deg(random: Random) -> float:
 
 def drawn_direction_rad(random: Random) -> float:
     """Return a random saccade direction in rad: a bin of 45 degrees by its share, then uniform."""
-    nearest = bisect(_DIRECTIONS, random.random() * _DIRECTIONS[-1])
-    return math.radians(_BIN_DEG * (nearest + random.random() - 0.5))
+    direction = bisect(_DIRECTIONS, random.random() * _DIRECTIONS[-1])
+    return math.radians(_BIN_DEG * (direction + random.random() - 0.5))
 
 
 def duration_s(magnitude_deg: float) -> float:
@@ -72,7 +72,7 @@ _FOVEA_DEG = 1.0
 #: A look away stays within this of the partner, degrees of yaw and pitch.
 _AWAY_YAW_DEG, _AWAY_PITCH_DEG = 25.0, 12.0
 _TRIES = 8
-#: A share below this would be no partner, above its mirror no look away.
+#: Allowed shares of the time on the partner begin here; above the second gaze never looks away.
 _LEAST_SHARE, _MOST_SHARE = 0.05, 0.98
 
 
@@ -83,9 +83,9 @@ class GazeHabit:
     mutual_share: share of the time on the partner; mutual_mean_s, mutual_sd_s: mean and standard
     deviation of gaze on the partner; away_mean_s, away_sd_s: of one fixation away. These durations
     are those of SmartBody's model of "Eyes Alive", in seconds (its frames are 1/30 s, and what its
-    table calls a standard deviation is one). They would give shares of 77 and 95 % on the partner,
-    where the model has 41 and 75, so that the share is what is set, and a period away is made of as
-    many fixations as it needs.
+    table calls a standard deviation is one). With them alone gaze would be on the partner for 77
+    and 95 % of the time, where the model has 41 and 75. So the share is a setting, and a period
+    away is made of as many fixations as the share needs.
     """
 
     mutual_share: float
@@ -95,13 +95,14 @@ class GazeHabit:
     away_sd_s: float
 
     def __post_init__(self) -> None:
+        """Raise ValueError for a share below 0.05 or above 1."""
         if not _LEAST_SHARE <= self.mutual_share <= 1.0:
             raise ValueError(
                 f"mutual_share, the share of time looking at the partner, is {self.mutual_share}; "
                 f"allowed: {_LEAST_SHARE} to 1"
             )
 
-    def returning(self) -> float:
+    def return_probability(self) -> float:
         """Return the probability that gaze returns to the partner after a fixation away.
 
         It is the mean length of such a fixation over that of a whole period away, 1 at most.
@@ -114,17 +115,17 @@ class GazeHabit:
         """Return a random length in s of gaze on the partner; inf for a share above 0.98."""
         if self.mutual_share > _MOST_SHARE:
             return math.inf
-        return _gamma(random, self.mutual_mean_s, self.mutual_sd_s)
+        return _drawn_duration_s(random, self.mutual_mean_s, self.mutual_sd_s)
 
     def drawn_away_s(self, random: Random) -> float:
         """Return a random length in s of one fixation away, shorter where the share requires it."""
         share = self.mutual_share
         away_s = self.mutual_mean_s * (1.0 - share) / share
         shrunk = min(1.0, away_s / self.away_mean_s)
-        return shrunk * _gamma(random, self.away_mean_s, self.away_sd_s)
+        return shrunk * _drawn_duration_s(random, self.away_mean_s, self.away_sd_s)
 
 
-def _gamma(random: Random, mean_s: float, sd_s: float) -> float:
+def _drawn_duration_s(random: Random, mean_s: float, sd_s: float) -> float:
     """Return a random duration in s with this mean and standard deviation, at least 0.2 s.
 
     What exceeds these 0.2 s, the shortest fixation, is gamma-distributed.
@@ -155,13 +156,14 @@ class Gaze:
     """
 
     def __init__(self, random: Random, talking: GazeHabit, listening: GazeHabit) -> None:
+        """Start with gaze straight ahead, at a partner, with the habit of a listener."""
         self._random = random
         self._habits = (listening, talking)
         self._habit = listening
-        self._left_s = listening.drawn_mutual_s(random)
+        self._fixation_left_s = listening.drawn_mutual_s(random)
         self._offset_deg = STRAIGHT_AHEAD
         self._saccade: Saccade | None = None
-        self._is_due = False
+        self._is_saccade_due = False
         self._since_saccade_s = _SHORTEST_FIXATION_S
         self.is_mutual = True
         self.direction_deg = STRAIGHT_AHEAD
@@ -174,16 +176,17 @@ class Gaze:
         pace: factor of the rate of fixations, 1 as measured on people. size: factor of the offsets
         away from the partner; 0: gaze stays on the partner.
         """
-        self._left_s -= pace * CUE_PERIOD_S
-        if self._left_s <= 0.0:
-            self._change()
+        self._fixation_left_s -= pace * CUE_PERIOD_S
+        if self._fixation_left_s <= 0.0:
+            self._begin_fixation()
+        # No look away where offsets have no size.
         elif size == 0.0 and not self.is_mutual:
-            self.look(at_least_s=0.0)
+            self.look_at_partner(at_least_s=0.0)
         across_deg, up_deg = self._offset_deg
-        self._move((partner_deg[0] + size * across_deg, partner_deg[1] + size * up_deg))
+        self._advance_saccade((partner_deg[0] + size * across_deg, partner_deg[1] + size * up_deg))
 
-    def turn(self, is_talking: bool) -> None:
-        """Set the gaze habit to talking or listening, and what is left of the fixation with it.
+    def set_talking(self, is_talking: bool) -> None:
+        """Set the gaze habit to talking or listening; adapt what is left of the fixation to it.
 
         The rest is scaled by the habits' mean times; a fixation without an end, or one of a habit
         that looks at the partner nearly always, is drawn anew.
@@ -192,32 +195,32 @@ class Gaze:
         if habit is self._habit:
             return
         if not self.is_mutual:
-            self._left_s *= habit.away_mean_s / self._habit.away_mean_s
-        elif math.isinf(self._left_s) or habit.mutual_share > _MOST_SHARE:
-            self._left_s = habit.drawn_mutual_s(self._random)
+            self._fixation_left_s *= habit.away_mean_s / self._habit.away_mean_s
+        elif math.isinf(self._fixation_left_s) or habit.mutual_share > _MOST_SHARE:
+            self._fixation_left_s = habit.drawn_mutual_s(self._random)
         else:
-            self._left_s *= habit.mutual_mean_s / self._habit.mutual_mean_s
+            self._fixation_left_s *= habit.mutual_mean_s / self._habit.mutual_mean_s
         self._habit = habit
 
-    def look(self, at_least_s: float = _FIRST_LOOK_S) -> None:
+    def look_at_partner(self, at_least_s: float = _FIRST_LOOK_S) -> None:
         """Direct gaze to the partner now, for at least `at_least_s` seconds."""
         self.is_mutual = True
-        self._is_due = True
+        self._is_saccade_due = True
         self._offset_deg = STRAIGHT_AHEAD
-        self._left_s = max(at_least_s, self._habit.drawn_mutual_s(self._random))
+        self._fixation_left_s = max(at_least_s, self._habit.drawn_mutual_s(self._random))
 
-    def _change(self) -> None:
+    def _begin_fixation(self) -> None:
         """Begin the next fixation, on the partner or away, as drawn by the gaze habit."""
         habit, random = self._habit, self._random
-        if not self.is_mutual and random.random() < habit.returning():
-            self.look(at_least_s=0.0)
+        if not self.is_mutual and random.random() < habit.return_probability():
+            self.look_at_partner(at_least_s=0.0)
         elif self.is_mutual and habit.mutual_share > _MOST_SHARE:
-            self._left_s = math.inf
+            self._fixation_left_s = math.inf
         else:
             self.is_mutual = False
-            self._is_due = True
+            self._is_saccade_due = True
             self._offset_deg = self._drawn_offset_deg()
-            self._left_s = habit.drawn_away_s(random)
+            self._fixation_left_s = habit.drawn_away_s(random)
 
     def _drawn_offset_deg(self) -> tuple[float, float]:
         """Return a random offset (yaw, pitch) from the partner, one saccade from the last offset.
@@ -233,31 +236,31 @@ class Gaze:
                 return yaw_deg, pitch_deg
         return self._offset_deg[0] / 2.0, self._offset_deg[1] / 2.0
 
-    def _move(self, wanted_deg: tuple[float, float]) -> None:
+    def _advance_saccade(self, wanted_deg: tuple[float, float]) -> None:
         """Advance gaze by one cue, 10 ms: begin a saccade to `wanted_deg` if due, and continue it.
 
         wanted_deg: (yaw, pitch) in the robot's frame.
         """
         self.saccade_deg = 0.0
         self._since_saccade_s += CUE_PERIOD_S
-        if self._saccade is None and self._is_worth_it(wanted_deg):
+        if self._saccade is None and self._begins_saccade(wanted_deg):
             self._saccade = Saccade(self.direction_deg, wanted_deg)
             self.saccade_deg = self._saccade.magnitude_deg
             self.aim_deg = wanted_deg
             self._since_saccade_s = 0.0
-            self._is_due = False
+            self._is_saccade_due = False
         if self._saccade is not None:
             self.direction_deg = self._saccade.step()
             if self._saccade.is_over:
                 self._saccade = None
 
-    def _is_worth_it(self, wanted_deg: tuple[float, float]) -> bool:
+    def _begins_saccade(self, wanted_deg: tuple[float, float]) -> bool:
         """Return whether a saccade to `wanted_deg` begins now.
 
         Yes at once after a decision to change between partner and away; a partner in motion is
         followed in steps of over 1 degree, at least 0.2 s apart.
         """
-        if self._is_due:
+        if self._is_saccade_due:
             return wanted_deg != self.aim_deg
         off_deg = math.hypot(wanted_deg[0] - self.aim_deg[0], wanted_deg[1] - self.aim_deg[1])
         return off_deg > _FOVEA_DEG and self._since_saccade_s >= _SHORTEST_FIXATION_S
@@ -281,11 +284,11 @@ def head_part_deg(aim_deg: tuple[float, float]) -> tuple[float, float]:
     way beyond that (Stahl, Experimental Brain Research 126, 1999).
     """
     yaw_deg, pitch_deg = aim_deg
-    far = (math.hypot(yaw_deg, pitch_deg) - _SMALL_DEG) / (_LARGE_DEG - _SMALL_DEG)
-    share = _LEAST_HEAD_SHARE + (_MOST_HEAD_SHARE - _LEAST_HEAD_SHARE) * smoothstep(far)
+    distance = (math.hypot(yaw_deg, pitch_deg) - _SMALL_DEG) / (_LARGE_DEG - _SMALL_DEG)
+    share = _LEAST_HEAD_SHARE + (_MOST_HEAD_SHARE - _LEAST_HEAD_SHARE) * smoothstep(distance)
     return (
-        _part(yaw_deg, share, _EASY_EYE_YAW_DEG, MOST_YAW_DEG),
-        _part(pitch_deg, share, _EASY_EYE_PITCH_DEG, MOST_PITCH_DEG),
+        _head_share_deg(yaw_deg, share, _EASY_EYE_YAW_DEG, MOST_YAW_DEG),
+        _head_share_deg(pitch_deg, share, _EASY_EYE_PITCH_DEG, MOST_PITCH_DEG),
     )
 
 
@@ -303,6 +306,7 @@ def eyes_deg(
     )
 
 
-def _part(angle_deg: float, share: float, easy_deg: float, most_deg: float) -> float:
-    far_deg = abs(angle_deg)
-    return math.copysign(min(most_deg, max(share * far_deg, far_deg - easy_deg)), angle_deg)
+def _head_share_deg(angle_deg: float, share: float, easy_deg: float, most_deg: float) -> float:
+    """Return `share` of an angle, or all of it beyond `easy_deg`; `most_deg` at most."""
+    out_deg = abs(angle_deg)
+    return math.copysign(min(most_deg, max(share * out_deg, out_deg - easy_deg)), angle_deg)

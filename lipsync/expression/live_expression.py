@@ -49,12 +49,12 @@ def lid_offset(arousal: float) -> float:
     return -0.25 * arousal if arousal > 0.0 else -0.15 * arousal
 
 
-#: A changed amount is there after as long a time for each 1 of change, as in `PerformedExpression`.
+#: The amount of motion changes by 1 in so many seconds, as in `PerformedExpression`.
 _AMOUNT_S: Final = 1.0
 _BROW_HZ, _BROW_PER_S = 4.0, 12.0
 _MOOD_HZ, _MOOD_PER_S = 0.6, 4.0
-#: Blinks of their own accord; with those at saccades and ends of speech there are 24 a minute
-#: in talk and 15 in silence (docs/expression.md).
+#: Spontaneous blinks a minute; with those at saccades and ends of speech there are 24 in talk and
+#: 15 in silence (docs/expression.md).
 _TALKING_BLINKS, _SILENT_BLINKS, _IDLE_BLINKS = 21.0, 13.0, 11.0
 #: Fixations last so much longer where nobody speaks.
 _IDLE_PACE = 0.4
@@ -93,7 +93,7 @@ class LiveExpression:
         self._brow = DampedFollower(_BROW_HZ, _BROW_PER_S)
         self._lid_offset = DampedFollower(_MOOD_HZ, _MOOD_PER_S)
         self._smile = DampedFollower(_MOOD_HZ, _MOOD_PER_S)
-        self._rests = False
+        self._was_resting = False
         self._amount = 0.0
         self.is_resting = False
 
@@ -104,17 +104,19 @@ class LiveExpression:
         person speaks or moves, so that torque may be released without a jump.
         """
         alertness = self._alertness
-        alertness.hear(cue)
-        rests, rested = alertness.wants_rest, self._rests
-        self._rests = rests
-        if rests and not rested:
+        alertness.update(cue)
+        # As rest begins, head and gaze set out for neutral.
+        is_rest, was_rest = alertness.wants_rest, self._was_resting
+        self._was_resting = is_rest
+        if is_rest and not was_rest:
             self._head.settle()
-            self._gaze.look()
-        wanted = 0.0 if rests else bounded(cue.amount, 0.0, _MOST_AMOUNT)
-        self._amount = amount = toward(self._amount, wanted, CUE_PERIOD_S / _AMOUNT_S)
-        arousal = 0.0 if rests else bounded(cue.arousal, -1.0, 1.0)
+            self._gaze.look_at_partner()
+        target_amount = 0.0 if is_rest else bounded(cue.amount, 0.0, _MOST_AMOUNT)
+        self._amount = amount = toward(self._amount, target_amount, CUE_PERIOD_S / _AMOUNT_S)
+        arousal = 0.0 if is_rest else bounded(cue.arousal, -1.0, 1.0)
         size = min(1.0, amount)
-        blink = self._look(arousal, wanted)
+        blink = self._advance_eyes(arousal, target_amount)
+        # The eyes turn against the head, so that gaze stays where it is.
         pitch_deg, yaw_deg, roll_deg = self._head.step(
             cue, alertness, self._gaze, amount, head_gain(arousal)
         )
@@ -127,23 +129,24 @@ class LiveExpression:
         expression = Expression(
             pitch_deg, yaw_deg, roll_deg, eye_pitch_deg, eye_yaw_deg, lid, lid, brow, smile
         )
-        self.is_resting = rests and expression == _NEUTRAL
+        self.is_resting = is_rest and expression == _NEUTRAL
         return expression
 
-    def _look(self, arousal: float, amount: float) -> float:
+    def _advance_eyes(self, arousal: float, amount: float) -> float:
         """Advance gaze and blinks by one cue, 10 ms; return how far a blink shuts the lids, 0 to 1.
 
         arousal: -1 to 1, changes their pace. amount: size of all motion; 0: no blink, gaze on the
         partner.
         """
         alertness, gaze = self._alertness, self._gaze
-        gaze.turn(alertness.is_speaking)
+        gaze.set_talking(alertness.is_speaking)
         if alertness.has_turned:
-            gaze.look()
+            gaze.look_at_partner()
         pace = _IDLE_PACE if alertness.is_idle else gaze_pace(arousal)
         gaze.step(alertness.partner_deg, pace, amount)
         rate_per_min = 0.0
         if amount > 0.0:
+            # Between the rates in idle, in silence and in talk.
             silent = _SILENT_BLINKS + (_IDLE_BLINKS - _SILENT_BLINKS) * (1.0 - alertness.awake)
             rate_per_min = silent + (_TALKING_BLINKS - silent) * alertness.talking
             rate_per_min *= blink_gain(arousal)

@@ -32,15 +32,15 @@ def fit_similarity(points: Array, reference: Array) -> tuple[Array, Array, Array
     """
     centre = points.mean(axis=1, keepdims=True)
     reference_centre = reference.mean(axis=0)
-    # a: (n_frames, n_points, 3), b: (n_points, 3)
-    a, b = points - centre, reference - reference_centre
-    u, d, vt = np.linalg.svd(np.einsum("pi,fpj->fij", b, a))
+    # Shapes (n_frames, n_points, 3) and (n_points, 3).
+    centred, reference_centred = points - centre, reference - reference_centre
+    u, d, vt = np.linalg.svd(np.einsum("pi,fpj->fij", reference_centred, centred))
     # A mirrored head fits better than a turned one when points are few; forbid it.
     handedness = np.sign(np.linalg.det(u @ vt))
     u[:, :, 2] *= handedness[:, None]
     d[:, 2] *= handedness
     rotation = u @ vt
-    scale = d.sum(axis=1) / (a**2).sum(axis=(1, 2))
+    scale = d.sum(axis=1) / (centred**2).sum(axis=(1, 2))
     translation = reference_centre - scale[:, None] * np.einsum(
         "fij,fj->fi", rotation, centre[:, 0]
     )

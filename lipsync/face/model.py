@@ -1,9 +1,10 @@
 """The face of one speaker: mean, principal components, the closed mouth and its lips' statistics.
 
 It is one part of a model file: one `.npz` without pickle, of which each reader loads only its own
-part. The data that move a face (AnimPhos, the learned expectation, the baselines) are other parts.
-A member of the archive is called `PART/ARRAY`. `about` comes first and describes the file in JSON.
-Nothing of a part is read before it is used.
+part. The data that move a face are other parts: AnimPhos (recorded pieces of motion), the
+expectation (which predicts mean motion), the baselines. A member of the archive is called
+`PART/ARRAY`. `about` comes first and describes the file in JSON. Nothing of a part is read before
+it is used.
 """
 
 import hashlib
@@ -45,18 +46,22 @@ class ModelError(UserError):
 class ModelFile:
     """An open model file, of which single parts are read.
 
-    name: the file's, for error messages. about: the file's description of itself. layout: the
-    points of its face.
+    name: the file's name, for error messages. about: the file's description of itself, parsed JSON.
+    layout: the points of its face.
     """
 
     def __init__(self, name: str, archive: ArrayArchive) -> None:
+        """Read and check the header of an open archive.
+
+        Raises ModelError if the header is damaged or of another version or inventory of phonemes.
+        """
         self.name = name
         self._archive = archive
         try:
             self.about: dict[str, Any] = json.loads(archive[_ABOUT].tobytes())
             version = self.about["version"]
         except (KeyError, TypeError, *UNREADABLE) as error:
-            raise self._damaged() from error
+            raise self._damaged_error() from error
         if version != MODEL_VERSION:
             raise ModelError(
                 f"{name}: model version {version}, this lipservo reads version {MODEL_VERSION}; "
@@ -67,7 +72,7 @@ class ModelFile:
                 raise ValueError("the model's phonemes are not those of this lipservo version")
             self.layout: PointLayout = layout_of(self.about["layout"])
         except (KeyError, TypeError, ValueError, AttributeError, UserError) as error:
-            raise self._damaged(error) from error
+            raise self._damaged_error(error) from error
 
     def read(self, part: str, assemble: Callable[[Arrays], Part]) -> Part:
         """Read a part of the file.
@@ -99,13 +104,13 @@ class ModelFile:
         except ModelError:
             raise
         except (KeyError, TypeError, IndexError, *UNREADABLE) as error:
-            raise self._damaged(error) from error
+            raise self._damaged_error(error) from error
 
     def has(self, part: str) -> bool:
         """Return whether the file contains the part of this name."""
         return any(name.startswith(f"{part}/") for name in self._archive.names)
 
-    def _damaged(self, error: Exception | None = None) -> ModelError:
+    def _damaged_error(self, error: Exception | None = None) -> ModelError:
         why = f" ({error})" if error is not None else ""
         return ModelError(
             f"{self.name}: damaged or not a lipservo model; get a fresh copy or train one again"
@@ -195,12 +200,12 @@ _ARRAYS = (
 class FaceModel:
     """The mouth of one speaker: mean face, principal components and statistics of the lips.
 
-    layout: the points that it has. mean_mm (n_points, 3); basis (n_components, 3 n_points), rows
-    orthonormal; head_reference_mm (n_rigid, 3), the pose that all motion was fitted to. rest:
+    layout: the points that the face has. mean_mm (n_points, 3); basis (n_components, 3 n_points),
+    rows orthonormal; head_reference_mm (n_rigid, 3), the pose that all motion was fitted to. rest:
     (n_components,), the closed mouth of silence. covariance: (n_components, n_components), of the
-    face in speech. tightest_s: (40,), s from the onset until the lips are nearest in P B M F V, the
-    recordings' median; else 0. labiodental_gap_mm: how far the inner lips are apart then in F and
-    V, the mean.
+    face in speech. tightest_s: (40,), seconds from the onset until the lips are nearest in P B M F
+    V, the recordings' median; else 0. labiodental_gap_mm: how far the inner lips are apart then in
+    F and V, the mean.
     """
 
     layout: PointLayout
@@ -279,9 +284,9 @@ class FaceModel:
             mm, 0 where the lips touch.
         """
         basis = self.basis.reshape(self.n_components, -1, 3)
-        at_upper, at_lower = self.layout.upper_lip, self.layout.lower_lip
-        upper = self.mean_mm[at_upper] + coefficients @ basis[:, at_upper]
-        lower = self.mean_mm[at_lower] + coefficients @ basis[:, at_lower]
+        upper_point, lower_point = self.layout.upper_lip, self.layout.lower_lip
+        upper = self.mean_mm[upper_point] + coefficients @ basis[:, upper_point]
+        lower = self.mean_mm[lower_point] + coefficients @ basis[:, lower_point]
         return float(np.linalg.norm(upper - lower - self.lips_touching_mm))
 
     def lip_gaps_mm(self, markers_mm: NDArray[np.floating]) -> Array:
@@ -297,10 +302,10 @@ class FaceModel:
         Array
             (n_frames,) mm, 0 where the lips touch.
         """
-        between = self.layout.gap_vectors_mm(markers_mm)
+        vectors_mm = self.layout.gap_vectors_mm(markers_mm)
         if not self.layout.has_inner_lips:
-            between = between - self.lips_touching_mm
-        return np.asarray(np.linalg.norm(between, axis=1), dtype=np.float64)
+            vectors_mm = vectors_mm - self.lips_touching_mm
+        return np.asarray(np.linalg.norm(vectors_mm, axis=1), dtype=np.float64)
 
     @property
     def checksum(self) -> str:
@@ -321,10 +326,10 @@ def read_face(file: ModelFile) -> FaceModel:
     """Return the face of an open model file. Raises ModelError if it is missing or damaged."""
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> FaceModel:
-        found = {name: np.asarray(arrays[name], dtype=np.float64) for name in _ARRAYS}
-        gap_mm = float(found.pop("labiodental_gap_mm"))
-        face = FaceModel(layout=file.layout, labiodental_gap_mm=gap_mm, **found)
-        _check(face)
+        floats = {name: np.asarray(arrays[name], dtype=np.float64) for name in _ARRAYS}
+        gap_mm = float(floats.pop("labiodental_gap_mm"))
+        face = FaceModel(layout=file.layout, labiodental_gap_mm=gap_mm, **floats)
+        _check_face(face)
         return face
 
     return file.read(FACE_PART, assemble)
@@ -346,7 +351,7 @@ def face_arrays(face: FaceModel) -> dict[str, NDArray[np.generic]]:
     return {name: np.asarray(getattr(face, name), dtype=np.float32) for name in _ARRAYS}
 
 
-def _check(face: FaceModel) -> None:
+def _check_face(face: FaceModel) -> None:
     """Raise ValueError, naming the field, unless all shapes agree and every number is finite."""
     n_points, n_components = face.layout.n_points, face.n_components
     shapes = {

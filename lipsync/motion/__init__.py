@@ -1,1 +1,1 @@
-"""Live motion of the mouth: synthesis by expectation, and closures of the lips."""
+"""Live motion of the mouth: by the expectation (predicted mean motion), with lip closures."""

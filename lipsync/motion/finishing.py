@@ -1,10 +1,11 @@
 """The finishing step of every motion: AnimPhos, strength, rest in pauses, and lips that must touch.
 
-It is applied alike to live motion, the paper's method and scripted lines (known speech with its
-motion), in this order, in one frame. A closure requires that the inner lips come within a distance,
-for certain phonemes. The face is moved by the change that is likeliest to go with such a change of
-the gap in the recordings (the conditional mean of a Gaussian, Bishop, "Pattern Recognition and
-Machine Learning", 2006, eq. 2.81), and only as far as needed.
+AnimPhos are recorded pieces of motion. The step is applied alike to live motion, the paper's method
+and scripted lines (known speech with its motion), in this order, in one frame. A closure requires
+that the inner lips come within a distance, for certain phonemes. The face is moved by the change
+that is likeliest to go with such a change of the gap in the recordings (the conditional mean of a
+Gaussian, Bishop, "Pattern Recognition and Machine Learning", 2006, eq. 2.81), and only as far as
+needed.
 """
 
 import math
@@ -21,7 +22,7 @@ from lipsync.errors import UserError
 from lipsync.expectation.expectation import PhonemeTrack, context_at
 from lipsync.face.frame import FaceWindow, Frame, Motion
 from lipsync.face.model import FaceModel
-from lipsync.motion.rounding import SPREAD, is_rounded, lip_width_of, planned_rounding
+from lipsync.motion.rounding import SPREAD, is_rounded, lip_width_of, plan_rounding
 from lipsync.motion.tick_plan import (
     AT_REST,
     TICK_S,
@@ -29,7 +30,7 @@ from lipsync.motion.tick_plan import (
     EasedSetting,
     TickPlan,
     is_reached,
-    planned_rest,
+    plan_rest,
     values_at,
 )
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 BILABIAL_GAP_MM = 0.7
 #: Closer lips touch, in the recordings and where closures are counted.
 TOUCHING_MM = 1.0
-#: What no change of the gap can be told from, as a share of its variance: keeps the inverse finite.
+#: Added to the diagonal of the gap's covariance, as a share of its trace: keeps the inverse finite.
 _RIDGE = 1e-6
 #: Rounds the corner where the correction sets in, mm, so that the motion keeps its speed there.
 _CORNER_MM = 0.2
@@ -52,8 +53,9 @@ _CORNER_MM = 0.2
 class LipGap:
     """The vector from lower to upper inner lip, linear in the face, and the face's response to it.
 
-    at_mean_mm: (3,), the vector of the mean face; per_face: (n_components, 3); response: (3,
-    n_components), the change of the face that goes with a change of the vector.
+    at_mean_mm: (3,), the vector of the mean face; per_face: (n_components, 3), its change per
+    coefficient; response: (3, n_components), the change of the face that goes with a change of the
+    vector by 1 mm.
     """
 
     at_mean_mm: Array
@@ -74,8 +76,9 @@ class LipGap:
             (n,), the first always False.
         """
         widths_mm = np.linalg.norm(self.at_mean_mm + faces @ self.per_face, axis=1)
-        touch = widths_mm <= TOUCHING_MM
-        return np.asarray(touch & ~np.insert(touch[:-1], 0, touch[0]))
+        touches = widths_mm <= TOUCHING_MM
+        # The first face has none before it and is compared with itself.
+        return np.asarray(touches & ~np.insert(touches[:-1], 0, touches[0]))
 
     def shut(self, face: Array) -> Array:
         """Return the face with its lips pressed together, at most 0.7 mm apart.
@@ -116,20 +119,25 @@ class LipGap:
         gap_mm = self.at_mean_mm + face @ self.per_face
         width_mm = math.sqrt(float(gap_mm @ gap_mm))
         excess_mm = width_mm - distance_mm + _CORNER_MM
+        # The excess, or 0 where there is none, with the corner between both rounded by a hyperbola.
         soft_mm = (excess_mm + math.sqrt(excess_mm**2 + _CORNER_MM**2)) / 2.0
+        # The gap's vector becomes shorter by this share of it, and the face follows.
         share = min(amount, 1.0) * soft_mm / math.sqrt(width_mm**2 + _CORNER_MM**2)
         return np.asarray(face - (share * gap_mm) @ self.response)
 
 
 def lip_gap_of(model: FaceModel) -> LipGap:
-    """Return the lip gap of a model's face, with the response by its recordings' covariance."""
+    """Return the lip gap of a model's face, with the response by its recordings' covariance.
+
+    The response is Cov(gap)^-1 Cov(gap, face), the conditional mean of the face given the gap.
+    """
     basis = model.basis.reshape(model.n_components, -1, 3)
     upper, lower = model.layout.upper_lip, model.layout.lower_lip
     per_face = basis[:, upper] - basis[:, lower]
-    spread = model.covariance @ per_face
-    gap_covariance = per_face.T @ spread
+    face_gap_covariance = model.covariance @ per_face
+    gap_covariance = per_face.T @ face_gap_covariance
     ridge = _RIDGE * np.trace(gap_covariance) * np.eye(3)
-    response = np.linalg.solve(gap_covariance + ridge, spread.T)
+    response = np.linalg.solve(gap_covariance + ridge, face_gap_covariance.T)
     at_mean_mm = model.mean_mm[upper] - model.mean_mm[lower] - model.lips_touching_mm
     return LipGap(at_mean_mm, per_face, response)
 
@@ -157,7 +165,7 @@ _ROUNDING_S = 1e-9
 OPEN = Amount(0.0, PARTING_S, 0.0, 0.0, 0.0)
 
 
-def planned(
+def plan_closure(
     now: Amount,
     tightest_s: Mapping[int, float],
     track: PhonemeTrack,
@@ -168,11 +176,12 @@ def planned(
 
     now: the plan so far, returned if its goal is unchanged, with a new time of the last touch while
     the lips are held closed. A closure that has begun is completed first. tightest_s: by the index
-    of each closing phoneme (P B M, or F V), s from its onset until lips are nearest. track:
-    the phonemes, known until `known_until_s`.
+    of each closing phoneme (P B M, or F V), seconds from its onset until the lips are nearest.
+    track: the phonemes, known until the sound time `known_until_s`.
     """
     if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
         return now
+    # Closing begins so much earlier that the lips touch when a closure's span begins.
     if any(
         from_s - CLOSING_S <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S
         for from_s, until_s in closures(now.touched_s, tightest_s, track, time_s, known_until_s)
@@ -192,18 +201,19 @@ def closures(
     time_s: float,
     known_until_s: float,
 ) -> Iterator[tuple[float, float]]:
-    """Yield (from, until) in s when lips touch, for each closing phoneme around or after `time_s`.
+    """Yield (from, until), sound times in s between which lips touch, for each closing phoneme.
 
-    touched_s: when the lips touched last. tightest_s: by the index of each closing phoneme (P B M,
-    or F V), s from its onset until lips are nearest. track: known until `known_until_s`. A
-    phoneme for which the lips have not touched yet keeps them closed until its end.
+    These are the phonemes of `tightest_s` around or after `time_s`: by their index (P B M, or F V),
+    seconds from the onset until the lips are nearest. touched_s: sound time at which the lips
+    touched last. track: the phonemes, known until `known_until_s`. A phoneme for which the lips
+    have not touched yet keeps them closed until its end.
     """
-    # A tightest moment is at most so far from its onset, before or after.
+    # From the phone before the present one on: its lips may be nearest only after its end.
     first = bisect_right(track.starts_s, time_s) - 2
     for i in range(max(0, first), len(track.phonemes)):
         start_s, end_s = track.starts_s[i], track.ends_s[i]
         if end_s > known_until_s + _ROUNDING_S:
-            end_s = math.inf
+            end_s = math.inf  # not known yet
         if start_s > known_until_s + _ROUNDING_S:
             return
         if track.phonemes[i] in tightest_s:
@@ -212,11 +222,12 @@ def closures(
                 # A short one is tightest in its middle, but F and V after a vowel towards the end.
                 moment_s = min(moment_s, (start_s + end_s) / 2.0)
             from_s, until_s = moment_s - HOLD_S / 2.0, moment_s + HOLD_S / 2.0
+            # Lips stay shut while an M sounds, until they must part for the next phone.
             if track.phonemes[i] == _HUMMED:
                 from_s = min(from_s, start_s + HOLD_S)
                 until_s = max(until_s, min(end_s, known_until_s) - _HUM_ENDS_S)
             if touched_s < start_s - HOLD_S:
-                until_s = max(until_s, end_s)  # told late: close late, as long as it goes on
+                until_s = max(until_s, end_s)  # known late: close late, while the phone lasts
             yield from_s, until_s
 
 
@@ -227,8 +238,9 @@ def closed_share(spans_s: Sequence[tuple[float, float]], time_s: float) -> float
     """
     share = 0.0
     for from_s, until_s in spans_s:
-        apart = max((from_s - time_s) / CLOSING_S, (time_s - until_s) / PARTING_S, 0.0)
-        share = max(share, 1.0 - min(apart, 1.0))
+        # In units of the closing and parting times: 0 inside a closure, 1 and more far from it.
+        distance = max((from_s - time_s) / CLOSING_S, (time_s - until_s) / PARTING_S, 0.0)
+        share = max(share, 1.0 - min(distance, 1.0))
     return share * share * (3.0 - 2.0 * share)
 
 
@@ -314,7 +326,7 @@ class TrackedSynthesizer(Motion, Protocol):
 class _Finish:
     """The plans decided for one tick, 10 ms: rest, closed lips, lip at the teeth, round lips.
 
-    is_still: whether the mouth is at rest in it, and nothing is known that ends the pause.
+    is_still: whether the mouth is at rest in this tick, and nothing is known that ends the pause.
     """
 
     rest: Amount = AT_REST
@@ -343,8 +355,8 @@ class FinishedSynthesizer:
 
         known_s: how many seconds of sound beyond its tick a decision may use; None for what the
         look-ahead of `inner` allows. adjust_inner: functions that set the settings of `inner`, by
-        the setting's name. units: AnimPhos to mix in, None for none; unit_share: 0 leaves them out,
-        1 shows them alone. stage: as in `Style`.
+        the setting's name. units: motion of recorded pieces (AnimPhos) to mix in, None for none;
+        unit_share: 0 leaves them out, 1 shows them alone. stage: as in `Style`.
         """
         self._inner = inner
         self._known_s = min(inner.lookahead_s, USED_LOOKAHEAD_S) if known_s is None else known_s
@@ -354,7 +366,7 @@ class FinishedSynthesizer:
         self._labiodental_gap_mm = model.labiodental_gap_mm
         self._bilabial_s = _tightest_s(model, BILABIALS)
         self._labiodental_s = _tightest_s(model, LABIODENTALS)
-        self._units = units
+        self._unit_motion = units
         self._strength = EasedSetting(strength, STRONGEST)
         self._unit_share = EasedSetting(unit_share, 1.0)
         self._stage = EasedSetting(stage, 1.0)
@@ -362,13 +374,13 @@ class FinishedSynthesizer:
         self._style = (self._strength, self._stage, self._valence)
         self._ticks = TickPlan(_Finish())
         self._still = self._still_window()
-        self._adjust = {
+        self._adjusters = {
             **(adjust_inner or {}),
-            "strength": self._changing(self._strength),
-            "stage": self._changing(self._stage),
+            "strength": self._change_of(self._strength),
+            "stage": self._change_of(self._stage),
         }
         if units is not None:
-            self._adjust["unit_share"] = self._changing(self._unit_share)
+            self._adjusters["unit_share"] = self._change_of(self._unit_share)
 
     @property
     def is_resting(self) -> bool:
@@ -383,7 +395,7 @@ class FinishedSynthesizer:
     @property
     def adjustable(self) -> Set[str]:
         """Names of the settings that may change while the mouth moves."""
-        return self._adjust.keys()
+        return self._adjusters.keys()
 
     @property
     def phonemes_planned(self) -> int:
@@ -398,8 +410,8 @@ class FinishedSynthesizer:
     def reset(self) -> None:
         """Forget all but the settings; the mouth is closed and sound time begins at 0."""
         self._inner.reset()
-        if self._units is not None:
-            self._units.reset()
+        if self._unit_motion is not None:
+            self._unit_motion.reset()
         for setting in (*self._style, self._unit_share):
             setting.settle()
         self._ticks = TickPlan(_Finish())
@@ -418,27 +430,32 @@ class FinishedSynthesizer:
         Faces already shown are not changed. Raises StyleError for a setting that cannot be
         adjusted, or a value beyond its limits.
         """
-        if name not in self._adjust:
-            raise StyleError(f"{name} cannot be adjusted; {', '.join(sorted(self._adjust))} can")
+        if name not in self._adjusters:
+            raise StyleError(f"{name} cannot be adjusted; {', '.join(sorted(self._adjusters))} can")
         Style(**{name: value})
-        self._adjust[name](value)
+        self._adjusters[name](value)
 
     def smile(self, valence: float) -> None:
         """Set the smile of the speaking mouth from the newest face on: -1 (sad) to 1 (glad)."""
-        self._changing(self._valence)(valence)
+        self._change_of(self._valence)(valence)
 
     def frame_at(self, time_s: float) -> Frame:
-        """Return the finished frame at sound time `time_s`; equal times give equal frames."""
+        """Return the finished frame at sound time `time_s`; equal times give equal frames.
+
+        The step's parts in order: recorded pieces (AnimPhos), strength, mouth corners, rest,
+        closures.
+        """
         frame = self._inner.frame_at(time_s)
-        departure = None
-        if self._units is not None:
-            departure = self._units.at(time_s, self._inner.track)
-        finish = self._ticks.at(time_s, self._decide)
+        offset = None
+        if self._unit_motion is not None:
+            offset = self._unit_motion.at(time_s, self._inner.track)
+        # The plans of this tick; None for a time too long ago.
+        finish = self._ticks.at(time_s, self._decide_tick)
         if finish is not None and finish.is_still:
             return replace(frame, coefficients=self._rest)
         face = frame.coefficients
-        if departure is not None:
-            face = face + self._unit_share.at(time_s) * departure
+        if offset is not None:
+            face = face + self._unit_share.at(time_s) * offset
         strength, stage, valence = values_at(self._style, time_s)
         face = self._strengthened(face, strength, stage)
         if finish is not None:
@@ -465,6 +482,7 @@ class FinishedSynthesizer:
             return self._still
         until_s = now_s + self._known_s
         track, lips, teeth = self._inner.track, finish.bilabial, finish.labiodental
+        # Of both kinds of closure: the gap that it requires, and the spans in which lips touch.
         closing = [
             (gap_mm, list(closures(amount.touched_s, tightest_s, track, now_s, until_s)))
             for amount, tightest_s, gap_mm in (
@@ -475,14 +493,16 @@ class FinishedSynthesizer:
         begins_s = {from_s for _, spans_s in closing for from_s, _ in spans_s}
         steps_s = (now_s + step_s for step_s in _WINDOW_S if step_s <= self._known_s)
         times_s = sorted({*steps_s, *(s for s in begins_s if now_s < s <= until_s)})
+        # At the steps of the window, and where closures are complete.
         faces = self._inner.faces_after(frame, np.array(times_s)) if times_s else ()
+        # The frame itself is finished already; later faces are finished as `frame_at` does.
         rows, closed = [frame.coefficients], [max(lips.at(now_s)[0], teeth.at(now_s)[0]) == 1.0]
         for time_s, face in zip(times_s, faces, strict=True):
             strength, stage, valence = values_at(self._style, time_s)
             face = self._strengthened(face, strength, stage)
             if stage or valence:
-                round_ = float(is_rounded(track, time_s, until_s))
-                face = self._cornered(face, strength, stage * round_, (1.0 - round_) * valence)
+                rounding = float(is_rounded(track, time_s, until_s))
+                face = self._cornered(face, strength, stage * rounding, (1.0 - rounding) * valence)
             face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
             shares = [closed_share(spans_s, time_s) for _, spans_s in closing]
             for (gap_mm, _), share in zip(closing, shares, strict=True):
@@ -494,7 +514,7 @@ class FinishedSynthesizer:
         return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
 
     def _still_window(self) -> FaceWindow:
-        """Return the window of a mouth that is at rest and stays so: the very same each time."""
+        """Return the window (the faces to come) of a mouth that is at rest and stays so."""
         steps_s = [0.0, *(step_s for step_s in _WINDOW_S if step_s <= self._known_s)]
         faces = np.array([self._rest] * len(steps_s))
         open_ = np.zeros(len(steps_s), dtype=np.bool_)
@@ -509,21 +529,21 @@ class FinishedSynthesizer:
         """Return the face (n_components,) with its mouth's corners moved.
 
         strength: below 1, moves them less. rounding: 0 to 1 moves them together; smile: -1
-        (together) to 1 (apart).
+        (together) to 1 (apart). The face itself is returned for a model without points of the lips.
         """
         if self._width is None:
             return face
         moved = min(1.0, strength)
         return self._width.smiling(self._width.rounded(face, moved * rounding), moved * smile)
 
-    def _decide(self, time_s: float, last: _Finish) -> _Finish:
+    def _decide_tick(self, time_s: float, last: _Finish) -> _Finish:
         """Return the plans for the tick of 10 ms that ends at `time_s`, from what is known then.
 
-        last: those of the tick before.
+        last: the plans of the tick before.
         """
         track, begin_s, until_s = self._inner.track, time_s - TICK_S, time_s + self._known_s
         context = context_at(track, time_s, until_s)
-        rest = planned_rest(last.rest, *context, begin_s, self._known_s)
+        rest = plan_rest(last.rest, *context, begin_s, self._known_s)
         plans = last.bilabial, last.labiodental, last.rounding
         if is_reached(rest, begin_s) and not any(
             plan.goal or plan.at(begin_s)[0] for plan in plans
@@ -531,12 +551,13 @@ class FinishedSynthesizer:
             return last if last.is_still else replace(last, rest=rest, is_still=True)
         return _Finish(
             rest,
-            planned(last.bilabial, self._bilabial_s, track, begin_s, until_s),
-            planned(last.labiodental, self._labiodental_s, track, begin_s, until_s),
-            planned_rounding(last.rounding, track, begin_s, self._known_s + TICK_S),
+            plan_closure(last.bilabial, self._bilabial_s, track, begin_s, until_s),
+            plan_closure(last.labiodental, self._labiodental_s, track, begin_s, until_s),
+            plan_rounding(last.rounding, track, begin_s, self._known_s + TICK_S),
         )
 
-    def _changing(self, setting: EasedSetting) -> Callable[[float], None]:
+    def _change_of(self, setting: EasedSetting) -> Callable[[float], None]:
+        """Return a function that eases `setting` to a value, from the newest tick on."""
         return lambda value: setting.change(self._ticks.decided_until_s, value)
 
 

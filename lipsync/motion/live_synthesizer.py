@@ -1,4 +1,4 @@
-"""The live methods: the expectation that moves the mouth, with the finishing step around it.
+"""The live methods: the expectation (predicted mean motion) with the finishing step around it.
 
 Frame-synchronous: a phoneme moves the mouth from its onset, before its end is known, and a revision
 by the recogniser changes only what has not been shown. Faces are decided on a grid of 10 ms, each
@@ -27,7 +27,7 @@ from lipsync.motion.tick_plan import (
     EasedSetting,
     TickPlan,
     is_reached,
-    planned_rest,
+    plan_rest,
     tick_of,
 )
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
@@ -61,7 +61,7 @@ class _Tick:
     """The motion of a tick of 10 ms between two grid points: a cubic; speeds are per tick.
 
     start, end: faces (n_components,). rest: how far a pause has brought the mouth to rest.
-    is_still: whether nothing moves in it, nor in what it was made of.
+    is_still: whether nothing moves in this tick, nor in the faces that were averaged for it.
     """
 
     start: Array
@@ -81,9 +81,10 @@ class _Tick:
 
 
 class ExpectedMotion:
-    """Motion by the learned expectation over a revisable stream of phonemes, before finishing.
+    """Motion by the expectation over a revisable stream of phonemes, before the finishing step.
 
-    Lip closures, strength and AnimPhos are left to `FinishedSynthesizer`.
+    The expectation predicts the mouth's mean motion for decided phonemes. Lip closures, strength
+    and AnimPhos (recorded pieces of motion) are left to `FinishedSynthesizer`.
     """
 
     def __init__(
@@ -97,19 +98,20 @@ class ExpectedMotion:
     ) -> None:
         """Start at sound time 0 with a closed mouth.
 
-        expectation: predicts the face's components from phonemes. rest: (n_components,), the closed
+        expectation: predicts the mean motion of decided phonemes. rest: (n_components,), the closed
         mouth. lookahead_s: seconds of sound that must be known after a frame. smoothness: 0 to 1,
-        as in `Style`. soft: predicts the components from the recogniser's probabilities of
-        phonemes; None: decided phonemes alone move the mouth.
+        as in `Style`. soft: predicts the motion from the recogniser's probabilities of phonemes,
+        and is blended in; None: decided phonemes alone move the mouth.
         """
-        self._backed_off = expectation
-        self._networks = replace(expectation, back_off=None)
+        self._with_back_off = expectation
+        self._without_back_off = replace(expectation, back_off=None)
         self._soft = soft
         self._rest = rest
         self._lookahead_s = lookahead_s
         self.known_s = min(lookahead_s, USED_LOOKAHEAD_S)
+        # The mean of expected faces reaches one tick ahead, if the look-ahead does.
         n_ahead = min(_AVERAGED_TICKS, int(self.known_s / TICK_S + _ROUNDING_TICKS))
-        self._ahead_s = n_ahead * TICK_S
+        self._averaged_ahead_s = n_ahead * TICK_S
         self._weights = _bell(2 * n_ahead + 1)
         self._smoothness = EasedSetting(smoothness, 1.0)
         self._has_warned = False
@@ -128,13 +130,13 @@ class ExpectedMotion:
     def reset(self) -> None:
         """Forget all phonemes and motion: the mouth is closed, and sound time begins at 0."""
         rest, still = self._rest, np.zeros_like(self._rest)
-        self._expectation = self._backed_off
+        self._expectation = self._with_back_off
         self._timeline = PhonemeTimeline()
         self._track = track_of(())
-        self._believed = BelievedFrames()
-        self._wanted = rest
-        self._expectations = deque([rest] * _LEAD_TICKS, maxlen=_LEAD_TICKS)
-        self._newest = deque([rest] * len(self._weights), maxlen=len(self._weights))
+        self._posteriors = BelievedFrames()
+        self._goal = rest
+        self._last_means = deque([rest] * _LEAD_TICKS, maxlen=_LEAD_TICKS)
+        self._averaged_faces = deque([rest] * len(self._weights), maxlen=len(self._weights))
         self._ticks = TickPlan(_Tick(rest, still, rest, still, AT_REST))
         self._smoothness.settle()
         self._newest_start_s = -math.inf
@@ -142,15 +144,20 @@ class ExpectedMotion:
         self.phonemes_planned = 0
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Apply a revision to phonemes and posteriors; motion already decided is not changed."""
+        """Apply a revision to phonemes and posteriors; motion already decided is not changed.
+
+        Posteriors are the recogniser's probabilities of phonemes. Where they are not valid a
+        warning is logged once.
+        """
         self._timeline.apply(update)
         self._track = track_of(self._timeline.events)
         posteriors = update.posteriors
         if posteriors is None:
             return
-        # A new pair of phonemes that are heard may be a mistake (docs/decisions/motion.md).
-        self._expectation = self._networks
-        if self._believed.push(posteriors) or self._has_warned:
+        # Recognised phonemes move the mouth without back-off: where training did not have a pair of
+        # them the recogniser may be mistaken (docs/decisions/motion.md).
+        self._expectation = self._without_back_off
+        if self._posteriors.push(posteriors) or self._has_warned:
             return
         self._has_warned = True
         _LOG.warning(
@@ -163,11 +170,12 @@ class ExpectedMotion:
     def frame_at(self, time_s: float) -> Frame:
         """Return the frame at sound time `time_s`; equal times give equal frames.
 
-        Times may step back by half a second, not more.
+        Times may step back by half a second; for an earlier time the face at rest is returned.
         """
-        tick = self._ticks.at(time_s, self._decide)
+        tick = self._ticks.at(time_s, self._decide_tick)
         if tick is None:
             return Frame(time_s, self._rest)
+        # How much of the tick is over, 0 to 1.
         share = time_s / TICK_S - tick_of(time_s) + 1.0
         return Frame(time_s, tick.at(min(1.0, max(0.0, share))))
 
@@ -187,7 +195,7 @@ class ExpectedMotion:
             (k, n_components) coefficients.
         """
         known_until_s = frame.time_s + self.known_s
-        return self._softened(self.decided_at(times_s, known_until_s), times_s, known_until_s)
+        return self._blended(self.decided_at(times_s, known_until_s), times_s, known_until_s)
 
     def decided_at(self, times_s: Array, known_until_s: float) -> Array:
         """Return the faces expected by decided phonemes alone, without posteriors.
@@ -214,33 +222,35 @@ class ExpectedMotion:
         """Return the phoneme at sound time `time_s` as known now, for displays; None if unknown."""
         return self._timeline.event_at(time_s)
 
-    def _decide(self, time_s: float, last: _Tick) -> _Tick:
+    def _decide_tick(self, time_s: float, last: _Tick) -> _Tick:
         """Return the motion of the tick that ends at `time_s`, from what is known at that time.
 
         last: the motion of the tick before.
         """
         begin_s = time_s - TICK_S
         context = context_at(self._track, time_s, time_s + self.known_s)
-        rest = planned_rest(last.rest, *context, begin_s, self.known_s)
+        rest = plan_rest(last.rest, *context, begin_s, self.known_s)
         at_rest = is_reached(rest, begin_s)
         if at_rest and last.is_still:
             return last
         self._n_at_rest = self._n_at_rest + 1 if at_rest else 0
-        self._newest.append(self._expected(time_s, at_rest=at_rest))
-        wanted = self._extrapolated(self._weights @ np.array(self._newest))
+        # The mean over the newest faces, moved on, and with the share of the posteriors.
+        self._averaged_faces.append(self._expected_face(time_s, at_rest=at_rest))
+        goal = self._extrapolated(self._weights @ np.array(self._averaged_faces))
         if not at_rest:
-            wanted = self._softened(wanted[None], np.array([time_s]), time_s + self.known_s)[0]
+            goal = self._blended(goal[None], np.array([time_s]), time_s + self.known_s)[0]
         slowness_s = self._smoothness.at(time_s) * _SLOWEST_S
+        # Smoothness is a low-pass filter: so much of the old face stays in each tick.
         keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
-        self._wanted = keep * self._wanted + (1.0 - keep) * wanted
+        self._goal = keep * self._goal + (1.0 - keep) * goal
         # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
-        end_speed = (self._wanted - last.start) / 2.0
+        end_speed = (self._goal - last.start) / 2.0
         is_still = self._n_at_rest > _REMEMBERED_TICKS and not (
             end_speed.any() or last.end_speed.any()
         )
-        return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest, is_still)
+        return _Tick(last.end, last.end_speed, self._goal, end_speed, rest, is_still)
 
-    def _expected(self, time_s: float, *, at_rest: bool) -> Array:
+    def _expected_face(self, time_s: float, *, at_rest: bool) -> Array:
         """Return the face (n_components,) expected 10 ms after `time_s`; at it without look-ahead.
 
         At rest (`at_rest`) it is the rest face: motion sets out from rest itself, not from the mean
@@ -248,28 +258,28 @@ class ExpectedMotion:
         """
         if at_rest:
             return self._rest
-        known_s = self.known_s - self._ahead_s
-        later_s = time_s + self._ahead_s
-        phonemes, times_s = context_at(self._track, later_s, later_s + known_s)
-        self._count(later_s - times_s[2])
-        return self._expectation.at(phonemes, times_s, known_s)
+        remaining_s = self.known_s - self._averaged_ahead_s
+        later_s = time_s + self._averaged_ahead_s
+        phonemes, times_s = context_at(self._track, later_s, later_s + remaining_s)
+        self._count_phoneme(later_s - times_s[2])
+        return self._expectation.at(phonemes, times_s, remaining_s)
 
-    def _softened(self, faces: Array, times_s: Array, known_until_s: float) -> Array:
+    def _blended(self, faces: Array, times_s: Array, known_until_s: float) -> Array:
         """Return faces (n, n_components) at times (n,) mixed with those expected by posteriors.
 
         known_until_s: sound time until which phonemes are known.
         """
         if self._soft is None:
             return faces
-        return self._soft.mixed(faces, self._believed, self._track, times_s, known_until_s)
+        return self._soft.mixed(faces, self._posteriors, self._track, times_s, known_until_s)
 
     def _extrapolated(self, expectation: Array) -> Array:
-        """Return the expected face moved on by 0.1 of its change over the last 40 ms."""
-        before = self._expectations[0]
-        self._expectations.append(expectation)
-        return expectation + LEAD * (expectation - before)
+        """Return the expected face moved on by 0.1 (`LEAD`) of its change over the last 40 ms."""
+        mean_before = self._last_means[0]
+        self._last_means.append(expectation)
+        return expectation + LEAD * (expectation - mean_before)
 
-    def _count(self, start_s: float) -> None:
+    def _count_phoneme(self, start_s: float) -> None:
         if start_s > self._newest_start_s:
             self._newest_start_s = start_s
             self.phonemes_planned += 1
@@ -282,7 +292,7 @@ def _bell(n: int) -> Array:
 
 
 class LiveSynthesizer(FinishedSynthesizer):
-    """A live synthesiser with the finishing step: the expectation, alone or with AnimPhos."""
+    """A live synthesiser with the finishing step: predicted mean motion, alone or with AnimPhos."""
 
     def __init__(
         self,

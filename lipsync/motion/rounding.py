@@ -1,10 +1,11 @@
 """The corners of the mouth: together for W UW UH OW AO OY, and apart for a smile.
 
-The expectation was learned from one talker, and many talkers hardly round: across a room OW then
-looks as AA does. Here the corners come to within a share of their distance at rest. The face moves
-by the change that is likeliest to go with such a change of the width at an unchanged gap (the
-conditional mean of a Gaussian, Bishop, "Pattern Recognition and Machine Learning", 2006, eq. 2.81),
-which brings the lips forward as well: a pucker. The opposite change draws corners out and up.
+The expectation (predicted mean motion) was learned from one talker, and many hardly round lips:
+across a room OW then looks as AA does. Here the corners come to within a share of their distance at
+rest. The face moves by the change that is likeliest to go with such a change of the width at an
+unchanged gap (the conditional mean of a Gaussian, Bishop, "Pattern Recognition and Machine
+Learning", 2006, eq. 2.81), which brings the lips forward as well: a pucker. The opposite change
+draws corners out and up.
 """
 
 import math
@@ -43,8 +44,9 @@ SPREAD: Final = Amount(0.0, ROUNDING_S, 0.0, 0.0, 0.0)
 class LipWidth:
     """The distance between the mouth's corners, linear in the face, and the face's response to it.
 
-    at_mean_mm: of the mean face; per_face: (n_components,); response: (n_components,), the change
-    of the face that goes with 1 mm of width at an unchanged lip gap; at_rest_mm: of a closed mouth.
+    at_mean_mm: the distance in the mean face; per_face: (n_components,), its change per
+    coefficient; response: (n_components,), the change of the face that goes with 1 mm of width at
+    an unchanged lip gap; at_rest_mm: the distance in the closed mouth.
     """
 
     at_mean_mm: float
@@ -72,8 +74,9 @@ class LipWidth:
         if amount <= 0.0:
             return face
         excess_mm = self.at_mean_mm + float(face @ self.per_face) - ROUNDED_SHARE * self.at_rest_mm
-        soft_mm = (excess_mm + math.sqrt(excess_mm**2 + _CORNER_MM**2)) / 2.0
-        return np.asarray(face - min(amount, 1.0) * soft_mm * self.response)
+        # The excess, or 0 where there is none, with the corner between both rounded by a hyperbola.
+        soft_excess_mm = (excess_mm + math.sqrt(excess_mm**2 + _CORNER_MM**2)) / 2.0
+        return np.asarray(face - min(amount, 1.0) * soft_excess_mm * self.response)
 
     def smiling(self, face: Array, valence: float) -> Array:
         """Return the face with the mouth's corners 4 mm times `valence` farther apart.
@@ -94,20 +97,25 @@ class LipWidth:
 
 
 def lip_width_of(model: FaceModel) -> LipWidth | None:
-    """Return the lip width of a model's face; None for a layout without points of the lips."""
+    """Return the lip width of a model's face; None for a layout without points of the lips.
+
+    Its response is the last row of Cov(c)^-1 Cov(c, face), the conditional mean of the face
+    given the lip gap and the width c, for 1 mm of width.
+    """
     lips = list(model.layout.lips)
     if not lips:
         return None
     rest_mm = model.markers_mm(model.rest[None])[0, lips, 0]
+    # The corners: the lips' outermost points to the speaker's left and right at rest.
     left, right = lips[int(np.argmax(rest_mm))], lips[int(np.argmin(rest_mm))]
     basis = model.basis.reshape(model.n_components, -1, 3)
     per_face = basis[:, left, 0] - basis[:, right, 0]
     gap = basis[:, model.layout.upper_lip] - basis[:, model.layout.lower_lip]
-    kept = np.concatenate([gap, per_face[:, None]], axis=1)
-    spread = model.covariance @ kept
-    covariance = kept.T @ spread
+    gap_and_width = np.concatenate([gap, per_face[:, None]], axis=1)
+    face_covariance = model.covariance @ gap_and_width
+    covariance = gap_and_width.T @ face_covariance
     ridge = _RIDGE * np.trace(covariance) * np.eye(len(covariance))
-    response = np.linalg.solve(covariance + ridge, spread.T)[-1]
+    response = np.linalg.solve(covariance + ridge, face_covariance.T)[-1]
     at_mean_mm = float(model.mean_mm[left, 0] - model.mean_mm[right, 0])
     return LipWidth(at_mean_mm, per_face, response, float(np.ptp(rest_mm)))
 
@@ -119,6 +127,7 @@ def is_rounded(track: PhonemeTrack, time_s: float, known_until_s: float) -> bool
     """
     known_until_s += _ROUNDING_ERROR_S
     until_s = min(time_s + ROUNDING_S + _ROUNDING_ERROR_S, known_until_s)
+    # From the phone at `time_s` to the last one whose rounding would begin by now.
     first = max(0, bisect_right(track.starts_s, time_s) - 1)
     for i in range(first, bisect_right(track.starts_s, until_s)):
         end_s = track.ends_s[i] if track.ends_s[i] <= known_until_s else math.inf
@@ -127,7 +136,7 @@ def is_rounded(track: PhonemeTrack, time_s: float, known_until_s: float) -> bool
     return False
 
 
-def planned_rounding(now: Amount, track: PhonemeTrack, time_s: float, known_s: float) -> Amount:
+def plan_rounding(now: Amount, track: PhonemeTrack, time_s: float, known_s: float) -> Amount:
     """Return the plan for rounding, an amount from 0 to 1 (round lips), from `time_s` on.
 
     now: the plan so far, returned if its goal is unchanged. known_s: how many seconds after

@@ -7,9 +7,9 @@ from lipsync.face.frame import FaceWindow, Frame, frame_alone
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
 
-#: The face waits so long for the loudspeaker, which holds as much sound meanwhile: else each tick
-#: that is late, and each of a face of 30 ticks a second, is a gap in the sound. As much as a
-#: recogniser and the default look-ahead take, with which all else is played.
+#: The loudspeaker buffers so much sound ahead of a frame: else each tick that is late, and each of
+#: a face of 30 ticks a second, is a gap in the sound. It is as much as a recogniser and the default
+#: look-ahead take.
 HELD_S = 0.2
 
 

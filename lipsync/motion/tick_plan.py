@@ -14,7 +14,7 @@ from lipsync.phonemes import PHONEMES, SILENCE
 
 #: Speech is published at 100 Hz (architecture.md, Time).
 TICK_S = 0.010
-#: Ticks kept for times that are asked for again.
+#: Number of newest ticks that are kept for times that are asked for again.
 _KEPT = 64
 #: After a longer leap in time the motion in between was seen by nobody and is not computed.
 _LONGEST_LEAP_TICKS = 100
@@ -34,13 +34,13 @@ class TickPlan(Generic[Decision]):
 
     def __init__(self, first: Decision) -> None:
         """Create a plan; `first` is the decision that applies until the first tick is decided."""
-        self._kept = deque([first], maxlen=_KEPT)
+        self._decisions = deque([first], maxlen=_KEPT)
         self._newest = -1
 
     @property
     def newest(self) -> Decision:
         """The decision that was made for the newest tick, as `decide` returned it."""
-        return self._kept[-1]
+        return self._decisions[-1]
 
     @property
     def decided_until_s(self) -> float:
@@ -53,13 +53,14 @@ class TickPlan(Generic[Decision]):
         Ticks not decided yet are decided first, in order and once each, by `decide(end of the tick
         in s, decision of the tick before)`; of more than 100 only the last 100.
         """
-        number = tick_of(time_s)
-        self._newest = max(self._newest, number - _LONGEST_LEAP_TICKS)
-        while self._newest < number:
-            self._kept.append(decide((self._newest + 1) * TICK_S, self._kept[-1]))
+        tick = tick_of(time_s)
+        # After a leap in time only the last 100 ticks are decided.
+        self._newest = max(self._newest, tick - _LONGEST_LEAP_TICKS)
+        while self._newest < tick:
+            self._decisions.append(decide((self._newest + 1) * TICK_S, self._decisions[-1]))
             self._newest += 1
-        back = self._newest - number
-        return self._kept[-1 - back] if back < len(self._kept) else None
+        n_back = self._newest - tick
+        return self._decisions[-1 - n_back] if n_back < len(self._decisions) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,13 +80,17 @@ class Amount:
     touched_s: float = -math.inf
 
     def at(self, time_s: float) -> tuple[float, float]:
-        """Return value and slope per second at `time_s`, which must not be before `start_s`."""
+        """Return value and slope per second at `time_s`, which must not be before `start_s`.
+
+        The cubic is Hermite's, from `value` with `slope_per_s` to `goal` with slope 0.
+        """
         u = (time_s - self.start_s) / self.duration_s
         if u >= 1.0:
             return self.goal, 0.0
-        fall = (1.0 + 2.0 * u) * (1.0 - u) ** 2
+        # The share of the distance from the goal that is left.
+        distance_left = (1.0 + 2.0 * u) * (1.0 - u) ** 2
         slope = self.slope_per_s * self.duration_s
-        value = self.goal + (self.value - self.goal) * fall + slope * u * (1.0 - u) ** 2
+        value = self.goal + (self.value - self.goal) * distance_left + slope * u * (1.0 - u) ** 2
         change = 6.0 * u * (u - 1.0) * (self.value - self.goal)
         change += slope * (1.0 - u) * (1.0 - 3.0 * u)
         return value, change / self.duration_s
@@ -159,16 +164,17 @@ _SILENCE = PHONEMES.index(SILENCE)
 AT_REST = Amount(0.0, RESTING_S, 1.0, 0.0, 1.0)
 
 
-def planned_rest(
+def plan_rest(
     now: Amount, phonemes: list[int], times_s: list[float], time_s: float, known_s: float
 ) -> Amount:
     """Return how far the mouth is at rest from `time_s` on, as an `Amount` from 0 to 1.
 
     The amount eases to 1 in a pause, and to 0 once the end of the pause is known; `now`, the Amount
     so far, is returned if it has that goal already. phonemes, times_s: what `context_at` returns
-    for the end of the tick that begins at `time_s`: five phonemes around it, and their times.
+    for the end of the tick that begins at `time_s`: five phonemes around it, and six times.
     known_s: seconds beyond that end for which phonemes are known.
     """
+    # The present phoneme is a silence that has lasted long, and whose end is not known.
     is_pause = phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3])
     if is_pause == (now.goal == 1.0):
         return now

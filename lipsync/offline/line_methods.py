@@ -1,7 +1,8 @@
-"""The methods that turn a spoken line into faces: a published one, our own, and the live one.
+"""The methods that turn a spoken line into faces: model-based, heard and live.
 
 "model-based" is that of Edge, Hilton and Jackson, "heard" our own. Both plan the whole line; the
-plan is a synthesiser too, and passes the same finishing step as live motion.
+plan is a synthesiser too, and passes the same finishing step as live motion. "live" moves the mouth
+as a running face does.
 """
 
 import math
@@ -41,6 +42,7 @@ class PlannedMotion:
     def __init__(
         self, faces: Array, frame_rate_hz: float, events: tuple[PhonemeEvent, ...]
     ) -> None:
+        """Lay a spline through the faces and join the phonemes; parameters: see the class."""
         self._last_s = (len(faces) - 1) / frame_rate_hz
         times_s = np.arange(len(faces)) / frame_rate_hz
         self._spline = CubicSpline(times_s, faces) if len(faces) > 1 else None
@@ -114,21 +116,22 @@ def shown_faces(line: FinishedSynthesizer, times_s: Sequence[float] | Array) -> 
     Array
         (n, n_components).
     """
-    found, n_ticks = [], 0
+    faces, n_ticks = [], 0
     for time_s in times_s:
+        # The finishing step decides ticks in order, so each must be computed once.
         while n_ticks * TICK_S < time_s - 1e-6:
             line.frame_at(n_ticks * TICK_S)
             n_ticks += 1
-        found.append(line.frame_at(float(time_s)).coefficients)
-    return np.array(found)
+        faces.append(line.frame_at(float(time_s)).coefficients)
+    return np.array(faces)
 
 
 LineMethod = Literal["heard", "model-based", "live"]
 #: Which of them `render` uses: the nearest to the recordings (docs/decisions/scripted-lines.md).
 DEFAULT_METHOD: LineMethod = "heard"
-#: The expectation of sound counts so much, the live one, of phonemes alone, the rest.
+#: The faces expected from sound count so much in `heard_line`, those from phonemes alone the rest.
 _SOUND_SHARE = 0.5
-#: What `LEAD` is a share of: the step over so long.
+#: `LEAD` is the share of the motion over so long, s, by which faces are moved on.
 _LEAD_OVER_S = 0.04
 
 
@@ -147,10 +150,11 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Speaker:
-    """The models that predict a speaker's face: `expectation` from phonemes, `offline` from lines.
+    """The models that predict a speaker's face.
 
-    face: the face model whose coefficients they predict. soft: the expectation from phoneme
-    probabilities; None: decided phonemes alone move the face.
+    face: the face model whose coefficients they predict. expectation: predicts mean faces from
+    decided phonemes. offline: the model for rendered lines. soft: predicts mean faces from the
+    recogniser's probabilities of phonemes; None: decided phonemes alone move the face.
     """
 
     face: FaceModel
@@ -171,30 +175,35 @@ class PlannedLine:
 def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
     """Return the first `n_frames` faces of a line by our own method, from its phonemes and sound.
 
-    The sound is used for a known voice only; for another one the result has a note. Where the line
-    has posteriors, doubted phonemes count with their probability, as live. Faces are averaged over
-    three ticks and then lead by a share of their last step. Faces are at the offline model's rate.
+    Faces are at the offline model's frame rate. The sound is used for a known voice only; for
+    another one the result has a note. Where the line has posteriors (the recogniser's probabilities
+    of phonemes), doubted phonemes count with their probability, as live. Faces are averaged over
+    three ticks and then moved on by a share of their last step.
     """
     rate_hz = speaker.offline.states.frame_rate_hz
     times_s = np.arange(n_frames) / rate_hz
-    around_s = np.maximum(times_s + TICK_S * np.array([[-1.0], [0.0], [1.0]]), 0.0).ravel()
-    phonemes, known_s = contexts(track_of(line.events), around_s, USED_LOOKAHEAD_S)
-    ahead_s = np.full(len(around_s), USED_LOOKAHEAD_S)
+    # Each time with the ticks before and after it, (3 n_frames,), for the average below.
+    ticks_s = np.maximum(times_s + TICK_S * np.array([[-1.0], [0.0], [1.0]]), 0.0).ravel()
+    phonemes, border_s = contexts(track_of(line.events), ticks_s, USED_LOOKAHEAD_S)
+    lookahead_s = np.full(len(ticks_s), USED_LOOKAHEAD_S)
+    # The faces expected from phonemes.
     faces = in_blocks(
-        lambda some: speaker.expectation.faces(phonemes[some], known_s[some], ahead_s[some]),
-        len(around_s),
+        lambda rows: speaker.expectation.faces(phonemes[rows], border_s[rows], lookahead_s[rows]),
+        len(ticks_s),
     )
     if speaker.soft is not None and line.posteriors is not None:
-        faces = softened_line(speaker.soft, faces, line.events, line.posteriors, around_s)
+        faces = softened_line(speaker.soft, faces, line.events, line.posteriors, ticks_s)
     notes: tuple[str, ...] = ("unknown voice: only phonemes are used",)
     if speaker.offline.voice.knows(line.samples):
-        sound, heard = speaker.offline.sound, cepstra(line.samples)
+        # Half-way from these to the faces expected from phonemes and sound.
+        sound, line_cepstra = speaker.offline.sound, cepstra(line.samples)
         sound_faces = in_blocks(
-            lambda some: sound.faces(line.events, heard, around_s[some]), len(around_s)
+            lambda rows: sound.faces(line.events, line_cepstra, ticks_s[rows]), len(ticks_s)
         )
         faces, notes = faces + _SOUND_SHARE * (sound_faces - faces), ()
-    before, there, after = faces.reshape(3, n_frames, -1)
-    mean = (before + 2.0 * there + after) / 4.0
+    # The weighted mean of the three ticks.
+    before, at_time, after = faces.reshape(3, n_frames, -1)
+    mean = (before + 2.0 * at_time + after) / 4.0
     # The last step, as long as 40 ms would be.
     steps = np.diff(mean, axis=0, prepend=mean[:1]) * (_LEAD_OVER_S * rate_hz)
     return PlannedLine(mean + LEAD * steps, rate_hz, notes)
@@ -210,12 +219,12 @@ def model_based_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine
 
     states, face = speaker.offline.states, speaker.face
     times_s = np.arange(n_frames) / states.frame_rate_hz
-    made = model_line(states, at_times(cepstra(line.samples), times_s), line.events)
-    points_mm = states.mean_mm + made.motion @ states.basis
+    modelled = model_line(states, at_times(cepstra(line.samples), times_s), line.events)
+    points_mm = states.mean_mm + modelled.motion @ states.basis
     faces = face.coefficients(points_mm.reshape(-1, *face.mean_mm.shape))
     notes: tuple[str, ...] = ()
-    if made.path.n_breaks:
-        notes = (f"{made.path.n_breaks} steps that no recording shows",)
+    if modelled.path.n_breaks:
+        notes = (f"{modelled.path.n_breaks} steps that no recording shows",)
     return PlannedLine(faces, states.frame_rate_hz, notes)
 
 
@@ -223,14 +232,14 @@ _PLANNED: dict[LineMethod, Callable[[Speaker, Line, int], PlannedLine]] = {
     "model-based": model_based_line,
     "heard": heard_line,
 }
-#: Those that need the whole line.
+#: The methods that need the whole line beforehand.
 PLANNED_METHODS = tuple(_PLANNED)
 
 
 def line_synthesizer(
     speaker: Speaker, line: Line, method: LineMethod, strength: float = 1.0
 ) -> tuple[FinishedSynthesizer, Sequence[str]]:
-    """Return a synthesiser that plays a spoken line, rendered by `method`, and notes to the user.
+    """Return a synthesiser that plays a spoken line by `method`, and notes to the user.
 
     The synthesiser adds rest in pauses and lip closures, and scales the motion by `strength`: 0
     keeps the mouth at rest, 1 changes nothing.

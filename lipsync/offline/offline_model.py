@@ -7,12 +7,13 @@ and much of a voice fall out (Viikki and Laurila, Speech Communication 25, 1998)
 
 The long-term mean of the cepstra distinguishes voices and microphones, whatever the words (Furui,
 IEEE Trans. ASSP 29(2), 1981). Normalising removes it, but the cepstra of another voice still differ
-from the learned ones: for another voice distances of sound are worth little, and phonemes alone
-are used.
+from the learned ones: for another voice distances of sound are worth little, and phonemes alone are
+used.
 
-Faces expected from sound are not of the paper. The live expectation knows the phonemes alone; sound
-shows how they were spoken: how wide a vowel was, and when within a phone the mouth changed
-direction. They come from small networks with two hidden layers of rectifiers, averaged.
+Faces expected (predicted in the mean) from sound are not of the paper. The live expectation knows
+the phonemes alone; sound shows how they were spoken: how wide a vowel was, and when within a phone
+the mouth changed direction. They come from small networks with two hidden layers of rectifiers,
+averaged.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,16 +50,16 @@ def cepstra(samples: NDArray[np.float32]) -> Array:
     Array
         (n, 13).
     """
-    return _normalised(plain_cepstra(samples))
+    return _normalise(plain_cepstra(samples))
 
 
-def at_times(found: Array, times_s: Array) -> Array:
-    """Return cepstra interpolated linearly at `times_s`; outside the sound, an end frame.
+def at_times(frames: Array, times_s: Array) -> Array:
+    """Return cepstra interpolated linearly at `times_s`; outside the sound its end frames.
 
     Parameters
     ----------
-    found : Array
-        (n, 13), 100 a second.
+    frames : Array
+        (n, 13) cepstra, 100 a second from 0 s on.
     times_s : Array
         (m,) s.
 
@@ -67,8 +68,8 @@ def at_times(found: Array, times_s: Array) -> Array:
     Array
         (m, 13).
     """
-    at = np.arange(len(found)) / FRAMES_PER_S
-    return np.stack([np.interp(times_s, at, column) for column in found.T], axis=1)
+    frame_times_s = np.arange(len(frames)) / FRAMES_PER_S
+    return np.stack([np.interp(times_s, frame_times_s, column) for column in frames.T], axis=1)
 
 
 def plain_cepstra(samples: NDArray[np.float32]) -> Array:
@@ -93,20 +94,20 @@ def plain_cepstra(samples: NDArray[np.float32]) -> Array:
     emphasised = padded[1:] - _PRE_EMPHASIS * padded[:-1]
     n_frames = len(samples) // HOP + 1
 
-    def bands_of(some: slice) -> Array:
-        end = min(some.stop, n_frames) - 1
-        return log_mel(emphasised[(some.start or 0) * HOP : end * HOP + WINDOW]).astype(np.float64)
+    def bands_of(rows: slice) -> Array:
+        end = min(rows.stop, n_frames) - 1
+        return log_mel(emphasised[(rows.start or 0) * HOP : end * HOP + WINDOW]).astype(np.float64)
 
     bands = in_blocks(bands_of, n_frames)
     return np.asarray(dct(bands, norm="ortho", axis=1)[:, :N_CEPSTRA])
 
 
-def is_heard(found: Array) -> NDArray[np.bool_]:
+def is_heard(cepstra: Array) -> NDArray[np.bool_]:
     """Return for each frame whether it is audible: within 30 dB of the loudest frame.
 
     Parameters
     ----------
-    found : Array
+    cepstra : Array
         (n, 13), plain cepstra.
 
     Returns
@@ -114,11 +115,11 @@ def is_heard(found: Array) -> NDArray[np.bool_]:
     NDArray[np.bool_]
         (n,).
     """
-    loudness = found[:, 0] / np.sqrt(N_BANDS)
+    loudness = cepstra[:, 0] / np.sqrt(N_BANDS)
     return np.asarray(loudness >= loudness.max() - _GATE)
 
 
-def _normalised(found: Array) -> Array:
+def _normalise(found: Array) -> Array:
     """Return cepstra (n, 13), each coefficient with mean 0 and spread 1 over the audible frames."""
     heard = found[is_heard(found)]
     return np.asarray((found - heard.mean(axis=0)) / (heard.std(axis=0) + _SMALLEST_SPREAD))
@@ -126,7 +127,7 @@ def _normalised(found: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class VoiceLikeness:
-    """A learned voice: mean (m,) and precision (m, m) of its lines' mean cepstra.
+    """A learned voice: mean (m,) and precision (m, m) of its lines' mean cepstra, a Gaussian.
 
     limit: the greatest `distance` at which a line counts as spoken by that voice.
     """
@@ -148,8 +149,8 @@ class VoiceLikeness:
         float
             0 or more; 1 on average for the lines of the learned voice.
         """
-        off = mean_cepstrum(samples) - self.mean
-        return float(off @ self.precision @ off) / len(off)
+        difference = mean_cepstrum(samples) - self.mean
+        return float(difference @ self.precision @ difference) / len(difference)
 
     def knows(self, samples: NDArray[np.float32]) -> bool:
         """Return whether a line is near enough to the learned voice for its sound to be used.
@@ -168,7 +169,7 @@ class VoiceLikeness:
 
 
 def mean_cepstrum(samples: NDArray[np.float32]) -> Array:
-    """Return a sound's mean cepstrum over its audible frames, without the first coefficient.
+    """Return a sound's mean cepstrum over its audible frames, without the first (its level).
 
     Parameters
     ----------
@@ -180,8 +181,8 @@ def mean_cepstrum(samples: NDArray[np.float32]) -> Array:
     Array
         (12,).
     """
-    found = plain_cepstra(samples)
-    return np.asarray(found[is_heard(found), 1:].mean(axis=0))
+    cepstra = plain_cepstra(samples)
+    return np.asarray(cepstra[is_heard(cepstra), 1:].mean(axis=0))
 
 
 Array32 = NDArray[np.float32]
@@ -212,42 +213,48 @@ def line_inputs(
     Returns
     -------
     Array32
-        (n, n_inputs).
+        (n, n_inputs): mean articulation in 16 windows of 40 ms, 1 for the present phoneme and 0 for
+        the 39 others, and 17 frames of cepstra, 20 ms apart.
     """
-    at = np.rint(times_s * FRAMES_PER_S).astype(np.int64)
+    frames = np.rint(times_s * FRAMES_PER_S).astype(np.int64)
     margin = _N_WINDOWS * _WINDOW
-    phonemes = _phonemes_on_grid(events, int(at.max(initial=0)) + 1, margin)
+    phonemes = _phonemes_on_grid(events, int(frames.max(initial=0)) + 1, margin)
+    # Means of the windows as differences of running sums.
     summed = np.cumsum(articulation[phonemes], axis=0, dtype=np.float64)
     summed = np.concatenate([np.zeros((1, summed.shape[1])), summed])
-    begin = at[:, None] + margin + np.arange(-_N_WINDOWS, _N_WINDOWS) * _WINDOW
-    windows = (summed[begin + _WINDOW] - summed[begin]) / _WINDOW
-    names = np.eye(len(PHONEMES))[phonemes[at + margin]]
+    window_starts = frames[:, None] + margin + np.arange(-_N_WINDOWS, _N_WINDOWS) * _WINDOW
+    windows = (summed[window_starts + _WINDOW] - summed[window_starts]) / _WINDOW
+    one_hot = np.eye(len(PHONEMES))[phonemes[frames + margin]]
     offsets = np.arange(-_SOUND_REACH, _SOUND_REACH + 1) * _SOUND_STEP
-    sound = cepstra[np.clip(at[:, None] + offsets, 0, len(cepstra) - 1)]
-    n = len(at)
-    joined = np.concatenate([windows.reshape(n, -1), names, sound.reshape(n, -1)], axis=1)
+    sound = cepstra[np.clip(frames[:, None] + offsets, 0, len(cepstra) - 1)]
+    n = len(frames)
+    joined = np.concatenate([windows.reshape(n, -1), one_hot, sound.reshape(n, -1)], axis=1)
     return joined.astype(np.float32)
 
 
 def _phonemes_on_grid(
     events: Sequence[PhonemeEvent], n_frames: int, margin: int
 ) -> NDArray[np.int64]:
-    """Return phoneme numbers (n_frames + 2 margin,), one per 10 ms; SIL in margins and gaps."""
+    """Return phoneme numbers, one per 10 ms: (n_frames + 2 margin,), with SIL in margins and gaps.
+
+    margin: number of frames before and after the line, in which nothing is said.
+    """
     grid = np.full(n_frames + 2 * margin, _INDEX_OF[SILENCE], dtype=np.int64)
     for event in events:
-        start = round(event.start_s * FRAMES_PER_S) + margin
+        first = round(event.start_s * FRAMES_PER_S) + margin
         end_s = n_frames / FRAMES_PER_S if event.end_s is None else event.end_s
-        grid[start : round(end_s * FRAMES_PER_S) + margin] = _INDEX_OF[event.phoneme]
+        grid[first : round(end_s * FRAMES_PER_S) + margin] = _INDEX_OF[event.phoneme]
     return grid
 
 
 @dataclass(frozen=True, slots=True)
 class SoundExpectation:
-    """m networks that predict faces from phones and sound (`line_inputs`); their mean is used.
+    """m networks that predict a mouth's mean motion from phones and sound; their mean is used.
 
-    articulation: (40, n_features). mean, spread: (n_inputs,), of the inputs in training. layers:
-    weights (m, n_in, n_out) and bias (m, 1, n_out) of each layer, alternating; the outputs of the
-    last layer are faces (n, n_components) of the face model.
+    articulation: (40, n_features), for `line_inputs`, which makes the inputs. mean, spread:
+    (n_inputs,), of the inputs in training. layers: weights (m, n_in, n_out) and bias (m, 1, n_out)
+    of each layer, alternating; the outputs of the last layer are faces (n, n_components) of the
+    face model.
     """
 
     articulation: Array32
@@ -273,6 +280,7 @@ class SoundExpectation:
             (n, n_components).
         """
         inputs = line_inputs(events, cepstra, times_s, self.articulation)
+        # (m, n, width): all networks at once; the last layer has no rectifier.
         value = ((inputs - self.mean) / self.spread)[None]
         for weights, bias in zip(self.layers[::2], self.layers[1::2], strict=True):
             value = np.matmul(value, weights) + bias
@@ -283,7 +291,9 @@ class SoundExpectation:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Stored units of the recordings: unit i is the frames first_i <= f < end_i around one phone.
+    """Stored units, pieces of the recordings: unit i is the frames first_i <= f < end_i.
+
+    Each lies around one phone.
 
     phonemes: (n,), the phones' numbers in PHONEMES; first, end: (n,).
     """
@@ -299,15 +309,14 @@ class Units:
 
 @dataclass(frozen=True, slots=True)
 class StateModel:
-    """The states and units of all recorded sentences, stored end to end.
+    """The states and stored units (pieces of recordings) of all sentences, stored end to end.
 
-    frame_rate_hz: of motion and cepstra.
-    borders: (n_sentences + 1,), first frame of each sentence, and the end. cepstra: (n, m) float32.
-    states: (n,), number of each frame's state. units: over the same frames.
-    follows: (n_states, n_states), T of equation (S2): whether one state may follow another.
-    means (n_states, 2 p) and covariances (n_states, 2 p, 2 p): of positions and speeds (per frame)
-    in the p components of this model, which mean_mm (n_coordinates,) and basis (p, n_coordinates)
-    define.
+    frame_rate_hz: of motion and cepstra. borders: (n_sentences + 1,), first frame of each sentence,
+    and the end. cepstra: (n, m) float32. states: (n,), number of each frame's state. units: over
+    the same frames. follows: (n_states, n_states), T of equation (S2): whether the second state may
+    follow the first. means (n_states, 2 p) and covariances (n_states, 2 p, 2 p): of positions and
+    speeds (per frame) in the p components of this model, which mean_mm (n_coordinates,) and basis
+    (p, n_coordinates) define.
     """
 
     frame_rate_hz: float
@@ -333,8 +342,8 @@ class StateModel:
 
     def sentence_of(self, frame: int) -> tuple[int, int]:
         """Return the first frame of the sentence that contains `frame`, and one past its last."""
-        at = int(np.searchsorted(self.borders, frame, side="right")) - 1
-        return int(self.borders[at]), int(self.borders[at + 1])
+        sentence = int(np.searchsorted(self.borders, frame, side="right")) - 1
+        return int(self.borders[sentence]), int(self.borders[sentence + 1])
 
 
 class OfflineModelError(UserError):

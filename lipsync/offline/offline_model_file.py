@@ -30,8 +30,9 @@ SHIPPED = "grid_s1_offline"
 _MOST_BYTES = 500_000_000
 _KIND = "lipservo offline model"
 _ABOUT = "about"
-#: What of a state model is kept as it is; units and the rate are kept under names of their own.
+#: The fields of a state model that are stored as they are; units and frame rate have other names.
 _STATES = tuple(f.name for f in fields(StateModel) if f.name not in ("units", "frame_rate_hz"))
+#: The types in which these fields are stored; all other numbers are stored as float32.
 _AS: Mapping[str, type] = {"cepstra": np.float16, "states": np.int16, "borders": np.int32}
 _UNITS = tuple(f.name for f in fields(Units))
 
@@ -65,13 +66,14 @@ def save_offline_model(model: OfflineModel, path: Path) -> None:
 
 
 def _narrow(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Return an array in the smaller type in which a file stores the field `name`."""
     if values.dtype == np.bool_:
         return values
     return values.astype(_AS.get(name, np.float32))
 
 
 def is_offline_model(head: bytes) -> bool:
-    """Return whether a file's first bytes are those of an offline model."""
+    """Return whether a file's first bytes `head` are those of an offline model."""
     return _KIND.encode() in about_in(head)
 
 
@@ -101,8 +103,8 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
                     f"{name}: offline model version {about['version']}, this lipservo reads "
                     f"version {OFFLINE_VERSION}; make it again with `lipservo learn offline`"
                 )
-            model = _assembled({key: archive[key] for key in archive.names}, about)
-        _check(model)
+            model = _assembled_model({key: archive[key] for key in archive.names}, about)
+        _check_model(model)
         return model
     except OfflineModelError:
         raise
@@ -112,7 +114,7 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
         ) from error
 
 
-def _assembled(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> OfflineModel:
+def _assembled_model(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> OfflineModel:
     """Build the model from a file's arrays and its description `about`; shapes are not checked.
 
     Raises ValueError for a model of other phonemes, KeyError for a missing array.
@@ -143,15 +145,18 @@ def _assembled(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> 
 
 
 def _wide(values: NDArray[Any]) -> NDArray[Any]:
+    """Return a file's array in the type for computing: int64, float64 or bool."""
     if values.dtype == np.bool_:
         return values
     return values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
 
 
-def _check(model: OfflineModel) -> None:
+def _check_model(model: OfflineModel) -> None:
     """Raise ValueError, naming the wrong field, unless shapes fit and values are in range."""
     states, sound = model.states, model.sound
+    # n states, p components.
     n, p, n_frames = states.n_states, states.n_components, len(states.states)
+    # The widths between the sound networks' layers: each layer takes what the one before returns.
     widths = [sound.mean.shape[0], *(layer.shape[-1] for layer in sound.layers[::2])]
     shapes = {
         "states/cepstra": (states.cepstra.shape[:1], (n_frames,)),
@@ -162,12 +167,13 @@ def _check(model: OfflineModel) -> None:
         "units/first": (states.units.first.shape, states.units.phonemes.shape),
         "units/end": (states.units.end.shape, states.units.phonemes.shape),
         "sound/spread": (sound.spread.shape, sound.mean.shape),
+        # (m,) doubled is (m, m).
         "voice/precision": (model.voice.precision.shape, 2 * model.voice.mean.shape),
         "sound/layers": (tuple(layer.shape[1] for layer in sound.layers[::2]), tuple(widths[:-1])),
     }
-    for field, (found, expected) in shapes.items():
-        if found != expected:
-            raise ValueError(f"array {field} has shape {found}, expected {expected}")
+    for field, (shape, expected) in shapes.items():
+        if shape != expected:
+            raise ValueError(f"array {field} has shape {shape}, expected {expected}")
     if states.borders[0] != 0 or states.borders[-1] != n_frames:
         raise ValueError("array states/borders does not cover all frames")
     if not ((states.states >= 0) & (states.states < n)).all():

@@ -135,7 +135,7 @@ def write_performance(performance: Performance, path: Path) -> None:
 
 
 def performance_bytes(performance: Performance) -> bytes:
-    """Return the content of a performance's file.
+    """Return the content of the file of a performance: an .npz archive, `about` first.
 
     Raises PerformanceError if the faces last more than 10 minutes or the sound exceeds 120 MB.
     """
@@ -186,9 +186,10 @@ def is_performance(head: bytes) -> bool:
 def read_performance(path: Path) -> Performance:
     """Return the performance in a file, without the bytes of its sound, which `sound_file` reads.
 
-    Raises PerformanceError in one line if the file cannot be read or is no valid performance.
+    Raises PerformanceError, a message of one line, if the file cannot be read or is no valid
+    performance.
     """
-    with _opened(path) as archive:
+    with _open_archive(path) as archive:
         about = json.loads(archive[_ABOUT].tobytes())
         if not isinstance(about, dict) or about.get("kind") != _KIND:
             raise PerformanceError(f"{path}: not a performance; {_RENDER_AGAIN}")
@@ -200,16 +201,16 @@ def read_performance(path: Path) -> Performance:
             )
         if about["sound"]["included"] != (_SOUND in archive):
             raise ValueError("its sound is not at the place that it names")
-        faces = _faces(archive["coefficients"])
+        faces = _checked_faces(archive["coefficients"])
         return Performance(
             face_checksum=str(about["face"]),
             coefficients=faces,
-            phonemes=_phonemes(about["phonemes"], len(faces)),
+            phonemes=_checked_phonemes(about["phonemes"], len(faces)),
             sound=PerformedSound(
-                _bare_name(about["sound"]["name"]), str(about["sound"]["sha256"]), None
+                _checked_name(about["sound"]["name"]), str(about["sound"]["sha256"]), None
             ),
             method=str(about["method"]),
-            expression=_expression(about, archive, len(faces)),
+            expression=_checked_expression(about, archive, len(faces)),
             origin=str(about.get("origin", "")),
         )
 
@@ -225,15 +226,15 @@ def sound_file(sound: PerformedSound, path: Path) -> Iterator[Path]:
     digest = hashlib.sha256()
     with ExitStack() as stack:
         place = path.parent / sound.name
-        with _opened(path) as archive:
+        with _open_archive(path) as archive:
             if _SOUND in archive:
-                file = stack.enter_context(_unnamed_file())
+                file = stack.enter_context(_open_unnamed_file())
                 place = Path(f"/dev/fd/{file.fileno()}")
                 for chunk in archive.chunks(_SOUND):
                     digest.update(chunk)
-                    _write(file, chunk)
+                    _write_chunk(file, chunk)
             else:
-                for chunk in _chunks(place, path):
+                for chunk in _read_chunks(place, path):
                     digest.update(chunk)
         if digest.hexdigest() != sound.sha256:
             raise PerformanceError(
@@ -242,28 +243,28 @@ def sound_file(sound: PerformedSound, path: Path) -> Iterator[Path]:
         yield place
 
 
-def _unnamed_file() -> IO[bytes]:
+def _open_unnamed_file() -> IO[bytes]:
     try:
         return TemporaryFile(prefix="lipservo-", buffering=0)
     except OSError as error:
-        raise _no_room(error) from error
+        raise _temporary_file_error(error) from error
 
 
-def _write(file: IO[bytes], chunk: bytes) -> None:
+def _write_chunk(file: IO[bytes], chunk: bytes) -> None:
     try:
         file.write(chunk)
     except OSError as error:
-        raise _no_room(error) from error
+        raise _temporary_file_error(error) from error
 
 
-def _no_room(error: OSError) -> PerformanceError:
+def _temporary_file_error(error: OSError) -> PerformanceError:
     return PerformanceError(
         f"{gettempdir()}: the sound of a performance cannot be put there ({error.strerror}); make "
         "room, or set TMPDIR"
     )
 
 
-def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
+def _read_chunks(place: Path, performance: Path) -> Iterator[bytes]:
     """Yield the bytes of the sound file `place` in chunks of 1 MiB.
 
     Raises PerformanceError, naming the file `performance`, if the sound is unreadable or too large.
@@ -284,7 +285,7 @@ def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[ArrayArchive]:
+def _open_archive(path: Path) -> Iterator[ArrayArchive]:
     """Yield the open archive of a performance; reading errors are raised as PerformanceError."""
     try:
         # A pipe in its place would be waited for without end.
@@ -304,7 +305,7 @@ def _opened(path: Path) -> Iterator[ArrayArchive]:
         ) from error
 
 
-def _expression(
+def _checked_expression(
     about: dict[str, Any], archive: ArrayArchive, n_frames: int
 ) -> dict[str, NDArray[np.float32]]:
     """Return the stored head and eye values (n_frames,) by name; unknown names are left out.
@@ -313,35 +314,35 @@ def _expression(
     """
     if "expression" not in about:
         return {}
-    names, found = list(about["expression"]), archive["expression"]
-    if found.shape != (n_frames, len(names)) or not (np.abs(found) <= _MOST_DEG).all():
-        raise ValueError(f"expression has shape {found.shape}, or impossible values")
-    columns = dict(zip(names, found.astype(np.float32).T, strict=True))
+    names, values = list(about["expression"]), archive["expression"]
+    if values.shape != (n_frames, len(names)) or not (np.abs(values) <= _MOST_DEG).all():
+        raise ValueError(f"expression has shape {values.shape}, or impossible values")
+    columns = dict(zip(names, values.astype(np.float32).T, strict=True))
     return {name: columns[name] for name in EXPRESSION_NAMES if name in columns}
 
 
-def _faces(found: NDArray[Any]) -> NDArray[np.float32]:
-    if len(found.shape) == 2 and len(found) > _MOST_FACES:
-        raise ValueError(f"{len(found)} faces, more than {LONGEST_S / 60:g} minutes")
-    if found.ndim != 2 or not len(found) or not np.isfinite(found).all():
-        raise ValueError(f"coefficients have shape {found.shape}, or values that are not finite")
-    return found.astype(np.float32, copy=False)
+def _checked_faces(faces: NDArray[Any]) -> NDArray[np.float32]:
+    if len(faces.shape) == 2 and len(faces) > _MOST_FACES:
+        raise ValueError(f"{len(faces)} faces, more than {LONGEST_S / 60:g} minutes")
+    if faces.ndim != 2 or not len(faces) or not np.isfinite(faces).all():
+        raise ValueError(f"coefficients have shape {faces.shape}, or values that are not finite")
+    return faces.astype(np.float32, copy=False)
 
 
-def _phonemes(rows: Sequence[Any], n_faces: int) -> tuple[PhonemeEvent, ...]:
+def _checked_phonemes(rows: Sequence[Any], n_faces: int) -> tuple[PhonemeEvent, ...]:
     # A second more, so that a line of one word may have as many as it likes.
     if len(rows) > _MOST_PHONEMES_PER_S * (n_faces / RATE_HZ + 1.0):
         raise ValueError(f"{len(rows)} phonemes are too many for {n_faces / RATE_HZ:.1f} s")
-    return tuple(_event(*row) for row in rows)
+    return tuple(_checked_event(*row) for row in rows)
 
 
-def _event(phoneme: str, start_s: float, end_s: float) -> PhonemeEvent:
+def _checked_event(phoneme: str, start_s: float, end_s: float) -> PhonemeEvent:
     if phoneme not in VISEME_OF or not (0.0 <= start_s < end_s < math.inf):
         raise ValueError(f"phoneme {phoneme!r} from {start_s} to {end_s} s is impossible")
     return PhonemeEvent(phoneme, float(start_s), float(end_s))
 
 
-def _bare_name(name: str) -> str:
+def _checked_name(name: str) -> str:
     """Return the sound's file name; raise ValueError if it includes a folder, for safety."""
     if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name:
         raise ValueError(f"sound name {name!r} is not a plain file name")

@@ -18,12 +18,12 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 #: From what the mouth does otherwise to the first face, and from the last one back.
 EASING_S = 0.2
-#: What a performance shows is known: joints are planned over this window.
+#: Times after a frame, s, for which a performance's faces are given: joints are planned over them.
 _AHEAD_S: Final[Array] = np.linspace(0.0, 0.2, 11)
 
 
 class StoredMotion:
-    """The faces and expressions of a performance at any time, linear between neighbouring frames.
+    """The faces and expressions of a performance (a rendered line) at any time, linear in between.
 
     By linear interpolation lips that are stored closed stay closed.
     """
@@ -54,9 +54,9 @@ class StoredMotion:
         """
         outside_s = max(-at_s, at_s - self._last_s)
         if outside_s <= 0.0:
-            return self._between(self._faces, at_s)
+            return self._interpolated(self._faces, at_s)
         end = self._faces[0 if at_s < 0.0 else -1].astype(np.float64)
-        return _eased(end, otherwise, outside_s)
+        return _ease(end, otherwise, outside_s)
 
     def expression_at(self, at_s: float) -> Expression:
         """Return the stored expression `at_s` seconds after the beginning of the performance.
@@ -65,10 +65,11 @@ class StoredMotion:
         """
         if not self._names:
             return NO_EXPRESSION
-        values = self._between(self._expressions, min(max(0.0, at_s), self._last_s))
+        values = self._interpolated(self._expressions, min(max(0.0, at_s), self._last_s))
         return Expression(**dict(zip(self._names, values.tolist(), strict=True)))
 
-    def _between(self, rows: NDArray[np.float32], at_s: float) -> Array:
+    def _interpolated(self, rows: NDArray[np.float32], at_s: float) -> Array:
+        """Return the row (k,) at `at_s` seconds of `rows` (n, k), 100 a second, interpolated."""
         frames = at_s * RATE_HZ
         before = min(math.floor(frames), len(rows) - 1)
         after = min(before + 1, len(rows) - 1)
@@ -97,9 +98,9 @@ class PerformedMotion:
         self._inner = inner
         self._gap = gap
         self._performed_at = performed_at
-        # What was performed last; it goes on from there.
+        # The sound time and the face of the newest performed frame, from which motion goes on.
         self._newest_s = -math.inf
-        self._newest: Array = np.zeros(0)
+        self._face: Array = np.zeros(0)
 
     @property
     def phonemes_planned(self) -> int:
@@ -131,11 +132,11 @@ class PerformedMotion:
             # It may have been dropped in the middle: the mouth goes on from there.
             since_s = time_s - self._newest_s
             face = frame.coefficients
-            return Frame(time_s, _eased(self._newest, face, since_s)) if since_s >= 0.0 else frame
+            return Frame(time_s, _ease(self._face, face, since_s)) if since_s >= 0.0 else frame
         motion, at_s = performed
         face = motion.face_at(at_s, frame.coefficients)
         if time_s >= self._newest_s:
-            self._newest_s, self._newest = time_s, face
+            self._newest_s, self._face = time_s, face
         return Frame(time_s, face, motion.expression_at(at_s))
 
     def window_after(self, frame: Frame) -> FaceWindow:
@@ -158,7 +159,7 @@ class PerformedMotion:
         return self._inner.event_at(time_s)
 
 
-def _eased(start: Array, end: Array, after_s: float) -> Array:
+def _ease(start: Array, end: Array, after_s: float) -> Array:
     """Return the face `after_s` seconds after `start` on a cubic to `end` that lasts 0.2 s."""
     if after_s >= EASING_S:
         return end

@@ -18,7 +18,7 @@ STILL = np.zeros(1)
 
 @pytest.fixture
 def units() -> AnimPhoUnits:
-    """Only AnimPho 3 follows AnimPho 4."""
+    """Return four AnimPhos (recorded pieces) of AA and one of IY; only 3 follows 4."""
     aa, iy = PHONEMES.index("AA"), PHONEMES.index("IY")
     successors = IndexLists.from_pairs(np.array([4]), np.array([3]), 5)
     table = IndexLists.from_pairs(np.array([aa] * 4 + [iy]), np.arange(5), len(PHONEMES))

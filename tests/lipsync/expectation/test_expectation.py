@@ -144,6 +144,7 @@ def test_a_network_learns_what_no_linear_map_can():
 
 
 def some_training_set(n: int = 900) -> TrainingSet:
+    """Return contexts at random times, half of them with look-ahead; phonemes set their faces."""
     rng = np.random.default_rng(1)
     events = spoken(*[(PHONEMES[i % 40], 0.1) for i in range(3 * n // 10)])
     found = [contexts(track_of(events), rng.uniform(1.0, n * 0.03, n // 3), L) for L in (0, 0.1)]

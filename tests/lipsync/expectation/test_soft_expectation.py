@@ -25,7 +25,7 @@ AT = np.array([0.5])
 
 
 def constant_map(face=5.0):
-    """Every posterior becomes the same face of one component."""
+    """Return a map from posteriors to faces that gives the same face, of one component, for all."""
     d = len(WINDOWS)
     output = np.zeros((1 + d + 1 + 1, 1), np.float32)
     output[-1] = face

@@ -13,12 +13,12 @@ from lipsync.phonemes import PHONEMES, PhonemeEvent
 
 
 def events(*phones):
-    """("AA", 0.2) and so on, one after the other from 0 s."""
-    found, now_s = [], 0.0
+    """Return events of (phoneme, duration in s), such as ("AA", 0.2), end to end from 0 s."""
+    joined, now_s = [], 0.0
     for phoneme, duration_s in phones:
-        found.append(PhonemeEvent(phoneme, now_s, now_s + duration_s))
+        joined.append(PhonemeEvent(phoneme, now_s, now_s + duration_s))
         now_s += duration_s
-    return found
+    return joined
 
 
 def drawn(*phones, **options):

@@ -71,7 +71,7 @@ def test_gaze_is_on_the_partner_for_its_share_of_the_time(name, share, request):
 @pytest.mark.parametrize("share", [0.2, 0.6, 0.9, 1.0])
 def test_the_share_of_gaze_is_as_it_is_set(share):
     gaze = Gaze(Random(1), talking_habit(share), listening_habit())
-    gaze.turn(is_talking=True)
+    gaze.set_talking(is_talking=True)
     mutual = []
     for _ in range(40_000):
         gaze.step(STRAIGHT_AHEAD, 3.0, 1.0)

@@ -41,7 +41,7 @@ def sound(tmp_path_factory) -> Path:
 
 
 def with_junk(model: TrainedModel, path: Path, *parts: str) -> Path:
-    """The model's file with every array of these parts replaced by bytes that are none."""
+    """Write a model file in which these parts hold junk instead of arrays; return its path."""
     save_model(model, path)
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
@@ -83,6 +83,7 @@ def test_evaluation_reads_the_baselines_too(shipped, tmp_path):
 
 @pytest.fixture
 def without_animphos(shipped, tmp_path) -> Path:
+    """Write the model without its AnimPhos (recorded pieces of motion); return the path."""
     path = tmp_path / "m.npz"
     save_model(shipped, path)
     with zipfile.ZipFile(path) as archive:

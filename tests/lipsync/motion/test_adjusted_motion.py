@@ -23,13 +23,16 @@ TIMES_S = np.arange(0.0, 2.2, STEP_S)
 
 
 def shown(style, changes=()):
-    """(n, n_components): the faces at TIMES_S. changes: (time, name, value), in order."""
+    """Return the faces (n, n_components) at TIMES_S of a sentence in `style`, adjusted as it goes.
+
+    changes: (time in s, name of the setting, new value) each, in order of time.
+    """
     synthesizer = LiveSynthesizer(MODEL, MODEL.expectation, style)
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, SENTENCE))
-    left, faces = list(changes), []
+    remaining, faces = list(changes), []
     for time_s in TIMES_S:
-        while left and left[0][0] <= time_s:
-            synthesizer.adjust(*left.pop(0)[1:])
+        while remaining and remaining[0][0] <= time_s:
+            synthesizer.adjust(*remaining.pop(0)[1:])
         faces.append(synthesizer.frame_at(float(time_s)).coefficients)
     return np.array(faces)
 

@@ -4,7 +4,7 @@ import pytest
 from spoken_phonemes import spoken
 
 from lipsync.expectation.expectation import track_of
-from lipsync.motion.finishing import OPEN, closures, planned
+from lipsync.motion.finishing import OPEN, closures, plan_closure
 from lipsync.phonemes import PHONEMES, PhonemeEvent
 
 MOMENTS = {PHONEMES.index("M"): 0.03, PHONEMES.index("P"): 0.03}
@@ -12,13 +12,13 @@ TICK_S = 0.01
 
 
 def amounts(events, lookahead_s: float, until_s: float) -> dict[float, float]:
-    """The amount at every 10 ms."""
-    track, now, found = track_of(events), OPEN, {}
+    """Return how far lips are closed, 0 to 1, by the time in s of each tick of 10 ms."""
+    track, now, shares = track_of(events), OPEN, {}
     for tick in range(round(until_s / TICK_S)):
         time_s = tick * TICK_S
-        now = planned(now, MOMENTS, track, time_s, time_s + lookahead_s)
-        found[round(time_s, 3)] = now.share(time_s)
-    return found
+        now = plan_closure(now, MOMENTS, track, time_s, time_s + lookahead_s)
+        shares[round(time_s, 3)] = now.share(time_s)
+    return shares
 
 
 def test_lips_are_shut_at_the_tightest_moment_and_open_again_after_the_phone():

@@ -12,7 +12,7 @@ SAID = spoken(("AA", 0.5), ("IY", 0.5))
 
 
 def moved(lookahead_s, times_s):
-    """One component, 1 in AA and 3 in IY, which is heard from 0.5 s on."""
+    """Return faces of one component at `times_s`: 1 is expected in AA, 3 in IY from 0.5 s."""
     faces = np.zeros((len(PHONEMES), 1))
     faces[PHONEMES.index("AA")], faces[PHONEMES.index("IY")] = 1.0, 3.0
     motion = ExpectedMotion(

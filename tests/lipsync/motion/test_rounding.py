@@ -25,7 +25,10 @@ COVERAGE = np.sqrt(np.diag(MODEL.covariance))
 
 
 def vowel_mm(vowel: str, stage: float, *around: str) -> np.ndarray:
-    """(3,): gap, width and protrusion in the middle of a vowel of 0.2 s, `around` before it."""
+    """Return (3,): lip gap, width and protrusion in mm in the middle of a vowel of 0.2 s.
+
+    around: phonemes of 0.08 s each that are spoken before the vowel. stage: as in `Style`.
+    """
     before = tuple((phoneme, 0.08) for phoneme in around)
     events = spoken(("SIL", 0.4), *before, (vowel, 0.2), ("T", 0.08), ("SIL", 0.4))
     synthesizer = LiveSynthesizer(MODEL, MODEL.expectation, Style(stage=stage))

@@ -11,7 +11,7 @@ from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
-from lipsync.animpho.selection import MOVED, GuidedSelection
+from lipsync.animpho.selection import MOVED_SHARE, GuidedSelection
 from lipsync.animpho.units import AnimPhoUnits, IndexLists
 from lipsync.expectation.expectation import track_of
 from lipsync.motion.finishing import Style
@@ -90,7 +90,7 @@ def test_between_a_known_onset_and_end_the_mouth_becomes_the_animpho_moved_towar
         motion.at(n * TICK_S, track)
     samples = SMALL.animphos.samples[SMALL.animphos.of_phoneme("UW")]
     # The tick in which UW begins belongs to it: its 0.04 s are played from 0.51 on.
-    moved = MOVED * (SMALL.rest + 3.0 - samples.mean(axis=1))
+    moved = MOVED_SHARE * (SMALL.rest + 3.0 - samples.mean(axis=1))
     away = motion.at(0.55, track) - (samples[:, -1] + moved - (SMALL.rest + 3.0))
     assert np.abs(away).max(axis=1).min() < 1e-9
     assert np.abs(shown).max() < 1e-9
@@ -132,7 +132,7 @@ def test_position_and_speed_are_continuous_whatever_arrives(updates, ahead_s, un
 
 
 def one_animpho() -> AnimPhoUnits:
-    """Nothing but one AnimPho of AA, which nothing follows."""
+    """Return a single AnimPho (recorded piece of motion), of AA, which nothing follows."""
     nothing = IndexLists.from_pairs(np.empty(0, int), np.empty(0, int), 1)
     aa = np.array([PHONEMES.index("AA")])
     return replace(

@@ -10,7 +10,10 @@ from lipsync.offline.line_synthesis import banded, likeliest_trajectory
 
 
 def positions_and_speeds(n, p):
-    """W (2 p n, p n): positions to (x_t, x_{t+1} - x_t), the last speed that of the step before."""
+    """Return the matrix W (2 p n, p n) from positions x_t to (x_t, x_{t+1} - x_t), frame by frame.
+
+    The speed of the last frame is that of the frame before.
+    """
     w = np.zeros((n, 2 * p, n, p))
     for t in range(n):
         w[t, :p, t] = np.eye(p)

@@ -20,7 +20,10 @@ N_FRAMES = 30
 
 @pytest.fixture(scope="module")
 def said(tmp_path_factory):
-    """A speaker, a line of his, and what phonemes and sound alone make of it at given times."""
+    """Return a speaker, a line, and two functions: faces from phonemes, and from sound.
+
+    Both functions return the faces (n, n_components) at n sound times in s.
+    """
     corpus = read_grid(write_corpus(tmp_path_factory.mktemp("line") / "corpus", 8))
     model = train(corpus, n_components=3)
     offline = train_offline(corpus, model, Recipe(n_components=3, n_states=10))

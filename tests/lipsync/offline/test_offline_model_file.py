@@ -41,7 +41,7 @@ def unpacked(place):
 
 
 def rewritten(path, change):
-    """The shipped model with some of it changed by `change(about, arrays)`."""
+    """Write the shipped model to `path`, changed by `change(about, arrays)` in place."""
     with np.load(PLACE) as archive:
         arrays = dict(archive)
     about = json.loads(arrays["about"].tobytes())

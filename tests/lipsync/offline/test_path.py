@@ -11,7 +11,10 @@ from lipsync.offline.line_synthesis import Candidates, cheapest_path
 
 
 def candidates_of(table):
-    """Of a table (n_frames, n_states) in which inf means that the state is in no unit."""
+    """Return a function of a frame that returns its candidate states, with their distances.
+
+    table: (n_frames, n_states) distances, inf where a state is in no unit.
+    """
 
     def candidates(frame):
         states = np.flatnonzero(np.isfinite(table[frame]))

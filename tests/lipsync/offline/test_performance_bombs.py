@@ -75,7 +75,7 @@ def header(shape, **changes):
 
 @pytest.fixture
 def rewritten(tmp_path):
-    """Writes a performance of which some members are others.
+    """Return a function that writes a performance with some members replaced and returns its path.
 
     members: by name, an iterator of bytes or None for none; packing: of these members.
     """

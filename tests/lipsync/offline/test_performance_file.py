@@ -31,6 +31,7 @@ def sound(tmp_path):
 
 
 def performance(sound):
+    """Return a performance of two faces, 10 ms apart, in AA and silence, with this sound."""
     return Performance(
         MODEL.checksum,
         np.arange(10, dtype=np.float32).reshape(2, 5),
@@ -124,7 +125,7 @@ def test_another_face_is_refused(sound):
 
 
 def rewritten(path, **changes):
-    """The file with some of what it says of itself changed, or some arrays."""
+    """Rewrite the file in `path` with other arrays, or other entries of its header, by name."""
     with np.load(path) as archive:
         arrays = dict(archive)
     about = json.loads(arrays["about"].tobytes())

@@ -42,11 +42,15 @@ def stored(faces, **expression):
 
 
 def motion_of(faces, place_s=lambda time_s: time_s, inner=None, **expression):
-    found = stored(faces, **expression)
+    """Return the synthesiser of one performance of these faces.
+
+    place_s: returns, for a sound time in s, the time since the performance's first face, or None.
+    """
+    performed = stored(faces, **expression)
 
     def performed_at(time_s):
         at_s = place_s(time_s)
-        return None if at_s is None else (found, at_s)
+        return None if at_s is None else (performed, at_s)
 
     return PerformedMotion(inner or StillMotion(REST), performed_at, GAP)
 

@@ -51,7 +51,10 @@ def test_sound_is_read_around_the_moment_and_its_ends_are_repeated():
 
 
 def sentences(n=80):
-    """The mouth opens as the second cepstrum says, whatever the phonemes are."""
+    """Return n sentences in which the mouth opens as the second cepstrum says.
+
+    Returned are lists of utterances, motions (20, 2), lip gaps (20,) and cepstra (80, 13).
+    """
     rng = np.random.default_rng(0)
     utterances, motions, gaps, sounds = [], [], [], []
     for number in range(n):

@@ -66,7 +66,7 @@ export function moved(warp, frame) {
   return { px, depth, amounts, pose };
 }
 
-/** Lips brought together where the model's touch; changes the skin. As `LipContact.held`. */
+/** Lips brought together where the model's touch, in place. As `LipContact.bring_together`. */
 function meet(contact, coefficients, skin) {
   const [dx, dy] = contact.down;
   const widestMm = Math.max(

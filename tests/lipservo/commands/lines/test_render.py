@@ -191,7 +191,7 @@ def test_a_line_of_another_model_or_version_is_rendered_anew(folder, made, tmp_p
     assert again("--offline", same) == (0, 2)  # its bytes count, not its name
     assert again("--offline", other) == (2, 0)
     monkeypatch.setattr("lipservo.rendering.rendered.version", lambda _name: "0.0.1")
-    rendered._origin_of_all.cache_clear()
+    rendered._common_origin.cache_clear()
     assert again("--offline", other) == (2, 0)
 
 
