@@ -50,7 +50,7 @@ _PASSING_S: Final = 0.2
 
 
 class _TimingTtsService(FrameProcessor):
-    """Times words as Pipecat's own TTS service does, and by its tracker."""
+    """Stands for a TTS service: dates words by Pipecat's own tracker, as such services do."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ class _TimingTtsService(FrameProcessor):
 
 
 class _Listener(FrameProcessor):
-    """Notes sound that would reach a transport, and interruptions that have passed it."""
+    """Counts samples that pass this place in the pipeline, by value, and notes interruptions."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -118,10 +118,12 @@ class _PipecatAgent:
         await self.worker.queue_frames(_turn_frames(turn))
         if until_cut is not None:
             await until_cut()
+            # Without a face the sound has gone elsewhere at once; its text still has to follow.
             if self.elsewhere.total() > n_elsewhere:
                 await asyncio.sleep(_PASSING_S)
             await self.worker.queue_frame(InterruptionFrame())
             await self._behind.interrupted.wait()
+        # Wait until nothing has been played for `_SETTLED_S`, or the context has the turn's text.
         last_sound_s = loop.time()
         while loop.time() < last_sound_s + _SETTLED_S:
             await asyncio.sleep(0.001)
