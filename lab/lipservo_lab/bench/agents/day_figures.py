@@ -315,7 +315,7 @@ def _pulseaudio_sink(folder: Path) -> Iterator[dict[str, str]]:
     if shutil.which(command[0]) is None:
         raise UserError("bench day needs pulseaudio: apt install pulseaudio")
     # The server itself must not look for another server, nor read the user's settings.
-    quiet, own = (subprocess.DEVNULL, {**environment, "PULSE_SERVER": "", "HOME": str(folder)})
+    quiet, own = subprocess.DEVNULL, {**environment, "PULSE_SERVER": "", "HOME": str(folder)}
     with started(command, env=own, stdout=quiet, stderr=quiet) as server:
         give_up_s = time.monotonic() + _PATIENCE_S
         while not address.exists():
