@@ -115,7 +115,7 @@ class RustypotClient:
         Raises AnswerLost.
         """
         self._bus.sync_write_raw_goal_position(self._ids, list(goals))
-        motion = self._read_values(self._ids, _MOTION, _MOTION_SIZE, _MOTION_TYPE)
+        motion = self._read(self._ids, _MOTION, _MOTION_SIZE, _MOTION_TYPE)
         return [motion["current"].tolist(), motion["position"].tolist(), self._next_health()]
 
     def _next_health(self) -> list[int]:
@@ -123,14 +123,12 @@ class RustypotClient:
 
         Torque, hardware error and watchdog in one call; voltage and temperature in the next.
         """
-        index, is_heat_turn = divmod(self._turn, 2)
+        turn, is_heat_turn = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
         if is_heat_turn:
-            (values,) = self._read_values(
-                [self._ids[index]], _WARMTH, _WARMTH_SIZE, _WARMTH_TYPE
-            ).tolist()
+            (values,) = self._read([self._ids[turn]], _WARMTH, _WARMTH_SIZE, _WARMTH_TYPE).tolist()
             return [*values]
-        data = self._read_raw([self._ids[index]], _HEALTH, _HEALTH_SIZE)[0]
+        data = self._read_raw([self._ids[turn]], _HEALTH, _HEALTH_SIZE)[0]
         return [data[0], data[_ERROR_AT], data[-1]]
 
     def _read_raw(self, ids: list[int], address: int, size: int) -> Any:
@@ -139,7 +137,7 @@ class RustypotClient:
         except RuntimeError as error:
             raise AnswerLost from error
 
-    def _read_values(self, ids: list[int], address: int, size: int, dtype: np.dtype) -> np.ndarray:
+    def _read(self, ids: list[int], address: int, size: int, dtype: np.dtype) -> np.ndarray:
         answers = self._read_raw(ids, address, size)
         return np.frombuffer(b"".join([bytes(each) for each in answers]), dtype=dtype)
 

@@ -97,8 +97,8 @@ class VirtualTime:
         """Do what is due at a border: "say" queues speech, "begin" and "end" bound a measured turn.
 
         "begin" blocks for a line on standard input ("count...": calls are counted as well) and
-        raises `_Over` at the end of input; "end" prints virtual seconds, processor seconds and
-        calls as JSON.
+        raises `_NoMoreTurns` at the end of input; "end" prints virtual seconds, processor seconds
+        and calls as JSON.
         """
         if event == "say":
             for say in self.sentences:
