@@ -139,7 +139,7 @@ def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
                     continue
                 daemon = face.begin_face("daemon", "--listen", "none", "--wav", str(CLIP))
                 while waiting:
-                    if not face.until_driven(_STARTS_S):
+                    if not face.wait_until_driven(_STARTS_S):
                         raise RuntimeError(f"not driven: {face.last_status.get('troubles')}")
                     face.wait(0.3)
                     outcome = FreezeOutcome(waiting[0])
@@ -195,24 +195,24 @@ def _play_case(
         match case.state:
             case Frozen.START_REQUESTED | Frozen.STARTING:
                 _stop_and_wait(face)
-                face.word("start")
+                face.send("start")
                 if case.state is Frozen.STARTING:
                     _wait_for_torque(face)
             case Frozen.FROZEN:
-                face.word("freeze")
+                face.send("freeze")
             case Frozen.EASING:
-                face.word("soft")
+                face.send("soft")
             case Frozen.LETTING_GO:
-                face.word("limp")
+                face.send("limp")
             case Frozen.STOPPED:
                 _stop_and_wait(face)
             case Frozen.SILENT:
                 os.kill(face.child(daemon, "speech"), signal.SIGSTOP)
-                face.until_state("silent", timeout_s=10.0)
+                face.wait_for_state("silent", timeout_s=10.0)
             case Frozen.PORT_OUT:
                 device.unplug()
                 undo.callback(device.plug_in)
-                face.until(lambda: face.last_status.get("plugged") is False, 5.0)
+                face.wait_until(lambda: face.last_status.get("plugged") is False, 5.0)
             case Frozen.REPLUGGED:
                 device.unplug()
                 face.wait(0.8)
@@ -228,7 +228,7 @@ def _freeze_and_judge(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome)
     """Request a freeze after the case's delay, watch the servos, and add results to `outcome`."""
     face.wait(case.delay_s)
     requested_s = time.monotonic()
-    answer = outcome.answer = face.word("freeze")
+    answer = outcome.answer = face.send("freeze")
     answered_s = time.monotonic()
     face.wait(_WATCH_S)
     judge_freeze(face, outcome, requested_s, answered_s)
@@ -280,22 +280,22 @@ def _was_always(records: Sequence[Any], index: int, *, on: bool) -> bool:
 
 
 def _wait_for_torque(face: HeardFace) -> None:
-    if not face.until(lambda: bool(face.robot.torque.any()), _STARTS_S):
+    if not face.wait_until(lambda: bool(face.robot.torque.any()), _STARTS_S):
         raise RuntimeError("no servo got torque")
 
 
 def _stop_and_wait(face: HeardFace) -> None:
-    face.word("limp", until_end=True)
-    if not face.until_state("stopped", timeout_s=20.0):
+    face.send("limp", until_end=True)
+    if not face.wait_for_state("stopped", timeout_s=20.0):
         raise RuntimeError("it does not come to a stop")
 
 
 def _start_again(face: HeardFace) -> None:
     """Request a start until it is accepted, the face is driven, or `_STARTS_S` have passed."""
     give_up_s = time.monotonic() + _STARTS_S
-    while "error" in (answer := face.word("start")) or not answer:
+    while "error" in (answer := face.send("start")) or not answer:
         if "the next stop ends it" in answer.get("error", ""):
-            face.word("limp", until_end=True)
+            face.send("limp", until_end=True)
         if face.last_status.get("state") == "driven" or time.monotonic() > give_up_s:
             return
         face.wait(0.3)

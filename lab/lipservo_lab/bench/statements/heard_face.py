@@ -87,9 +87,9 @@ class HeardFace:
         """
         began_s = time.monotonic()
         process = self.begin(*arguments)
-        return self.end_of(process, " ".join((*arguments, face_state)).rstrip(), began_s)
+        return self.wait_exit(process, " ".join((*arguments, face_state)).rstrip(), began_s)
 
-    def end_of(self, process: subprocess.Popen[bytes], name: str, began_s: float = 0.0) -> int:
+    def wait_exit(self, process: subprocess.Popen[bytes], name: str, began_s: float = 0.0) -> int:
         """Wait for a process's end; return its exit status, which becomes a statement of `name`.
 
         began_s: when it was started. Raises TimeoutExpired after `_COMMAND_S`.
@@ -99,7 +99,7 @@ class HeardFace:
         self._add(f"exit {self._short(name)}: {status}", now_s, now_s, {"began_s": began_s})
         return status
 
-    def word(self, word: str, *, until_end: bool = False) -> Answer:
+    def send(self, word: str, *, until_end: bool = False) -> Answer:
         """Send a request to the control socket, once; return its answer, {} where there is none.
 
         The answer's parts become statements. until_end: wait for the report of a stop's end, whose
@@ -128,7 +128,7 @@ class HeardFace:
         """Let time pass; the status is requested in the background."""
         time.sleep(seconds)
 
-    def until(self, condition: Any, timeout_s: float = _COMES_S) -> bool:
+    def wait_until(self, condition: Any, timeout_s: float = _COMES_S) -> bool:
         """Wait until `condition()` is true; return False if it is not within `timeout_s`."""
         give_up_s = time.monotonic() + timeout_s
         while not condition():
@@ -137,25 +137,25 @@ class HeardFace:
             time.sleep(_LOOK_S)
         return True
 
-    def until_state(self, *states: str, timeout_s: float = _COMES_S) -> bool:
+    def wait_for_state(self, *states: str, timeout_s: float = _COMES_S) -> bool:
         """Wait until the status has one of these states; return whether it has in time."""
-        return self.until(lambda: self.last_status.get("state") in states, timeout_s)
+        return self.wait_until(lambda: self.last_status.get("state") in states, timeout_s)
 
-    def until_driven(self, timeout_s: float = _COMES_S) -> bool:
+    def wait_until_driven(self, timeout_s: float = _COMES_S) -> bool:
         """Wait until all servos hold, and the status says so; return whether that came in time."""
-        held = self.until(lambda: bool(self.robot.torque.all()), timeout_s)
-        return held and self.until_state("driven", timeout_s=timeout_s)
+        held = self.wait_until(lambda: bool(self.robot.torque.all()), timeout_s)
+        return held and self.wait_for_state("driven", timeout_s=timeout_s)
 
-    def until_limp(self, timeout_s: float = _COMES_S) -> bool:
+    def wait_until_limp(self, timeout_s: float = _COMES_S) -> bool:
         """Wait until no servo holds; return whether that came in time."""
-        return self.until(lambda: not self.robot.torque.any(), timeout_s)
+        return self.wait_until(lambda: not self.robot.torque.any(), timeout_s)
 
     def child(self, daemon: subprocess.Popen[bytes], name: str) -> int:
         """Return the process id of the daemon's child "bridge" or "speech".
 
         Waits for one that is being replaced; raises RuntimeError where none comes.
         """
-        if not self.until(lambda: child_of(daemon.pid, f"{name}-process") is not None, 20.0):
+        if not self.wait_until(lambda: child_of(daemon.pid, f"{name}-process") is not None, 20.0):
             raise RuntimeError(f"no {name} process")
         return child_of(daemon.pid, f"{name}-process") or self.child(daemon, name)
 
