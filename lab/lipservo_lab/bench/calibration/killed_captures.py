@@ -52,13 +52,13 @@ class _ExternalTracker:
     path: Path
     face: SimulatedFace
     requested: list[int] = field(default_factory=list)
-    is_over: threading.Event = field(default_factory=threading.Event)
+    over: threading.Event = field(default_factory=threading.Event)
 
     def run(self) -> None:
-        """Add a reading for each newly requested pose until `is_over` is set."""
+        """Add a reading for each newly requested pose until `over` is set."""
         request = self.path.with_name(f"{self.path.name}.pose.json")
         seen_ns: object = None
-        while not self.is_over.wait(_LOOK_S):
+        while not self.over.wait(_LOOK_S):
             try:
                 # The request tells its pose and the angles at which the servos stand, degrees.
                 now_ns, stands = request.stat().st_mtime_ns, json.loads(request.read_text())
@@ -169,7 +169,7 @@ def _run_beside(tracker: _ExternalTracker | None) -> Iterator[None]:
     try:
         yield
     finally:
-        tracker.is_over.set()
+        tracker.over.set()
         thread.join()
 
 

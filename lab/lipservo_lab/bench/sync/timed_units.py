@@ -100,15 +100,14 @@ def defects(spoken: Sequence[PhonemeEvent]) -> dict[str, list[Sent]]:
     return {
         "nothing beside the sound": [Sent()],
         "true times": [Sent(events=spoken)],
-        "200 ms late": [Sent(visemes, _moved(spoken, lambda s: s + 0.2))],
-        "100 ms early": [Sent(visemes, _moved(spoken, lambda s: s - 0.1))],
+        "200 ms late": [Sent(visemes, _move(spoken, lambda s: s + 0.2))],
+        "100 ms early": [Sent(visemes, _move(spoken, lambda s: s - 0.1))],
         "jitter of 40 ms": [
-            Sent(visemes, _moved(spoken, lambda s: s + rng.normal(0.0, 0.04)))
-            for _ in range(_DRAWS)
+            Sent(visemes, _move(spoken, lambda s: s + rng.normal(0.0, 0.04))) for _ in range(_DRAWS)
         ],
         "0.3 s late": [Sent(events=spoken, late_s=0.3, message_s=0.0)],
         "0.3 s late, by the half second": [Sent(events=spoken, late_s=0.3)],
-        "3 % slow": [Sent(events=_moved(spoken, lambda s: 1.03 * s))],
+        "3 % slow": [Sent(events=_move(spoken, lambda s: 1.03 * s))],
         "of another sentence": [Sent(events=_one_after_the_other(rotated))],
         "lead-in of 0.5 s": [Sent(events=spoken, lead_in_s=0.5)],
         "true text": [Sent("text", text=text)],
@@ -116,14 +115,14 @@ def defects(spoken: Sequence[PhonemeEvent]) -> dict[str, list[Sent]]:
     }
 
 
-def _moved(
-    events: Sequence[PhonemeEvent], move: Callable[[float], float]
+def _move(
+    events: Sequence[PhonemeEvent], moved: Callable[[float], float]
 ) -> tuple[PhonemeEvent, ...]:
     """Return the events with beginnings moved by `move`, kept in order, and without ends.
 
     A unit without an end lasts until the next one.
     """
-    starts_s = np.maximum.accumulate([max(0.0, move(event.start_s)) for event in events])
+    starts_s = np.maximum.accumulate([max(0.0, moved(event.start_s)) for event in events])
     return tuple(
         replace(event, start_s=float(start_s), end_s=None)
         for event, start_s in zip(events, starts_s, strict=True)
