@@ -72,8 +72,8 @@ class _ExternalTracker:
     def _record(self, pose: int, stands_deg: Array) -> None:
         """Append a row for each marker of a pose to the CSV or JSON file, with noise.
 
-        stands_deg: (1, 1), degrees of the one servo. A JSON file is replaced whole, a CSV file is
-        appended to.
+        stands_deg: (1, 1), angle of the one servo. The noise depends on the pose alone. A JSON file
+        is replaced whole, a CSV file is appended to.
         """
         noise = np.random.default_rng([pose, 7]).normal(0.0, _NOISE_MM, (47, 3))
         places = (marker_positions_mm(self.face, stands_deg)[0] + noise).round(3).tolist()

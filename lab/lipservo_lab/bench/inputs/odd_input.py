@@ -78,7 +78,7 @@ def verdict(odd: OddInput) -> tuple[Verdict, str]:
 
 
 def _alike(value: object, right: object, tolerance: float) -> bool:
-    """Compare two values, nested ones element by element; numbers within `tolerance`.
+    """Return whether two values are equal, nested ones item by item, floats within `tolerance`.
 
     NaN equals NaN. Keys of dicts must have the same order; a list equals a tuple.
     """

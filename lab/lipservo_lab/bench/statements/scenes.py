@@ -23,7 +23,10 @@ _OVERLOAD: Final = 0x20
 
 
 def orders(face: HeardFace, bus: str) -> None:
-    """Switch servos, stop, freeze and start a face on a healthy bus, by commands and requests."""
+    """Switch servos, stop, freeze and start a face on a healthy bus, by commands and requests.
+
+    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    """
     daemon = face.begin_face(*_DAEMON)
     face.wait_until_driven()
     face.wait(_STAYS_S)
@@ -67,7 +70,10 @@ def orders(face: HeardFace, bus: str) -> None:
 
 
 def plug(face: HeardFace, _bus: str) -> None:
-    """Unplug the port while the face is driven, stopped, frozen and silent."""
+    """Unplug the port while the face is driven, stopped, frozen and silent.
+
+    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    """
     daemon, device = face.begin_face(*_DAEMON), face.robot.device
     face.wait_until_driven()
     device.unplug()
@@ -112,7 +118,10 @@ def plug(face: HeardFace, _bus: str) -> None:
 
 
 def mute(face: HeardFace, bus: str) -> None:
-    """Let the controller, or all servos, receive nothing any more; then one servo alone."""
+    """Let the controller, or all servos, receive nothing any more; then one servo alone.
+
+    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    """
     daemon, truth = face.begin_face(*_DAEMON), face.robot.device.truth
     face.wait_until_driven()
     truth.mute(None, muted=True)
@@ -154,7 +163,10 @@ def mute(face: HeardFace, bus: str) -> None:
 
 
 def processes(face: HeardFace, _bus: str) -> None:
-    """Kill or hang the face's processes while it is driven, frozen, stopped and started."""
+    """Kill or hang the face's processes while it is driven, frozen, stopped and started.
+
+    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    """
     daemon = face.begin_face(*_DAEMON)
     face.wait_until_driven()
     os.kill(face.child(daemon, "bridge"), signal.SIGKILL)
@@ -202,7 +214,10 @@ def processes(face: HeardFace, _bus: str) -> None:
 
 
 def faults(face: HeardFace, bus: str) -> None:
-    """Let servos jam, fail and lose power, and a controller lose its power."""
+    """Let servos jam, fail and lose power, and a controller lose its power.
+
+    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    """
     daemon = face.begin_face(*_DAEMON)
     face.wait_until_driven()
     chain, names = face.robot.chain, list(face.robot.settings.servos)
@@ -248,7 +263,10 @@ def faults(face: HeardFace, bus: str) -> None:
 
 
 def commands(face: HeardFace, _bus: str) -> None:
-    """Run commands of one process: `run`, `calibrate neutral`, `limp --port`, `doctor`."""
+    """Run commands of one process: `run`, `calibrate neutral`, `limp --port`, `doctor`.
+
+    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    """
     where = ("--config", face.robot.config, "--port", str(face.robot.port))
     face.command("calibrate", "neutral", *where)
     face.command("calibrate", "neutral", "--yes", *where)
@@ -278,7 +296,10 @@ def commands(face: HeardFace, _bus: str) -> None:
 
 
 def everybody(face: HeardFace, _bus: str) -> None:
-    """Kill all processes at once; then request status, a release and a start from outside."""
+    """Kill all processes at once; then request status, a release and a start from outside.
+
+    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    """
     daemon = face.begin_face(*_DAEMON)
     face.wait_until_driven()
     kill_all(daemon)
@@ -308,7 +329,10 @@ def everybody(face: HeardFace, _bus: str) -> None:
 
 
 def starting(face: HeardFace, bus: str) -> None:
-    """Start a face with a critical servo: stopped meanwhile, refused, and failed."""
+    """Start a face with a critical servo: stopped meanwhile, refused, and failed.
+
+    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    """
     device, truth = face.robot.device, face.robot.device.truth
     truth.mute(None, muted=True)
     daemon = face.begin_face(*_DAEMON)
