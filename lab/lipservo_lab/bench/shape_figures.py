@@ -83,8 +83,8 @@ def closing_figures(
 ) -> dict[str, float | int | None]:
     """Return how reliably, and how late after the phone's beginning, a mouth closes for P, B and M.
 
-    closed: intervals with a closed mouth, s. Figures: `phones`, the number of P, B and M; `met`,
-    in how many of them, 40 ms around, the mouth is closed; percentiles of the delay, ms, of the
+    closed: intervals with a closed mouth, s. Figures: the number of P, B and M; in how many
+    of them, 40 ms around, the mouth is closed; percentiles of the delay, ms, of the
     closing nearest to the phone, if it is within 200 ms and the phone before leaves the mouth open
     (None: there is no such closing).
     """

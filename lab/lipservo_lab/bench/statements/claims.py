@@ -240,7 +240,7 @@ class Rule:
 
 @dataclass(slots=True)
 class Tally:
-    """Counts of judged statements.
+    """Counts of checked statements.
 
     verdicts: by verdict. templates: those of statements that claimed something, see `template`.
     listed: for what was untrue or unjudged, by (verdict, template, bus and scene): how often it was

@@ -25,7 +25,7 @@ _OVERLOAD: Final = 0x20
 def orders(face: HeardFace, bus: str) -> None:
     """Switch servos, stop, freeze and start a face on a healthy bus, by commands and requests.
 
-    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    What the face and its commands say meanwhile is collected, to be checked afterwards.
     """
     daemon = face.begin_face(*_DAEMON)
     face.wait_until_driven()
@@ -72,7 +72,7 @@ def orders(face: HeardFace, bus: str) -> None:
 def plug(face: HeardFace, _bus: str) -> None:
     """Unplug the port while the face is driven, stopped, frozen and silent.
 
-    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    What the face and its commands say meanwhile is collected, to be checked afterwards.
     """
     daemon, device = face.begin_face(*_DAEMON), face.robot.device
     face.wait_until_driven()
@@ -120,7 +120,7 @@ def plug(face: HeardFace, _bus: str) -> None:
 def mute(face: HeardFace, bus: str) -> None:
     """Let the controller, or all servos, receive nothing any more; then one servo alone.
 
-    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    What the face and its commands say meanwhile is collected, to be checked afterwards.
     """
     daemon, truth = face.begin_face(*_DAEMON), face.robot.device.truth
     face.wait_until_driven()
@@ -165,7 +165,7 @@ def mute(face: HeardFace, bus: str) -> None:
 def processes(face: HeardFace, _bus: str) -> None:
     """Kill or hang the face's processes while it is driven, frozen, stopped and started.
 
-    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    What the face and its commands say meanwhile is collected, to be checked afterwards.
     """
     daemon = face.begin_face(*_DAEMON)
     face.wait_until_driven()
@@ -216,7 +216,7 @@ def processes(face: HeardFace, _bus: str) -> None:
 def faults(face: HeardFace, bus: str) -> None:
     """Let servos jam, fail and lose power, and a controller lose its power.
 
-    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    What the face and its commands say meanwhile is collected, to be checked afterwards.
     """
     daemon = face.begin_face(*_DAEMON)
     face.wait_until_driven()
@@ -265,7 +265,7 @@ def faults(face: HeardFace, bus: str) -> None:
 def commands(face: HeardFace, _bus: str) -> None:
     """Run commands of one process: `run`, `calibrate neutral`, `limp --port`, `doctor`.
 
-    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    What the face and its commands say meanwhile is collected, to be checked afterwards.
     """
     where = ("--config", face.robot.config, "--port", str(face.robot.port))
     face.command("calibrate", "neutral", *where)
@@ -298,7 +298,7 @@ def commands(face: HeardFace, _bus: str) -> None:
 def everybody(face: HeardFace, _bus: str) -> None:
     """Kill all processes at once; then request status, a release and a start from outside.
 
-    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    What the face and its commands say meanwhile is collected, to be checked afterwards.
     """
     daemon = face.begin_face(*_DAEMON)
     face.wait_until_driven()
@@ -331,7 +331,7 @@ def everybody(face: HeardFace, _bus: str) -> None:
 def starting(face: HeardFace, bus: str) -> None:
     """Start a face with a critical servo: stopped meanwhile, refused, and failed.
 
-    What the face and its commands say meanwhile is collected, to be judged afterwards.
+    What the face and its commands say meanwhile is collected, to be checked afterwards.
     """
     device, truth = face.robot.device, face.robot.device.truth
     truth.mute(None, muted=True)

@@ -234,7 +234,7 @@ _WATCH_S: Final = 1.0
 class SignalOutcome:
     """The outcome of a case. broken: each broken promise, in words.
 
-    limp_s: seconds from the last signal until no servo has torque; None: not judged.
+    limp_s: seconds from the last signal until no servo has torque; None: not checked.
     moved_after_watchdog: shafts that moved on after a KILL; limp_after_kill: whether servos could
     be released then, None: no KILL. error: why the case itself did not work; empty: it did.
     """

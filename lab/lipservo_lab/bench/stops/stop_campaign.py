@@ -338,7 +338,7 @@ def _overlap_stop(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Re
 
     START_AGAIN: a stopped face is started, then stopped. Other troubles: the face is stopped, then
     started; it may be driven only if the stop was confirmed before the start was accepted. Returns
-    the stop to be judged; None if the start came later, so that the face has to be driven.
+    the stop to be checked; None if the start came later, so that the face has to be driven.
     """
     robot, path = face.robot, face.at.control
     give_up_s = time.monotonic() + _OVERLAP_TIMEOUT_S
