@@ -31,13 +31,16 @@ _Outcome = TypeVar("_Outcome")
 def campaign_figures(
     every: int, progress: Callable[[int, int], None], *, bus: str, whole: bool = False
 ) -> tuple[dict[str, float], list[str]]:
-    """Play one fault case in `every`; return the figures, and a line for each case not survived.
+    """Play every `every`-th fault case of a kind of bus, two at a time, on a virtual clock.
 
-    whole: every fault with every arming and stop.
+    Returns figures (cases survived, how often each of `Trials.must_not` happened, 95th percentile
+    of the seconds until all servos follow again) and a line for each case not survived.
+    bus: a key of the campaign's trials, such as "dynamixel". whole: every fault with every way of
+    arming and every stop. progress: called with the number of cases done and of all.
     """
     trials = trials_of(bus)
     chosen = list(cases(bus, whole=whole))[::every]
-    outcomes = _in_turn(play, chosen, progress, chunksize=4)
+    outcomes = _play_each(play, chosen, progress, chunksize=4)
     recovered_s = [o.recovery_s for o in outcomes if o.recovery_s is not None]
     unstopped = [o for o in outcomes if o.case.stop is None]
     figures: dict[str, float] = {
@@ -54,9 +57,10 @@ def campaign_figures(
 def stop_campaign_figures(
     every: int, progress: Callable[[int, int], None], part: str = ""
 ) -> tuple[dict[str, Any], list[str]]:
-    """Play one stop case in `every`, of each part; return the figures, and a line for each failure.
+    """Play every `every`-th case of each part of the stop campaign, two faces at a time.
 
-    Two faces are played at a time. part: only this one of `STOP_PARTS`; empty: all.
+    Returns the figures of all parts in one dict, and a line of text for each failure.
+    part: a key of `STOP_PARTS`, to play that part only; empty: all.
     """
     figures: dict[str, Any] = {}
     failed: list[str] = []
@@ -69,40 +73,51 @@ def stop_campaign_figures(
 
 
 def _stops(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str, Any], list[str]]:
+    """Play every `every`-th stop case; return its figures and a line for each broken promise."""
     chosen = list(stop_cases())[::every]
-    outcomes = _played(play_batch, batches(chosen), len(chosen), progress)
+    outcomes = _play_batches(play_batch, batches(chosen), len(chosen), progress)
     return stop_figures(outcomes), [str(o) for o in outcomes if not o.kept]
 
 
 def _freezes(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str, Any], list[str]]:
+    """Play every `every`-th freeze case; return its figures and a line for each wrong outcome."""
     chosen = list(freeze_cases())[::every]
-    outcomes = _played(play_freezes, freeze_batches(chosen), len(chosen), progress)
+    outcomes = _play_batches(play_freezes, freeze_batches(chosen), len(chosen), progress)
     return freeze_figures(outcomes), [str(o) for o in outcomes if not o.kept]
 
 
 def _statements(
     every: int, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, Any], list[str]]:
-    """Play scenes and judge all statements; a statement without a rule is a failure as well."""
+    """Play every `every`-th scene and check each statement that the face made against its rule.
+
+    A statement without a rule is a failure as well. Returns the tally's figures with the number of
+    scenes that raised, and a line of text for each failure.
+    """
     tally, errors = Tally(), list[str]()
     chosen = scenes()[::every]
     with worker_pool(2) as pool:
-        futures = [pool.submit(play_scene, *each) for each in chosen]
+        futures = [pool.submit(play_scene, *scene) for scene in chosen]
         for n_done, played in enumerate(as_completed(futures), 1):
-            heard, failed = played.result()
-            tally.join(heard)
+            scene_tally, failed = played.result()
+            tally.join(scene_tally)
             errors += failed
             progress(n_done, len(chosen))
     return {**tally.figures, "scene_errors": len(errors)}, tally.lines + errors
 
 
 def _restarts(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str, Any], list[str]]:
+    """Play restarts of Feetech servos; return the top speed after them over the soft start's bound.
+
+    `restart_over_bound`: the largest ratio of speed to bound. The lines of text name the
+    restarts whose ratio exceeds `MOST_OVER`.
+    """
     chosen = list(restarts())[::every]
-    over = _in_turn(over_bound, chosen, progress, chunksize=4)
-    fast = [
-        f"{one}: {by:.2f} times" for one, by in zip(chosen, over, strict=True) if by > MOST_OVER
+    over = _play_each(over_bound, chosen, progress, chunksize=4)
+    too_fast = [
+        f"{case}: {by:.2f} times" for case, by in zip(chosen, over, strict=True) if by > MOST_OVER
     ]
-    return {"restarts": len(chosen), "restart_over_bound": max(over, default=0.0)}, fast
+    return {"restarts": len(chosen), "restart_over_bound": max(over, default=0.0)}, too_fast
 
 
 def _beside_idle(
@@ -122,31 +137,38 @@ STOP_PARTS: Final[dict[str, Part]] = {
 }
 
 
-def _in_turn(
-    play_one: Callable[[_Case], _Outcome],
+def _play_each(
+    play_case: Callable[[_Case], _Outcome],
     cases: Sequence[_Case],
     progress: Callable[[int, int], None],
     chunksize: int = 1,
 ) -> list[_Outcome]:
-    """The outcomes of cases in their order, played two at a time."""
+    """Play cases in two processes; return their outcomes in the order of the cases.
+
+    chunksize: number of cases that a process gets at once. progress: cases done, all cases.
+    """
     outcomes: list[_Outcome] = []
     with worker_pool(2) as pool:
-        for outcome in pool.map(play_one, cases, chunksize=chunksize):
+        for outcome in pool.map(play_case, cases, chunksize=chunksize):
             outcomes.append(outcome)
             progress(len(outcomes), len(cases))
     return outcomes
 
 
-def _played(
-    play_all: Callable[[Sequence[Any]], list[Any]],
-    parts: Sequence[Sequence[Any]],
+def _play_batches(
+    play_batch: Callable[[Sequence[Any]], list[Any]],
+    case_batches: Sequence[Sequence[Any]],
     n_cases: int,
     progress: Callable[[int, int], None],
 ) -> list[Any]:
-    """The outcomes of batches of cases, played two at a time."""
+    """Play batches of cases in two processes; return all outcomes, in the order of completion.
+
+    play_batch: plays one batch and returns one outcome for each of its cases.
+    n_cases: number of cases in all batches together, for `progress`.
+    """
     outcomes: list[Any] = []
     with worker_pool(2) as pool:
-        for played in as_completed([pool.submit(play_all, each) for each in parts]):
+        for played in as_completed([pool.submit(play_batch, each) for each in case_batches]):
             outcomes += played.result()
             progress(len(outcomes), n_cases)
     return outcomes
@@ -155,12 +177,12 @@ def _played(
 def signal_campaign_figures(
     every: int, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, float], list[str]]:
-    """Play one signal in `every`, two at a time; the figures, and a line for each that failed.
+    """Play every `every`-th signal case, two at a time, each in a worker process.
 
-    Each in a process of its own, so that simulated servos answer in time.
+    Returns the figures, and a line of text for each case that failed.
     """
     chosen = list(signal_cases())[::every]
-    outcomes = _in_turn(play_signal, chosen, progress)
+    outcomes = _play_each(play_signal, chosen, progress)
     return signal_figures(outcomes), [str(o) for o in outcomes if not o.kept]
 
 
@@ -171,20 +193,20 @@ _STARTS, _STARTS_BATCH = 40, 10
 def starved_figures(
     minutes: float, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, float], list[str]]:
-    """Starve a face for `minutes`, then start faces with failed servos; return figures, failures.
+    """Run a face short of processor time for `minutes`, then start faces with failed servos.
 
-    20 minutes have 20 jams, 20 held processes and 40 starts; fewer minutes have fewer in
-    proportion. A failure is a line of text.
+    20 minutes have 20 jammed joints, 20 held processes and 40 starts; fewer minutes have fewer in
+    proportion. Returns the figures, and a line of text for each failure.
     """
     outcome = play_starved(minutes, progress)
     n_starts = max(len(LEVELS), round(_STARTS * min(minutes, 20.0) / 20.0))
     cases = [(number, LEVELS[number % len(LEVELS)]) for number in range(n_starts)]
     chunks = [cases[at : at + _STARTS_BATCH] for at in range(0, n_starts, _STARTS_BATCH)]
-    starts: list[str] = []
+    start_failures: list[str] = []  # one text a start; empty: it succeeded
     with worker_pool(2) as pool:
         for played in pool.map(play_starts, chunks):
-            starts += played
-            progress(len(starts), n_starts)
+            start_failures += played
+            progress(len(start_failures), n_starts)
     figures = {
         "minutes": outcome.minutes,
         "driven_share": float(np.mean(outcome.driven)),
@@ -196,6 +218,6 @@ def starved_figures(
         "held": outcome.held,
         "hung_killed": outcome.hung_killed / outcome.held,
         "starts": n_starts,
-        "started_again": starts.count("") / n_starts,
+        "started_again": start_failures.count("") / n_starts,
     }
-    return figures, [*outcome.failures, *filter(None, starts)]
+    return figures, [*outcome.failures, *filter(None, start_failures)]

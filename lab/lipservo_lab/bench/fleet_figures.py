@@ -39,48 +39,49 @@ _COMMAND_S: Final = 120.0
 
 @dataclass(frozen=True, slots=True)
 class _Answers:
-    """The answers of a face, and the seconds until each, by path of the request."""
+    """A face's recorded answers. of: request path -> (JSON answer, seconds until it came)."""
 
     of: dict[str, tuple[dict[str, Any], float]]
 
 
 def fleet_figures(n_daemons: int, n_endpoints: int, advance: Advance) -> dict[str, Any]:
-    """Return the figures of `lipservo bench fleet`.
+    """Run `lipservo status` and `lipservo stop` on many faces at once; return the figures.
 
-    status_s, stop_s: from the start of the command until the last of the good faces is printed.
-    confirmed: share of the good faces whose servos all confirmed. named: of the dead and hung ones,
-    how many are named correctly. advance: as `progress_bar` yields it. Raises UserError
-    where a daemon does not start.
+    Faces: `n_daemons` real daemons and `n_endpoints` servers of recorded answers, which are good;
+    `N_DEAD` closed ports and `N_HUNG` ports that accept but never answer.
+    status_s, stop_s: from the start of the command until the last good face is printed.
+    confirmed: share of good faces whose servos all confirmed the stop. named: how many of the dead
+    and hung faces are reported as such. Raises UserError where a daemon does not start.
     """
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-fleet-")))
-        daemons = _daemons(n_daemons + 1, folder, stack)
+        daemon_urls = _start_daemons(n_daemons + 1, folder, stack)
         advance("fleet", 1, 4)
         # One more daemon is stopped first, and says what the endpoints answer.
-        certificate = _certificate(folder)
-        recorded = _recorded(daemons.pop(), folder)
-        endpoints = [_endpoint(recorded, certificate, stack) for _ in range(n_endpoints)]
-        dead = [_closed_port() for _ in range(N_DEAD)]
-        hung = [_silent_port(stack) for _ in range(N_HUNG)]
-        listed = folder / "kiosks.yaml"
+        certificate = _make_certificate(folder)
+        recorded = _record_answers(daemon_urls.pop(), folder)
+        endpoint_urls = [_serve_answers(recorded, certificate, stack) for _ in range(n_endpoints)]
+        dead_urls = [_closed_port() for _ in range(N_DEAD)]
+        hung_urls = [_open_silent_port(stack) for _ in range(N_HUNG)]
+        kiosks_yaml = folder / "kiosks.yaml"
         good = {
-            **{f"daemon-{n}": f'"{url}"' for n, url in enumerate(daemons)},
+            **{f"daemon-{n}": f'"{url}"' for n, url in enumerate(daemon_urls)},
             **{
                 f"endpoint-{n}": f'"{url}", certificate: "{certificate[0]}"'
-                for n, url in enumerate(endpoints)
+                for n, url in enumerate(endpoint_urls)
             },
         }
-        bad = {f"dead-{n}": f'"{url}"' for n, url in enumerate(dead)}
-        bad |= {f"hung-{n}": f'"{url}"' for n, url in enumerate(hung)}
-        listed.write_text(_yaml({**bad, **good}), "utf-8")
+        bad = {f"dead-{n}": f'"{url}"' for n, url in enumerate(dead_urls)}
+        bad |= {f"hung-{n}": f'"{url}"' for n, url in enumerate(hung_urls)}
+        kiosks_yaml.write_text(_kiosks_yaml({**bad, **good}), "utf-8")
         advance("fleet", 2, 4)
-        status_s, _, status_named = _run_on_all("status", listed, good)
+        status_s, _, status_named = _run_on_all("status", kiosks_yaml, good)
         advance("fleet", 3, 4)
-        stop_s, faces, stop_named = _run_on_all("stop", listed, good)
+        stop_s, face_of, stop_named = _run_on_all("stop", kiosks_yaml, good)
         advance("fleet", 4, 4)
     confirmed = [
         name in good and not (face.get("error") or face["problem"] or face["unconfirmed"])
-        for name, face in faces.items()
+        for name, face in face_of.items()
     ]
     return {
         "faces": len(good),
@@ -93,8 +94,11 @@ def fleet_figures(n_daemons: int, n_endpoints: int, advance: Advance) -> dict[st
     }
 
 
-def _daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
-    """Start daemons with dashboards; return the URLs of these once all are driven."""
+def _start_daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
+    """Start n daemons that end with `stack`; return their dashboards' URLs once all drive servos.
+
+    Raises UserError if that takes longer than `_START_S`.
+    """
     environment = {
         **os.environ,
         "LIPSERVO_RUNTIME": str(folder / "runtime"),
@@ -117,14 +121,14 @@ def _daemons(n: int, folder: Path, stack: ExitStack) -> list[str]:
     token_file = str(folder / "runtime" / "token")
     while time.monotonic() < give_up_s:
         kiosks = {url: Kiosk(url=url, token_file=token_file) for url in urls}
-        answers = ask_kiosks(kiosks, KioskRequest("GET", "/api/status", 5.0))
-        if all(isinstance(a, dict) and a.get("state") == "driven" for _, a, _ in answers):
+        statuses = ask_kiosks(kiosks, KioskRequest("GET", "/api/status", 5.0))
+        if all(isinstance(a, dict) and a.get("state") == "driven" for _, a, _ in statuses):
             return urls
         time.sleep(_LOOK_S)
     raise UserError(f"not all daemons were driven within {_START_S:g} s")
 
 
-def _recorded(url: str, folder: Path) -> _Answers:
+def _record_answers(url: str, folder: Path) -> _Answers:
     """Request a real face's status and a stop; return its answers, with seconds until each."""
     kiosk = {"it": Kiosk(url=url, token_file=str(folder / "runtime" / "token"))}
     stop = {"level": "soft", "wait_s": 10.0, "end": False}
@@ -132,17 +136,20 @@ def _recorded(url: str, folder: Path) -> _Answers:
         KioskRequest("GET", "/api/status", 5.0),
         KioskRequest("POST", "/api/stop", 15.0, stop),
     )
-    found = {}
-    for each in requests:
-        ((_, answer, seconds),) = ask_kiosks(kiosk, each)
+    answer_of_path = {}
+    for request in requests:
+        ((_, answer, seconds),) = ask_kiosks(kiosk, request)
         if isinstance(answer, KioskError):
             raise answer
-        found[each.path] = answer, seconds
-    return _Answers(found)
+        answer_of_path[request.path] = answer, seconds
+    return _Answers(answer_of_path)
 
 
-def _endpoint(answers: _Answers, certificate: tuple[Path, Path], stack: ExitStack) -> str:
-    """Serve recorded answers over TLS until the stack ends; return the URL."""
+def _serve_answers(answers: _Answers, certificate: tuple[Path, Path], stack: ExitStack) -> str:
+    """Serve recorded answers over TLS, each after its recorded delay, until `stack` is closed.
+
+    certificate: PEM files of certificate and key. Returns the server's URL.
+    """
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -163,7 +170,7 @@ def _endpoint(answers: _Answers, certificate: tuple[Path, Path], stack: ExitStac
 
     class Server(http.server.ThreadingHTTPServer):
         def handle_error(self, *_args: Any) -> None:
-            pass  # a client that has gone is counted where it was told
+            pass  # a client that hung up is counted by the caller
 
     server = stack.enter_context(Server(("127.0.0.1", 0), Handler))
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -176,75 +183,80 @@ def _endpoint(answers: _Answers, certificate: tuple[Path, Path], stack: ExitStac
     return f"https://127.0.0.1:{server.server_port}"
 
 
-def _certificate(folder: Path) -> tuple[Path, Path]:
-    """Make a certificate for 127.0.0.1 that signs itself, and its key, by the program openssl."""
-    made, key = folder / "made.pem", folder / "key.pem"
+def _make_certificate(folder: Path) -> tuple[Path, Path]:
+    """Make a self-signed certificate for 127.0.0.1 with the program openssl.
+
+    Returns the PEM files of the certificate and of its key. Raises UserError if openssl fails.
+    """
+    certificate, key = folder / "made.pem", folder / "key.pem"
     subject = ["-subj", "/CN=kiosk", "-addext", "subjectAltName=IP:127.0.0.1", "-days", "2"]
-    kind = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
+    curve = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
     try:
         subprocess.run(
-            ["openssl", "req", "-x509", *kind, *subject, "-keyout", key, "-out", made],
+            ["openssl", "req", "-x509", *curve, *subject, "-keyout", key, "-out", certificate],
             check=True,
             capture_output=True,
         )
     except (OSError, subprocess.CalledProcessError) as error:
         raise UserError(f"openssl, which makes the endpoints' certificate: {error}") from error
-    return made, key
+    return certificate, key
 
 
 def _closed_port() -> str:
+    """Return the URL of a port at which nothing listens."""
     with socket.create_server(("127.0.0.1", 0)) as closed:
         return f"http://127.0.0.1:{closed.getsockname()[1]}"
 
 
-def _silent_port(stack: ExitStack) -> str:
-    """Return a URL at which the kernel accepts connections, without an answer."""
+def _open_silent_port(stack: ExitStack) -> str:
+    """Return a URL at which the kernel accepts connections, but no program ever answers."""
     silent = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
     return f"http://127.0.0.1:{silent.getsockname()[1]}"
 
 
-def _yaml(faces: dict[str, str]) -> str:
-    rows = [f"  {name}: {{url: {url}, token_file: runtime/token}}" for name, url in faces.items()]
+def _kiosks_yaml(url_of: dict[str, str]) -> str:
+    rows = [f"  {name}: {{url: {url}, token_file: runtime/token}}" for name, url in url_of.items()]
     return "\n".join(["kiosks:", *rows, "...", ""])
 
 
 def _run_on_all(
-    command: str, listed: Path, good: Sequence[str] | dict[str, str]
+    command: str, kiosks_yaml: Path, good_names: Sequence[str] | dict[str, str]
 ) -> tuple[float, dict[str, dict[str, Any]], int]:
-    """Run `lipservo status` or `stop` on all faces.
+    """Run `lipservo status` or `lipservo stop` on all faces of a kiosks file; wait until it ends.
 
-    Returns seconds until the last of the good ones was printed, the JSON by name, and how many of
-    the others were named correctly.
+    Returns seconds until the last of `good_names` was printed, each face's JSON by name, and of
+    how many other faces (`dead-...`, `hung-...`) the error says correctly that they are so.
     """
     began_s = time.monotonic()
     last_s = 0.0
-    output = listed.with_name(f"{command}.json")
+    output = kiosks_yaml.with_name(f"{command}.json")
     with (
         output.open("w") as out,
         started(
-            [*_LIPSERVO, command, "--on", str(listed), "--json"],
+            [*_LIPSERVO, command, "--on", str(kiosks_yaml), "--json"],
             stdout=out,
             stderr=subprocess.PIPE,
             text=True,
         ) as process,
-        _killed_after(process, _COMMAND_S),
+        _kill_after(process, _COMMAND_S),
     ):
         assert process.stderr is not None
         for line in process.stderr:
-            if re.split(r"[ :]", line)[0] in good:
+            if re.split(r"[ :]", line)[0] in good_names:
                 last_s = time.monotonic() - began_s
     faces = {each["name"]: each for each in json.loads(output.read_text())["faces"]}
+    # What the error of a dead and of a hung face has to contain.
     words = {"dead": "no server answers", "hung": "hangs"}
     named = [
         words[name.partition("-")[0]] in face.get("error", "")
         for name, face in faces.items()
-        if name not in good
+        if name not in good_names
     ]
     return last_s, faces, sum(named)
 
 
 @contextlib.contextmanager
-def _killed_after(process: "subprocess.Popen[str]", seconds: float) -> Iterator[None]:
+def _kill_after(process: "subprocess.Popen[str]", seconds: float) -> Iterator[None]:
     timer = threading.Timer(seconds, process.kill)
     timer.start()
     try:

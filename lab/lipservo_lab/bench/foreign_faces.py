@@ -39,10 +39,11 @@ _LOUDNESS_S, _FLOOR_DB = 0.06, 40.0
 
 @dataclass(frozen=True, slots=True)
 class ComparedClip:
-    """Our mouth and a clip's, in the pictures of speech that could be used.
+    """How well our lip gap correlates with that of a filmed person, in the pictures of speech.
 
-    curve: correlations of the two lip gaps with the sound taken earlier by so much. left_out: why
-    there is nothing; then all else is empty.
+    gap_r, loudness_r: correlation of the tracked gap with our gap, and with the sound's loudness.
+    curve: correlation of the two gaps when the pictures are compared with later sound, by shift.
+    seconds, n_pictures: how much was compared. left_out: why nothing was; all else is empty then.
     """
 
     name: str
@@ -54,7 +55,7 @@ class ComparedClip:
     left_out: str | None = None
 
     def as_json(self) -> dict[str, object]:
-        """Return the figures by the names of docs/own-face.md; null where the clip was left out."""
+        """Return the figures by the names of docs/own-face.md; None where the clip was left out."""
         if self.curve is None:
             return {"clip": self.name, "seconds": 0.0, "left_out": self.left_out} | dict.fromkeys(
                 ("gap_r", "loudness_r", "best_shift_ms", "gap_r_at_best")
@@ -73,56 +74,58 @@ class ComparedClip:
 def foreign_figures(
     clips: Sequence[VideoClip], tracker: FaceTracker, model: Path | None, advance: Advance
 ) -> dict[str, object]:
-    """Compare our mouth with every clip; return the figures of all clips together and of each.
+    """Compare our mouth with the face in every clip; return figures of all clips and of each.
 
-    model: None for the shipped one. Raises VideoError where no clip can be used.
+    A clip that cannot be used is in the list with the reason. model: file of the face model; None:
+    the shipped one. Raises VideoError where no clip can be used.
     """
     face = load_face(model)
-    compared = []
+    comparisons = []
     for number, clip in enumerate(clips, start=1):
         try:
-            compared.append(_compared(clip, tracker, face, model))
+            comparisons.append(_compare_clip(clip, tracker, face, model))
         except UserError as error:
             reason = str(error).removeprefix(f"{clip.path}: ")
-            compared.append(ComparedClip(clip.name, left_out=reason))
+            comparisons.append(ComparedClip(clip.name, left_out=reason))
         advance("comparing", number, len(clips))
-    used = [each for each in compared if each.curve is not None]
-    if not used:
-        raise VideoError(f"no clip can be used: {compared[0].name}: {compared[0].left_out}")
+    usable = [each for each in comparisons if each.curve is not None]
+    if not usable:
+        raise VideoError(f"no clip can be used: {comparisons[0].name}: {comparisons[0].left_out}")
     return {
-        **pooled_figures(used),
+        **pooled_figures(usable),
         "tracker": tracker.name,
-        "clips": [each.as_json() for each in compared],
+        "clips": [each.as_json() for each in comparisons],
     }
 
 
 def pooled_figures(compared: Sequence[ComparedClip]) -> dict[str, object]:
-    """Return the figures of all clips together: means weighted by their pictures of speech.
+    """Return correlations of all clips together: means, weighted by their pictures of speech.
 
-    In each clip both gaps have mean 0 and deviation 1. `best_shift_ms` is the one shift that is
-    best for all clips.
+    So each clip's gaps count as if scaled to mean 0 and standard deviation 1. `best_shift_ms`: the
+    one shift with the best mean correlation. compared: clips that have a curve.
     """
     weights = np.array([each.n_pictures for each in compared], dtype=float)
     weights /= weights.sum()
     curves = [each.curve for each in compared if each.curve is not None]
-    joined = weights @ np.stack([curve.correlations for curve in curves])
-    together = ShiftCurve(curves[0].shifts_s, joined)
+    mean_correlations = weights @ np.stack([curve.correlations for curve in curves])
+    mean_curve = ShiftCurve(curves[0].shifts_s, mean_correlations)
     return {
         "gap_r": round(float(weights @ [each.gap_r for each in compared]), 4),
         "loudness_r": round(float(weights @ [each.loudness_r for each in compared]), 4),
-        "best_shift_ms": round(1e3 * together.best_s),
-        "gap_r_at_best": round(float(joined.max()), 4),
+        "best_shift_ms": round(1e3 * mean_curve.best_s),
+        "gap_r_at_best": round(float(mean_correlations.max()), 4),
         "seconds": round(sum(each.seconds for each in compared), 2),
         "speech_pictures": sum(each.n_pictures for each in compared),
     }
 
 
-def _compared(
+def _compare_clip(
     clip: VideoClip, tracker: FaceTracker, face: FaceModel, model: Path | None
 ) -> ComparedClip:
     """Compare our lip gap for a clip's sound with the gap that is tracked in its pictures.
 
-    Raises UserError for unusable sound or pictures; VideoError: too few pictures of one face.
+    model: file of the face model that speaks, loaded as `face`; None: the shipped one. Raises
+    UserError for unusable sound or pictures, VideoError for too few pictures of one face.
     """
     sound = video_sound(clip.path)
     track = track_face(clip.path, tracker, lambda _time_s: None)
@@ -133,9 +136,9 @@ def _compared(
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"{clip.name}.wav"
         soundfile.write(path, sound.samples, SAMPLE_RATE_HZ)
-        spoken = spoken_sound(path, None, ChosenMotion(), DEFAULT_FACE, model)
-        ours_mm, events = _our_gaps_mm(spoken, face), spoken.events()
-    return compare(clip.name, _pictures(track, usable, sound), sound, ours_mm, events)
+        spoken_clip = spoken_sound(path, None, ChosenMotion(), DEFAULT_FACE, model)
+        ours_mm, events = _our_gaps_mm(spoken_clip, face), spoken_clip.events()
+    return compare(clip.name, _times_and_gaps(track, usable, sound), sound, ours_mm, events)
 
 
 def _our_gaps_mm(spoken: SpokenSound, face: FaceModel) -> Array:
@@ -145,10 +148,13 @@ def _our_gaps_mm(spoken: SpokenSound, face: FaceModel) -> Array:
     return face.lip_gaps_mm(face.markers_mm(faces))
 
 
-def _pictures(
+def _times_and_gaps(
     track: FaceTrack, usable: NDArray[np.bool_], sound: VideoSound
 ) -> tuple[Array, Array]:
-    """Sound times and lip gaps in mm, (n,) each, of the pictures that can be used."""
+    """Return sound times (s) and lip gaps (mm), (n,) each, of the pictures that can be used.
+
+    usable: (n_pictures,), which those are.
+    """
     return track.times_s[usable] - sound.begins_s, tracked_gaps_mm(track.points[usable])
 
 
@@ -159,61 +165,61 @@ def compare(
     ours_mm: Array,
     events: Sequence[PhonemeEvent],
 ) -> ComparedClip:
-    """Compare our mouth with a tracked one; pictures inside a phoneme that is not silence count.
+    """Correlate our lip gap with a tracked one, in the pictures taken during speech.
 
     Parameters
     ----------
     name : str
-        Of the clip.
+        The clip's name.
     pictures : tuple[Array, Array]
-        Sound times (n,) and tracked lip gaps (n,).
+        Sound times in s (n,) and tracked lip gaps in mm (n,).
     sound : VideoSound
-        Of the clip.
+        The clip's sound.
     ours_mm : Array
-        (m,) every 10 ms.
+        (m,), our lip gap every 10 ms of the sound.
     events : Sequence[PhonemeEvent]
-        Its phonemes.
+        The phonemes in the sound; speech is where they are not silence.
 
     Returns
     -------
     ComparedClip
-        Correlations.
+        Correlations; `left_out` is set where there are too few pictures of speech.
     """
-    times_s, seen_mm = pictures
-    spoken = np.zeros(len(times_s), dtype=bool)
+    times_s, tracked_mm = pictures
+    in_speech = np.zeros(len(times_s), dtype=bool)
     for event in events:
         if event.phoneme != SILENCE and event.end_s is not None:
-            spoken |= (times_s >= event.start_s) & (times_s < event.end_s)
-    spoken &= (times_s >= 0) & (times_s <= (len(ours_mm) - 1) * TICK_S)
-    if spoken.sum() < _LEAST_PICTURES:
+            in_speech |= (times_s >= event.start_s) & (times_s < event.end_s)
+    in_speech &= (times_s >= 0) & (times_s <= (len(ours_mm) - 1) * TICK_S)
+    if in_speech.sum() < _LEAST_PICTURES:
         return ComparedClip(
-            name, left_out=f"only {spoken.sum()} pictures of speech; film longer, speak up"
+            name, left_out=f"only {in_speech.sum()} pictures of speech; film longer, speak up"
         )
-    at_s, gaps_mm = times_s[spoken], seen_mm[spoken]
-    heard_s = np.arange(len(ours_mm)) * TICK_S
+    picture_s, gaps_mm = times_s[in_speech], tracked_mm[in_speech]
+    ours_s = np.arange(len(ours_mm)) * TICK_S
     levels_db = loudness_db(sound.samples)
     return ComparedClip(
         name,
-        correlation(gaps_mm, np.interp(at_s, heard_s, ours_mm)),
-        correlation(gaps_mm, np.interp(at_s, np.arange(len(levels_db)) * TICK_S, levels_db)),
-        shift_curve(gaps_mm, at_s, ours_mm),
+        correlation(gaps_mm, np.interp(picture_s, ours_s, ours_mm)),
+        correlation(gaps_mm, np.interp(picture_s, np.arange(len(levels_db)) * TICK_S, levels_db)),
+        shift_curve(gaps_mm, picture_s, ours_mm),
         len(times_s) * usual_step_s(times_s),
-        int(spoken.sum()),
+        int(in_speech.sum()),
     )
 
 
 def loudness_db(samples: NDArray[np.float32]) -> Array:
-    """Return the loudness of a sound every 10 ms.
+    """Return the loudness of a sound every 10 ms: its mean power in 60 ms around each instant.
 
     Parameters
     ----------
     samples : NDArray[np.float32]
-        (m,) at 16 kHz.
+        (m,) at 16 kHz, -1 to 1.
 
     Returns
     -------
     Array
-        (n,) dB.
+        (n,) dB of full scale, none lower than 40 dB below the loudest.
     """
     n_around = round(_LOUDNESS_S * SAMPLE_RATE_HZ)
     squares = np.pad(samples.astype(float) ** 2, n_around // 2)

@@ -62,10 +62,11 @@ _LEAST_SHIFTED = 100
 
 
 def word_folds(corpus: Corpus) -> list[Part]:
-    """Divide words into `N_FOLDS` parts, each for a model of the sentences that hold none of them.
+    """Divide the corpus's words into `N_FOLDS` folds (fewer, if there are fewer words).
 
-    corpus: labelled. Words are dealt in turn, the most frequent first, so that every fold leaves
-    about as much to train on. Raises CorpusError for a corpus that leaves a fold nothing.
+    Each fold has its words, and as training sentences those that contain none of its words. Words
+    are dealt to the folds in turn, the most frequent first, so that every fold leaves about as much
+    to train on. corpus: labelled. Raises CorpusError if some fold has no training sentence.
     """
     counts = Counter(w.text for u in corpus.utterances for w in spoken_words(u))
     if len(counts) < 2:
@@ -75,18 +76,18 @@ def word_folds(corpus: Corpus) -> list[Part]:
             f"{corpus.name}: no phone of speech lies in any word; check that both tiers of labels/ "
             "have the same times"
         )
-    dealt = sorted(counts, key=lambda text: (-counts[text], text))
-    n_folds = min(N_FOLDS, len(dealt))
+    by_frequency = sorted(counts, key=lambda text: (-counts[text], text))
+    n_folds = min(N_FOLDS, len(by_frequency))
     folds = []
     for first in range(n_folds):
-        words = frozenset(dealt[first::n_folds])
-        part = words_part(f"fold {first + 1}", corpus, words)
-        if not part.train:
+        words = frozenset(by_frequency[first::n_folds])
+        fold = words_part(f"fold {first + 1}", corpus, words)
+        if not fold.train:
             raise CorpusError(
                 f"{corpus.name}: every labelled sentence holds one of {', '.join(sorted(words))}, "
                 "so their fold has none to train on; leaving words out needs more sentences"
             )
-        folds.append(part)
+        folds.append(fold)
     return folds
 
 
@@ -102,10 +103,10 @@ _LEARNING = (
 
 @dataclass(frozen=True, slots=True)
 class KeptModels:
-    """Models of parts of one corpus, made at the first use and kept in a folder.
+    """A cache of models trained on parts of one corpus: made at the first use, then read from disk.
 
-    heard: of the corpus's sentences, by name. others: digests of weights that hear them too. Two
-    runs at once make a model twice; its file is written whole.
+    heard: phonemes recognised in each sentence, by its name. others: digests of further weights
+    that training depends on. Two runs at once may train a model twice; files are written whole.
     """
 
     folder: Path
@@ -115,31 +116,35 @@ class KeptModels:
     others: tuple[str, ...] = ()
 
     def of(self, part: Part) -> TrainedModel:
-        """The model trained on the part's sentences. Raises TrainingError, OutputError."""
+        """Return the model trained on the part's sentences, from the cache if it is there.
+
+        Else it is trained and stored first. Raises TrainingError, OutputError.
+        """
         training = self.corpus.keep(set(part.train))
-        path = self.folder / f"{self._digest(training)}.npz"
+        path = self.folder / f"{self._training_digest(training)}.npz"
         try:
             model = load_trained_model(path)
         except ModelError:
             self.folder.mkdir(parents=True, exist_ok=True)
             save_model(self.learn(training), path)
-            self._forget_the_oldest()
+            self._delete_oldest_files()
             # Rounded as in the file, so that the next run gives the same figures.
             return load_trained_model(path)
         os.utime(path)
         return model
 
-    def _digest(self, training: Corpus) -> str:
-        digest = hashlib.sha256(_code())
+    def _training_digest(self, training: Corpus) -> str:
+        """Return 24 hex digits of all that training depends on: code, sentences and phonemes."""
+        digest = hashlib.sha256(_code_digest())
         digest.update(repr(self.others).encode())
         for u in training.utterances:
             digest.update(repr((u.name, u.weight, u.phones, self.heard.get(u.name))).encode())
             digest.update(np.ascontiguousarray(u.markers_mm).tobytes())
         return digest.hexdigest()[:24]
 
-    def _forget_the_oldest(self) -> None:
-        kept = sorted(self.folder.glob("*.npz"), key=lambda path: path.stat().st_mtime)
-        for path in kept[:-_MOST_KEPT]:
+    def _delete_oldest_files(self) -> None:
+        oldest_first = sorted(self.folder.glob("*.npz"), key=lambda path: path.stat().st_mtime)
+        for path in oldest_first[:-_MOST_KEPT]:
             path.unlink(missing_ok=True)
 
 
@@ -149,8 +154,8 @@ def cache_folder() -> Path:
     return Path(base) / "lipservo" / "left-out-words"
 
 
-def _code() -> bytes:
-    """Return a digest of the source of all packages that learn, part of a kept model's name."""
+def _code_digest() -> bytes:
+    """Return a digest of the source of all packages in `_LEARNING`, 32 bytes."""
     files = sorted(
         (name, path.name, path.read_bytes())
         for name in _LEARNING
@@ -162,13 +167,19 @@ def _code() -> bytes:
 
 @dataclass(slots=True)
 class _Lips:
-    """Recorded lip gaps, and ours at each of `_SHIFTS_S` around them; lists may only grow."""
+    """Lip gaps (mm) of the same frames: recorded, and ours at each shift of `_SHIFTS_S`.
+
+    seen: arrays (n,), one a spoken word. ours: arrays (n, n_shifts). Both lists only grow.
+    """
 
     seen: list[Array] = field(default_factory=list)
     ours: list[Array] = field(default_factory=list)
 
     def best_ms(self) -> float | None:
-        """How much later than the recorded lips ours are; None for too few frames."""
+        """Return the shift, ms, at which our gap correlates best with the recorded one.
+
+        Positive: our lips are late. None: fewer than `_LEAST_SHIFTED` frames.
+        """
         if sum(map(len, self.seen)) < _LEAST_SHIFTED:
             return None
         seen, ours = np.concatenate(self.seen), np.concatenate(self.ours)
@@ -182,27 +193,34 @@ _PAIRED = ("ratio", "gap_r", "gap_rmse_mm")  # r alone hides a mouth that opens 
 
 @dataclass(slots=True)
 class _Scores:
-    """Sums of words, by strategy, look-ahead in ms and what they are counted for; may only grow."""
+    """Error sums and lip gaps of spoken words; both dicts only grow.
+
+    Keys: (strategy, look-ahead in ms, name), name being a word, a class of `BORDER_CLASSES` or
+    `_ALL`.
+    """
 
     sums: dict[_Key, list[Array]] = field(default_factory=lambda: defaultdict(list))
     lips: dict[_Key, _Lips] = field(default_factory=lambda: defaultdict(_Lips))
 
     def row(self, strategy: str, lookahead_ms: int, name: str) -> Row:
-        """Figures with 95 % intervals over places where a word was spoken."""
+        """Return the figures of one key, pooled, with 95 % intervals over its spoken words."""
         sums = np.array(self.sums[strategy, lookahead_ms, name])
-        found = figures(sums.sum(axis=0))
+        pooled = figures(sums.sum(axis=0))
         intervals = confidence_intervals(sums, _PAIRED)
         return {
             "strategy": strategy,
             "lookahead_ms": lookahead_ms,
-            **{key: _rounded(found[key]) for key in (*_PAIRED, "closure_hits")},
+            **{key: _rounded(pooled[key]) for key in (*_PAIRED, "closure_hits")},
             **{f"{key}_95": list(map(_rounded, ends)) for key, ends in intervals.items()},
             "best_shift_ms": self.lips[strategy, lookahead_ms, name].best_ms(),
             "frames": int(sums[:, 0].sum()),
         }
 
     def less(self, strategy: str, other: str, lookahead_ms: int) -> Row:
-        """A strategy's figures over all words less another's of the same words, with intervals."""
+        """Return how much larger a strategy's figures are than another's, on the same spoken words.
+
+        Paired differences over all words, with 95 % intervals.
+        """
         ours, theirs = (np.array(self.sums[each, lookahead_ms, _ALL]) for each in (strategy, other))
         differences = paired_differences(ours, theirs, _PAIRED)
         return {
@@ -226,32 +244,32 @@ def left_out_figures(
     limit: int,
     track: Callable[[str, list[Utterance]], Iterable[Utterance]],
 ) -> dict[str, list[Row]]:
-    """Return rows over all words for each look-ahead; rows by class and word for one look-ahead.
+    """Score methods on every word with a model that has not learned it; return tables of rows.
 
-    That one is the last but one, if there are several. `differences`: how much more each further
-    method has than the first, paired, over all words. `classes`: words that begin or end with such
-    a sound. `words`: those of `LEAST_FRAMES` frames, the worst first.
+    `all`: all words, for each method and look-ahead. `differences`: each further method less the
+    first, paired. `classes`: words that begin or end with a class of sounds. `words`: each word of
+    at least `LEAST_FRAMES` frames, the worst gap_r first. The last two have one look-ahead, that in
+    the middle of `lookaheads_ms`.
 
-    corpus: labelled. limit: at most so many sentences of each word are played, spread evenly over
-    their names. Raises CorpusError.
+    corpus: labelled. model_of: returns the model of a fold. listen: returns what is heard of a
+    sentence. limit: play at most so many sentences of each word. track: iterates with a progress
+    bar, given its label. Raises CorpusError.
     """
     scores, folds = _Scores(), word_folds(corpus)
     for part in folds:
         model = model_of(part)
-        played = chosen_places(corpus, part, limit)
-        sentences = corpus.keep({name for name, _ in played}).utterances
-        for utterance in track(f"scoring {part.split}", list(sentences)):
-            words_played = [
-                w for w in spoken_words(utterance) if (utterance.name, w.text) in played
-            ]
-            _add(scores, model, utterance, words_played, methods, lookaheads_ms, listen(utterance))
+        places = chosen_places(corpus, part, limit)
+        utterances = corpus.keep({name for name, _ in places}).utterances
+        for utterance in track(f"scoring {part.split}", list(utterances)):
+            words = [w for w in spoken_words(utterance) if (utterance.name, w.text) in places]
+            _add_sums(scores, model, utterance, words, methods, lookaheads_ms, listen(utterance))
     main_ms = lookaheads_ms[len(lookaheads_ms) // 2]
     names = [method.name for method in methods]
-    spoken = {text for part in folds for text in part.words or ()}
-    rows = [
+    scored_words = {text for part in folds for text in part.words or ()}
+    word_rows = [
         {"word": text, **scores.row(name, main_ms, text)}
         for name in names
-        for text in spoken
+        for text in scored_words
         if scores.sums[name, main_ms, text]  # none: too short for a frame, or said in silence
     ]
     return {
@@ -266,25 +284,28 @@ def left_out_figures(
             if scores.sums[name, main_ms, border]
         ],
         "words": sorted(
-            (row for row in rows if int(str(row["frames"])) >= LEAST_FRAMES),
+            (row for row in word_rows if int(str(row["frames"])) >= LEAST_FRAMES),
             key=lambda row: float(str(row["gap_r"])),
         ),
     }
 
 
 def chosen_places(corpus: Corpus, part: Part, limit: int) -> set[tuple[str, str]]:
-    """Return pairs (sentence, word) of a fold, with at most `limit` sentences for each word."""
+    """Return pairs (sentence, word) of a fold, with at most `limit` sentences for each word.
+
+    Where a word is in more sentences, these are spread evenly over the sorted names.
+    """
     chosen: set[tuple[str, str]] = set()
     for text in part.words or ():
-        holding = sorted(
+        having = sorted(
             u.name for u in corpus.utterances if any(w.text == text for w in spoken_words(u))
         )
-        step = max(1.0, len(holding) / limit)
-        chosen |= {(holding[int(n * step)], text) for n in range(min(limit, len(holding)))}
+        step = max(1.0, len(having) / limit)
+        chosen |= {(having[int(n * step)], text) for n in range(min(limit, len(having)))}
     return chosen
 
 
-def _add(
+def _add_sums(
     scores: _Scores,
     model: TrainedModel,
     utterance: Utterance,
@@ -293,35 +314,38 @@ def _add(
     lookaheads_ms: Sequence[int],
     heard: Heard,
 ) -> None:
-    """Play a sentence by every method and look-ahead, and add the sums of some of its words."""
+    """Play a sentence by every method and look-ahead; add the errors in `words` to `scores`."""
     times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
     ticks_s = np.arange(int(times_s[-1] / TICK_S) + 1, dtype=np.float64) * TICK_S
     recorded = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))
+    # The reference method on the true phonemes: `ratio` is the error relative to its error.
     reference = all_methods()[REFERENCE].faces(model, Heard(utterance.phones), times_s, 0.0)
     ideal = Motion(model.markers_mm(reference), reference)
     seen_mm = model.lip_gaps_mm(utterance.markers_mm)
-    spoken = [(w, speech_frames(utterance, frozenset({w.text}))) for w in words]
+    word_frames = [(w, speech_frames(utterance, frozenset({w.text}))) for w in words]
     for method, ms in product(methods, lookaheads_ms):
+        # A method that does not look ahead gives the same motion for every look-ahead.
         if method.looks_ahead or ms == lookaheads_ms[0]:
-            ticks = method.faces(model, heard, ticks_s, ms / 1e3)
-        ours_mm = model.lip_gaps_mm(model.markers_mm(ticks))
-        faces = np.stack([np.interp(times_s, ticks_s, column) for column in ticks.T], axis=1)
-        made = Motion(model.markers_mm(faces), faces)
-        for word, scored in spoken:
-            if not scored.any():
+            tick_faces = method.faces(model, heard, ticks_s, ms / 1e3)
+        ours_mm = model.lip_gaps_mm(model.markers_mm(tick_faces))
+        faces = np.stack([np.interp(times_s, ticks_s, column) for column in tick_faces.T], axis=1)
+        played = Motion(model.markers_mm(faces), faces)
+        for word, in_word in word_frames:
+            if not in_word.any():
                 continue
-            sums = sentence_sums(model, utterance, scored, recorded, made, ideal)
-            at_s = times_s[scored][:, None] + _SHIFTS_S
+            sums = sentence_sums(model, utterance, in_word, recorded, played, ideal)
+            # Our gap at every shift around each frame of the word, (n_frames, n_shifts).
+            at_s = times_s[in_word][:, None] + _SHIFTS_S
             around_mm = np.interp(at_s, ticks_s, ours_mm)
-            for name in (_ALL, word.text, *_borders(utterance, word)):
+            for name in (_ALL, word.text, *_border_classes(utterance, word)):
                 scores.sums[method.name, ms, name].append(sums)
                 lips = scores.lips[method.name, ms, name]
-                lips.seen.append(seen_mm[scored])
+                lips.seen.append(seen_mm[in_word])
                 lips.ours.append(around_mm)
 
 
-def _borders(utterance: Utterance, word: Word) -> set[str]:
-    """The classes of the first and the last sound of a word."""
+def _border_classes(utterance: Utterance, word: Word) -> set[str]:
+    """Return the classes, of `BORDER_CLASSES`, of the first and the last sound of a word."""
     inside = [
         phone.phoneme
         for phone in utterance.phones

@@ -67,7 +67,10 @@ class BenchError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What is to be scored: methods, look-aheads, and which phonemes they hear."""
+    """What is to be scored: methods, look-aheads, and where their phonemes come from.
+
+    phonemes: one of PHONEMES_TRUE, _RECOGNIZED, _TEXT. words: score these alone; None: all.
+    """
 
     methods: tuple[Method, ...]
     lookaheads_ms: tuple[int, ...]
@@ -89,21 +92,22 @@ def question(
     published_derivatives: bool = False,
     random_units: bool = False,
 ) -> Question:
-    """Parse the command line's texts; raise BenchError for an unknown name.
+    """Parse the options of `bench motion`; raise BenchError for an unknown name or a bad number.
 
-    strategies: names with commas; None: all. published_derivatives: the paper's two strategies use
-    equation (5) as it is printed. random_units: add the methods that draw AnimPhos at random.
+    strategies, words: names with commas between; None: all. lookaheads: ms, with commas between.
+    published_derivatives: the two strategies of Wei and Deng use equation (5) of their paper as
+    printed. random_units: add the methods that draw recorded pieces of motion (AnimPhos) at random.
     """
     methods = all_methods()
     for name, method in methods.items():
         if isinstance(method, PublishedMethod):
             methods[name] = replace(method, published_derivatives=published_derivatives)
-    chosen = list(methods) if strategies is None else [n.strip() for n in strategies.split(",")]
-    if unknown := [name for name in chosen if name not in methods]:
+    names = list(methods) if strategies is None else [n.strip() for n in strategies.split(",")]
+    if unknown := [name for name in names if name not in methods]:
         raise BenchError(f"unknown strategy {unknown[0]!r}; use one of {', '.join(methods)}")
-    known = (PHONEMES_TRUE, PHONEMES_RECOGNIZED, PHONEMES_TEXT)
-    if phonemes not in known:
-        raise BenchError(f"--phonemes {phonemes}: use one of {', '.join(known)}")
+    phoneme_sources = (PHONEMES_TRUE, PHONEMES_RECOGNIZED, PHONEMES_TEXT)
+    if phonemes not in phoneme_sources:
+        raise BenchError(f"--phonemes {phonemes}: use one of {', '.join(phoneme_sources)}")
     try:
         lookaheads_ms = tuple(int(text) for text in lookaheads.split(","))
     except ValueError:
@@ -113,7 +117,7 @@ def question(
     named = None if words is None else frozenset(w.strip() for w in words.split(",") if w.strip())
     if named is not None and not named:
         raise BenchError("--words names no word")
-    scored = tuple(methods[name] for name in dict.fromkeys(chosen))
+    scored = tuple(methods[name] for name in dict.fromkeys(names))
     if random_units:
         scored += RANDOM_UNITS
     return Question(scored, lookaheads_ms, phonemes, named)
@@ -122,39 +126,43 @@ def question(
 def with_offline_methods(
     question: Question, models: OfflineModels, visemes: RecordedVisemes | None
 ) -> Question:
-    """The question with the methods that use a whole line after the given ones.
+    """Return the question with the methods added that use a whole line, not a live stream.
 
-    visemes: what the published comparison plays; None where no sentence that taught the face model
-    is at hand. With it `catmull-rom` is the paper's, and the baseline of that name, which knows
-    means of classes alone, is called `CLASS_MEANS`.
+    visemes: recorded phones for the paper's Catmull-Rom method; None: leave that method out, since
+    no sentence that trained the face model is at hand. With it, `catmull-rom` names the paper's
+    method, and our baseline of that name, through means of viseme classes, is renamed
+    `CLASS_MEANS`.
     """
     methods: list[Method] = [OfflineMethod(name, models) for name in PLANNED_METHODS]
     if visemes is not None:
-        question = replace(question, methods=tuple(map(_class_means_named, question.methods)))
+        question = replace(question, methods=tuple(map(_renamed_class_means, question.methods)))
         methods.insert(0, ContextVisemeMethod(visemes))
     return replace(question, methods=(*question.methods, *methods))
 
 
-def _class_means_named(method: Method) -> Method:
+def _renamed_class_means(method: Method) -> Method:
     return replace(method, name=CLASS_MEANS) if isinstance(method, SplineMethod) else method
 
 
 def score_model(model: TrainedModel, corpus: Corpus, question: Question, track: Track) -> list[Row]:
-    """Score a given model on a folder that it was not trained on."""
+    """Score a model on sentences that it was not trained on; a row for each method and look-ahead.
+
+    Raises BenchError where no sentence contains any of the question's words.
+    """
     utterances = check_scorable(model, corpus)
     if question.words is not None and not any(
         speech_frames(u, question.words).any() for u in utterances
     ):
         raise BenchError(f"{corpus.name}: no sentence holds {', '.join(sorted(question.words))}")
-    part = Part("given", frozenset(), frozenset(u.name for u in utterances), question.words)
-    return _rows([(model, part)], corpus, question, track)
+    whole_folder = Part("given", frozenset(), frozenset(u.name for u in utterances), question.words)
+    return _split_rows([(model, whole_folder)], corpus, question, track)
 
 
 def paper_rows(model: TrainedModel, unseen: Corpus, corpus: Corpus) -> dict[str, list[Row]]:
-    """Figures 1 and 6 and Tables 2 and 3 of the paper, with our recogniser.
+    """Return rows of Figures 1 and 6 and Tables 2 and 3 of Wei and Deng, by the live recogniser.
 
-    unseen: the sentences that are scored. corpus: where it holds sentences that the model was
-    trained on, the paper's method as printed is built from them and scored, too.
+    unseen: the sentences that are scored. corpus: if it holds sentences that the model was trained
+    on, the paper's method as printed is built from these and scored as well.
     """
     utterances = check_scorable(model, unseen)
     taught = bool(seen_in_training(model, corpus.utterances))
@@ -163,9 +171,11 @@ def paper_rows(model: TrainedModel, unseen: Corpus, corpus: Corpus) -> dict[str,
 
 
 def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, question: Question) -> list[Row]:
-    """Return what a wrong phoneme leaves behind, in sentences that the model has not learned.
+    """Return how much of a wrong phoneme's deviation is left in it and in each phoneme after it.
 
-    corpus: all recordings, for what real coarticulation leaves behind.
+    unseen: sentences that the model has not learned. corpus: all recordings, for what a phoneme
+    that truly differs leaves behind there (coarticulation). [] if the question has no method of
+    `_RECOVERING`.
     """
     methods = [m for m in question.methods if m.name in _RECOVERING]
     if not methods:
@@ -176,7 +186,7 @@ def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, question: Ques
 
 @dataclass(frozen=True, slots=True)
 class CrossValidation:
-    """The rows of all splits, and of the first training its model and what it has not seen."""
+    """The rows of all splits; the first trained model and the sentences that it has not seen."""
 
     rows: list[Row]
     model: TrainedModel
@@ -186,7 +196,12 @@ class CrossValidation:
 def cross_validate(
     folder: Path, corpus: Corpus, question: Question, train: Train, track: Track
 ) -> CrossValidation:
-    """Train a model on the training part of each split, and score it on the rest."""
+    """Train a model on the training part of each split, and score it on the rest.
+
+    folder: has `splits.json`, which is read unless the question names words; then one model is
+    trained on the sentences without them. Raises BenchError where nothing is left to train or
+    score.
+    """
     labelled = corpus.labelled()
     if question.words is not None:
         parts = [words_part("words", labelled, question.words)]
@@ -203,7 +218,7 @@ def cross_validate(
     for split in dict.fromkeys(part.split for part in parts):
         trained = [(train(labelled.keep(set(p.train))), p) for p in parts if p.split == split]
         first = first or trained[0][0]
-        rows += _rows(trained, labelled, question, track)
+        rows += _split_rows(trained, labelled, question, track)
     if first is None:
         raise BenchError(f"{folder / 'splits.json'}: names no sentences to score")
     return CrossValidation(rows, first, labelled.keep(set(parts[0].test)))
@@ -211,7 +226,10 @@ def cross_validate(
 
 @dataclass(slots=True)
 class _RememberingListener:
-    """A listener who remembers what was heard: the phonemes of all, the first sentences whole."""
+    """A recogniser that keeps its results.
+
+    sentences: the phonemes of every sentence; first: all that was heard of the first `_TIMED`.
+    """
 
     listen: Listen
     sentences: list[tuple[PhonemeEvent, ...]] = field(default_factory=list)
@@ -225,12 +243,13 @@ class _RememberingListener:
         return heard
 
 
-def _rows(
+def _split_rows(
     trained: Sequence[tuple[TrainedModel, Part]], corpus: Corpus, question: Question, track: Track
 ) -> list[Row]:
-    """Return the rows of one split, whose parts are scored together.
+    """Return the rows of one split, one for each method and look-ahead.
 
-    Misses and times are of the phonemes that were recognised, or known.
+    trained: the split's models, each with the part that it is scored on; a row pools all parts.
+    Miss rates and computing times are taken with the phonemes that the methods got.
     """
     scores = Scores()
     listen: Listen = true_phonemes
@@ -250,11 +269,11 @@ def _rows(
             progress=partial(track, f"scoring {part.split}"),
         )
     model, part = trained[0]
-    rows, used = [], {}
+    rows, animpho_counts = [], {}
     if RANDOM_UNITS[0] in question.methods:
-        used = animpho_use(model, corpus.keep(set(part.test)).utterances)
+        animpho_counts = animpho_use(model, corpus.keep(set(part.test)).utterances)
     for method in question.methods:
-        missed = _miss_rate(method, [m for m, _ in trained], listeners)
+        miss_rate = _pooled_miss_rate(method, [m for m, _ in trained], listeners)
         for lookahead_ms in question.lookaheads_ms:
             times = method_times(method, model, listeners[0].first, lookahead_ms / 1e3)
             rows.append(
@@ -264,22 +283,22 @@ def _rows(
                     "split": part.split,
                     "phonemes": question.phonemes,
                     **scores.row(method.name, lookahead_ms),
-                    "miss_rate": missed,
+                    "miss_rate": miss_rate,
                     "ms_per_phoneme_p95": times and times.phoneme_p95_ms,
                     "ms_per_frame_p95": times and times.frame_p95_ms,
                     "timed_sentences": times and len(listeners[0].first),
-                    **(used if method.name == UNIT_STRATEGY else {}),
+                    **(animpho_counts if method.name == UNIT_STRATEGY else {}),
                 }
             )
     return rows
 
 
-def _miss_rate(
+def _pooled_miss_rate(
     method: Method, models: Sequence[TrainedModel], listeners: Sequence[_RememberingListener]
 ) -> float | None:
-    """Return the miss rate over all parts of a split, each by its own model.
+    """Return the share of misses of AnimPho selection (see `count_misses`) over all parts.
 
-    None for methods without a selection.
+    listeners: with the phonemes of each model's part. None for methods without a selection.
     """
     strategy = STRATEGIES.get(method.name)
     if strategy is None:

@@ -24,18 +24,18 @@ from lipsync.offline.offline_model_file import load_offline_model
 
 
 def models_of(sentences: Corpus, purpose: str) -> OfflineModels:
-    """Return a source of offline models, trained on the sentences that trained a face model.
+    """Return a source of offline models that trains one for each face model that asks for one.
 
-    The shipped face model gets the shipped offline model, and so does one whose sentences
-    `sentences` lacks; OfflineModelError where the two do not match. purpose: named in the error.
-    Raises MissingExtraError.
+    It trains on the sentences of `sentences` that trained the face model. The shipped face model,
+    and one of whose sentences none is in `sentences`, get the shipped offline model; raises
+    OfflineModelError where that does not fit. Raises MissingExtraError, which names `purpose`.
     """
     check_extra("dtaidistance", purpose)
 
     def train(model: TrainedModel) -> OfflineModel:
-        known, shipped = _known(sentences, model), load_offline_model()
-        if known.utterances and shipped.face_checksum != model.checksum:
-            return train_offline(known, model)
+        trained_on, shipped = _training_corpus(sentences, model), load_offline_model()
+        if trained_on.utterances and shipped.face_checksum != model.checksum:
+            return train_offline(trained_on, model)
         shipped.check_face(model, "the shipped offline model")
         return shipped
 
@@ -43,16 +43,20 @@ def models_of(sentences: Corpus, purpose: str) -> OfflineModels:
 
 
 def visemes_of(sentences: Corpus) -> RecordedVisemes:
-    """Recorded phones of the sentences of a corpus that trained a face model."""
+    """Return a source of recorded phones, with the face model's coefficients of each frame.
+
+    The phones are of the sentences of `sentences` that trained the face model.
+    """
 
     def gather(model: TrainedModel) -> ContextVisemes:
-        known = _known(sentences, model).utterances
-        return recorded_visemes(known, [model.coefficients(u.markers_mm) for u in known])
+        utterances = _training_corpus(sentences, model).utterances
+        return recorded_visemes(utterances, [model.coefficients(u.markers_mm) for u in utterances])
 
     return RecordedVisemes(gather)
 
 
-def _known(sentences: Corpus, model: TrainedModel) -> Corpus:
+def _training_corpus(sentences: Corpus, model: TrainedModel) -> Corpus:
+    """Return the labelled sentences of a corpus that trained a face model."""
     return sentences.labelled().keep(set(model.training_sentences))
 
 
@@ -70,9 +74,9 @@ _BYTES_OF_PEAK = 1 if sys.platform == "darwin" else 1024
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """build_s: by the clock, as `lipservo learn offline` takes, reading and listening included.
+    """What a command costs: build_s: wall-clock time; build_processor_s: of all its threads.
 
-    build_processor_s: of all its threads. build_mb: peak resident memory, 10^6 bytes.
+    build_mb: peak resident memory, 10^6 bytes.
     """
 
     build_s: float
@@ -81,15 +85,16 @@ class Cost:
 
 
 def building_cost(folder: Path, model: TrainedModel, *, skip_bad: bool) -> Cost:
-    """Return what it costs to train an offline model for this face from a folder's sentences.
+    """Run `lipservo learn offline` on a folder for a face model; return its time and memory.
 
-    Raises BenchError, with what `learn offline` prints, where it makes none.
+    Reading the sentences and recognising their phonemes are included. skip_bad: leave out sentences
+    that cannot be read. Raises BenchError, with the last line of its errors, if the command fails.
     """
-    with tempfile.TemporaryDirectory() as place:
-        face, made = Path(place) / "face.npz", Path(place) / "offline.npz"
+    with tempfile.TemporaryDirectory() as temporary:
+        face, output = Path(temporary) / "face.npz", Path(temporary) / "offline.npz"
         save_model(model, face)
         train = [sys.executable, "-P", "-m", "lipservo", "learn", "offline", str(folder), "--quiet"]
-        train += ["--model", str(face), "--output", str(made)]
+        train += ["--model", str(face), "--output", str(output)]
         return cost_of([*train, "--skip-bad"] if skip_bad else train)
 
 

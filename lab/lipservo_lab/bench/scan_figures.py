@@ -63,112 +63,121 @@ def known_scans(
     spread: Spread = "shepard",
     noise_mm: float = 0.2,
 ) -> Iterator[KnownScan]:
-    """Yield scans of a mean face: the first at rest, the others as likely as in speech.
+    """Yield simulated scans of the mean face: the first at rest, the others drawn as from speech.
 
-    Each is far from the one before. noise_mm: standard deviation of each coordinate.
+    The coefficients have the face model's covariance; those of successive scans correlate by 0.6.
+    spread: how the model's markers move the rest of the mesh. noise_mm: standard deviation of each
+    coordinate of a scanned point.
     """
     rng = np.random.default_rng(seed)
-    places, targets = _moving_mesh(face, mean, spread)
-    sampled = mean.triangles[(mean.behind[mean.triangles] <= _RINGS).all(axis=1)]
-    width = np.linalg.cholesky(face.covariance)
-    free = rng.normal(size=face.n_components)
+    mean_mm, displacements_mm = _moving_mesh(face, mean, spread)
+    face_triangles = mean.triangles[(mean.behind[mean.triangles] <= _RINGS).all(axis=1)]
+    factor = np.linalg.cholesky(face.covariance)
+    whitened = rng.normal(size=face.n_components)
     for number in range(n_scans):
-        free = 0.6 * free + 0.8 * rng.normal(size=face.n_components)
-        coefficients = face.rest if number == 0 else width @ free
-        vertices = places + np.tensordot(coefficients, targets, axes=1)
-        yield _scanned(vertices, sampled, noise_mm, rng)
+        whitened = 0.6 * whitened + 0.8 * rng.normal(size=face.n_components)
+        coefficients = face.rest if number == 0 else factor @ whitened
+        vertices = mean_mm + np.tensordot(coefficients, displacements_mm, axes=1)
+        yield _scan_mesh(vertices, face_triangles, noise_mm, rng)
 
 
 def _moving_mesh(face: FaceModel, mean: MeanFace, spread: Spread) -> tuple[Array, Array]:
-    """Return the mean's vertices, (n, 3) mm, and the displacement by a component each.
+    """Return the mean head's vertices, (n, 3) mm, and how each component of the face moves them.
 
-    The latter has shape (n_components, n, 3).
+    The latter, (n_components, n, 3) mm, is for a coefficient of 1. spread: "shell" moves the mesh
+    as the twin does; "shepard" by weighted means of the markers (Shepard 1968).
     """
     surface = head_surface(mean)
     if spread == "shell":
         skin = skin_morphs(face, surface)
         return skin.places_mm, skin.targets_mm
-    points = tuple(i for i, number in enumerate(face.layout.landmarks) if number < N_SKIN)
-    handles = [face.layout.landmarks[i] for i in points]
-    graph = _edges(surface.places_mm, surface.triangles)
-    near = 1.0 / (dijkstra(graph, indices=handles) ** 2 + _E_MM**2) ** 2
+    skin_points = tuple(i for i, number in enumerate(face.layout.landmarks) if number < N_SKIN)
+    handle_vertices = [face.layout.landmarks[i] for i in skin_points]
+    graph = _edge_graph(surface.places_mm, surface.triangles)
+    # Weight of each marker for each vertex; what stays still takes its share and moves nothing.
+    handle_weights = 1.0 / (dijkstra(graph, indices=handle_vertices) ** 2 + _E_MM**2) ** 2
     still_mm = dijkstra(graph, indices=surface.anchors, min_only=True)
-    still = _STILL_WEIGHT / (still_mm**2 + _E_MM**2) ** 2
-    weights = (near / (near.sum(axis=0) + still)).T
-    on_head = surface.places_mm[handles]
-    at_mean, basis = worn_face(face, on_head, points)
-    places = surface.places_mm + weights @ (at_mean - on_head)
+    still_weights = _STILL_WEIGHT / (still_mm**2 + _E_MM**2) ** 2
+    weights = (handle_weights / (handle_weights.sum(axis=0) + still_weights)).T
+    head_handles_mm = surface.places_mm[handle_vertices]
+    model_handles_mm, basis = worn_face(face, head_handles_mm, skin_points)
+    places = surface.places_mm + weights @ (model_handles_mm - head_handles_mm)
     return places, np.stack([weights @ each for each in basis])
 
 
-def _scanned(
+def _scan_mesh(
     vertices: Array, triangles: Indices, noise_mm: float, rng: np.random.Generator
 ) -> KnownScan:
-    """Return a scan of a mesh: sampled anew, with holes and noise, turned, and shifted.
+    """Return a scan of a mesh: sampled anew, with holes and noise, then turned and shifted.
 
-    Vertices (n, 3), mm, are turned along, so that each registered point's true place is known.
-    noise_mm: standard deviation of each coordinate.
+    The scan's `truth_mm` has the vertices, (n, 3) mm, turned and shifted alike. noise_mm: standard
+    deviation of each coordinate of a scanned point.
     """
     n_points = int(rng.integers(_FEWEST_POINTS, _MOST_POINTS))
-    points, corners = _sampled(vertices, triangles, n_points, rng)
-    kept = np.ones(len(points), dtype=bool)
+    points, triangle_points = _resample_surface(vertices, triangles, n_points, rng)
+    outside_holes = np.ones(len(points), dtype=bool)
     for centre in points[rng.choice(len(points), _HOLES)]:
-        kept &= np.linalg.norm(points - centre, axis=1) > rng.uniform(*_HOLE_MM)
-    order = rng.permutation(np.flatnonzero(kept))
-    new = np.full(len(points), -1)
-    new[order] = np.arange(len(order))
-    corners = new[corners]
-    corners = rng.permutation(corners[(corners >= 0).all(axis=1)])
+        outside_holes &= np.linalg.norm(points - centre, axis=1) > rng.uniform(*_HOLE_MM)
+    order = rng.permutation(np.flatnonzero(outside_holes))
+    # Old to new numbers of the points that are left; -1: the point lay in a hole.
+    new_index = np.full(len(points), -1)
+    new_index[order] = np.arange(len(order))
+    triangle_points = new_index[triangle_points]
+    triangle_points = rng.permutation(triangle_points[(triangle_points >= 0).all(axis=1)])
     noisy = points[order] + rng.normal(0.0, noise_mm, (len(order), 3))
     angles = rng.uniform(-_TURN_DEG, _TURN_DEG, 3)
     rotation = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
     shift = np.array(_PLACE_MM) + rng.uniform(-_MOVE_MM, _MOVE_MM, 3)
-    return KnownScan(noisy @ rotation.T + shift, corners, vertices @ rotation.T + shift)
+    return KnownScan(noisy @ rotation.T + shift, triangle_points, vertices @ rotation.T + shift)
 
 
-def _sampled(
+def _resample_surface(
     vertices: Array, triangles: Indices, n_points: int, rng: np.random.Generator
 ) -> tuple[Array, Indices]:
-    """Draw random points of a surface, unevenly dense, and join them to triangles of their own.
+    """Draw random points of a surface, with uneven density, and triangulate them.
 
-    Two points are neighbours where the parts of the surface that are nearest to them touch.
+    Returns points, (n_points, 3) mm, and triangles (m, 3) of their indices. Three points make a
+    triangle where their cells meet: the parts of the surface nearest to each (a dual of Voronoi).
     """
     from trimesh.remesh import subdivide
 
     split: Callable[..., tuple[Array, Indices]] = subdivide
-    fine, parts = vertices, triangles
+    fine, fine_triangles = vertices, triangles
     for _ in range(_SPLITS):
-        fine, parts = split(fine, parts)
-    corner = fine[parts]
+        fine, fine_triangles = split(fine, fine_triangles)
+    corner = fine[fine_triangles]
+    # A third of each triangle's area goes to each of its corners: the areas of the vertices.
     crossed = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    thirds = np.repeat(np.linalg.norm(crossed, axis=1) / 6.0, 3)
-    areas = np.bincount(parts.ravel(), thirds, minlength=len(fine))
+    third_areas = np.repeat(np.linalg.norm(crossed, axis=1) / 6.0, 3)
+    areas = np.bincount(fine_triangles.ravel(), third_areas, minlength=len(fine))
     tilt = rng.normal(size=3) * _TILT_PER_MM
     density = areas * np.exp((fine - fine.mean(axis=0)) @ tilt)
     chosen = rng.choice(len(fine), n_points, replace=False, p=density / density.sum())
+    # The cell of each vertex: the chosen point that is nearest along the surface.
     _, _, nearest = dijkstra(
-        _edges(fine, parts), indices=chosen, min_only=True, return_predecessors=True
+        _edge_graph(fine, fine_triangles), indices=chosen, min_only=True, return_predecessors=True
     )
-    part_of = np.full(len(fine), -1)
-    part_of[chosen] = np.arange(n_points)
-    meeting = part_of[nearest][parts]
-    distinct = (meeting != np.roll(meeting, 1, axis=1)).all(axis=1)
-    beside = np.zeros(len(fine), dtype=np.int64)
-    beside[parts.ravel()] = np.repeat(np.arange(len(parts)), 3)
+    cell_of = np.full(len(fine), -1)
+    cell_of[chosen] = np.arange(n_points)
+    corner_cells = cell_of[nearest][fine_triangles]
+    distinct = (corner_cells != np.roll(corner_cells, 1, axis=1)).all(axis=1)
+    triangle_of_vertex = np.zeros(len(fine), dtype=np.int64)
+    triangle_of_vertex[fine_triangles.ravel()] = np.repeat(np.arange(len(fine_triangles)), 3)
+    # Each point lies at random in a triangle beside its chosen vertex.
     shares = rng.dirichlet((1.0, 1.0, 1.0), n_points)
-    points = np.einsum("nk,nkc->nc", shares, fine[parts[beside[chosen]]])
-    return points, meeting[distinct]
+    points = np.einsum("nk,nkc->nc", shares, fine[fine_triangles[triangle_of_vertex[chosen]]])
+    return points, corner_cells[distinct]
 
 
-def _edges(vertices: Array, triangles: Indices) -> Any:
-    """The lengths of all edges, as a graph."""
+def _edge_graph(vertices: Array, triangles: Indices) -> Any:
+    """Return a sparse symmetric matrix (n_vertices, n_vertices) of the lengths of all edges."""
     ends = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     n = len(vertices)
     _, first = np.unique(ends.min(axis=1) * n + ends.max(axis=1), return_index=True)
-    one, other = ends[first].T
-    lengths = np.linalg.norm(vertices[one] - vertices[other], axis=1)
-    both = (np.concatenate([one, other]), np.concatenate([other, one]))
-    return sparse.csr_array((np.concatenate([lengths, lengths]), both), shape=(n, n))
+    start, end = ends[first].T
+    lengths = np.linalg.norm(vertices[start] - vertices[end], axis=1)
+    row_column = (np.concatenate([start, end]), np.concatenate([end, start]))
+    return sparse.csr_array((np.concatenate([lengths, lengths]), row_column), shape=(n, n))
 
 
 #: A point that speech moves by more than this counts as moved.
@@ -179,11 +188,11 @@ _MARKER_NOISE_MM = 0.2
 
 @dataclass(frozen=True, slots=True)
 class ScanFigures:
-    """Distances of points of the mesh from the same points of the truth, mm, over all scans.
+    """Distances between registered and true places of the same vertices, over all scans, mm.
 
-    All of the face, most of which speech hardly moves; its lips and 6 mm round them; what speech
-    moved by more than 1 mm. unregistered: what laying the resting face on the true head gives,
-    without any registration.
+    Without prefix: of all of the face, most of which speech hardly moves; lips: of the lips and
+    6 mm round them; moved: of vertices that speech moved by more than 1 mm; unregistered: where
+    the resting face is only moved rigidly onto the scanned head.
     """
 
     median_mm: float
@@ -198,10 +207,10 @@ class ScanFigures:
 
 
 def scan_figures(face: FaceModel, n_scans: int, seed: int, advance: Advance) -> dict[str, object]:
-    """Return registration errors by kind of truth, with and without 47 named points.
+    """Return registration errors for each `Spread` of the true motion, with and without markers.
 
-    The figures of the first and hardest case, Shepard's weights without named points, are also at
-    the top level.
+    `cases`: figures by name of the case. Those of the first and hardest case, Shepard's weights
+    without markers, are also at the top level.
     """
     rows: dict[str, dict[str, object]] = {}
     cases = [(spread, seen) for spread in get_args(Spread) for seen in (False, True)]
@@ -226,20 +235,21 @@ def registered_figures(
     with_markers: bool,
     advance: Callable[[int], None] = lambda _: None,
 ) -> ScanFigures:
-    """Return registration errors for one kind of truth.
+    """Return registration errors for one `Spread` of the true motion.
 
-    The template takes its shape from the first scan, at rest, as in use.
+    The template takes its shape from the first scan, at rest, as in use. with_markers: the 47
+    markers are given with each scan, with noise. advance: called with the number of scans done.
     """
     rng = np.random.default_rng([seed, 1])
     mean = load_mean_face()
     shipped = shipped_template(mean)
-    rows = np.where(shipped.landmarks < N_SKIN, shipped.landmarks, shipped.landmarks - 1000)
-    off, unmoved, seconds = [], [], []
+    vertex_rows = np.where(shipped.landmarks < N_SKIN, shipped.landmarks, shipped.landmarks - 1000)
+    errors_mm, unregistered_mm, seconds = [], [], []
     registration: Registration | None = None
     at_rest: Array = shipped.vertices_mm
     for number, known in enumerate(known_scans(face, mean, n_scans, seed, spread=spread), start=1):
-        truth = known.truth_mm[rows]
-        markers = _seen(shipped, truth, rng) if with_markers else None
+        truth = known.truth_mm[vertex_rows]
+        markers = _noisy_markers(shipped, truth, rng) if with_markers else None
         scan = scan_of(known.points_mm, known.triangles)
         if registration is None:
             registration = Registration(worn_template(shipped, scan, markers))
@@ -248,15 +258,15 @@ def registered_figures(
         registered = registration.register(scan, markers).in_scan_mm
         seconds.append(time.perf_counter() - began_s)
         rotation, shift = rigid_motion(at_rest[shipped.still], truth[shipped.still])
-        off.append(np.linalg.norm(registered - truth, axis=1))
-        unmoved.append(np.linalg.norm(at_rest @ rotation.T + shift - truth, axis=1))
+        errors_mm.append(np.linalg.norm(registered - truth, axis=1))
+        unregistered_mm.append(np.linalg.norm(at_rest @ rotation.T + shift - truth, axis=1))
         advance(number)
-    errors, still = np.array(off), np.array(unmoved)
+    errors_all, unregistered_all = np.array(errors_mm), np.array(unregistered_mm)
     figures = {
-        "": errors,
-        "lips_": errors[:, shipped.lips],
-        "moved_": errors[still > _MOVED_MM],
-        "unregistered_": still,
+        "": errors_all,
+        "lips_": errors_all[:, shipped.lips],
+        "moved_": errors_all[unregistered_all > _MOVED_MM],
+        "unregistered_": unregistered_all,
     }
     found = {
         f"{name}{key}": round(float(np.percentile(values, share)), 3) if values.size else 0.0
@@ -267,6 +277,7 @@ def registered_figures(
     return ScanFigures(**chosen, scans=n_scans, seconds_per_scan=round(float(np.mean(seconds)), 2))
 
 
-def _seen(template: Template, truth_mm: Array, rng: np.random.Generator) -> Markers:
+def _noisy_markers(template: Template, truth_mm: Array, rng: np.random.Generator) -> Markers:
+    """Return the 47 markers of a scan as a tracker sees them: true vertices with noise, mm."""
     rows = template.rows_of(MARKERS_47.landmarks)
     return Markers(rows, truth_mm[rows] + rng.normal(0.0, _MARKER_NOISE_MM, (len(rows), 3)))

@@ -40,9 +40,11 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class ComparedShapes:
-    """One sound, drawn by each method. times_s, gap_mm: (n,), our lips, from the true phones.
+    """One sound with the mouth shapes that each method draws for it.
 
-    closed: by method, when its mouth is closed.
+    rules, motion: shapes by Rhubarb's rules and by our motion. times_s, gap_mm: (n,), our lip gap.
+    All of these are made from the true phones. closed: intervals in which the mouth is closed, s,
+    by the method's title.
     """
 
     phones: tuple[PhonemeEvent, ...]
@@ -55,7 +57,7 @@ class ComparedShapes:
 
 
 def compared_shapes(from_text: SpokenSound, heard: SpokenSound) -> ComparedShapes:
-    """Compare Rhubarb's rules and our motion on one sound.
+    """Draw one sound by Rhubarb's rules and by our motion, and find when the mouth closes in each.
 
     from_text: the sound with its true phones; heard: with those of the recogniser.
     """
@@ -64,14 +66,14 @@ def compared_shapes(from_text: SpokenSound, heard: SpokenSound) -> ComparedShape
     at_burst = rule_cues(phones, duration_s, stops_at_burst=True)
     times_s = sampling_times_s(duration_s)
     motion, gap_mm = _drawn(from_text, times_s, duration_s)
-    motion_heard, gap_heard_mm = _drawn(heard, times_s, duration_s)
+    heard_motion, heard_gap_mm = _drawn(heard, times_s, duration_s)
     closed = {
-        "Rhubarb's rules, true phones": _closed_cues(rules),
-        "the same, stops labelled at the burst": _closed_cues(at_burst),
-        "our lips, true phones": _closed_lips(times_s, gap_mm),
-        "our shapes, true phones": _closed_cues(motion),
-        "our lips, from the sound": _closed_lips(times_s, gap_heard_mm),
-        "our shapes, from the sound": _closed_cues(motion_heard),
+        "Rhubarb's rules, true phones": _closed_intervals(rules),
+        "the same, stops labelled at the burst": _closed_intervals(at_burst),
+        "our lips, true phones": _touching_intervals(times_s, gap_mm),
+        "our shapes, true phones": _closed_intervals(motion),
+        "our lips, from the sound": _touching_intervals(times_s, heard_gap_mm),
+        "our shapes, from the sound": _closed_intervals(heard_motion),
     }
     return ComparedShapes(phones, duration_s, rules, motion, times_s, gap_mm, closed)
 
@@ -79,20 +81,22 @@ def compared_shapes(from_text: SpokenSound, heard: SpokenSound) -> ComparedShape
 def closing_figures(
     phones: Sequence[PhonemeEvent], closed: Sequence[Interval]
 ) -> dict[str, float | int | None]:
-    """Return how much later than the phone a mouth closes for P, B and M, in ms.
+    """Return how reliably, and how late after the phone's beginning, a mouth closes for P, B and M.
 
-    phones: their number; closed: in how many the mouth is closed, 40 ms around. Median and 10th and
-    90th percentile are of closings from an open mouth within 200 ms; None where there are none.
+    closed: intervals with a closed mouth, s. Figures: the number of P, B and M; in how many
+    of them, 40 ms around, the mouth is closed; percentiles of the delay, ms, of the
+    closing nearest to the phone, if it is within 200 ms and the phone before leaves the mouth open
+    (None: there is no such closing).
     """
     bilabials = [phone for phone in phones if phone.phoneme in BILABIALS]
     n_closed = sum(any(_overlap(phone, interval) for interval in closed) for phone in bilabials)
-    starts_s = np.array([start_s for start_s, _ in closed])
+    closing_starts_s = np.array([start_s for start_s, _ in closed])
     errors_ms = []
-    for before, phone in pairwise(phones):
+    for previous, phone in pairwise(phones):
         # After a pause or another closure the mouth may be closed already.
-        if phone.phoneme in BILABIALS and before.phoneme not in (*BILABIALS, SILENCE):
-            off_s = starts_s - phone.start_s
-            if len(off_s) and abs(nearest := off_s[np.abs(off_s).argmin()]) <= _MATCHED_S:
+        if phone.phoneme in BILABIALS and previous.phoneme not in (*BILABIALS, SILENCE):
+            delays_s = closing_starts_s - phone.start_s
+            if len(delays_s) and abs(nearest := delays_s[np.abs(delays_s).argmin()]) <= _MATCHED_S:
                 errors_ms.append(1e3 * float(nearest))
     figures: dict[str, float | int | None] = {"phones": len(bilabials), "met": n_closed}
     names = ("p10_ms", "median_ms", "p90_ms")
@@ -104,12 +108,13 @@ def closing_figures(
 
 
 def _overlap(phone: PhonemeEvent, interval: Interval) -> bool:
+    """Return whether the mouth is closed at some time from 40 ms before a phone to 40 ms after."""
     end_s = phone.start_s if phone.end_s is None else phone.end_s
     return interval[0] < end_s + _AROUND_S and interval[1] > phone.start_s - _AROUND_S
 
 
 def _drawn(spoken: SpokenSound, times_s: Array, duration_s: float) -> tuple[list[MouthCue], Array]:
-    """The shapes of the motion, and the lip gap (n,)."""
+    """Return the mouth shapes of a sound's motion, and the lip gap, (n,) mm, at `times_s`."""
     model = load_face_with_animphos(spoken.model)
     measures = lip_measures(model)
     faces = np.array([frame.coefficients for frame in spoken.frames(times_s)])
@@ -118,8 +123,8 @@ def _drawn(spoken: SpokenSound, times_s: Array, duration_s: float) -> tuple[list
     return cues, model.lip_gaps_mm(model.markers_mm(faces))
 
 
-def _closed_cues(cues: Sequence[MouthCue]) -> list[Interval]:
-    """Stretches of closed shapes; A and X that follow each other are one."""
+def _closed_intervals(cues: Sequence[MouthCue]) -> list[Interval]:
+    """Return the intervals, s, of closed shapes; adjacent ones (A and X) make one interval."""
     found: list[Interval] = []
     for cue in cues:
         if cue.shape in CLOSED_SHAPES:
@@ -130,14 +135,13 @@ def _closed_cues(cues: Sequence[MouthCue]) -> list[Interval]:
     return found
 
 
-def _closed_lips(times_s: Array, gap_mm: Array) -> list[Interval]:
-    """Stretches in which the lips are as near as recorded closures."""
+def _touching_intervals(times_s: Array, gap_mm: Array) -> list[Interval]:
+    """Return the intervals, s, in which the lip gap is at most that of recorded closures."""
     is_closed = np.concatenate([[False], gap_mm <= CLOSED_GAP_MM, [False]])
     edges = np.flatnonzero(np.diff(is_closed.astype(np.int8)))
-    ends_s = np.append(times_s, times_s[-1] + CENTISECOND_S)
-    return [
-        (float(ends_s[a]), float(ends_s[b])) for a, b in zip(edges[::2], edges[1::2], strict=True)
-    ]
+    # The time of each frame, and the end of the last one: where intervals begin and end.
+    at_s = np.append(times_s, times_s[-1] + CENTISECOND_S)
+    return [(float(at_s[a]), float(at_s[b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 #: What is shown, s.
@@ -159,7 +163,11 @@ Block = tuple[float, float, str, str]
 
 
 def draw_shapes(compared: ComparedShapes, sound: Path, output: Path) -> None:
-    """Draw waveform, true phones, Rhubarb's shapes, our shapes and lip gap, one below the other."""
+    """Write a picture of one sound to `output`.
+
+    Waveform, true phones, Rhubarb's shapes, our shapes and our lip gap, one below the other, of the
+    seconds `SHOWN_S`. sound: the recording's file.
+    """
     without_screen()
     from matplotlib import pyplot as plt
 
@@ -180,8 +188,8 @@ def draw_shapes(compared: ComparedShapes, sound: Path, output: Path) -> None:
         for p in compared.phones
     )  # fmt: skip
     _draw_blocks(axes[1], phones)
-    _draw_blocks(axes[2], _blocks(compared.rules))
-    _draw_blocks(axes[3], _blocks(compared.motion))
+    _draw_blocks(axes[2], _cue_blocks(compared.rules))
+    _draw_blocks(axes[3], _cue_blocks(compared.motion))
     axes[4].plot(compared.times_s, compared.gap_mm, color="tab:red")
     axes[4].axhline(CLOSED_GAP_MM, color="0.5", linewidth=0.8, linestyle=":")
     axes[4].text(SHOWN_S[1], CLOSED_GAP_MM, " closed", va="center", fontsize=9, color="0.4")
@@ -200,22 +208,26 @@ def draw_shapes(compared: ComparedShapes, sound: Path, output: Path) -> None:
     plt.close(figure)
 
 
-def _blocks(cues: Sequence[MouthCue]) -> Iterable[Block]:
+def _cue_blocks(cues: Sequence[MouthCue]) -> Iterable[Block]:
+    """Yield (start in s, end in s, label, colour) of each mouth shape."""
     for cue in cues:
         start_s, end_s = cue.start_cs * CENTISECOND_S, cue.end_cs * CENTISECOND_S
         yield start_s, end_s, cue.shape, _COLOURS[cue.shape]
 
 
 def _draw_blocks(axis: "Axes", blocks: Iterable[Block]) -> None:
-    """Draw boxes with a word in each; a box that the picture cuts off keeps its word inside."""
+    """Draw a row of labelled boxes, clipped to `SHOWN_S`; the label stands inside what is shown.
+
+    A box without room for its label has none.
+    """
     axis.set_ylim(0.0, 1.0)
-    for start_s, end_s, word, colour in blocks:
+    for start_s, end_s, label, colour in blocks:
         start_s, end_s = max(start_s, SHOWN_S[0]), min(end_s, SHOWN_S[1])
         if end_s - start_s < _NARROWEST_S:
             continue
         axis.barh(0.5, end_s - start_s, 1.0, start_s, color=colour, edgecolor="0.5", linewidth=0.6)
-        if end_s - start_s < _ROOM_S * len(word):
-            word = ""
-        small = end_s - start_s < 2.0 * _ROOM_S * len(word)
+        if end_s - start_s < _ROOM_S * len(label):
+            label = ""
+        small = end_s - start_s < 2.0 * _ROOM_S * len(label)
         middle_s = (start_s + end_s) / 2.0
-        axis.text(middle_s, 0.5, word, ha="center", va="center", fontsize=7 if small else 10)
+        axis.text(middle_s, 0.5, label, ha="center", va="center", fontsize=7 if small else 10)

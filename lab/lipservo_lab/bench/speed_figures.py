@@ -19,21 +19,21 @@ from lipsync.animpho.selection import STRATEGIES
 
 
 def replay_speed(recordings: Sequence[Path], n_times: int = 3) -> float:
-    """Return seconds of sound replayed in a second, loading included.
+    """Return seconds of sound that are replayed in a second, loading included.
 
-    The result is the slowest recording's median of `n_times` replays.
+    Each recording is replayed `n_times`; the result is the least of the recordings' medians.
     """
 
-    def speed(recording: Path) -> float:
+    def replay_once(recording: Path) -> float:
         request = RunRequest(DEFAULT_FACE, Sound("file", str(recording)), quiet=True)
         with open_sound(request.sound) as source:
             return run_face(request, source, ManualClock()).summary.speed
 
-    return min(median(speed(each) for _ in range(n_times)) for each in recordings)
+    return min(median(replay_once(each) for _ in range(n_times)) for each in recordings)
 
 
 def live_figures() -> dict[str, float]:
-    """Return start-up time and memory of a whole `lipservo run` in a process of its own."""
+    """Return start-up time, s, and resident memory, MB, of a `lipservo run` in its own process."""
     command = [sys.executable, "-P", "-m", "lipservo", "run", "--json"]
     finished = subprocess.run(command, check=True, capture_output=True, text=True)
     summary = json.loads(finished.stdout)
@@ -44,9 +44,10 @@ def live_figures() -> dict[str, float]:
 
 
 def miss_rates(corpus_folder: Path) -> dict[str, float]:
-    """Return the miss rates of both published strategies on `random_test`.
+    """Return the miss rate (see `miss_rate`) of both strategies of Wei and Deng, by figure name.
 
-    The model is trained without those sentences.
+    Scored are the sentences of `random_test` in the folder's `splits.json`; the model is trained on
+    all others.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.paper_tables import miss_rate

@@ -21,7 +21,7 @@ TEXTS = ("red", "blue", "green")
 
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory) -> Corpus:
-    """Six sentences of one word each, three words by turns."""
+    """Return a corpus of six sentences of one word each; three words in turn."""
     found = read_grid(write_corpus(tmp_path_factory.mktemp("corpus") / "c", 6)).labelled()
     utterances = tuple(
         replace(u, words=(Word(TEXTS[n % 3], u.words[0].start_s, u.words[-1].end_s),))

@@ -25,13 +25,17 @@ from lipservo_lab.bench.agents.virtual_face import RATE_HZ, VirtualFace
 #: A turn that takes longer hangs, or is mute.
 PATIENCE_S: Final = 30.0
 _TICK_S: Final = 0.0005
-#: Between two tries to reach a face an adapter waits less.
-_BACK_S: Final = 6.0
+#: An adapter that has lost its face tries to reach it more often than this.
+_RECONNECTS_S: Final = 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What an agent says. sentences: words in each. cut_s: of its sound, a person breaks in."""
+    """What an agent says in one turn.
+
+    sentences: the number of words in each. cut_s: a person interrupts after so much of the turn's
+    sound; None: the turn is not interrupted.
+    """
 
     number: int
     sentences: tuple[int, ...]
@@ -51,42 +55,43 @@ class Turn:
 def turns(n_turns: int, n_cuts: int, seed: int = 0) -> list[Turn]:
     """Draw turns of one to four sentences of two to seven words; `n_cuts` of them are cut off."""
     rng = random.Random(seed)
-    cut = set(rng.sample(range(n_turns), n_cuts))
-    given = []
+    cut_numbers = set(rng.sample(range(n_turns), n_cuts))
+    drawn = []
     for number in range(n_turns):
         sentences = tuple(rng.randint(2, 7) for _ in range(rng.randint(1, 4)))
-        cut_s = rng.uniform(0.0, WORD_S * sum(sentences)) if number in cut else None
-        given.append(Turn(number, sentences, cut_s))
-    return given
+        cut_s = rng.uniform(0.0, WORD_S * sum(sentences)) if number in cut_numbers else None
+        drawn.append(Turn(number, sentences, cut_s))
+    return drawn
 
 
 class Agent(Protocol):
     """An agent of a framework that speaks through a face.
 
-    elsewhere: samples that left another loudspeaker than the face's, by value.
+    elsewhere: how many samples were played by another loudspeaker than the face's, by value.
     """
 
     elsewhere: Counter[int]
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Say a turn; return what the agent remembers of it once it is over.
+        """Say a turn; return the text that the agent remembers of it once it is over.
 
-        until_cut: returns when someone breaks in; None: no one does.
+        until_cut: waits until a person interrupts; None: the turn is not interrupted.
         """
 
 
-#: Of a face: an agent that speaks through it, as long as it is entered.
+#: Makes an agent that speaks through the given face while the context lasts.
 Speaks = Callable[[VirtualFace], AbstractAsyncContextManager[Agent]]
 
 
 def agent_figures(
     speaks: Speaks, n_turns: int, n_cuts: int, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """Let an agent speak `n_turns`; return what it remembers wrongly, doubles, or leaves mute.
+    """Let an agent speak `n_turns`, `n_cuts` of them interrupted; return what went wrong, counted.
 
-    Words are unheard if the agent remembers them and nothing of them was played, forgotten if they
-    were played whole and it does not. Sound that is played twice, or after its turn was over, is a
-    double voice. A turn is mute if nothing of it was played though a face was there.
+    unheard_words: remembered by the agent, though nothing of them was played; forgotten_words:
+    played whole, but not remembered. double_voice_s: sound played twice or after its turn was over.
+    mute_turns: nothing was played, though a face was there and the turn was not interrupted.
+    progress: called with turns done and all turns.
     """
     with VirtualFace() as face:
         counted = asyncio.run(_Conversation(face).hold(speaks, turns(n_turns, n_cuts), progress))
@@ -96,7 +101,7 @@ def agent_figures(
 
 
 class _Conversation:
-    """Turns one after the other, and what was heard of them."""
+    """A conversation of turns one after the other, checked against what the loudspeaker played."""
 
     def __init__(self, face: VirtualFace) -> None:
         self._face = face
@@ -104,11 +109,12 @@ class _Conversation:
     async def hold(
         self, speaks: Speaks, given: list[Turn], progress: Callable[[int, int], None]
     ) -> dict[str, Any]:
-        """Let an agent speak the turns; return words remembered wrongly, sound doubled, turns mute.
+        """Let an agent speak the turns; return the counts that `agent_figures` describes.
 
-        During the turn at one third of them the face restarts, at two thirds it is absent.
+        During the turn after a third of them the face restarts; for that after two thirds it is
+        absent.
         """
-        unheard, forgotten, mute, at_end = 0, 0, 0, []
+        unheard, forgotten, mute, heard_at_end = 0, 0, 0, []
         restarts_at, absent_at = len(given) // 3, 2 * len(given) // 3
         async with speaks(self._face) as agent:
             for turn in given:
@@ -116,7 +122,7 @@ class _Conversation:
                 is_absent = turn.number == absent_at
                 if is_absent:
                     await asyncio.to_thread(self._face.leave)
-                until_cut = None if turn.cut_s is None or is_absent else self._until(turn, agent)
+                until_cut = None if turn.cut_s is None or is_absent else self._cut_wait(turn, agent)
                 restart = None
                 if turn.number == restarts_at:
                     restart, until_cut = asyncio.create_task(self._restart(turn)), None
@@ -130,53 +136,57 @@ class _Conversation:
                     await self._reconnected()
                 heard = self._face.loudspeaker.heard + agent.elsewhere
                 words = [word for sentence in turn.words() for word in sentence]
-                wrong = wrongly_remembered(words, heard, remembered, RATE_HZ, turn.first)
-                unheard, forgotten = unheard + wrong[0], forgotten + wrong[1]
-                at_end.append(_samples(heard, turn))
-                mute += at_end[-1].total() == 0 and turn.cut_s is None and not is_absent
+                n_wrong = wrongly_remembered(words, heard, remembered, RATE_HZ, turn.first)
+                unheard, forgotten = unheard + n_wrong[0], forgotten + n_wrong[1]
+                heard_at_end.append(_turn_samples(heard, turn))
+                mute += heard_at_end[-1].total() == 0 and turn.cut_s is None and not is_absent
                 if is_absent:
                     self._face.come_back()
                     await self._reconnected()
         heard = self._face.loudspeaker.heard + agent.elsewhere
         n_word = round(WORD_S * RATE_HZ)
-        twice = sum(max(0, n - n_word) for turn in given for n in _samples(heard, turn).values())
-        late = sum(
-            (_samples(heard, turn) - known).total()
-            for turn, known in zip(given, at_end, strict=True)
+        n_twice = sum(
+            max(0, n - n_word) for turn in given for n in _turn_samples(heard, turn).values()
+        )
+        n_late = sum(
+            (_turn_samples(heard, turn) - heard_in_turn).total()
+            for turn, heard_in_turn in zip(given, heard_at_end, strict=True)
         )
         return {
             "unheard_words": unheard,
             "forgotten_words": forgotten,
-            "double_voice_s": round((twice + late) / RATE_HZ, 3),
+            "double_voice_s": round((n_twice + n_late) / RATE_HZ, 3),
             "mute_turns": mute,
         }
 
-    def _until(self, turn: Turn, agent: Agent) -> Callable[[], Awaitable[None]]:
-        async def heard() -> None:
+    def _cut_wait(self, turn: Turn, agent: Agent) -> Callable[[], Awaitable[None]]:
+        """Return a function that waits until `turn.cut_s` of the turn's sound has been played."""
+
+        async def wait() -> None:
             sounds, cut_s = (self._face.loudspeaker.heard, agent.elsewhere), turn.cut_s or 0.0
-            while sum(_samples(each, turn).total() for each in sounds) < cut_s * RATE_HZ:
+            while sum(_turn_samples(each, turn).total() for each in sounds) < cut_s * RATE_HZ:
                 await asyncio.sleep(_TICK_S)
 
-        return heard
+        return wait
 
     async def _reconnected(self) -> None:
-        """Wait as long as an agent waits between two tries, or until it is back."""
-        until_s = asyncio.get_running_loop().time() + _BACK_S
+        """Wait until an agent is connected to the face again, at most `_RECONNECTS_S`."""
+        until_s = asyncio.get_running_loop().time() + _RECONNECTS_S
         while asyncio.get_running_loop().time() < until_s:
             if self._face.server.status()["n_clients"]:
                 return
             await asyncio.sleep(0.01)
 
     async def _restart(self, turn: Turn) -> None:
-        """Restart the face within the turn, after its first word."""
-        while _samples(self._face.loudspeaker.heard, turn).total() < WORD_S * RATE_HZ:
+        """Restart the face once so much of the turn was played as its first word is long."""
+        while _turn_samples(self._face.loudspeaker.heard, turn).total() < WORD_S * RATE_HZ:
             await asyncio.sleep(_TICK_S)
         await asyncio.to_thread(self._face.leave)
         self._face.come_back()
 
 
-def _samples(heard: Counter[int], turn: Turn) -> Counter[int]:
-    """The samples of a turn that were heard, by value."""
+def _turn_samples(heard: Counter[int], turn: Turn) -> Counter[int]:
+    """Return how many samples of a turn were played, by value. heard: counts of all values."""
     first = FIRST_VALUE + turn.first
     values = range(first, first + sum(turn.sentences))
     return Counter({value: heard[value] for value in values if heard[value]})

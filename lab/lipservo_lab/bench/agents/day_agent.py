@@ -42,7 +42,10 @@ _PATIENCE_S: Final = 30.0
 
 
 class _Transport(FrameProcessor):
-    """Behind the face: the sound that would play there, and the end of each turn."""
+    """Stands behind the face in the pipeline, where a loudspeaker's transport would be.
+
+    sound_s: seconds of sound that the face let through to it. ended: set at the end of each turn.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -59,21 +62,21 @@ class _Transport(FrameProcessor):
         await self.push_frame(frame, direction)
 
 
-def _turns() -> list[list[Frame]]:
+def _turn_frames() -> list[list[Frame]]:
     """Return the bundled clip cut into turns of `_TURN_S`, each as a list of Pipecat frames."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples, rate_hz = soundfile.read(clip, dtype="int16")
     size, chunk = round(_TURN_S * rate_hz), round(_CHUNK_S * rate_hz)
-    given = []
+    turns = []
     for first in range(0, len(samples) - size + 1, size):
         piece = np.asarray(samples[first : first + size], dtype="<i2")
         sound = [
             TTSAudioRawFrame(piece[n : n + chunk].tobytes(), rate_hz, 1)
             for n in range(0, size, chunk)
         ]
-        ends = [TTSStoppedFrame(), LLMFullResponseEndFrame()]
-        given.append([LLMFullResponseStartFrame(), TTSStartedFrame(), *sound, *ends])
-    return given
+        end_frames = [TTSStoppedFrame(), LLMFullResponseEndFrame()]
+        turns.append([LLMFullResponseStartFrame(), TTSStartedFrame(), *sound, *end_frames])
+    return turns
 
 
 async def talk(url: str, token: str, period_s: float) -> None:
@@ -84,11 +87,11 @@ async def talk(url: str, token: str, period_s: float) -> None:
     began = asyncio.Event()
 
     @worker.event_handler("on_pipeline_started")  # type: ignore[untyped-decorator]
-    async def _began(*_about: object) -> None:
+    async def _note_start(*_about: object) -> None:
         began.set()
 
     @worker.event_handler("on_pipeline_error")  # type: ignore[untyped-decorator]
-    async def _failed(_worker: object, frame: ErrorFrame) -> None:
+    async def _print_error(_worker: object, frame: ErrorFrame) -> None:
         print(json.dumps({"error_s": time.monotonic(), "error": frame.error}), flush=True)  # noqa: T201 - for the bench
 
     async def speak() -> None:
@@ -99,7 +102,7 @@ async def talk(url: str, token: str, period_s: float) -> None:
         await began.wait()
         number = 0
         while True:
-            frames = _turns()
+            frames = _turn_frames()
             turn = {"began_s": time.monotonic()}
             transport.ended.clear()
             transport_s = transport.sound_s

@@ -50,8 +50,11 @@ _ALSA: Final = (
 
 
 @dataclass(slots=True)
-class _Life:
-    """Memory (MB) and threads of a process while it lives, by seconds since it began."""
+class _ProcessLife:
+    """Memory and threads of a process, sampled while it lives.
+
+    seen: (seconds since the process began, resident MB, number of threads).
+    """
 
     pid: int
     began_s: float = field(default_factory=time.monotonic)
@@ -65,7 +68,10 @@ class _Life:
             self.seen.append((time.monotonic() - self.began_s, rss_mb, n_threads))
 
     def growth(self) -> tuple[float, float, int]:
-        """Return how long the warm process was watched, and how memory (MB) and threads grew."""
+        """Return seconds from first to last sample, and how memory (MB) and threads grew meanwhile.
+
+        Only samples from `_WARM_S` after the process's start on count; zeros if there are none.
+        """
         warm = [each for each in self.seen if each[0] >= _WARM_S]
         if not warm:
             return 0.0, 0.0, 0
@@ -75,24 +81,25 @@ class _Life:
 def day_figures(
     minutes: float, events: Mapping[str, int], progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """Run an agent and a face for `minutes`; return what went wrong.
+    """Run an agent and a face for `minutes`; return figures of what went wrong.
 
-    `mute_turns`: turns that did not move the mouth; `rss_growth_mb` and `threads_growth`: the worst
-    process; `gone_noticed_s`: the longest time until the agent noticed a pulled cable, None if none
-    was pulled or one went unnoticed. events: how often each of `EVENTS` happens.
+    `mute_turns`: turns that did not move the mouth, though no event excuses that; `rss_growth_mb`,
+    `threads_growth`: of the process that grew most; `gone_noticed_s`: the longest time until the
+    agent noticed a pulled cable, None if none was pulled or one went unnoticed.
 
-    Raises UserError where PulseAudio or what it needs is missing.
+    events: how often each of `EVENTS` happens. progress: called with events begun and all events.
+    Raises UserError where PulseAudio is missing or does not start.
     """
     with (
         tempfile.TemporaryDirectory(prefix="lipservo-day-") as folder,
-        _sink(Path(folder)) as environment,
+        _pulseaudio_sink(Path(folder)) as environment,
         _Day(Path(folder), environment) as day,
     ):
         return day.run(minutes, events, progress)
 
 
 class _Day:
-    """The processes, and what is seen of them."""
+    """The daemon and the agent of a day, the cable between them, and what was observed of them."""
 
     def __init__(self, folder: Path, environment: dict[str, str]) -> None:
         self._folder = folder
@@ -112,24 +119,24 @@ class _Day:
         #: (monotonic seconds, phonemes that moved the mouth, state) of the face that runs then.
         self._statuses: list[tuple[float, int, str]] = []
         #: From when to when a turn may be mute.
-        self._troubles: list[tuple[float, float]] = []
-        self._lives: dict[str, list[_Life]] = {"daemon": [], "agent": []}
+        self._excused: list[tuple[float, float]] = []
+        self._lives: dict[str, list[_ProcessLife]] = {"daemon": [], "agent": []}
         self._processes: dict[str, subprocess.Popen[str]] = {}
-        self._over = threading.Event()
-        self._watching = threading.Thread(target=self._watch, daemon=True)
+        self._is_over = threading.Event()
+        self._watcher = threading.Thread(target=self._sample_until_over, daemon=True)
 
     def __enter__(self) -> "_Day":
         self._cable.__enter__()
-        self._start("daemon")
-        self._start("agent")
-        self._watching.start()
+        self._start_process("daemon")
+        self._start_process("agent")
+        self._watcher.start()
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self._over.set()
-        self._watching.join()
+        self._is_over.set()
+        self._watcher.join()
         for name in ("agent", "daemon"):
-            self._end(name)
+            self._end_process(name)
         self._cable.__exit__()
 
     def run(
@@ -138,36 +145,40 @@ class _Day:
         """Play all events in a fixed random order, spread evenly over `minutes`; return figures."""
         self._wait_for_face()
         began_s = time.monotonic()
-        self._troubles.append((0.0, began_s + _GRACE_S))
-        order = [name for name, n in events.items() for _ in range(n)]
-        random.Random(1).shuffle(order)
-        gap_s = 60.0 * minutes / (len(order) + 1)
-        for number, name in enumerate(order, 1):
-            progress(number, len(order))
+        self._excused.append((0.0, began_s + _GRACE_S))
+        event_order = [name for name, n in events.items() for _ in range(n)]
+        random.Random(1).shuffle(event_order)
+        gap_s = 60.0 * minutes / (len(event_order) + 1)
+        for number, name in enumerate(event_order, 1):
+            progress(number, len(event_order))
             time.sleep(max(0.0, began_s + number * gap_s - time.monotonic()))
-            self._play(name)
+            self._play_event(name)
         time.sleep(max(0.0, began_s + 60.0 * minutes - time.monotonic()))
-        self._over.set()
-        self._watching.join()
+        self._is_over.set()
+        self._watcher.join()
         lives = [each for every in self._lives.values() for each in every]
-        grown = {name: max(each.growth() for each in of) for name, of in self._lives.items()}
+        growth = {name: max(each.growth() for each in of) for name, of in self._lives.items()}
         return {
             "turns": len(self._turns),
             "mute_turns": sum(self._is_mute(turn) for turn in self._turns),
             "hung_turns": sum("hung" in turn for turn in self._turns),
-            "rss_growth_mb": round(max(each[1] for each in grown.values()), 2),
-            "threads_growth": max(each[2] for each in grown.values()),
-            "watched_s": {name: round(each[0], 1) for name, each in grown.items()},
+            "rss_growth_mb": round(max(each[1] for each in growth.values()), 2),
+            "threads_growth": max(each[2] for each in growth.values()),
+            "watched_s": {name: round(each[0], 1) for name, each in growth.items()},
             "processes": len(lives),
             "gone_noticed_s": self._gone_noticed_s(),
             **{name.replace(" ", "_"): n for name, n in events.items()},
         }
 
     def _is_mute(self, turn: dict[str, float]) -> bool:
-        """Return whether a turn moved no lips, though no event excuses that."""
+        """Return whether a turn did not move the lips, though no event excuses that.
+
+        Mute is also a turn whose sound bypassed the face, or during which no status was received.
+        """
         began_s, ended_s = turn["began_s"], turn["ended_s"]
-        if any(from_s <= ended_s and began_s <= to_s for from_s, to_s in self._troubles):
+        if any(from_s <= ended_s and began_s <= to_s for from_s, to_s in self._excused):
             return False
+        # How many phonemes had moved the mouth, in each status received during the turn.
         counts = [n for at_s, n, _ in self._statuses if began_s <= at_s <= ended_s + 1.0]
         return turn["transport_s"] > 0.0 or not counts or counts[-1] <= counts[0]
 
@@ -178,13 +189,13 @@ class _Day:
         """
         delays_s = []
         for pulled_s in self._pulled:
-            later_s = [at_s - pulled_s for at_s in self._errors if at_s >= pulled_s]
-            if not later_s or min(later_s) > _PULLED_S:
+            errors_after_s = [at_s - pulled_s for at_s in self._errors if at_s >= pulled_s]
+            if not errors_after_s or min(errors_after_s) > _PULLED_S:
                 return None
-            delays_s.append(min(later_s))
+            delays_s.append(min(errors_after_s))
         return round(max(delays_s), 2) if delays_s else None
 
-    def _play(self, name: str) -> None:
+    def _play_event(self, name: str) -> None:
         """Do one of `EVENTS`, wait for the face, and note in which time turns may have been mute.
 
         Blocks for the event's whole duration.
@@ -205,12 +216,12 @@ class _Day:
             time.sleep(_STOPPED_S)
             start_face(self._control, _PATIENCE_S)
         else:
-            which = name.split(" ", 1)[0]
-            self._end(which)
+            process_name = name.split(" ", 1)[0]
+            self._end_process(process_name)
             time.sleep(_GONE_S)
-            self._start(which)
+            self._start_process(process_name)
         self._wait_for_face()
-        self._troubles.append((from_s, time.monotonic() + _GRACE_S))
+        self._excused.append((from_s, time.monotonic() + _GRACE_S))
 
     def _wait_for_face(self) -> None:
         """Wait until the daemon listens and its face is driven or silent; UserError after 90 s."""
@@ -223,7 +234,7 @@ class _Day:
             time.sleep(_LOOK_S)
         raise UserError("bench day: the face does not drive its servos again")
 
-    def _start(self, name: str) -> None:
+    def _start_process(self, name: str) -> None:
         """Start the process "daemon" or "agent"; a thread of its own reads its standard output.
 
         The daemon listens behind the cable; the agent connects to the cable. Standard error is
@@ -247,13 +258,13 @@ class _Day:
         )
         log.close()
         self._processes[name] = process
-        self._lives[name].append(_Life(process.pid))
-        threading.Thread(target=self._read, args=(process,), daemon=True).start()
+        self._lives[name].append(_ProcessLife(process.pid))
+        threading.Thread(target=self._collect_lines, args=(process,), daemon=True).start()
 
-    def _end(self, name: str) -> None:
+    def _end_process(self, name: str) -> None:
         end(self._processes[name], _PATIENCE_S)
 
-    def _read(self, process: "subprocess.Popen[str]") -> None:
+    def _collect_lines(self, process: "subprocess.Popen[str]") -> None:
         """Collect the JSON lines that a process prints, errors and turns, until its output ends.
 
         Lines that are no JSON are dropped.
@@ -268,9 +279,9 @@ class _Day:
                     else:
                         self._turns.append(row)
 
-    def _watch(self) -> None:
+    def _sample_until_over(self) -> None:
         """Sample memory and threads of both processes and the face's status until the day ends."""
-        while not self._over.wait(_LOOK_S):
+        while not self._is_over.wait(_LOOK_S):
             for lives in self._lives.values():
                 lives[-1].look()
             with contextlib.suppress(OSError):
@@ -280,7 +291,7 @@ class _Day:
 
 
 @contextlib.contextmanager
-def _sink(folder: Path) -> Iterator[dict[str, str]]:
+def _pulseaudio_sink(folder: Path) -> Iterator[dict[str, str]]:
     """Run a PulseAudio server whose only sink has no sound card; yield the environment to use it.
 
     Raises UserError where PulseAudio is not installed or does not start.
@@ -303,6 +314,7 @@ def _sink(folder: Path) -> Iterator[dict[str, str]]:
     command += ["--exit-idle-time=-1", "--disable-shm=yes", "--use-pid-file=no", "--realtime=no"]
     if shutil.which(command[0]) is None:
         raise UserError("bench day needs pulseaudio: apt install pulseaudio")
+    # The server itself must not look for another server, nor read the user's settings.
     quiet, own = subprocess.DEVNULL, {**environment, "PULSE_SERVER": "", "HOME": str(folder)}
     with started(command, env=own, stdout=quiet, stderr=quiet) as server:
         give_up_s = time.monotonic() + _PATIENCE_S

@@ -26,12 +26,15 @@ class _LiveKitAgent:
         self.elsewhere: Counter[int] = Counter()
 
     async def say(self, turn: Turn, until_cut: Callable[[], Awaitable[None]] | None) -> str:
-        """Let the session speak a turn; return the text that its history holds of the turn."""
+        """Let the session speak a turn; return the text that its history holds of the turn.
+
+        Every second turn comes with the times of its words.
+        """
         words = [word for sentence in turn.words() for word in sentence]
         n_before = len(self._session.history.items)
 
         async def recording() -> AsyncIterator[rtc.AudioFrame]:
-            for frame in _frames(words, turn.first, has_times=bool(turn.number % 2)):
+            for frame in _turn_frames(words, turn.first, has_times=bool(turn.number % 2)):
                 yield frame
 
         handle = self._session.say(" ".join(words), audio=recording())
@@ -39,8 +42,8 @@ class _LiveKitAgent:
             await until_cut()
             handle.interrupt()
         await handle
-        spoken = self._session.history.items[n_before:]
-        return " ".join(getattr(item, "text_content", None) or "" for item in spoken)
+        new_items = self._session.history.items[n_before:]
+        return " ".join(getattr(item, "text_content", None) or "" for item in new_items)
 
 
 @asynccontextmanager
@@ -54,13 +57,13 @@ async def livekit_agent(face: VirtualFace) -> AsyncIterator[_LiveKitAgent]:
         await session.aclose()
 
 
-def _frames(words: list[str], first: int, *, has_times: bool) -> list[rtc.AudioFrame]:
+def _turn_frames(words: list[str], first: int, *, has_times: bool) -> list[rtc.AudioFrame]:
     """Return the sound of words in frames of 20 ms; has_times: the first frame has their times."""
     pcm, size = worded_pcm(len(words), RATE_HZ, first), 2 * RATE_HZ // 50
     pieces = [pcm[n : n + size] for n in range(0, len(pcm), size)]
     frames = [rtc.AudioFrame(piece, RATE_HZ, 1, len(piece) // 2) for piece in pieces]
     if has_times:
         frames[0].userdata[USERDATA_TIMED_TRANSCRIPT] = [
-            TimedString(f"{word} ", start_time=WORD_S * place) for place, word in enumerate(words)
+            TimedString(f"{word} ", start_time=WORD_S * number) for number, word in enumerate(words)
         ]
     return frames

@@ -36,19 +36,20 @@ class _OpenAiAgent:
         """Let the agent speak a turn as one item; return the words that the conversation keeps."""
         words = [word for sentence in turn.words() for word in sentence]
         answers = []
-        for event in _events(turn, words):
+        for event in _server_events(turn, words):
             answers += await self._voice.hear(event)
         if until_cut is not None:
             await until_cut()
-            started = realtime.InputAudioBufferSpeechStartedEvent(
+            speech_started = realtime.InputAudioBufferSpeechStartedEvent(
                 type="input_audio_buffer.speech_started",
                 event_id="s",
                 item_id="u",
                 audio_start_ms=9,
             )
-            answers += await self._voice.hear(started)
+            answers += await self._voice.hear(speech_started)
         else:
             answers += await self._voice.finish()
+        # A truncation keeps the words that begin before its time, as the API documents it.
         n_kept = len(words)
         for answer in answers:
             end_ms = answer.get("audio_end_ms", 0)
@@ -60,10 +61,10 @@ class _OpenAiAgent:
 async def openai_agent(face: VirtualFace) -> AsyncIterator[_OpenAiAgent]:
     """Yield an agent that speaks through the face."""
     async with lipservo.connect_async(face.url) as connection:
-        yield _OpenAiAgent(_example().RealtimeVoice(connection))
+        yield _OpenAiAgent(_import_example().RealtimeVoice(connection))
 
 
-def _example() -> ModuleType:
+def _import_example() -> ModuleType:
     """Import examples/openai_realtime.py of this checkout; raise UserError where it is missing."""
     path = Path(lipservo.__file__).parents[1] / _EXAMPLE
     spec = importlib.util.spec_from_file_location("openai_realtime", path)
@@ -74,7 +75,7 @@ def _example() -> ModuleType:
     return module
 
 
-def _events(turn: Turn, words: list[str]) -> list[Any]:
+def _server_events(turn: Turn, words: list[str]) -> list[Any]:
     """Return the server's events of a turn: transcript word by word, then sound in 0.1 s chunks."""
     item = {"item_id": f"turn{turn.number}", "response_id": "r", "output_index": 0}
     about: dict[str, Any] = {**item, "content_index": 0}

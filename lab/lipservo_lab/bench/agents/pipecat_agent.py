@@ -49,8 +49,8 @@ _SETTLED_S: Final = 2.0
 _PASSING_S: Final = 0.2
 
 
-class _Service(FrameProcessor):
-    """Times words as Pipecat's own TTS service does, and by its tracker."""
+class _TimingTtsService(FrameProcessor):
+    """Stands for a TTS service: dates words by Pipecat's own tracker, as such services do."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ class _Service(FrameProcessor):
 
 
 class _Listener(FrameProcessor):
-    """Notes sound that would reach a transport, and interruptions that have passed it."""
+    """Counts samples that pass this place in the pipeline, by value, and notes interruptions."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -104,7 +104,7 @@ class _PipecatAgent:
         self._transport, self._behind = _Listener(), _Listener()
         aggregator = LLMContextAggregatorPair(self._context).assistant()
         pipeline = Pipeline(
-            [_Service(), PipecatFace(face.url), self._transport, aggregator, self._behind]
+            [_TimingTtsService(), PipecatFace(face.url), self._transport, aggregator, self._behind]
         )
         self.worker = PipelineWorker(pipeline, cancel_on_idle_timeout=False, enable_rtvi=False)
         self.elsewhere = self._transport.heard
@@ -115,18 +115,20 @@ class _PipecatAgent:
         self._behind.interrupted.clear()
         n_before, loop = len(messages), asyncio.get_running_loop()
         n_elsewhere = self.elsewhere.total()
-        await self.worker.queue_frames(_frames(turn))
+        await self.worker.queue_frames(_turn_frames(turn))
         if until_cut is not None:
             await until_cut()
+            # Without a face the sound has gone elsewhere at once; its text still has to follow.
             if self.elsewhere.total() > n_elsewhere:
                 await asyncio.sleep(_PASSING_S)
             await self.worker.queue_frame(InterruptionFrame())
             await self._behind.interrupted.wait()
-        quiet_s = loop.time()
-        while loop.time() < quiet_s + _SETTLED_S:
+        # Wait until nothing has been played for `_SETTLED_S`, or the context has the turn's text.
+        last_sound_s = loop.time()
+        while loop.time() < last_sound_s + _SETTLED_S:
             await asyncio.sleep(0.001)
             if not self._face.playout.is_over:
-                quiet_s = loop.time()
+                last_sound_s = loop.time()
             elif until_cut is not None or len(messages) > n_before:
                 break
         return " ".join(str(each["content"]) for each in messages[n_before:])
@@ -139,7 +141,7 @@ async def pipecat_agent(face: VirtualFace) -> AsyncIterator[_PipecatAgent]:
     agent, began = _PipecatAgent(face), asyncio.Event()
 
     @agent.worker.event_handler("on_pipeline_started")  # type: ignore[untyped-decorator]
-    async def _began(*_about: object) -> None:
+    async def _note_start(*_about: object) -> None:
         began.set()
 
     runner = WorkerRunner()
@@ -151,32 +153,32 @@ async def pipecat_agent(face: VirtualFace) -> AsyncIterator[_PipecatAgent]:
     await running
 
 
-def _frames(turn: Turn) -> list[Frame]:
+def _turn_frames(turn: Turn) -> list[Frame]:
     """Return the frames of one turn: each sentence's sound, then its text.
 
     Turns of odd number carry a text frame a word, with its time in the sound (s) as metadata; the
     others one text frame a sentence.
     """
     frames: list[Frame] = [LLMFullResponseStartFrame()]
-    number = turn.first
+    first_word = turn.first
     for n, words in enumerate(turn.words()):
         context_id = f"{turn.number}.{n}"
         frames.append(TTSStartedFrame(context_id=context_id))
-        pcm = worded_pcm(len(words), RATE_HZ, number)
+        pcm = worded_pcm(len(words), RATE_HZ, first_word)
         size = 2 * round(_CHUNK_S * RATE_HZ)
         for first in range(0, len(pcm), size):
             frames.append(
                 TTSAudioRawFrame(pcm[first : first + size], RATE_HZ, 1, context_id=context_id)
             )
         if turn.number % 2:
-            for place, word in enumerate(words):
+            for position, word in enumerate(words):
                 text = TTSTextFrame(word, TextType.WORD, context_id=context_id)
-                text.metadata[_AT_S] = place * WORD_S
+                text.metadata[_AT_S] = position * WORD_S
                 frames.append(text)
         else:
             text = TTSTextFrame(" ".join(words), TextType.SENTENCE, context_id=context_id)
             frames.append(text)
         frames.append(TTSStoppedFrame(context_id=context_id))
-        number += len(words)
+        first_word += len(words)
     frames.append(LLMFullResponseEndFrame())
     return frames

@@ -6,22 +6,25 @@ from typing import Final
 
 import numpy as np
 
-#: The value of a word's samples is this and its number in the turn.
+#: The value of a word's samples is this plus the word's number.
 FIRST_VALUE: Final = 1_000
 WORD_S: Final = 0.2
 
 
-#: Words of a turn, at most: their values are their turn's own, so that old sound is known again.
+#: The most words of a turn. Turns have different values, so that sound of an earlier turn is seen.
 MOST_WORDS: Final = 100
 
 
 def first_of_turn(number: int) -> int:
-    """Return the number of the first word of a turn, of 300 turns at most."""
+    """Return the number of a turn's first word. Numbers repeat after 300 turns."""
     return MOST_WORDS * (number % 300)
 
 
 def worded_pcm(n_words: int, rate_hz: int, first: int = 0) -> bytes:
-    """Return the sound of words `first` to `first + n_words`, s16le: 0.2 s each."""
+    """Return the sound of `n_words` words numbered from `first`, as s16le bytes, 0.2 s each.
+
+    All samples of a word have one value, `FIRST_VALUE` plus its number.
+    """
     values = FIRST_VALUE + first + np.arange(n_words)
     return bytes(np.repeat(values, round(WORD_S * rate_hz)).astype("<i2").tobytes())
 
@@ -29,14 +32,16 @@ def worded_pcm(n_words: int, rate_hz: int, first: int = 0) -> bytes:
 def wrongly_remembered(
     words: Sequence[str], heard: Mapping[int, int], remembered: str, rate_hz: int, first: int = 0
 ) -> tuple[int, int]:
-    """Return the numbers of words remembered and not heard, and heard and forgotten.
+    """Return how many words are remembered but unheard, and how many heard but forgotten.
 
-    heard: number of samples that left the loudspeaker, by value. The word within which the sound
-    stopped may be remembered or not. first: number of the first word.
+    Heard is a word that was played whole, unheard one of which no sample was played; the word in
+    which the sound stopped may be remembered or not. heard: number of samples played, by value.
+    remembered: the agent's text. first: number of the first word.
     """
     n_word = round(WORD_S * rate_hz)
     known = set(re.findall(r"\w+", remembered))
     values = range(FIRST_VALUE + first, FIRST_VALUE + first + len(words))
+    # Of each word, the share of its samples that was played.
     shares = [heard.get(value, 0) / n_word for value in values]
     unheard = sum(word in known and share == 0.0 for word, share in zip(words, shares, strict=True))
     forgotten = sum(

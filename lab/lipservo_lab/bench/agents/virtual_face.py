@@ -37,7 +37,7 @@ class CountingLoudspeaker:
     def __init__(self) -> None:
         self.position_s = 0.0
         self.heard: Counter[int] = Counter()
-        self._n_passed = 0
+        self._n_played = 0
         self._waiting: deque[NDArray[np.float32]] = deque()
 
     def write(self, samples: NDArray[np.float32]) -> None:
@@ -55,25 +55,25 @@ class CountingLoudspeaker:
         return None
 
     def silence_rest(self) -> float:
-        """Drop what has not been played by now."""
+        """Replace by silence what has not been played by now; return the position, s."""
         self.pass_until(self.position_s)
         self._waiting = deque(np.zeros_like(each) for each in self._waiting)
         return self.position_s
 
     def pass_until(self, position_s: float) -> None:
-        """Sound has left up to there."""
+        """Play the waiting samples up to `position_s` of sound, and count them by value."""
         self.position_s = position_s
         while self._waiting:
-            n_more = round(position_s * RATE_HZ) - self._n_passed
-            first = self._waiting[0]
-            if n_more <= 0:
+            n_due = round(position_s * RATE_HZ) - self._n_played
+            samples = self._waiting[0]
+            if n_due <= 0:
                 return
-            values, counts = np.unique(np.rint(first[:n_more] * 32_768), return_counts=True)
+            values, counts = np.unique(np.rint(samples[:n_due] * 32_768), return_counts=True)
             self.heard.update(dict(zip(values.astype(int).tolist(), counts.tolist(), strict=True)))
-            self._n_passed += min(n_more, len(first))
+            self._n_played += min(n_due, len(samples))
             self._waiting.popleft()
-            if n_more < len(first):
-                self._waiting.appendleft(first[n_more:])
+            if n_due < len(samples):
+                self._waiting.appendleft(samples[n_due:])
 
 
 class VirtualFace:
@@ -82,12 +82,12 @@ class VirtualFace:
     def __init__(self) -> None:
         self.loudspeaker = CountingLoudspeaker()
         self.playout = Playout(self.loudspeaker)
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="virtual face")
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._play_until_over, name="virtual face")
         self._folder = tempfile.TemporaryDirectory()
-        self.server = self._server("127.0.0.1:0")
+        self.server = self._make_server("127.0.0.1:0")
 
-    def _server(self, address: str) -> AgentServer:
+    def _make_server(self, address: str) -> AgentServer:
         """Return a server of agents at HOST:PORT, not yet entered; port 0 is any free one."""
         return AgentServer(
             bind_listener(address, None),
@@ -104,7 +104,7 @@ class VirtualFace:
 
     def come_back(self) -> None:
         """Serve agents again, at the same address."""
-        self.server = self._server(self._address)
+        self.server = self._make_server(self._address)
         self.server.__enter__()
 
     @property
@@ -119,14 +119,14 @@ class VirtualFace:
 
     def __exit__(self, *exc: object) -> None:
         self.server.__exit__(*exc)
-        self._over.set()
+        self._is_over.set()
         self._thread.join(_JOIN_S)
         self._folder.cleanup()
 
-    def _run(self) -> None:
+    def _play_until_over(self) -> None:
         """Advance loudspeaker and playout in steps of `_STEP_S` of sound until the face is left."""
         position_s = 0.0
-        while not self._over.is_set():
+        while not self._is_over.is_set():
             self.loudspeaker.pass_until(position_s)
             self.playout.advance(position_s)
             self.playout.blocks(position_s + _LEAD_S)

@@ -48,21 +48,21 @@ _AFTER_STALL_S = 0.05
 
 
 def cpu_ratios() -> dict[str, float]:
-    """Return our processor time divided by dynamixel-sdk's: of a write, a read, a cycle of both.
+    """Return our processor time over that of dynamixel-sdk: for a write, a read, a cycle of both.
 
-    Only the work of the serial line is compared, without gate and supervision; a process answers at
-    once in place of the servos, and our packets are prepared beforehand. A read has a frame for
-    each servo; the cycle's read is a fast one. Each figure is the least of interleaved rounds:
-    medians would count the SDK's polling, which depends on the computer's load.
+    Only packing, sending and decoding are compared, without limits and supervision. Instead of
+    servos a process answers at once with prepared packets. A read gets a frame from each servo; the
+    cycle's read is a fast one, with one frame for all. Each time is the least of interleaved
+    rounds: medians would include the SDK's polling, which depends on the computer's load.
     """
     with ExitStack() as peers:
-        calls = _own_calls(peers.enter_context(canned_peer(N_SERVOS)))
+        calls = _our_calls(peers.enter_context(canned_peer(N_SERVOS)))
         calls |= _sdk_calls(peers.enter_context(canned_peer(N_SERVOS)))
-        spent: dict[str, list[float]] = {name: [] for name in calls}
+        times_us: dict[str, list[float]] = {name: [] for name in calls}
         for _ in range(_ROUNDS):
             for name, call in calls.items():
-                spent[name].append(_cpu_us(call))
-    least_us = {name: min(each) for name, each in spent.items()}
+                times_us[name].append(_cpu_us(call))
+    least_us = {name: min(each) for name, each in times_us.items()}
     kinds = {"sync_write": "write", "sync_read": "read", "cycle": "cycle"}
     return {
         f"cpu_{kind}_ratio": least_us[f"own {call}"] / least_us[f"sdk {call}"]
@@ -70,33 +70,34 @@ def cpu_ratios() -> dict[str, float]:
     }
 
 
-def _own_calls(port: str) -> dict[str, Callable[[], object]]:
-    """Return three calls of our serial line: write 20 goals, read 3 values of 20 servos, and both.
+def _our_calls(port: str) -> dict[str, Callable[[], object]]:
+    """Return three calls of our serial line: write goals, read 3 values of all servos, and both.
 
-    The read has a frame for each servo; the cycle reads all in one frame.
+    The read gets a frame from each servo; the cycle reads all servos in one frame. port: of a peer
+    that answers for `N_SERVOS` servos.
     """
     line = Line(_NoWire(open_port(port, 4_000_000)), return_delay_s=0.0)
     goals = np.full(N_SERVOS, _CENTER)
-    plain = SpanRead(_IDS, _ADDRESS, _SIZE, fast=False)
-    fast = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
+    one_by_one = SpanRead(_IDS, _ADDRESS, _SIZE, fast=False)
+    joint = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
 
     goal_write = GoalWrite(_IDS, 116)
 
     def write() -> None:
         line.tell(goal_write.request(goals))
 
-    def read(span: SpanRead = plain) -> list[list[int]]:
+    def read(span: SpanRead = one_by_one) -> list[list[int]]:
         return decode(line.sync_read(span))
 
     def cycle() -> None:
         write()
-        read(fast)
+        read(joint)
 
     return {"own write": write, "own read": read, "own cycle": cycle}
 
 
 def decode(answers: Sequence[Status]) -> list[list[int]]:
-    """Return currents, velocities and positions of the servos that answered."""
+    """Return currents, velocities and positions, in registers' units, of servos that answered."""
     if isinstance(answers, CommonFrame):
         values = CommonFrame.blocks(answers.stream, _MOTION_BLOCK)
     else:
@@ -165,18 +166,20 @@ _REPLUG_RATE_HZ = 50.0
 
 
 def scheduling() -> str:
-    """Return the scheduling class of wire and fault figures, as `chrt` names it."""
+    """Return the scheduling class under which wire and fault figures are taken, as `chrt` does."""
     with on_time() as granted:
         return "SCHED_FIFO" if granted else "SCHED_OTHER"
 
 
 def wire_figures(seconds: float = 4.0) -> dict[str, float]:
-    """Return how long a read takes, and how fast write and read repeat, each over its wire time.
+    """Compare a read, and repeated cycles of write and read, with the time their bytes need.
 
-    The serial line alone: goals are packed and positions decoded; no gate, no supervision. The
-    processor time of the repeated cycles is in percent of a core.
+    `read_to_wire_ratio`: median duration of a fast read over its time on the wire.
+    `rate_to_wire_ratio`: cycles a second over the most that the wire allows. `rate_cpu_percent`:
+    processor time of these cycles, percent of a core. Goals are packed and positions decoded, but
+    there are no limits and no supervision.
     """
-    with on_time(), _simulated(BAUD_RATE) as line:
+    with on_time(), _simulated_line(BAUD_RATE) as line:
         span = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
         read_wire_s = (len(span.request) + span.reply_size) * line.byte_s
         goals, swing = GoalWrite(_IDS, 116), 100.0 * np.sin(0.3 * np.arange(N_SERVOS))
@@ -203,41 +206,46 @@ def wire_figures(seconds: float = 4.0) -> dict[str, float]:
 
 
 def fault_figures(n_cycles: int = 1_000) -> dict[str, float]:
-    """One servo silent, and one packet in a hundred lost: what is heard, and how late.
+    """Read servos while one of them is silent, then while one reply in a hundred is lost.
 
-    Cycles in which the computer stood still, or a moment before, are left out; `kept`: the share of
-    the others.
+    `..._samples`: share of the expected answers that came; `..._over_wire_ms`: 99th percentile of
+    how much longer a cycle takes than its bytes need; `..._kept`: share of cycles that count, which
+    are those without a stall of the computer in them or just before.
     """
     others = [each for each in _IDS if each != _SILENT_ID]
-    lossy = "seed: 1\nfaults: [{kind: drop_reply, probability: 0.01}]"
-    share, over_ms, kept = _heard(_SILENT, others, n_cycles)
+    lost_packets = "seed: 1\nfaults: [{kind: drop_reply, probability: 0.01}]"
+    share, over_ms, kept = _measure_reads(_SILENT, others, n_cycles)
     figures = {"silent_samples": share, "silent_over_wire_ms": over_ms, "silent_kept": kept}
-    share, over_ms, kept = _heard(lossy, _IDS, n_cycles)
+    share, over_ms, kept = _measure_reads(lost_packets, _IDS, n_cycles)
     return {**figures, "loss_samples": share, "loss_p99_over_wire_ms": over_ms, "loss_kept": kept}
 
 
 @contextmanager
-def _faulty_line(script: str) -> Iterator[Line]:
-    """A line to servos with these faults, which has learnt how late this computer is."""
+def _line_with_faults(script: str) -> Iterator[Line]:
+    """Yield a line to simulated servos with faults, after 200 reads of those that answer.
+
+    By these reads the line has learnt how late this computer is. script: YAML of the faults.
+    """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "faults.yaml"
         path.write_text(script)
-        with on_time(), _simulated(BAUD_RATE, "--faults", str(path)) as line:
-            healthy = [each for each in _IDS if each != _SILENT_ID]
-            plain = SpanRead(healthy, _ADDRESS, _SIZE, fast=False)
+        with on_time(), _simulated_line(BAUD_RATE, "--faults", str(path)) as line:
+            answering = [each for each in _IDS if each != _SILENT_ID]
+            span = SpanRead(answering, _ADDRESS, _SIZE, fast=False)
             for _ in range(200):
-                line.sync_read(plain)
+                line.sync_read(span)
             yield line
 
 
-def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float, float]:
-    """Return the share of answers of `ids` received, and the 99th percentile of delay, ms.
+def _measure_reads(script: str, ids: list[int], n_cycles: int) -> tuple[float, float, float]:
+    """Read all servos `n_cycles` times; return (share of answers, 99th percentile of delay, kept).
 
-    Delay is beyond the time on the wire. The third value is the share of cycles that count: those
-    in which the computer did not stall. Raises UserError if there are none.
+    Share: answers of `ids` that came, over those expected. Delay: ms beyond the time on the wire.
+    Kept: share of the cycles in which, and just before which, the computer did not stall; only
+    these count. Raises UserError if there are none. script: YAML of the faults.
     """
     cycles: list[tuple[float, float, int, float]] = []
-    with HostWitness.watching() as witness, _faulty_line(script) as line:
+    with HostWitness.watching() as witness, _line_with_faults(script) as line:
         group = SpanGroup(_IDS, _ADDRESS, _SIZE)
         for _ in range(n_cycles):
             time.sleep(0.002)
@@ -248,20 +256,23 @@ def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float, fl
             n_heard = sum(status.servo_id in ids for status in answers)
             cycles.append((start_s, end_s, n_heard, end_s - start_s - wire_s))
         witness.settle()
-    kept = [
+    counted = [
         (n_heard, over_s)
         for start_s, end_s, n_heard, over_s in cycles
         if not witness.saw_stall(start_s - _AFTER_STALL_S, end_s)
     ]
-    if not kept:
+    if not counted:
         raise UserError("the computer stood still in every cycle; run it on a quieter one")
-    n_heard, over_s = np.array(kept).T
-    share = float(n_heard.sum()) / (len(ids) * len(kept))
-    return share, float(np.percentile(over_s, 99)) * 1e3, len(kept) / n_cycles
+    n_heard, over_s = np.array(counted).T
+    share = float(n_heard.sum()) / (len(ids) * len(counted))
+    return share, float(np.percentile(over_s, 99)) * 1e3, len(counted) / n_cycles
 
 
 def replug_figures(n_servos: int = 10) -> dict[str, float]:
-    """Return seconds from a port's return until all servos are driven, and at full strength."""
+    """Pull a simulated chain's plug for 2 s; return the seconds from its return until recovery.
+
+    `replug_s`: until all servos are driven; `full_strength_s`: until all have full strength.
+    """
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, n_servos + 1)]
     with TemporaryDirectory() as folder:
         path, link = Path(folder) / "faults.yaml", Path(folder) / "port"
@@ -282,6 +293,8 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
                     was_lost = bridge.counts.n_unplugged > 0
                     bridge.tick(time_s, late)
                     if was_lost and not back_s and link.exists():
+                        # The link is made anew when the port comes back: its time, as a monotonic
+                        # one.
                         back_s = link.lstat().st_mtime - time.time() + clock.now()
                     states = bridge.servo_states
                     driven = bridge.plugged and all(s is ServoState.DRIVEN for s in states)
@@ -294,8 +307,11 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
 
 
 @contextmanager
-def _simulated(baud_rate: int, *arguments: str) -> Iterator[Line]:
-    """A line to twenty simulated servos in a process of their own, with wire time."""
+def _simulated_line(baud_rate: int, *arguments: str) -> Iterator[Line]:
+    """Yield a line to 20 simulated servos in another process, whose answers take their wire time.
+
+    arguments: further ones of the simulator.
+    """
     options = ["--servos", str(N_SERVOS), "--baud-rate", str(baud_rate), "--on-time"]
     with simulated_port([*options, *arguments]) as port:
         transport = open_port(port, baud_rate)

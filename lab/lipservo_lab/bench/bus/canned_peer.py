@@ -35,77 +35,81 @@ _CHUNK: Final = 65_536
 
 
 class CannedServos:
-    """The control tables of servos 1..n at each moment, and the answers cut from them."""
+    """The control tables of servos 1..n at each instant of a motion, and answers made from them.
+
+    Each request is answered from the next instant's tables, cyclically.
+    """
 
     def __init__(self, n_servos: int) -> None:
-        self._tables = _recorded_motion(n_servos)
+        self._tables = _simulate_motion(n_servos)
         self._answers: dict[bytes, tuple[bytes, ...]] = {}
         self._turn = 0
 
     def answer(self, frame: Frame) -> bytes:
-        """The servos' answers to one packet; empty where none answers."""
+        """Return the status packets with which the servos answer a packet; b"" where none does."""
         answers = self._answers.get(frame.raw)
         if answers is None:
             if frame.instruction == Instruction.SYNC_WRITE and frame.parameters[0] == _GOAL:
                 return b""
-            answers = self._make(frame)
+            answers = self._make_answers(frame)
         self._turn = (self._turn + 1) % _N_TIMES
         return answers[self._turn % len(answers)]
 
-    def _make(self, frame: Frame) -> tuple[bytes, ...]:
+    def _make_answers(self, frame: Frame) -> tuple[bytes, ...]:
         """Return the answers to a packet, one for each instant of the motion; keep those of reads.
 
         Writes, pings and unknown instructions have one answer, which is not kept.
         """
         instruction, parameters = frame.instruction, frame.parameters
         if instruction in (Instruction.WRITE, Instruction.SYNC_WRITE):
-            return (self._write(frame),)
+            return (self._write_tables(frame),)
         if instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
             wanted = [tuple(each) for each in sync_read(parameters)]
         elif instruction == Instruction.READ and len(parameters) == 4:
             wanted = [(frame.packet_id, *struct.unpack("<HH", parameters))]
         elif instruction == Instruction.PING:
             ids = sorted(self._tables) if frame.packet_id == BROADCAST_ID else [frame.packet_id]
-            return (b"".join(self._pong(each) for each in ids if each in self._tables),)
+            return (b"".join(self._ping_status(each) for each in ids if each in self._tables),)
         else:
             return (b"",)
         fast = instruction == Instruction.FAST_SYNC_READ
-        answers = tuple(self._cut(wanted, moment, fast=fast) for moment in range(_N_TIMES))
+        answers = tuple(self._statuses(wanted, moment, fast=fast) for moment in range(_N_TIMES))
         if len(self._answers) >= _MOST_KEPT:
             self._answers.pop(next(iter(self._answers)))
         self._answers[frame.raw] = answers
         return answers
 
-    def _cut(self, wanted: list[tuple[int, ...]], moment: int, *, fast: bool) -> bytes:
+    def _statuses(self, spans: list[tuple[int, ...]], instant: int, *, fast: bool) -> bytes:
         """Return the status packets of one instant for triples (servo id, address, size).
 
         fast: one joint status packet, as for a fast sync read. Unknown servos are left out.
         """
         blocks = [
-            (servo_id, 0, bytes(self._tables[servo_id][moment][address : address + size]))
-            for servo_id, address, size in wanted
+            (servo_id, 0, bytes(self._tables[servo_id][instant][address : address + size]))
+            for servo_id, address, size in spans
             if servo_id in self._tables
         ]
         if fast:
             return codec.fast_status(blocks) if blocks else b""
         return b"".join(codec.status(*block) for block in blocks)
 
-    def _pong(self, servo_id: int) -> bytes:
+    def _ping_status(self, servo_id: int) -> bytes:
+        """Return a servo's status packet for a ping: model number and firmware version."""
         table = self._tables[servo_id][0]
         return codec.status(servo_id, 0, bytes((table[0], table[1], table[6])))
 
-    def _write(self, frame: Frame) -> bytes:
-        """Write into a servo's tables of all instants; forget prepared answers if anything changed.
+    def _write_tables(self, frame: Frame) -> bytes:
+        """Write into the servos' tables of all instants; drop prepared answers if a table changes.
 
-        Returns the status packet, empty for sync writes, broadcasts and unknown servos.
+        Returns the status packet, b"" for sync writes, broadcasts and unknown servos.
         """
         if frame.instruction == Instruction.SYNC_WRITE:
-            blocks = sync_write(frame.parameters)
+            data_of_servo = sync_write(frame.parameters)
         else:
-            everybody = frame.packet_id == BROADCAST_ID
-            ids = list(self._tables) if everybody else [frame.packet_id]
-            blocks = dict.fromkeys(ids, frame.parameters)
-        for servo_id, block in blocks.items():
+            is_broadcast = frame.packet_id == BROADCAST_ID
+            ids = list(self._tables) if is_broadcast else [frame.packet_id]
+            data_of_servo = dict.fromkeys(ids, frame.parameters)
+        for servo_id, block in data_of_servo.items():
             address = block[0] | block[1] << 8
             end = address + len(block) - 2
             tables = self._tables.get(servo_id, [])
@@ -117,7 +121,7 @@ class CannedServos:
         return codec.status(frame.packet_id) if is_write else b""
 
 
-def _recorded_motion(n_servos: int) -> dict[int, list[bytearray]]:
+def _simulate_motion(n_servos: int) -> dict[int, list[bytearray]]:
     """Simulate servos with goals of their own; return each id's control table at each instant."""
     model = servo_models()["XL330-M288"]
     ids = range(1, n_servos + 1)
@@ -128,8 +132,9 @@ def _recorded_motion(n_servos: int) -> dict[int, list[bytearray]]:
     for moment in range(-1, _N_TIMES):  # the first is only for the motion to begin
         for servo in chain.servos:
             if moment % 2 == 0:
-                way = ((7 * moment + 5 * servo.servo_id) % 31) / 15 - 1.0
-                goal = model.center_pulse + round(way * _SWING_PULSES)
+                # -1 to 1, different for each servo and goal.
+                share = ((7 * moment + 5 * servo.servo_id) % 31) / 15 - 1.0
+                goal = model.center_pulse + round(share * _SWING_PULSES)
                 servo.write(struct.pack("<Hi", _GOAL, goal))
         chain.advance((moment + 2) * _MOMENT_S)
         for servo in chain.servos:
@@ -146,8 +151,8 @@ def serve(n_servos: int, size: int) -> None:
     servos = CannedServos(n_servos)
     parser = FrameParser()
     for fast in (False, True):
-        question = codec.sync_read(range(1, n_servos + 1), _PRESENT_CURRENT, size, fast=fast)
-        servos.answer(parser.feed(question)[0])
+        request = codec.sync_read(range(1, n_servos + 1), _PRESENT_CURRENT, size, fast=fast)
+        servos.answer(parser.feed(request)[0])
     master, slave = os.openpty()
     tty.setraw(slave)
     sys.stdout.write(f"{os.ttyname(slave)}\n")

@@ -62,21 +62,24 @@ def restarts() -> Iterator[Restart]:
 
 
 def over_bound(case: Restart) -> float:
-    """The fastest motion within a second of a restart, over the soft start's bound."""
+    """Return the top speed within a second of a restart, over the soft start's bound."""
     return fastest_deg_s(case) / SOFT_START_DEG_S
 
 
 def fastest_deg_s(case: Restart) -> float:
-    """Return the top speed of the restarted servo's shaft within a second of its restart, deg/s."""
+    """Return the top speed of the restarted servo's shaft within a second of its restart, deg/s.
+
+    Simulated servos follow sines on a virtual clock; the first of them restarts.
+    """
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 260.0) for n in range(1, _N_SERVOS + 1)]
     model = servo_models()[case.model]
     servos = [MountedServo(joint, model, 1) for joint in joints]
     clock, channel = ManualClock(), MemoryTargetChannel()
     chain = chain_for(servos, _BAUD_RATE, wakes_up_stiff=case.stiff)
-    watched = _WatchedShaft(chain, 1)
+    shaft = _WatchedShaft(chain, 1)
     bus = FeetechBus(
         servos,
-        lambda: MemoryTransport(watched, clock, _BAUD_RATE),
+        lambda: MemoryTransport(shaft, clock, _BAUD_RATE),
         strict=False,
         period_s=1.0 / _RATE_HZ,
     )
@@ -89,18 +92,21 @@ def fastest_deg_s(case: Restart) -> float:
                 break
             if not has_restarted and time_s >= case.at_s:
                 has_restarted = True
-                _restart(chain, 1, clock.now(), case.lasts_s)
-                watched.begin()
+                _power_cycle(chain, 1, clock.now(), case.lasts_s)
+                shaft.begin()
             angle = 2.0 * np.pi * _MOTION_HZ * time_s
-            wanted_deg = _AMPLITUDE_DEG * np.sin(angle + np.arange(_N_SERVOS))
-            channel.publish(ServoTargets(time_s + 0.01, wanted_deg))
+            goals_deg = _AMPLITUDE_DEG * np.sin(angle + np.arange(_N_SERVOS))
+            channel.publish(ServoTargets(time_s + 0.01, goals_deg))
             bridge.tick(time_s, late)
-        fastest = watched.fastest
-    return fastest / PULSES_PER_DEG
+        fastest_pulses_s = shaft.fastest
+    return fastest_pulses_s / PULSES_PER_DEG
 
 
 class _WatchedShaft:
-    """A chain whose motion is looked at in steps. fastest: speed of one shaft, pulses a second."""
+    """A simulated chain that is advanced in small steps, to find one shaft's top speed.
+
+    index: the servo. fastest: its top speed since `begin`, pulses a second.
+    """
 
     def __init__(self, chain: SimulatedChain, index: int) -> None:
         self._chain, self._index = chain, index
@@ -131,7 +137,8 @@ class _WatchedShaft:
         return self._chain.deliver(now_s)
 
 
-def _restart(chain: SimulatedChain, index: int, now_s: float, lasts_s: float) -> None:
+def _power_cycle(chain: SimulatedChain, index: int, now_s: float, lasts_s: float) -> None:
+    """Let a servo restart now: limp, at a standstill, and silent for `lasts_s`."""
     chain.advance(now_s)
     servo = chain.servos[index]
     servo.power_up()

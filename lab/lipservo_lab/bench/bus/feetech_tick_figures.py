@@ -36,26 +36,26 @@ _TRIES: Final = 50
 
 
 def feetech_tick_ratios() -> dict[str, float]:
-    """CPU of a tick of sixteen STS3215 over that of a loop by hand: medians of every call.
+    """Return median CPU time of a tick of 16 STS3215, over that of a loop written by hand.
 
-    By hand: each angle clamped and made a position, one sync write, one sync read of all places,
-    each answer checked, as in the examples of the maker. `cpu_goals_feetech_*`: our bus in its
-    place, which reads load, voltage, heat and errors as well. `cpu_tick_feetech_ratio`: all of
-    `Bridge.tick`. Thread CPU time; servos are simulated behind a pseudo-terminal, in a process of
-    their own, with the time of their wire.
+    The loop by hand clamps each angle, makes it a position, and does one sync write and one sync
+    read of all positions, whose answers it checks, as the maker's examples do.
+    `cpu_goals_feetech_ratio`: our bus instead, which also reads load, voltage, temperature and
+    errors. `cpu_tick_feetech_ratio`: all of `Bridge.tick`. Thread CPU time; the servos are
+    simulated behind a pseudo-terminal, in processes of their own, with the time of their wire.
     """
-    simulated = ["--kind", "feetech", "--servos", str(N_SERVOS), "--model", _MODEL]
+    arguments = ["--kind", "feetech", "--servos", str(N_SERVOS), "--model", _MODEL]
     with ExitStack() as stack:
-        ports = [stack.enter_context(simulated_port(simulated)) for _ in range(3)]
+        ports = [stack.enter_context(simulated_port(arguments)) for _ in range(3)]
         calls = {
             "bus": stack.enter_context(_bus_tick(_wiring(ports[0]))),
-            "by hand": stack.enter_context(_by_hand(ports[1])),
+            "by hand": stack.enter_context(_tick_by_hand(ports[1])),
             "whole": stack.enter_context(_whole_tick(_wiring(ports[2]))),
         }
-        middle = {name: statistics.median(each) for name, each in calls_us(calls).items()}
+        median_us = {name: statistics.median(each) for name, each in calls_us(calls).items()}
     return {
-        "cpu_goals_feetech_ratio": middle["bus"] / middle["by hand"],
-        "cpu_tick_feetech_ratio": middle["whole"] / middle["by hand"],
+        "cpu_goals_feetech_ratio": median_us["bus"] / median_us["by hand"],
+        "cpu_tick_feetech_ratio": median_us["whole"] / median_us["by hand"],
     }
 
 
@@ -79,7 +79,7 @@ def _wiring(port: str) -> Wiring:
 
 @contextmanager
 def _bus_tick(wiring: Wiring) -> Iterator[Call]:
-    """Run the bus's part of a tick."""
+    """Yield the bus's part of a tick, once all servos have torque and full speed."""
     bus: ServoBus
     with FEETECH.open(wiring, MonotonicClock()) as bus:
         bus.read()
@@ -92,7 +92,7 @@ def _bus_tick(wiring: Wiring) -> Iterator[Call]:
 
 @contextmanager
 def _whole_tick(wiring: Wiring) -> Iterator[Call]:
-    """Run a whole tick."""
+    """Yield a whole tick of a bridge, once all servos have torque and full speed."""
     clock = MonotonicClock()
     with FEETECH.open(wiring, clock) as bus:
         bridge, call = whole_tick(bus, wiring, clock)
@@ -102,7 +102,7 @@ def _whole_tick(wiring: Wiring) -> Iterator[Call]:
 
 
 @contextmanager
-def _by_hand(name: str) -> Iterator[Call]:
+def _tick_by_hand(port_name: str) -> Iterator[Call]:
     """Yield one tick written directly with pyserial, the measure that our bus is compared with.
 
     Opens the port `name` and enables torque first. The call takes a tick's number and returns what
@@ -110,37 +110,38 @@ def _by_hand(name: str) -> Iterator[Call]:
     """
     dialect = servo_models()[_MODEL].dialect
     per_deg = dialect.positions_per_deg
-    goal = dialect.registers["goal_position"].address
-    place = dialect.registers["present_position"].address
+    goal_address = dialect.registers["goal_position"].address
+    position_address = dialect.registers["present_position"].address
     ids = range(1, N_SERVOS + 1)
-    ask = _packet(_SYNC_READ, [place, 2, *ids])
+    read_request = _packet(_SYNC_READ, [position_address, 2, *ids])
     torque = dialect.registers["torque_enable"].address
-    with serial.Serial(name, _BAUD_RATE, timeout=0.05) as port:
+    with serial.Serial(port_name, _BAUD_RATE, timeout=0.05) as port:
         port.write(_packet(_SYNC_WRITE, [torque, 1, *(each for n in ids for each in (n, 1))]))
 
-        def work(goals_deg: list[float]) -> list[int]:
+        def exchange(goals_deg: list[float]) -> list[int]:
             """Write goals (degrees) by one sync write, read all positions; return encoder steps.
 
             Goals are clipped to +-40 degrees; answers with a wrong header or checksum are dropped.
             """
-            data = [goal, 2]
+            parameters = [goal_address, 2]
             for n, deg in zip(ids, goals_deg, strict=True):
                 value = round(dialect.center + min(max(deg, -40.0), 40.0) * per_deg)
-                data += [n, value & 0xFF, value >> 8]
-            port.write(_packet(_SYNC_WRITE, data))
-            port.write(ask)
+                parameters += [n, value & 0xFF, value >> 8]
+            port.write(_packet(_SYNC_WRITE, parameters))
+            port.write(read_request)
             answer = port.read(8 * N_SERVOS)
-            places = []
-            for at in range(0, len(answer), 8):
-                status = answer[at : at + 8]
+            positions = []
+            for start in range(0, len(answer), 8):
+                status = answer[start : start + 8]
                 if status[:2] == b"\xff\xff" and ~sum(status[2:7]) & 0xFF == status[-1]:
-                    places.append(status[5] | status[6] << 8)
-            return places
+                    positions.append(status[5] | status[6] << 8)
+            return positions
 
-        assert len(work([0.0] * N_SERVOS)) == N_SERVOS
-        yield lambda n: timed(work, moving_deg(n / _RATE_HZ, N_SERVOS).tolist())
+        assert len(exchange([0.0] * N_SERVOS)) == N_SERVOS
+        yield lambda n: timed(exchange, moving_deg(n / _RATE_HZ, N_SERVOS).tolist())
 
 
 def _packet(instruction: int, parameters: list[int]) -> bytes:
+    """Return a Feetech packet to all servos, with its checksum."""
     body = [_EVERYBODY, len(parameters) + 2, instruction, *parameters]
     return bytes([0xFF, 0xFF, *body, ~sum(body) & 0xFF])

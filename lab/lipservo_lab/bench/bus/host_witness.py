@@ -30,7 +30,7 @@ _CHUNK: Final = _STALL.size * 256
 
 
 class HostWitness:
-    """The stalls of all cores since it began. Use `watching`."""
+    """Knows when any core stalled, from the reports of one process on each. Use `watching`."""
 
     def __init__(self, fd: int) -> None:
         os.set_blocking(fd, False)
@@ -57,7 +57,11 @@ class HostWitness:
             os.close(reader)
 
     def settle(self) -> None:
-        """Take note of all stalls until now; call it now and then, for a pipe holds 4,000."""
+        """Read the stalls reported until now; blocks for `_SETTLES_S`.
+
+        To be called now and then, for the pipe holds 4,000 reports. Raises RuntimeError if the
+        watching processes have ended.
+        """
         time.sleep(_SETTLES_S)
         while True:
             try:
@@ -69,12 +73,12 @@ class HostWitness:
             self._stalls.extend(_STALL.iter_unpack(data))
 
     def saw_stall(self, begin_s: float, end_s: float) -> bool:
-        """Whether a core stood still between two monotonic times, as far as `settle` read."""
+        """Return whether a core stalled between two monotonic times, as far as `settle` read."""
         return any(begin < end_s and end > begin_s for begin, end in self._stalls)
 
 
 def watch(core: int, fd: int) -> None:
-    """Report the stalls of one core for ever."""
+    """Write each stall of one core to a pipe (begin and end, monotonic seconds), for ever."""
     die_with_parent()
     os.sched_setaffinity(0, {core})
     run_on_time()

@@ -65,7 +65,11 @@ class Rounds(Protocol):
 
 @dataclass(slots=True)
 class MeasuredProcess:
-    """A process that stands still but in its turns."""
+    """A process whose servo loop is measured; SIGSTOP pauses it except in its turns.
+
+    channel: sends it targets. rounds: counts its loop. lifeline: our end of a bridge's; None: the
+    process has none.
+    """
 
     pid: int
     channel: SocketTargetChannel
@@ -73,24 +77,26 @@ class MeasuredProcess:
     lifeline: LifelineWatch | None = None
 
     def take_turn(self, witness: HostWitness) -> float:
-        """Run the loop for a while, then pause it; return processor time a round, us.
+        """Run the loop for a while, then pause it; return its processor time a round, us.
 
-        The beginning of the run does not count. NaN: servos were not driven, or the computer
-        stalled.
+        The first `_SETTLES_S` do not count. NaN: servos were not driven, or the computer stalled.
         """
         clock, turn_s = _cpu_clock(self.pid), time.monotonic()
         self.run(_SETTLES_S, stop=False)
         began_s, began_n = time.clock_gettime(clock), self.rounds.n
         self.run(_COUNTED_S)
-        spent_s, n = time.clock_gettime(clock) - began_s, self.rounds.n - began_n
+        spent_s, n_rounds = time.clock_gettime(clock) - began_s, self.rounds.n - began_n
         ended_s = time.monotonic()
         witness.settle()
-        if not (n and self.rounds.is_driven) or witness.saw_stall(turn_s, ended_s):
+        if not (n_rounds and self.rounds.is_driven) or witness.saw_stall(turn_s, ended_s):
             return float("nan")
-        return spent_s / n * 1e6
+        return spent_s / n_rounds * 1e6
 
     def run(self, seconds: float, *, stop: bool = True) -> None:
-        """Run with targets that move, as the speech side publishes them."""
+        """Continue the process for some seconds, publishing moving targets as speech does.
+
+        stop: pause it by SIGSTOP at the end.
+        """
         self._publish(time.monotonic())  # before it looks how old the newest is
         os.kill(self.pid, signal.SIGCONT)
         until_s = time.monotonic() + seconds
@@ -108,7 +114,7 @@ class MeasuredProcess:
 
 
 class _CountedRounds:
-    """As a client's loop counts them in memory that is shared."""
+    """`Rounds` of a client, which counts them in memory shared by a file descriptor."""
 
     def __init__(self, fd: int) -> None:
         os.ftruncate(fd, _COUNT.size)
@@ -122,7 +128,7 @@ class _CountedRounds:
 
 
 class _BridgeTicks:
-    """As a bridge's live board has them."""
+    """`Rounds` of a bridge process, read from its live board."""
 
     def __init__(self, board: LiveBoard) -> None:
         self._board = board
@@ -141,9 +147,9 @@ class _BridgeTicks:
 
 @contextmanager
 def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """Run a loop with dynamixel-sdk or rustypot in a process; yield it with servos at rest.
+    """Run a loop with dynamixel-sdk or rustypot in a process; yield it paused, after a second.
 
-    kind: of `CLIENTS`.
+    kind: a key of `CLIENTS`. port: of the servos' peer.
     """
     with ExitStack() as stack:
         writer, reader = (stack.enter_context(end) for end in channel_pair())
@@ -153,7 +159,7 @@ def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredPro
         command = [sys.executable, "-P", "-m", "lipservo_lab.bench.bus.servo_clients", kind, port]
         numbers = [baud_rate, N_SERVOS, RATE_HZ, reader.fileno(), count]
         command += [str(each) for each in numbers]
-        process = stack.enter_context(_running(command, [reader.fileno(), count]))
+        process = stack.enter_context(_measured_process(command, [reader.fileno(), count]))
         _wait_until(lambda: rounds.n > RATE_HZ, process)
         process.send_signal(signal.SIGSTOP)
         yield MeasuredProcess(process.pid, SocketTargetChannel(writer), rounds)
@@ -161,9 +167,9 @@ def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredPro
 
 @contextmanager
 def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """Run a `bridge-process` as a daemon would; yield it with servos at full strength and at rest.
+    """Run a `bridge-process` as a daemon would; yield it paused, with servos at full strength.
 
-    folder: empty; gets the face's YAML, its socket and logs.
+    folder: empty; gets the face's YAML, its socket and logs. port: of the servos' peer.
     """
     face = folder / "face.yaml"
     face.write_text(_face_yaml(baud_rate))
@@ -171,10 +177,10 @@ def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[Measured
         board = stack.enter_context(StatusBoard.create())
         names = tuple(f"joint_{n + 1}" for n in range(N_SERVOS))
         layout = BoardLayout("bench", str(face), names, FACE_STATES, (), 1, RATE_HZ)
-        live = stack.enter_context(LiveBoard.create(layout))
+        live_board = stack.enter_context(LiveBoard.create(layout))
         control = stack.enter_context(ControlSocket(folder / "bench.sock"))
-        writer, reader = (stack.enter_context(end) for end in channel_pair())
-        end, lifeline = lifeline_pair()
+        writer, reader = (stack.enter_context(their_end) for their_end in channel_pair())
+        their_end, lifeline = lifeline_pair()
         stack.callback(lifeline.close)
         request = RunRequest(
             str(face), SILENCE, port=port, rate_hz=RATE_HZ, control=control.path, quiet=True
@@ -183,24 +189,24 @@ def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[Measured
         command += ["--request", request_json(request)]
         fds = {
             "channel": reader.fileno(),
-            "lifeline": end.fileno(),
+            "lifeline": their_end.fileno(),
             "control": control.fileno(),
             "board": board.fileno(),
-            "live": live.fileno(),
+            "live": live_board.fileno(),
         }
         for name, fd in fds.items():
             command += [f"--{name}", str(fd)]
-        process = stack.enter_context(_running(command, list(fds.values()), folder))
-        end.close()
+        process = stack.enter_context(_measured_process(command, list(fds.values()), folder))
+        their_end.close()
         _wait_until(lambda: Ready() in lifeline.read(), process)
-        rounds, channel = _BridgeTicks(live), SocketTargetChannel(writer)
+        rounds, channel = _BridgeTicks(live_board), SocketTargetChannel(writer)
         measured = MeasuredProcess(process.pid, channel, rounds, lifeline)
         measured.run(_FULL_STRENGTH_S)
         yield measured
 
 
 def _face_yaml(baud_rate: int) -> str:
-    """Write a face of ten XL330, every second one mounted mirrored."""
+    """Return the YAML of a face with ten XL330, every second one mounted mirrored."""
     lines = ["name: bench", f"rate_hz: {RATE_HZ:g}", f"bus: {{baud_rate: {baud_rate}}}", "servos:"]
     for n in range(1, N_SERVOS + 1):
         lines.append(
@@ -211,10 +217,13 @@ def _face_yaml(baud_rate: int) -> str:
 
 
 @contextmanager
-def _running(
+def _measured_process(
     command: Sequence[str], fds: Sequence[int], folder: Path | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process until the block ends. folder: for its state; None: the user's own."""
+    """Run a process until the block ends, then kill it.
+
+    fds: file descriptors that it inherits. folder: for its state and sockets; None: the user's own.
+    """
     environment = dict(os.environ)
     if folder is not None:
         environment |= {"XDG_STATE_HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
@@ -234,7 +243,10 @@ def _wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes])
 
 
 def _cpu_clock(pid: int) -> int:
-    """The clock of the processor time of another process, for `time.clock_gettime`."""
+    """Return the id of the clock of a process's CPU time, for `time.clock_gettime`.
+
+    Raises OSError where there is no such process.
+    """
     clock = ctypes.c_int()
     error = ctypes.CDLL(None).clock_getcpuclockid(pid, ctypes.byref(clock))
     if error:
@@ -248,9 +260,10 @@ _SIMULATED: Final = ("--servos", str(N_SERVOS), "--baud-rate", str(_WIRE_BAUD_RA
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The same servos for our process and for others.
+    """One comparison of our process with clients' loops, at the same kind of servos.
 
-    peer: opens their port. loops: what the ratio over the loop of each client is called.
+    peer: starts what answers in the servos' place, and yields its port. loops: by client (a key of
+    `CLIENTS`), the name of the figure: our processor time over the client's. n_turns: turns each.
     """
 
     peer: Callable[[], AbstractContextManager[str]]
@@ -274,28 +287,27 @@ ON_THE_WIRE = Comparison(
 
 
 def process_ratios() -> dict[str, float]:
-    """CPU a tick of `lipservo bridge-process` over that of a process with another's loop.
+    """Return CPU time a tick of `lipservo bridge-process` over that of a process with another loop.
 
-    Ours is the process that a daemon starts, whole: grid, control socket, lifeline, targets through
-    a socket, gate, goals written, places read (fast), one servo's health read, supervision, live
-    board. The others: goals through the same socket, written; places read (fast); with
-    dynamixel-sdk voltage and temperature of all read (`GroupSyncRead`), with rustypot one servo's
-    health, as in our tick; no gate, no stop, no status.
+    Ours is the whole process that a daemon starts: it reads targets from a socket, limits them,
+    writes goals, reads all positions (fast) and one servo's health, supervises, serves the control
+    socket, and writes the live board. The others read goals from the same kind of socket, write
+    them and read all positions (fast); dynamixel-sdk also reads voltage and temperature of all
+    (`GroupSyncRead`), rustypot one servo's health, as we do. They have no limits, stop or status.
 
-    User and system time of all threads of a process, by its own clock, in turns of some sixty
-    ticks, while the others stand still. Ratios are of two turns of the same round; their median and
-    quartiles. Turns in which a core stood still are left out; `kept`: the share of the rounds that
-    have both of the first ratio. Each has a peer of its own, which answers at once, with real-time
-    scheduling where permitted. dynamixel-sdk polls while it waits for it, which is in its figures.
-    `wire`: with simulated servos that take the time of 1 Mbaud, as real ones do; the SDK polls all
-    the while.
+    Measured is user and system time of all threads of a process, by its own clock, in turns of some
+    sixty ticks, while the others are paused. Each ratio compares two turns of the same round; given
+    are median and quartiles (`_q1`, `_q3`). Turns in which a core stalled are left out; `..._kept`:
+    share of the rounds in which ours and dynamixel-sdk's turns both count. Each process has a peer
+    of its own in the servos' place, which answers at once; `wire`: simulated servos that take the
+    time of 1 Mbaud. dynamixel-sdk polls while it waits, which is in its figures.
 
-    Raises UserError where the computer stood still in all rounds.
+    Raises UserError where the computer stalled in all rounds.
     """
     figures: dict[str, float] = {}
     with HostWitness.watching() as witness:
         for comparison, suffix in ((AT_ONCE, ""), (ON_THE_WIRE, "_wire")):
-            turns_us = _turns_us(comparison, witness)
+            turns_us = _turn_times_us(comparison, witness)
             figures[f"cpu_process{suffix}_us"] = _quartiles(turns_us["own"])[1]
             for kind, name in comparison.loops.items():
                 if kind not in turns_us:
@@ -304,23 +316,26 @@ def process_ratios() -> dict[str, float]:
                 figures[name] = middle
                 if kind == "sdk":
                     figures |= {f"{name}_q1": low, f"{name}_q3": high}
-                    kept = np.isfinite(turns_us["own"] / turns_us[kind]).mean()
-                    figures[f"cpu_process{suffix}_kept"] = float(kept)
+                    counted = np.isfinite(turns_us["own"] / turns_us[kind]).mean()
+                    figures[f"cpu_process{suffix}_kept"] = float(counted)
     return figures
 
 
 def _quartiles(values: np.ndarray) -> tuple[float, float, float]:
-    """First quartile, median and third of what is not NaN."""
+    """Return first quartile, median and third quartile of the values that are not NaN.
+
+    Raises UserError if all are NaN.
+    """
     if not np.isfinite(values).any():
         raise UserError("the computer stood still in every round; run it on a quieter one")
     low, middle, high = np.nanquantile(values, [0.25, 0.5, 0.75]).tolist()
     return low, middle, high
 
 
-def _turns_us(comparison: Comparison, witness: HostWitness) -> dict[str, np.ndarray]:
-    """Return the processor time of a tick in every turn, us, (n_turns,), by loop; ours is `own`.
+def _turn_times_us(comparison: Comparison, witness: HostWitness) -> dict[str, np.ndarray]:
+    """Return the processor time of a tick in each turn, (n_turns,) us, by loop; `own` is ours.
 
-    NaN for turns that do not count: see `take_turn`.
+    NaN for turns that do not count: see `take_turn`. rustypot is left out if it is not installed.
     """
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-bench-"))

@@ -37,49 +37,52 @@ N_SERVOS: Final = 16
 _RATE_HZ: Final = 50.0
 _ADDRESS: Final = 0x40
 #: Ends the canned Maestro; no command of the protocol.
-_OVER: Final = 0xFF
+_END_BYTE: Final = 0xFF
 _WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 120, 10
 #: Until the last servo has come on and has caught up.
 _SETTLES_TICKS: Final = 400
 
-#: Does the work of call n; its thread CPU time, in nanoseconds.
+#: Runs tick n of a motion; returns its thread CPU time, ns.
 Call = Callable[[int], int]
 
 
 def pulse_tick_ratios() -> dict[str, float]:
-    """CPU of a tick of sixteen hobby servos over that of a loop by hand: medians of every call.
+    """Return median CPU time of a tick of 16 hobby servos, over that of a loop written by hand.
 
-    By hand: each angle clamped, made a pulse, and the pulses sent in one message, as in the
-    examples of the makers. `cpu_pulses_*`: our bus in its place, which also brings servos up one
-    by one, keeps their pulses, and asks the controller five times a second what it sends.
-    `cpu_tick_*`: all of `Bridge.tick`, with targets, gate and supervision, which a loop by hand has
-    not. Thread CPU time, in interleaved blocks of ten; the system call to the adapter is in the
-    Maestro's (a pseudo-terminal), that of I2C is left out on either side.
+    The loop by hand clamps each angle, makes it a pulse, and sends all pulses in one message, as
+    the makers' examples do. `cpu_pulses_*`: our bus instead, which also switches servos on one by
+    one, keeps their pulses, and asks the controller five times a second what it sends.
+    `cpu_tick_*`: all of `Bridge.tick`, with targets, limits and supervision, which a loop by hand
+    lacks. Thread CPU time, in interleaved blocks of ten calls. The Maestro's includes the system
+    call to its port (a pseudo-terminal); those of I2C are left out on both sides.
     """
     with ExitStack() as stack:
         calls: dict[str, Call] = {}
-        for name, controller, by_hand in (
+        for name, board, by_hand in (
             ("maestro", _maestro(stack), _maestro_by_hand(stack)),
             ("pca9685", _pca9685(), _pca9685_by_hand()),
         ):
-            calls[name] = stack.enter_context(_bus_tick(*controller))
-            calls[f"{name} by hand"] = _loop(by_hand)
-        for name, controller in (("maestro", _maestro(stack)), ("pca9685", _pca9685())):
-            calls[f"{name} whole"] = stack.enter_context(_whole_tick(*controller))
+            calls[name] = stack.enter_context(_bus_tick(*board))
+            calls[f"{name} by hand"] = _loop_by_hand(by_hand)
+        for name, board in (("maestro", _maestro(stack)), ("pca9685", _pca9685())):
+            calls[f"{name} whole"] = stack.enter_context(_whole_tick(*board))
         spent_us = calls_us(calls)
-    middle = {name: statistics.median(each) for name, each in spent_us.items()}
+    median_us = {name: statistics.median(each) for name, each in spent_us.items()}
     figures: dict[str, float] = {}
     for name in ("maestro", "pca9685"):
-        by_hand_us = middle[f"{name} by hand"]
+        by_hand_us = median_us[f"{name} by hand"]
         figures |= {
-            f"cpu_pulses_{name}_ratio": middle[name] / by_hand_us,
-            f"cpu_tick_{name}_ratio": middle[f"{name} whole"] / by_hand_us,
+            f"cpu_pulses_{name}_ratio": median_us[name] / by_hand_us,
+            f"cpu_tick_{name}_ratio": median_us[f"{name} whole"] / by_hand_us,
         }
     return figures
 
 
 def calls_us(calls: Mapping[str, Call]) -> dict[str, list[float]]:
-    """CPU time of every call, by name, in microseconds."""
+    """Run all ticks in interleaved blocks; return the CPU time of each call, us, by name.
+
+    The first `_WARM_UP_BLOCKS` do not count.
+    """
     spent_us: dict[str, list[float]] = {name: [] for name in calls}
     for block in range(_WARM_UP_BLOCKS + _BLOCKS):
         for name, call in calls.items():
@@ -91,7 +94,7 @@ def calls_us(calls: Mapping[str, Call]) -> dict[str, list[float]]:
 
 
 def timed(work: Callable[[Any], object], argument: object) -> int:
-    """Thread CPU time of one call, in nanoseconds."""
+    """Call `work(argument)`; return its thread CPU time, ns."""
     begun_ns = time.thread_time_ns()
     work(argument)
     return time.thread_time_ns() - begun_ns
@@ -137,12 +140,12 @@ def _pca9685() -> Controlled:
 def _bus_tick(
     wiring: Wiring, controller: PulseController, clock: ManualClock, kind: Any
 ) -> Iterator[Call]:
-    """Run the bus's part of a tick."""
+    """Yield the bus's part of a tick, once all servos have pulses and have caught up."""
     can = kind.capabilities(wiring.settings)
     with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
         for index in range(N_SERVOS):
             bus.enable_torque(index)
-        tick = settled(_on_time(bus_tick(bus), clock), _SETTLES_TICKS)
+        tick = settled(_advancing_clock(bus_tick(bus), clock), _SETTLES_TICKS)
         assert bus.torque.as_json() == [True] * N_SERVOS
         yield tick
 
@@ -151,26 +154,29 @@ def _bus_tick(
 def _whole_tick(
     wiring: Wiring, controller: PulseController, clock: ManualClock, kind: Any
 ) -> Iterator[Call]:
-    """Run a whole tick."""
+    """Yield a whole tick of a bridge, once all servos have pulses and have caught up."""
     can = kind.capabilities(wiring.settings)
     with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
         bridge, call = whole_tick(bus, wiring, clock)
-        tick = settled(_on_time(call, clock), _SETTLES_TICKS)
+        tick = settled(_advancing_clock(call, clock), _SETTLES_TICKS)
         assert bridge.settled
         assert not bridge.troubles
         yield tick
 
 
-def _on_time(tick: Call, clock: ManualClock) -> Call:
-    def later(n: int) -> int:
+def _advancing_clock(tick: Call, clock: ManualClock) -> Call:
+    def tick_later(n: int) -> int:
         clock.advance(1.0 / _RATE_HZ)
         return tick(n)
 
-    return later
+    return tick_later
 
 
 def bus_tick(bus: ServoBus) -> Call:
-    """Return the bus's part of a tick."""
+    """Return the bus's part of a tick: write goals, read feedback, look after the servos.
+
+    The motion's angles are computed outside the measured time.
+    """
 
     def work(goals_deg: np.ndarray) -> None:
         bus.write_positions(goals_deg)
@@ -181,7 +187,7 @@ def bus_tick(bus: ServoBus) -> Call:
 
 
 def whole_tick(bus: ServoBus, wiring: Wiring, clock: Clock) -> tuple[Bridge, Call]:
-    """Return a bridge that drives, and its whole tick."""
+    """Return a started bridge, and a call that publishes a target and measures one whole tick."""
     channel = MemoryTargetChannel()
     bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(wiring.rate_hz))
     bridge.start()
@@ -195,21 +201,21 @@ def whole_tick(bus: ServoBus, wiring: Wiring, clock: Clock) -> tuple[Bridge, Cal
 
 
 def settled(tick: Call, n_ticks: int) -> Call:
-    """Return the same, after so many of them."""
+    """Run `n_ticks` ticks without counting them; return the tick itself."""
     for n in range(n_ticks):
         tick(n)
     return tick
 
 
-def _loop(send: Callable[[list[float]], None]) -> Call:
-    """Angles to pulses within the range of each servo, and out."""
+def _loop_by_hand(send: Callable[[list[float]], None]) -> Call:
+    """Return a tick by hand: angles to pulses within each servo's range, given to `send` (us)."""
     servos = _wiring(None).servos
 
     def work(goals_deg: list[float]) -> None:
         pulses_us = []
-        for each, deg in zip(servos, goals_deg, strict=True):
-            wanted_us = each.neutral_us + each.us_per_deg * deg
-            pulses_us.append(min(max(wanted_us, each.min_us), each.max_us))
+        for servo, deg in zip(servos, goals_deg, strict=True):
+            pulse_us = servo.neutral_us + servo.us_per_deg * deg
+            pulses_us.append(min(max(pulse_us, servo.min_us), servo.max_us))
         send(pulses_us)
 
     return lambda n: timed(work, moving_deg(n / _RATE_HZ, N_SERVOS).tolist())
@@ -252,7 +258,10 @@ def _pca9685_by_hand() -> Callable[[list[float]], None]:
 
 
 class CannedI2c(smbus2.SMBus):
-    """An adapter with one chip whose registers keep what is written; no system call is made."""
+    """A fake I2C adapter with one PCA9685, whose registers keep what is written.
+
+    No system call is made.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -261,63 +270,66 @@ class CannedI2c(smbus2.SMBus):
         self.registers[Register.PRE_SCALE] = 0x1E
 
     def i2c_rdwr(self, *messages: Any) -> None:
-        """Take the messages that smbus2 prepares for the kernel."""
+        """Write registers by write messages, and fill read messages from the registers.
+
+        The messages are prepared as smbus2 does for the kernel, so that this work is measured too.
+        """
         smbus2.smbus2.i2c_rdwr_ioctl_data.create(*messages)
         for each in messages:
             if each.flags & READ:
-                found = self.registers[self._pointer : self._pointer + each.len]
-                for n, value in enumerate(found):
+                values = self.registers[self._pointer : self._pointer + each.len]
+                for n, value in enumerate(values):
                     each.buf[n] = value
                 continue
-            written = bytes(each)
-            self._pointer = written[0]
-            end = self._pointer + len(written) - 1
-            if self._pointer == Register.MODE1 and len(written) > 1:
-                self.registers[0] = written[1] & ~Mode1.RESTART
+            data = bytes(each)
+            self._pointer = data[0]
+            end = self._pointer + len(data) - 1
+            if self._pointer == Register.MODE1 and len(data) > 1:
+                self.registers[0] = data[1] & ~Mode1.RESTART
             elif self._pointer == Register.ALL_LED_OFF_H:
                 for channel in range(16):
                     self.registers[Register.LED0_ON_L + 4 * channel + 3] |= FULL
             else:
-                self.registers[self._pointer : end] = written[1:]
+                self.registers[self._pointer : end] = data[1:]
 
 
 @contextmanager
 def _canned_maestro() -> Iterator[str]:
-    """The port of a process that takes all commands and returns the last goals."""
+    """Yield the port of a fake Maestro, which answers in a thread until the block ends."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    pulses = bytearray(2 * N_SERVOS)
+    goals = bytearray(2 * N_SERVOS)
 
-    def answer() -> None:
-        """Answer commands at the pseudo-terminal until the byte `_OVER` arrives; runs in a thread.
+    def answer_commands() -> None:
+        """Answer commands at the pseudo-terminal until `_END_BYTE` arrives; runs in a thread.
 
         Goals are stored, and returned when positions are read; error flags are always zero.
         """
-        waiting = b""
+        received = b""
         while data := os.read(master, 4096):
-            waiting += data
-            while waiting and waiting[0] != _OVER:
-                code = waiting[0]
-                n_data = 2 + len(pulses) if code == SET_TARGETS else N_DATA[code]
-                if len(waiting) <= n_data:
+            received += data
+            while received and received[0] != _END_BYTE:
+                command = received[0]
+                n_data = 2 + len(goals) if command == SET_TARGETS else N_DATA[command]
+                if len(received) <= n_data:
                     break
-                if code == SET_TARGETS:
-                    pulses[:] = waiting[3 : 3 + len(pulses)]
-                elif code == GET_POSITION:
-                    low, high = pulses[2 * waiting[1] : 2 * waiting[1] + 2]
+                if command == SET_TARGETS:
+                    goals[:] = received[3 : 3 + len(goals)]
+                elif command == GET_POSITION:
+                    low, high = goals[2 * received[1] : 2 * received[1] + 2]
                     os.write(master, (low | high << 7).to_bytes(2, "little"))
-                elif code == GET_ERRORS:
+                elif command == GET_ERRORS:
                     os.write(master, bytes(2))
-                waiting = waiting[1 + n_data :]
-            if waiting[:1] == bytes([_OVER]):
+                received = received[1 + n_data :]
+            if received[:1] == bytes([_END_BYTE]):
                 return
 
-    thread = threading.Thread(target=answer, daemon=True)
+    thread = threading.Thread(target=answer_commands, daemon=True)
     thread.start()
     try:
         yield os.ttyname(slave)
     finally:
-        os.write(slave, bytes([_OVER]))
+        os.write(slave, bytes([_END_BYTE]))
         thread.join(1.0)
         os.close(slave)
         os.close(master)

@@ -32,14 +32,17 @@ BAUD_RATE: Final = 4_000_000
 
 
 class AnswerLost(Exception):  # noqa: N818 - no mistake of anybody: the computer was busy
-    """The peer was too late, or the end of its answer: the call does not count."""
+    """An answer, or its end, came too late; this call does not count."""
 
 
 class ServoClient(Protocol):
-    """Moves and watches servos 1..n."""
+    """Sends goals to servos 1..n and reads their state."""
 
     def work(self, goals: Sequence[int]) -> object:
-        """One round; goals: position registers, one a servo. Raises AnswerLost."""
+        """Write goals and read all values once. goals: position registers, one a servo.
+
+        Raises AnswerLost.
+        """
 
 
 class SdkClient:
@@ -72,10 +75,10 @@ class SdkClient:
             self._write.changeParam(servo_id, list(goal.to_bytes(4, "little")))
         self._write.txPacket()
         try:
-            requests = [self._motion.fastSyncRead(), self._warmth.txRxPacket()]
+            results = [self._motion.fastSyncRead(), self._warmth.txRxPacket()]
         except IndexError as error:  # it took a late answer for that to another question
             raise AnswerLost from error
-        if requests != [self._success] * len(requests):
+        if results != [self._success] * len(results):
             raise AnswerLost
         return [
             self._values(self._motion, _MOTION, 2),
@@ -107,30 +110,36 @@ class RustypotClient:
         self._turn = 0
 
     def work(self, goals: Sequence[int]) -> list[list[int]]:
-        """Run one round; currents and positions of all, and the health of one."""
+        """Write all goals (pulses); return currents and positions of all, and health of one servo.
+
+        Raises AnswerLost.
+        """
         self._bus.sync_write_raw_goal_position(self._ids, list(goals))
         motion = self._read(self._ids, _MOTION, _MOTION_SIZE, _MOTION_TYPE)
         return [motion["current"].tolist(), motion["position"].tolist(), self._next_health()]
 
     def _next_health(self) -> list[int]:
-        """Read torque, hardware error and watchdog of a servo; in turns, its voltage and heat."""
-        turn, kind = divmod(self._turn, 2)
+        """Read the health of the next servo in turn.
+
+        Torque, hardware error and watchdog in one call; voltage and temperature in the next.
+        """
+        turn, is_heat_turn = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
-        if kind:
+        if is_heat_turn:
             (values,) = self._read([self._ids[turn]], _WARMTH, _WARMTH_SIZE, _WARMTH_TYPE).tolist()
             return [*values]
-        data = self._ask([self._ids[turn]], _HEALTH, _HEALTH_SIZE)[0]
+        data = self._read_raw([self._ids[turn]], _HEALTH, _HEALTH_SIZE)[0]
         return [data[0], data[_ERROR_AT], data[-1]]
 
-    def _ask(self, ids: list[int], address: int, size: int) -> Any:
+    def _read_raw(self, ids: list[int], address: int, size: int) -> Any:
         try:
             return self._bus.sync_read_raw_data(ids, address, size)
         except RuntimeError as error:
             raise AnswerLost from error
 
-    def _read(self, ids: list[int], address: int, size: int, kind: np.dtype) -> np.ndarray:
-        data = self._ask(ids, address, size)
-        return np.frombuffer(b"".join([bytes(each) for each in data]), dtype=kind)
+    def _read(self, ids: list[int], address: int, size: int, dtype: np.dtype) -> np.ndarray:
+        answers = self._read_raw(ids, address, size)
+        return np.frombuffer(b"".join([bytes(each) for each in answers]), dtype=dtype)
 
 
 #: By name.
@@ -169,36 +178,36 @@ _CENTER, _PULSES_PER_DEG = 2048, 4096 / 360
 def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count: int) -> int:
     """Write the newest goals and read all values in every period, as a plain program would.
 
-    There is no gate, no stop, no status. targets, count: file descriptors of the target socket and
-    of the shared memory that counts rounds. Returns the number of lost answers, once the socket is
-    closed.
+    There are no limits, no stop, no status. targets, count: file descriptors of the socket with
+    targets, in degrees, and of the shared memory that counts rounds. Returns the number of lost
+    answers once the socket is closed.
     """
-    angles, ready = struct.Struct(f"<{n_servos}d"), select.poll()
+    angles_layout, poll = struct.Struct(f"<{n_servos}d"), select.poll()
     gc.collect()
     gc.freeze()
-    with socket.socket(fileno=targets) as end, mmap.mmap(count, 0) as counted:
-        ready.register(end, select.POLLIN)
+    with socket.socket(fileno=targets) as target_socket, mmap.mmap(count, 0) as round_counter:
+        poll.register(target_socket, select.POLLIN)
         goals = [_CENTER] * n_servos
         n, n_lost, due_s = 0, 0, time.monotonic()
         while True:
-            left_s = due_s - time.monotonic()
-            if left_s > 0.0:
-                time.sleep(left_s)
+            wait_s = due_s - time.monotonic()
+            if wait_s > 0.0:
+                time.sleep(wait_s)
             due_s = max(due_s + 1.0 / rate_hz, time.monotonic())
-            while ready.poll(0):
-                raw = end.recv(_LONGEST)
-                if not raw:
+            while poll.poll(0):
+                record = target_socket.recv(_LONGEST)
+                if not record:
                     return n_lost
                 goals = [
                     _CENTER + round(deg * _PULSES_PER_DEG)
-                    for deg in angles.unpack_from(raw, _HEAD_BYTES)
+                    for deg in angles_layout.unpack_from(record, _HEAD_BYTES)
                 ]
             try:
                 client.work(goals)
             except AnswerLost:
                 n_lost += 1
             n += 1
-            _COUNT.pack_into(counted, 0, n)
+            _COUNT.pack_into(round_counter, 0, n)
 
 
 if __name__ == "__main__":

@@ -23,12 +23,12 @@ _QUIET_S = 2.0
 
 
 class _StallingBus(SimulatedBus):
-    """Its wire stands still from a time on, for two seconds, in the middle of a question."""
+    """A simulated bus whose wire stalls once, for two seconds, while feedback is read."""
 
     stalls_s = float("inf")
 
     def stall_at(self, time_s: float) -> None:
-        """Stand still from then on; monotonic seconds."""
+        """Let the first reading of feedback from `time_s` (monotonic) on stall."""
         self.stalls_s = time_s
 
     def feedback(self) -> Feedback:
@@ -44,24 +44,27 @@ def _joints(n: int = _N_SERVOS) -> list[Joint]:
 
 
 def stall_figures() -> dict[str, float]:
-    """Return how many ticks come late, at 100 Hz, while one of two buses stalls for two seconds."""
+    """Return how many ticks of a 100 Hz bridge come late while one of its two buses stalls for 2 s.
+
+    Both buses are simulated; the bridge drives them through `SeveralBuses`.
+    """
     clock, joints = MonotonicClock(), _joints()
     halves = (joints[: _N_SERVOS // 2], joints[_N_SERVOS // 2 :])
-    stalling = _StallingBus(halves[0], clock, capabilities=IN_MEMORY)
-    other = SimulatedBus(halves[1], clock, capabilities=IN_MEMORY)
+    stalling_bus = _StallingBus(halves[0], clock, capabilities=IN_MEMORY)
+    other_bus = SimulatedBus(halves[1], clock, capabilities=IN_MEMORY)
     bus_of = ["first"] * len(halves[0]) + ["second"] * len(halves[1])
-    bus = SeveralBuses({"first": stalling, "second": other}, bus_of, clock, _RATE_HZ)
+    bus = SeveralBuses({"first": stalling_bus, "second": other_bus}, bus_of, clock, _RATE_HZ)
     n_late = 0
     with bus, on_time():
         channel = MemoryTargetChannel()
         bridge = Bridge(bus, joints, channel, BridgeSettings(_RATE_HZ))
         bridge.start()
-        begins_s = clock.now() + _QUIET_S
-        stalling.stall_at(begins_s)
+        stall_begins_s = clock.now() + _QUIET_S
+        stalling_bus.stall_at(stall_begins_s)
         for time_s, late in ticks(clock, _RATE_HZ):
-            if time_s >= begins_s + _STALL_S:
+            if time_s >= stall_begins_s + _STALL_S:
                 break
-            n_late += late if time_s >= begins_s else 0
+            n_late += late if time_s >= stall_begins_s else 0
             channel.publish(ServoTargets(time_s, np.full(_N_SERVOS, 5.0 * np.sin(time_s))))
             bridge.tick(time_s, late)
     return {"late_ticks_in_stall": float(n_late)}

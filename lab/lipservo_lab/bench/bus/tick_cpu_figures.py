@@ -36,7 +36,7 @@ _WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 80, 10
 
 
 class Client(Protocol):
-    """Moves and watches the servos, one call at a time."""
+    """Sends goals to servos and reads their state, one call at a time."""
 
     def prepare(self, n: int) -> None:
         """Prepare the data of call n; not timed."""
@@ -46,27 +46,27 @@ class Client(Protocol):
 
 
 def tick_ratios() -> dict[str, float]:
-    """CPU of `Bridge.tick` over that of dynamixel-sdk's three calls: least and median calls.
+    """Return CPU time of `Bridge.tick`, us, and over that of dynamixel-sdk: least and median calls.
 
-    Ours: targets, gate, goals written, places read, one servo's health read, supervision, tracking.
-    dynamixel-sdk: goals written, places read (fast sync read), voltage and temperature of all read
-    (sync read); each value fetched as its examples do; no gate, and no hardware errors, which lie
-    elsewhere. Thread CPU time of every call, in interleaved blocks of ten, beside peers that answer
-    at once: wire time, during which dynamixel-sdk polls and we sleep, is left out. It polls while
-    it waits for a peer, too: least calls have the least of that, medians the usual. Its
-    LATENCY_TIMER only says when it gives up, so it is left as it comes; calls whose answer was lost
-    do not count.
+    Ours: targets, limits, goals written, positions read, one servo's health read, supervision,
+    tracking. dynamixel-sdk: goals written, positions read (fast sync read), voltage and temperature
+    of all read (sync read), each value fetched as its examples do; no limits, no hardware errors.
+
+    Thread CPU time of every call, in interleaved blocks of ten, at peers that answer at once: wire
+    time, during which dynamixel-sdk polls and we sleep, is left out. It polls while it waits for a
+    peer, too: the least calls have the least of that, the median ones the usual. Its LATENCY_TIMER
+    only says when it gives up, so it is unchanged. Calls whose answer was lost do not count.
     """
     with own_tick() as own, canned_peer(N_SERVOS) as port:
         clients: dict[str, Client] = {"own": own, "sdk": OthersTick(SdkClient(port, N_SERVOS))}
         spent_us = _calls_us(clients)
-    least = {name: min(each) for name, each in spent_us.items()}
-    middle = {name: statistics.median(each) for name, each in spent_us.items()}
+    least_us = {name: min(each) for name, each in spent_us.items()}
+    median_us = {name: statistics.median(each) for name, each in spent_us.items()}
     return {
-        "cpu_tick_us": least["own"],
-        "cpu_tick_median_us": middle["own"],
-        "cpu_tick_ratio": least["own"] / least["sdk"],
-        "cpu_tick_ratio_median": middle["own"] / middle["sdk"],
+        "cpu_tick_us": least_us["own"],
+        "cpu_tick_median_us": median_us["own"],
+        "cpu_tick_ratio": least_us["own"] / least_us["sdk"],
+        "cpu_tick_ratio_median": median_us["own"] / median_us["sdk"],
     }
 
 
@@ -76,8 +76,8 @@ def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:
     n = 0
     for block in range(_WARM_UP_BLOCKS + _BLOCKS):
         for name, client in clients.items():
-            for call in range(n, n + _CALLS):
-                client.prepare(call)
+            for call_number in range(n, n + _CALLS):
+                client.prepare(call_number)
                 begun_ns = time.thread_time_ns()
                 try:
                     client.work()
@@ -98,7 +98,7 @@ def moving_deg(time_s: float, n_servos: int = N_SERVOS) -> np.ndarray:
 
 @contextmanager
 def own_tick() -> Iterator["OwnTick"]:
-    """A started bridge over twenty servos that a canned peer plays."""
+    """Yield a started bridge of 20 servos, for which a canned peer answers at once."""
     with canned_peer(N_SERVOS) as port:
         tick = OwnTick(port)
         with tick.bus:
@@ -106,8 +106,8 @@ def own_tick() -> Iterator["OwnTick"]:
             yield tick
 
 
-class _Unhurried:
-    """A port whose answers may be late: other work of this computer is no fault of the servos."""
+class _SlowPort:
+    """A port that waits a second longer for answers, since a busy computer may delay them."""
 
     baud_rate = BAUD_RATE
 
@@ -119,7 +119,7 @@ class _Unhurried:
         self._read = transport.read
 
     def read(self, deadline_s: float) -> bytes:
-        """Read the port, a second later."""
+        """Return what arrives until a second after `deadline_s`."""
         return self._read(deadline_s + 1.0)
 
 
@@ -132,7 +132,7 @@ class OwnTick:
         self._clock = ManualClock()
         self._channel = MemoryTargetChannel()
         self._time_s = 0.0
-        self.bus = DynamixelBus(servos, lambda: _Unhurried(open_port(port, BAUD_RATE, self._clock)))
+        self.bus = DynamixelBus(servos, lambda: _SlowPort(open_port(port, BAUD_RATE, self._clock)))
         self.bridge = Bridge(self.bus, joints, self._channel, BridgeSettings(_RATE_HZ))
 
     def prepare(self, n: int) -> None:
@@ -147,7 +147,7 @@ class OwnTick:
 
 
 class OthersTick:
-    """The same motion as position registers, by another client."""
+    """The same motion, given to another client as position registers."""
 
     def __init__(self, client: ServoClient) -> None:
         self._client = client

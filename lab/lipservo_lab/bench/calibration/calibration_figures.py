@@ -47,7 +47,10 @@ _WINDOW_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SyncErrors:
-    """Time between the speaker's lip gap and the robot's, rms over windows."""
+    """Delay of the robot's lip gap behind the speaker's, rms over windows.
+
+    before, after: without and with compensation of lag and backlash.
+    """
 
     before_rms_ms: float
     after_rms_ms: float
@@ -61,38 +64,40 @@ def sync_errors(
     servos: SimulatedServos,
     seed: int,
 ) -> SyncErrors:
-    """Return how late lips are, with and without compensation, over 20 s of AnimPhos.
+    """Return how late a robot's lips are in 20 s of speech, with and without compensation.
 
-    The robot has late servos and backlash.
+    The motion is made of recorded pieces (AnimPhos), drawn by `seed`. following: the lags and
+    backlash that are compensated, as identified; servos: the late servos of the robot `draw`.
     """
-    motion = spoken_frames(model, np.random.default_rng([seed, 3]))
-    wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
-    poses_deg = calibration.poses_deg(motion)
-    before_mm = _gap_mm(draw, servos, poses_deg)
+    frames = spoken_frames(model, np.random.default_rng([seed, 3]))
+    wanted_mm = np.array([model.lip_gap_mm(frame) for frame in frames])
+    poses_deg = calibration.poses_deg(frames)
+    plain_mm = _gap_mm(draw, servos, poses_deg)
     backlash = BacklashCompensation(following.backlash_deg)
     lag = LagCompensation(following.lag_s, 1.0 / _RATE_HZ, look_ahead_s=LOOK_AHEAD_S)
     goals_deg = np.array([lag.feed(backlash.feed(pose[None])[0]) for pose in poses_deg])
-    after_mm = _gap_mm(draw, servos, goals_deg)
-    # Fed in advance: what is asked for at one instant is shown so much later.
-    late_s = _lags_s(wanted_mm, after_mm) - lag.advance_s
-    return SyncErrors(_rms(_lags_s(wanted_mm, before_mm)) * 1e3, _rms(late_s) * 1e3)
+    compensated_mm = _gap_mm(draw, servos, goals_deg)
+    # Goals are fed to the compensation in advance: a gap is due so much after its frame was fed.
+    lags_s = _window_lags_s(wanted_mm, compensated_mm) - lag.advance_s
+    return SyncErrors(_rms(_window_lags_s(wanted_mm, plain_mm)) * 1e3, _rms(lags_s) * 1e3)
 
 
 def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:
-    """Return the robot's lip gap, (n,) mm, for goals, with late shafts and backlash."""
+    """Return the robot's lip gap, (n,) mm, for goals (n, n_servos): shafts are late, with slack."""
     shafts_deg = servos.shafts_deg(goals_deg, _RATE_HZ)
     horns_deg = np.empty_like(shafts_deg)
-    horn, half_deg = shafts_deg[0], draw.backlash_deg / 2
-    for n, shaft in enumerate(shafts_deg):
-        horn = np.clip(horn, shaft - half_deg, shaft + half_deg)
-        horns_deg[n] = horn
+    horn_deg, half_deg = shafts_deg[0], draw.backlash_deg / 2
+    for n, shaft_deg in enumerate(shafts_deg):
+        # A horn moves only once the shaft has taken up the slack.
+        horn_deg = np.clip(horn_deg, shaft_deg - half_deg, shaft_deg + half_deg)
+        horns_deg[n] = horn_deg
     markers_mm = true_markers_mm(draw, horns_deg)
     return np.asarray(
         markers_mm[:, MARKERS_47.upper_lip, 1] - markers_mm[:, MARKERS_47.lower_lip, 1]
     )
 
 
-def _lags_s(wanted: Array, seen: Array) -> Array:
+def _window_lags_s(wanted: Array, seen: Array) -> Array:
     """Return how much later `seen` is than `wanted`, s, window by window, (n_windows,)."""
     length = round(_WINDOW_S * _RATE_HZ)
     starts = range(0, len(wanted) - length, length // 2)
@@ -116,7 +121,12 @@ _LARGE_IS_GOOD = ("reachable", "gap_r", "closure_touch")
 
 @dataclass(frozen=True, slots=True)
 class SeedFigures:
-    """One robot. Names as in the table of docs/benchmarks.md; rms over frames and lip markers."""
+    """The scores of one robot, named as in docs/benchmarks.md; rms over frames and lip markers.
+
+    heldout_rms_mm: the measured calibration; guided_rms_mm: one by a person's eye. reachable: share
+    of shapes that the true robot can reach. closure_touch: share of closures in which lips touch.
+    map_us: processor time of a frame. procedure_s: computing time of the procedure.
+    """
 
     heldout_rms_mm: float
     reachable: float
@@ -131,7 +141,7 @@ class SeedFigures:
 
 def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
     """Calibrate the simulated robot of a seed, from capture to lags; return its scores."""
-    servos = _servos(settings)
+    servos = _mouth_servos(settings)
     joints = servos.joints
     rest_mm = model.markers_mm(model.rest[None])[0]
     draw = draw_robot(rest_mm, servos.names, seed)
@@ -147,10 +157,11 @@ def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> 
 
     shapes = _score_shapes(model, fit, draw, servos, seed)
     sync = sync_errors(model, fit.calibration, following, draw, late_servos, seed)
-    return _figures(shapes, sync, _map_time_us(model, fit), procedure_s)
+    return _seed_figures(shapes, sync, _map_time_us(model, fit), procedure_s)
 
 
-def _servos(settings: FaceSettings) -> MouthServos:
+def _mouth_servos(settings: FaceSettings) -> MouthServos:
+    """Return what calibration knows of a face's servos: names, limits, directions."""
     return MouthServos(
         joints=tuple(JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()),
         face_checksum=settings.checksum,
@@ -160,7 +171,11 @@ def _servos(settings: FaceSettings) -> MouthServos:
 
 @dataclass(frozen=True, slots=True)
 class OwnRobot:
-    """What became of one robot: its figures, or why it was refused; what faults on it came to."""
+    """The result for one robot: its figures or why calibration refused it, and counts of faults.
+
+    refused: the error's text; empty: it was calibrated. faults: by name of the fault that was put
+    into it, whether that was named.
+    """
 
     seed: int
     figures: SeedFigures | None
@@ -169,9 +184,9 @@ class OwnRobot:
 
 
 def own_robot(model: FaceWithAnimPhos, seed: int) -> OwnRobot:
-    """Calibrate the healthy robot of a seed, then do faults to it."""
+    """Calibrate the healthy robot of a seed, then put every fault into it; return the results."""
     settings = load_shipped_face("face_sim")
-    servos, rest_mm = _servos(settings), model.markers_mm(model.rest[None])[0]
+    servos, rest_mm = _mouth_servos(settings), model.markers_mm(model.rest[None])[0]
     figures, refused = None, ""
     try:
         figures = measure_seed(model, settings, seed)
@@ -188,12 +203,12 @@ def own_figures(robots: Sequence[OwnRobot]) -> dict[str, object]:
 
     A healthy robot that is refused counts in `refused`, and in no median.
     """
-    found = [robot.figures for robot in robots if robot.figures is not None]
+    scored = [robot.figures for robot in robots if robot.figures is not None]
     figures: dict[str, object] = {}
-    for field in fields(SeedFigures):
-        values = [float(getattr(seed, field.name)) for seed in found] or [math.nan]
-        figures[field.name] = float(np.median(values))
-        figures[f"worst_{field.name}"] = (min if field.name in _LARGE_IS_GOOD else max)(values)
+    for figure in fields(SeedFigures):
+        values = [float(getattr(each, figure.name)) for each in scored] or [math.nan]
+        figures[figure.name] = float(np.median(values))
+        figures[f"worst_{figure.name}"] = (min if figure.name in _LARGE_IS_GOOD else max)(values)
     figures["worst_rms_mm"] = figures.pop("worst_heldout_rms_mm")
     refused = {str(robot.seed): robot.refused for robot in robots if robot.refused}
     return {
@@ -206,7 +221,7 @@ def own_figures(robots: Sequence[OwnRobot]) -> dict[str, object]:
 
 
 def _map_time_us(model: FaceWithAnimPhos, fit: MeasuredFit) -> float:
-    """Median processor time of one `positions_deg`, over ten blocks of a hundred."""
+    """Return the processor time of one `positions_deg`, us: the median of ten blocks of 100."""
     frames = model.animphos.frames[:100]
     times_s = []
     for _ in range(10):
@@ -219,6 +234,12 @@ def _map_time_us(model: FaceWithAnimPhos, fit: MeasuredFit) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _ShapeScores:
+    """How near a robot's lips come to their targets on held-out frames, (n_frames,) each.
+
+    apart_mm, guided_apart_mm: rms over the lips, by the measured calibration and by a person's eye.
+    reachable: whether the best pose is near enough. gap_mm, human_gap_mm: of robot and speaker.
+    """
+
     apart_mm: Array
     guided_apart_mm: Array
     reachable: NDArray[np.bool_]
@@ -226,16 +247,16 @@ class _ShapeScores:
     human_gap_mm: Array
 
 
-def _figures(
+def _seed_figures(
     shapes: _ShapeScores, sync: SyncErrors, map_us: float, procedure_s: float
 ) -> SeedFigures:
     """Return a robot's figures: errors (mm) of reachable shapes only, closures of all shapes."""
     closed = shapes.human_gap_mm <= CLOSED_GAP_MM
-    reached = shapes.reachable
+    reachable = shapes.reachable
     return SeedFigures(
-        heldout_rms_mm=_rms(shapes.apart_mm[reached]),
-        reachable=float(reached.mean()),
-        guided_rms_mm=_rms(shapes.guided_apart_mm[reached]),
+        heldout_rms_mm=_rms(shapes.apart_mm[reachable]),
+        reachable=float(reachable.mean()),
+        guided_rms_mm=_rms(shapes.guided_apart_mm[reachable]),
         gap_r=float(np.corrcoef(shapes.gap_mm, shapes.human_gap_mm)[0, 1]),
         closure_touch=float((shapes.gap_mm[closed] <= 0.0).mean()),
         map_us=map_us,
@@ -250,7 +271,8 @@ def _score_shapes(
 ) -> _ShapeScores:
     """Return how far the calibrated robot's lips are from their targets on held-out frames.
 
-    Frames are sent one after another, with backlash compensated as in a running face.
+    Frames are sent one after another, with backlash compensated as in a running face. draw: the
+    true robot. seed: of the person's errors in the guided calibration.
     """
 
     def truth(output_deg: Array) -> Array:
@@ -260,19 +282,19 @@ def _score_shapes(
     targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
     shape_features, lips = fit.names.shape_features, list(MARKERS_47.lips)
 
-    best_deg = nearest_poses_deg(truth, shape_features.of(targets_mm), shape_features, limits)
+    nearest_deg = nearest_poses_deg(truth, shape_features.of(targets_mm), shape_features, limits)
     robot = SimulatedRobot(draw)
     backlash = BacklashCompensation(fit.face.backlash_deg)
-    seen_mm = np.empty_like(targets_mm)
+    shown_mm = np.empty_like(targets_mm)
     for frame, coefficients in enumerate(fit.held_out):
         robot.move(backlash.feed(fit.calibration.poses_deg(coefficients[None]))[0])
-        seen_mm[frame] = robot.true_markers_mm()
-    guided = _guided_apart_mm(model, fit, draw, servos, targets_mm, seed)
+        shown_mm[frame] = robot.true_markers_mm()
+    guided_apart_mm = _guided_apart_mm(model, fit, draw, servos, targets_mm, seed)
     return _ShapeScores(
-        apart_mm=lips_apart_mm(seen_mm, targets_mm, lips),
-        guided_apart_mm=guided,
-        reachable=lips_apart_mm(truth(best_deg), targets_mm, lips) <= REACHABLE_MM,
-        gap_mm=seen_mm[:, MARKERS_47.upper_lip, 1] - seen_mm[:, MARKERS_47.lower_lip, 1],
+        apart_mm=lips_apart_mm(shown_mm, targets_mm, lips),
+        guided_apart_mm=guided_apart_mm,
+        reachable=lips_apart_mm(truth(nearest_deg), targets_mm, lips) <= REACHABLE_MM,
+        gap_mm=shown_mm[:, MARKERS_47.upper_lip, 1] - shown_mm[:, MARKERS_47.lower_lip, 1],
         human_gap_mm=np.array([model.lip_gap_mm(frame) for frame in fit.held_out]),
     )
 
@@ -285,10 +307,10 @@ def _guided_apart_mm(
     targets_mm: Array,
     seed: int,
 ) -> Array:
-    """Return lip errors, mm, of a robot calibrated by a person's eye, (n_frames,).
+    """Return lip errors of a robot calibrated by a person's eye, (n_frames,) mm rms.
 
-    The person sees the speaker's mouth, as large as the robot's and exaggerated as usual; targets
-    are those of the measured fit.
+    The simulated person copies the speaker's mouth, scaled to the robot's width and exaggerated by
+    `MOST_EXAGGERATION`. targets_mm: those of the measured fit, for its held-out frames.
     """
 
     def truth(output_deg: Array) -> Array:
@@ -297,15 +319,16 @@ def _guided_apart_mm(
     shown_mm = model.markers_mm(np.array([pose.coefficients for pose in landmark_poses(model)]))
     neutral_mm, closed_mm = truth(np.zeros((1, len(servos.joints))))[0], shown_mm[0]
     right, left = fit.names.corners
+    # The width of the robot's mouth over that of the speaker's.
     size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
     scale = np.full(3, MOST_EXAGGERATION * size)
     gaps_mm = scale * fit.names.shape_features.gaps_mm(shown_mm)
     gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
     wanted = fit.names.shape_features.of(neutral_mm + scale * (shown_mm - closed_mm), gaps_mm)
-    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, servos.limits_deg)
+    nearest_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, servos.limits_deg)
     is_jaw = np.array([joint.name == JAW for joint in servos.joints])
-    guided = guided_by_eye(model, servos, best_deg, is_jaw, seed)
-    angles_deg = np.array([guided.positions_deg(frame) for frame in fit.held_out])
+    calibration = guided_by_eye(model, servos, nearest_deg, is_jaw, seed)
+    angles_deg = np.array([calibration.positions_deg(frame) for frame in fit.held_out])
     return lips_apart_mm(truth(angles_deg), targets_mm, list(MARKERS_47.lips))
 
 
@@ -316,7 +339,7 @@ def guided_by_eye(
     is_jaw: NDArray[np.bool_],
     seed: int,
 ) -> Calibration:
-    """Return the guided fit of a person who is off by a few key presses, but feels lips touch.
+    """Return the guided fit of a person who errs by a few key presses, but closes the lips exactly.
 
     Parameters
     ----------
@@ -325,9 +348,9 @@ def guided_by_eye(
     servos : MouthServos
         Of the robot.
     nearest_deg : Array
-        (n_poses, n_servos), what looks most like each of the landmark poses.
+        (n_poses, n_servos) degrees, what looks most like each of the landmark poses.
     is_jaw : Array
-        (n_servos,), of which a person is off by less.
+        (n_servos,), which servos move a jaw: a person sets them more exactly.
     seed : int
         Of the key presses.
 
@@ -336,9 +359,9 @@ def guided_by_eye(
     Calibration
         As `fit_guided` makes it.
     """
-    off_deg = np.where(is_jaw, _PERSON_JAW_DEG, _PERSON_DEG)
+    error_deg = np.where(is_jaw, _PERSON_JAW_DEG, _PERSON_DEG)
     noise = np.random.default_rng([seed, 2]).normal(size=nearest_deg.shape)
-    made_deg = np.clip(np.rint(nearest_deg + off_deg * noise), *servos.limits_deg)
+    posed_deg = np.clip(np.rint(nearest_deg + error_deg * noise), *servos.limits_deg)
     names = [pose.name for pose in landmark_poses(model)]
-    made_deg[[name == CLOSED for name in names]] = nearest_deg[0]
-    return fit_guided(model, servos, dict(zip(names, made_deg, strict=True)))
+    posed_deg[[name == CLOSED for name in names]] = nearest_deg[0]
+    return fit_guided(model, servos, dict(zip(names, posed_deg, strict=True)))

@@ -42,7 +42,7 @@ _KINDS: Sequence[tuple[str, ...]] = (
 
 @dataclass(frozen=True, slots=True)
 class OpenMouth:
-    """A robot that cannot close. stay_mm: how far its lips are apart at the least."""
+    """A robot whose mouth cannot close. stay_mm: the least gap between its lips."""
 
     draw: ElasticDraw
     servos: MouthServos
@@ -50,7 +50,7 @@ class OpenMouth:
 
 
 def open_mouth(rest_mm: Array, seed: int) -> OpenMouth:
-    """Return the robot of a seed, of 1 to 8 servos, whose mouth cannot close.
+    """Return a simulated robot of 1 to 8 servos, drawn by a seed, whose mouth cannot close.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def open_mouth(rest_mm: Array, seed: int) -> OpenMouth:
     Returns
     -------
     OpenMouth
-        With the least gap in mm.
+        `stay_mm`: the least gap that it reaches, mm.
     """
     rng = np.random.default_rng([seed, 53])
     kinds = _KINDS[seed % len(_KINDS)]
@@ -72,33 +72,35 @@ def open_mouth(rest_mm: Array, seed: int) -> OpenMouth:
             limits_deg[joint, 0] = -round(rng.uniform(*_LIP_DEG))
     stay_mm = float(rng.uniform(*_STAY_MM))
     limits_deg[draw.jaw, 0] = 0.0
-    # The jaw's horn is turned on its shaft until the lips stay so far apart.
-    low, high = -8.0, 24.0
+    # By bisection the jaw's horn is turned on its shaft until the least gap is `stay_mm`.
+    low_deg, high_deg = -8.0, 24.0
     for _ in range(30):
-        middle = (low + high) / 2
-        nearest_mm = _nearest_mm(_mounted(draw, middle), limits_deg)
-        low, high = (middle, high) if nearest_mm < stay_mm else (low, middle)
-    draw = _mounted(draw, high)
-    limits_deg[draw.jaw, 1] = max(8.0, limits_deg[draw.jaw, 1] - high)
+        offset_deg = (low_deg + high_deg) / 2
+        gap_mm = _least_gap_mm(_with_jaw_offset(draw, offset_deg), limits_deg)
+        low_deg, high_deg = (offset_deg, high_deg) if gap_mm < stay_mm else (low_deg, offset_deg)
+    draw = _with_jaw_offset(draw, high_deg)
+    limits_deg[draw.jaw, 1] = max(8.0, limits_deg[draw.jaw, 1] - high_deg)
     joints = tuple(
-        JointRange(name, float(least), float(most))
-        for name, (least, most) in zip(kinds, limits_deg, strict=True)
+        JointRange(name, float(min_deg), float(max_deg))
+        for name, (min_deg, max_deg) in zip(kinds, limits_deg, strict=True)
     )
     words = tuple(KINDS[kind].word for kind in kinds)
     servos = MouthServos(joints, f"open-{seed}", (), words)
-    return OpenMouth(draw, servos, _nearest_mm(draw, limits_deg))
+    return OpenMouth(draw, servos, _least_gap_mm(draw, limits_deg))
 
 
-def _mounted(draw: ElasticDraw, jaw_deg: float) -> ElasticDraw:
+def _with_jaw_offset(draw: ElasticDraw, jaw_deg: float) -> ElasticDraw:
+    """Return the robot with the jaw's horn turned by `jaw_deg` on its shaft."""
     zero_deg = draw.zero_deg.copy()
     zero_deg[draw.jaw] = jaw_deg
     return replace(draw, zero_deg=zero_deg)
 
 
-def _nearest_mm(draw: ElasticDraw, limits_deg: Array) -> float:
-    """Return the least gap between the middles of the lips, mm.
+def _least_gap_mm(draw: ElasticDraw, limits_deg: Array) -> float:
+    """Return the least gap between the middles of the lips that the joints' limits allow, mm.
 
-    Each joint in turn is moved to its better end, twice round.
+    Searched by moving each joint in turn to the better of its limits, all of them twice.
+    limits_deg: (n_servos, 2).
     """
     face, n = ElasticFace(draw), len(limits_deg)
     pose_deg = np.zeros((1, n))
@@ -111,7 +113,10 @@ def _nearest_mm(draw: ElasticDraw, limits_deg: Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class TriedMouth:
-    """A mouth that cannot close, and its result: the evidence, or why it was refused."""
+    """The result of calibrating a mouth that cannot close: evidence of closing, or the refusal.
+
+    closing: None if refused. refused: the error's text, empty if not refused.
+    """
 
     seed: int
     n_servos: int
@@ -121,7 +126,7 @@ class TriedMouth:
 
 
 def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
-    """Calibrate the mouth of a seed, which cannot close, from the first pose to the grade."""
+    """Calibrate the mouth of a seed, which cannot close, from capture to grade."""
     mouth = open_mouth(model.markers_mm(model.rest[None])[0], seed)
     robot = SimulatedRobot(ElasticFace(mouth.draw), noise_seed=seed)
     servos = mouth.servos
@@ -130,8 +135,8 @@ def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
     try:
         capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure))
         fit = fit_measured(model, capture, servos)
-        on = Robot(robot.move, robot.measure)
-        closing = take_grade(fit, servos, MARKERS_47.names, on).calibration.closing
+        graded_robot = Robot(robot.move, robot.measure)
+        closing = take_grade(fit, servos, MARKERS_47.names, graded_robot).calibration.closing
     except CalibrationError as error:
         refused = str(error)
     return TriedMouth(seed, len(servos.joints), mouth.stay_mm, closing, refused)
@@ -140,16 +145,17 @@ def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
 def closing_figures(mouths: Sequence[TriedMouth]) -> dict[str, object]:
     """Return how well calibration reports that mouths cannot close.
 
-    cannot_close_reported: share of mouths refused for it, or reported as kept open by the joints'
-    limits; bound_broken: mouths whose reported gap is smaller than the true one by more than .3 mm;
-    limits_called_contact: mouths reported to close.
+    cannot_close_reported: share of mouths that were refused for it, or reported as kept open by the
+    joints' limits; bound_broken: mouths whose reported gap is smaller than the true one by more
+    than 0.3 mm; limits_called_contact: mouths wrongly reported to close. cannot_close: for each
+    seed [number of servos, true least gap in mm, result].
     """
-    limits = [m for m in mouths if m.closing is not None and m.closing.evidence == LIMITS]
-    nearer = [m for m in limits if m.closing and m.closing.apart_mm < m.stay_mm - _BELOW_MM]
-    reported = len(limits) + sum("not close" in mouth.refused for mouth in mouths)
+    kept_open = [m for m in mouths if m.closing is not None and m.closing.evidence == LIMITS]
+    too_near = [m for m in kept_open if m.closing and m.closing.apart_mm < m.stay_mm - _BELOW_MM]
+    reported = len(kept_open) + sum("not close" in mouth.refused for mouth in mouths)
     return {
         "cannot_close_reported": reported / max(len(mouths), 1),
-        "bound_broken": len(nearer),
+        "bound_broken": len(too_near),
         "limits_called_contact": sum(
             mouth.closing is not None and mouth.closing.evidence == CONTACT for mouth in mouths
         ),

@@ -65,7 +65,7 @@ _NAMES: Mapping[str, tuple[str, ...]] = {
 def draw_elastic_robot(
     rest_mm: Array, seed: int, n_servos: int | None = None
 ) -> tuple[ElasticDraw, MouthServos]:
-    """Return the robot of a seed, and what its face YAML says.
+    """Return an elastic robot drawn by a seed, and what its face's YAML would say of it.
 
     Parameters
     ----------
@@ -79,20 +79,20 @@ def draw_elastic_robot(
     Returns
     -------
     tuple[ElasticDraw, MouthServos]
-        Lengths in mm.
+        The robot, lengths in mm; names, limits in degrees and directions of its servos.
     """
     rng = np.random.default_rng([seed, 17])
-    drawn = int(rng.choice(N_SERVOS, p=_SHARES))
-    kinds = _SETS[n_servos or drawn]
+    n_drawn = int(rng.choice(N_SERVOS, p=_SHARES))
+    kinds = _SETS[n_servos or n_drawn]
     names = tuple(_NAMES[kind][int(seed) % 4] for kind in kinds)
     draw, limits_deg = robot_of_kinds(rest_mm, kinds, names, rng)
     # Of a generator of its own: all else of a seed is as if no servo were mirrored.
     is_mirrored = np.random.default_rng([seed, 31]).random(len(kinds)) < _MIRRORED
-    joints, words = [], []
+    joints, direction_words = [], []
     for name, kind, limits, mirrored in zip(names, kinds, limits_deg, is_mirrored, strict=True):
-        low, high = (-limits[1], -limits[0]) if mirrored else limits
-        joints.append(JointRange(name, float(low), float(high)))
+        min_deg, max_deg = (-limits[1], -limits[0]) if mirrored else limits
+        joints.append(JointRange(name, float(min_deg), float(max_deg)))
         word = KINDS[kind].word
-        words.append(OPPOSITES[word] if mirrored else word)
-    servos = MouthServos(tuple(joints), f"elastic-{seed}", (), tuple(words))
+        direction_words.append(OPPOSITES[word] if mirrored else word)
+    servos = MouthServos(tuple(joints), f"elastic-{seed}", (), tuple(direction_words))
     return replace(draw, signs=np.where(is_mirrored, -1.0, 1.0)), servos

@@ -48,7 +48,12 @@ _ENOUGH_FORCE = 4.0
 
 @dataclass(frozen=True, slots=True)
 class RobotScore:
-    """One robot. Millimetres rms over frames and lips, shares 0..1; printed_mm: its own grade."""
+    """The scores of one robot: mm rms over frames and lips; shares 0 to 1.
+
+    true_mm: our lip error, rival_mm: that of the textbook's way; printed_mm: the grade, which
+    calibration itself prints. force_over_needed, rest_force: force between closed lips, in closures
+    and at rest, over the force that suffices. contact_called: the grade says that the lips close.
+    """
 
     n_servos: int
     true_mm: float
@@ -65,7 +70,7 @@ class RobotScore:
 def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None) -> RobotScore:
     """Calibrate the elastic robot of a seed, from capture to grade; return its scores.
 
-    n_servos: None: drawn, too. Raises CalibrationError where the robot is refused.
+    n_servos: None: drawn by the seed, too. Raises CalibrationError where the robot is refused.
     """
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
     face = ElasticFace(draw)
@@ -79,7 +84,7 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
     frames = split_frames(model, 0)[1][:N_FRAMES]
     wanted = wanted_shapes(model, face, servos, frames)
     ours = shown(face, played(face, fit.calibration, frames), wanted)
-    rival = _rival(face, servos, capture, wanted)
+    rival = _best_rival(face, servos, capture, wanted)
     return RobotScore(
         n_servos=len(servos.joints),
         true_mm=ours.off_mm,
@@ -96,9 +101,10 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
 
 @dataclass(frozen=True, slots=True)
 class ElasticRobot:
-    """What became of one robot: its score, or why it was refused; what faults on it came to.
+    """The result for one robot: its scores or why it was refused, and counts of faults.
 
-    refused_with: for each worse tracker why the healthy robot is refused, or None.
+    refused_with: for each worse tracker, why the healthy robot is refused; None: it is not.
+    faults: by name of the fault that was put into it, whether that was named.
     """
 
     seed: int
@@ -109,7 +115,7 @@ class ElasticRobot:
 
 
 def elastic_robot(model: FaceWithAnimPhos, seed: int) -> ElasticRobot:
-    """Calibrate the healthy robot of a seed, with worse trackers too, then do faults to it."""
+    """Calibrate the healthy robot of a seed, capture it by worse trackers, put faults into it."""
     score, refused = None, ""
     try:
         score = score_robot(model, seed)
@@ -117,14 +123,14 @@ def elastic_robot(model: FaceWithAnimPhos, seed: int) -> ElasticRobot:
         refused = str(error)
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed)
     face = ElasticFace(draw)
-    with_worse = refusals(model, face, servos, seed)
+    refused_with = refusals(model, face, servos, seed)
     faults = count_faults(model, face, servos, seed)
     faults |= count_measured_faults(model, face, servos, seed)
-    return ElasticRobot(seed, score, refused, with_worse, faults)
+    return ElasticRobot(seed, score, refused, refused_with, faults)
 
 
 def elastic_figures(robots: Sequence[ElasticRobot]) -> dict[str, object]:
-    """Return medians over the robots that were not refused, the worst, and what was refused why."""
+    """Return the figures of all robots: `summary`, refusals with worse trackers, and faults."""
     refused_with: dict[str, dict[str, str]] = {}
     for robot in robots:
         for tracker, why in robot.refused_with.items():
@@ -142,30 +148,34 @@ def elastic_figures(robots: Sequence[ElasticRobot]) -> dict[str, object]:
 
 
 def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dict[str, object]:
-    """Return medians, worst values and shares over the scores, and the refusals, by seed."""
+    """Return medians, worst values and shares over the scores, and the refusals.
+
+    scores, refused: by seed, of calibrated robots and the refusals of others. grade_over_truth: the
+    printed lip error over the true one; grade_share: share of robots in which that is right enough.
+    """
     found = list(scores.values())
 
-    def middle(value: Callable[[RobotScore], float]) -> float:
+    def median_of(value: Callable[[RobotScore], float]) -> float:
         return float(np.median([value(score) for score in found])) if found else float("nan")
 
-    grades = np.array([score.printed_mm / score.true_mm for score in found])
-    good = (grades >= _GOOD_GRADE[0]) & (grades <= _GOOD_GRADE[1])
-    little = sum(score.force_over_needed <= _ENOUGH_FORCE for score in found)
+    grade_ratios = np.array([score.printed_mm / score.true_mm for score in found])
+    good = (grade_ratios >= _GOOD_GRADE[0]) & (grade_ratios <= _GOOD_GRADE[1])
+    n_little_force = sum(score.force_over_needed <= _ENOUGH_FORCE for score in found)
     return {
         "robots": len(scores) + len(refused),
-        "true_rms_mm": middle(lambda s: s.true_mm),
+        "true_rms_mm": median_of(lambda s: s.true_mm),
         "worst_rms_mm": max((s.true_mm for s in found), default=float("nan")),
-        "gap_r": middle(lambda s: s.gap_r),
-        "gap_slope": middle(lambda s: s.gap_slope),
-        "closure_touch": middle(lambda s: s.closure_touch),
+        "gap_r": median_of(lambda s: s.gap_r),
+        "gap_slope": median_of(lambda s: s.gap_slope),
+        "closure_touch": median_of(lambda s: s.closure_touch),
         "closure_touch_worst": min((s.closure_touch for s in found), default=float("nan")),
-        "force_over_needed": middle(lambda s: s.force_over_needed),
-        "force_share": little / max(len(found), 1),
-        "rest_force": middle(lambda s: s.rest_force),
+        "force_over_needed": median_of(lambda s: s.force_over_needed),
+        "force_share": n_little_force / max(len(found), 1),
+        "rest_force": median_of(lambda s: s.rest_force),
         "contact_called": float(np.mean([s.contact_called for s in found])) if found else 0.0,
-        "best_rival_ratio": middle(lambda s: s.true_mm / s.rival_mm),
-        "rival_rms_mm": middle(lambda s: s.rival_mm),
-        "grade_over_truth": float(np.median(grades)) if found else float("nan"),
+        "best_rival_ratio": median_of(lambda s: s.true_mm / s.rival_mm),
+        "rival_rms_mm": median_of(lambda s: s.rival_mm),
+        "grade_over_truth": float(np.median(grade_ratios)) if found else float("nan"),
         "grade_share": float(good.mean()) if found else 0.0,
         "refused": len(refused),
         "refused_why": {str(seed): reason for seed, reason in refused.items()},
@@ -176,10 +186,13 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
     }
 
 
-def _rival(
+def _best_rival(
     face: ElasticFace, servos: MouthServos, capture: Capture, wanted: WantedShapes
 ) -> Motion:
-    """The better of straight and quadratic, by the truth: no rival of ours is weak."""
+    """Return the motion of the textbook's way, by a linear or a quadratic fit of the same capture.
+
+    The one with the smaller true lip error is taken, so that we are compared with no weak rival.
+    """
     both = [
         shown(
             face,

@@ -39,7 +39,7 @@ _Kept = TypeVar("_Kept")
 
 
 def read_seeds(text: str) -> list[int]:
-    """`3` or `0-19`. Raises CalibrationError for anything else."""
+    """Return the seeds of a text such as `3` or `0-19`. Raises CalibrationError for other texts."""
     parts = text.split("-")
     if len(parts) > 2 or not all(part.isdecimal() for part in parts):
         raise CalibrationError(f"--seeds {text}: expected one number or a range such as 0-19")
@@ -57,65 +57,68 @@ def bench_figures(
     kills: int = 0,
     advance: Callable[[int, int], None] = lambda _, __: None,
 ) -> dict[str, object]:
-    """Return all figures of `bench calibration`: healthy robots, faults, mouths that cannot close.
+    """Run all tasks of `bench calibration`; return their figures.
 
-    With both families the figures of the second are in `elastic`; `refused`, `faults_named` and
-    `faults_misnamed` are of both. ways: also calibrate the first seed's robots in every shipped
-    way. kills: number of captures that are killed and resumed, with each of three trackers.
+    Healthy robots of each seed and family, robots with faults, and mouths that cannot close. With
+    both families, the figures of the second are in `elastic`, but `refused`, `faults_named` and
+    `faults_misnamed` count both. ways: also calibrate the first seed's robots in every shipped way.
+    kills: also kill and resume so many captures with each of three trackers. advance: called with
+    tasks done and all tasks.
     """
-    of_family: Mapping[RobotFamily, _Task] = {
+    task_of_family: Mapping[RobotFamily, _Task] = {
         RobotFamily.OWN: own_robot,
         RobotFamily.ELASTIC: elastic_robot,
     }
-    tasks = [(of_family[family], seed) for seed in seeds for family in families]
+    tasks = [(task_of_family[family], seed) for seed in seeds for family in families]
     tasks += [(tried_mouth, seed) for seed in range(N_OPEN_MOUTHS)]
     tasks += [(way_figures, seeds[0])] if ways else []
     outcomes = _worked_off(tasks, advance)
-    own, elastic = _of(OwnRobot, outcomes), _of(ElasticRobot, outcomes)
+    own, elastic = _outcomes_of(OwnRobot, outcomes), _outcomes_of(ElasticRobot, outcomes)
     figures: dict[str, object] = {"family": "+".join(families)}
-    found = [own_figures(own)] if RobotFamily.OWN in families else []
+    family_figures = [own_figures(own)] if RobotFamily.OWN in families else []
     if RobotFamily.ELASTIC in families:
-        found.append(elastic_figures(elastic))
-    figures |= found[0]
-    if len(found) > 1:
-        figures["elastic"] = found[1]
+        family_figures.append(elastic_figures(elastic))
+    figures |= family_figures[0]
+    if len(family_figures) > 1:
+        figures["elastic"] = family_figures[1]
         figures |= fault_figures([robot.faults for robot in own] + [r.faults for r in elastic])
-        figures["refused"] = sum(int(str(each["refused"])) for each in found)
-    figures |= closing_figures(_of(TriedMouth, outcomes))
+        figures["refused"] = sum(int(str(each["refused"])) for each in family_figures)
+    figures |= closing_figures(_outcomes_of(TriedMouth, outcomes))
     if ways:
-        figures["ways"] = found_ways = outcomes[-1]
-        assert isinstance(found_ways, dict)
-        figures["hobby_over_positions"] = hobby_over_positions(found_ways)
+        figures["ways"] = way_errors = outcomes[-1]
+        assert isinstance(way_errors, dict)
+        figures["hobby_over_positions"] = hobby_over_positions(way_errors)
     if kills:
         figures |= resumed_figures(killed_captures(_model(), seeds[0], kills))
     return figures
 
 
-def _of(kind: type[_Kept], outcomes: Sequence[object]) -> list[_Kept]:
+def _outcomes_of(kind: type[_Kept], outcomes: Sequence[object]) -> list[_Kept]:
+    """Return the outcomes of one class, in their order."""
     return [outcome for outcome in outcomes if isinstance(outcome, kind)]
 
 
 def _worked_off(
     tasks: Sequence[tuple[_Task, int]], advance: Callable[[int, int], None]
 ) -> list[_Outcome]:
-    """Run the tasks in a process for each core; return the outcomes in the order of the tasks.
+    """Run the tasks with a process for each core; return the outcomes in the order of the tasks.
 
-    Threads would gain nothing: the matrix products are small.
+    Each process computes in one thread: the matrix products are too small for more.
     """
     advance(0, len(tasks))
     n_workers = min(len(tasks), len(os.sched_getaffinity(0)))
     with worker_pool(n_workers, get_context("spawn")) as pool:
-        futures = [pool.submit(_run, task, seed) for task, seed in tasks]
+        futures = [pool.submit(_run_single_threaded, task, seed) for task, seed in tasks]
         try:
-            for done, _ in enumerate(as_completed(futures), start=1):
-                advance(done, len(tasks))
+            for n_done, _ in enumerate(as_completed(futures), start=1):
+                advance(n_done, len(tasks))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
         return [future.result() for future in futures]
 
 
-def _run(task: _Task, seed: int) -> _Outcome:
+def _run_single_threaded(task: _Task, seed: int) -> _Outcome:
     with threadpool_limits(limits=1):
         return task(_model(), seed)
 

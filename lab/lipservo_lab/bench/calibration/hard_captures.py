@@ -56,7 +56,7 @@ _JAW = ("opens", "closes")
 
 @dataclass(frozen=True, slots=True)
 class FaultCount:
-    """Of so many tries."""
+    """How many faults were tried, named rightly, and named wrongly."""
 
     tried: int
     named: int
@@ -69,56 +69,63 @@ _COUNTED = fields(FaultCount)
 def count_faults(
     model: FaceWithAnimPhos, face: Skin, servos: MouthServos, seed: int
 ) -> dict[str, FaultCount]:
-    """Put every fault once into one robot; return whether each was named.
+    """Put every fault once into one robot, each in a capture of its own; return what was named.
 
-    The servo with the fault is drawn by the seed; a reversed jaw is the robot's first jaw.
+    Result: by fault. The servo with the fault is drawn by the seed; a reversed jaw is the robot's
+    first jaw.
     """
     rng = np.random.default_rng([seed, 23])
-    drawn = int(rng.integers(len(servos.joints)))
+    drawn_joint = int(rng.integers(len(servos.joints)))
     jaws = [joint for joint, word in enumerate(servos.positive) if word in _JAW]
     counts = {}
     for fault in _WORDS:
         if fault == "reversed jaw" and not jaws:
             continue
-        joint = jaws[0] if fault == "reversed jaw" else drawn
-        seen = _captured(model, face, servos, fault, joint, seed)
-        counts[fault] = _warnings_of(model, servos, fault, joint, seen)
+        joint = jaws[0] if fault == "reversed jaw" else drawn_joint
+        capture = _capture_with_fault(model, face, servos, fault, joint, seed)
+        counts[fault] = _check_and_count(model, servos, fault, joint, capture)
     return counts
 
 
 def count_measured_faults(
     model: FaceWithAnimPhos, face: Skin, servos: MouthServos, seed: int
 ) -> dict[str, FaultCount]:
-    """Put the faults of `_IN_MEASURE` into a drawn servo in `measure`; return what was named."""
+    """Let each fault of `_IN_MEASURE` begin during a `measure` procedure; return what was named.
+
+    Result: by fault. The servo is drawn by the seed.
+    """
     joint = int(np.random.default_rng([seed, 23]).integers(len(servos.joints)))
     counts = {}
     for kind in _IN_MEASURE:
         fault = kind + _MEASURED
         try:
-            seen = _captured(model, face, servos, fault, joint, seed)
+            capture = _capture_with_fault(model, face, servos, fault, joint, seed)
         except CalibrationError as error:  # refused before all of it was taken
-            counts[fault] = _counted(servos, kind, joint, [str(error)])
+            counts[fault] = _count_warnings(servos, kind, joint, [str(error)])
             continue
-        counts[fault] = _warnings_of(model, servos, kind, joint, seen)
+        counts[fault] = _check_and_count(model, servos, kind, joint, capture)
     return counts
 
 
 def fault_figures(counts: Sequence[Mapping[str, FaultCount]]) -> dict[str, object]:
-    """Return shares of all faults that were named and misnamed, and the counts of each fault."""
-    every = [count for robot in counts for count in robot.values()]
-    tried = max(1, sum(count.tried for count in every))
+    """Return the shares of all faults that were named rightly and wrongly, and counts by fault.
+
+    counts: of each robot, by fault.
+    """
+    all_counts = [count for robot in counts for count in robot.values()]
+    tried = max(1, sum(count.tried for count in all_counts))
     each: dict[str, dict[str, int]] = {}
     for fault in (*_WORDS, *(kind + _MEASURED for kind in _IN_MEASURE)):
-        own = [robot[fault] for robot in counts if fault in robot]
-        each[fault] = {f.name: sum(getattr(count, f.name) for count in own) for f in _COUNTED}
+        tries = [robot[fault] for robot in counts if fault in robot]
+        each[fault] = {f.name: sum(getattr(count, f.name) for count in tries) for f in _COUNTED}
     return {
-        "faults_named": sum(count.named for count in every) / tried,
-        "faults_misnamed": sum(count.misnamed for count in every) / tried,
+        "faults_named": sum(count.named for count in all_counts) / tried,
+        "faults_misnamed": sum(count.misnamed for count in all_counts) / tried,
         "faults": each,
     }
 
 
-def _captured(
+def _capture_with_fault(
     model: FaceWithAnimPhos,
     face: Skin,
     servos: MouthServos,
@@ -126,7 +133,7 @@ def _captured(
     joint: int,
     seed: int,
 ) -> Capture:
-    """Return the capture of a robot on which one fault is done on purpose.
+    """Return the capture of a simulated robot that has one fault.
 
     `fault`: a key of `_WORDS`; with `_MEASURED` at its end the fault happens late in a whole
     `measure` procedure, which may raise CalibrationError. `joint`: index of the servo that has it.
@@ -134,45 +141,45 @@ def _captured(
     robot = SimulatedRobot(face, noise_seed=seed)
     procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
     plan = procedure.whole_range_plan()
-    middle, moves = len(plan) // 2, [0]
+    fault_pose, n_moves = len(plan) // 2, [0]
     if fault.endswith(_MEASURED):
-        middle = int(np.random.default_rng([seed, 43]).integers(_N_POSES // 2, _N_POSES))
+        fault_pose = int(np.random.default_rng([seed, 43]).integers(_N_POSES // 2, _N_POSES))
     stuck_deg = [0.0]
     kind = fault.removesuffix(_MEASURED)
 
     def move(goal_deg: Array) -> Array:
-        """Move the robot with the fault applied; return the goals as a procedure sees them.
+        """Move the robot with the fault applied; return the goals themselves as reached angles.
 
-        Each pose has two moves. goal_deg: (n_joints,) degrees.
+        The procedure moves twice for each pose. goal_deg: (n_joints,) degrees.
         """
-        pose, given = moves[0] // 2, goal_deg.copy()
-        moves[0] += 1
-        if kind == "dead" or (kind == "torn" and pose >= middle):
-            given[joint] = 0.0
+        pose, actual_deg = n_moves[0] // 2, goal_deg.copy()
+        n_moves[0] += 1
+        if kind == "dead" or (kind == "torn" and pose >= fault_pose):
+            actual_deg[joint] = 0.0
         elif fault.startswith("reversed"):
-            given[joint] = -given[joint]
-        elif kind == "slipped" and pose >= middle:
-            given[joint] += _SLIP_DEG
+            actual_deg[joint] = -actual_deg[joint]
+        elif kind == "slipped" and pose >= fault_pose:
+            actual_deg[joint] += _SLIP_DEG
         elif fault == "stuck":
-            if pose >= middle:
-                given[joint] = stuck_deg[0]
-            stuck_deg[0] = given[joint]
-        robot.move(given)
+            if pose >= fault_pose:
+                actual_deg[joint] = stuck_deg[0]
+            stuck_deg[0] = actual_deg[joint]
+        robot.move(actual_deg)
         return goal_deg
 
     if fault.endswith(_MEASURED):
         return procedure.capture(MARKERS_47.names, Robot(move, robot.measure))
-    seen = capture_poses(plan, MARKERS_47.names, move, robot.measure)
-    return replace(seen, markers_mm=_as_seen(fault, seen.markers_mm, seed))
+    capture = capture_poses(plan, MARKERS_47.names, move, robot.measure)
+    return replace(capture, markers_mm=_as_tracked(fault, capture.markers_mm, seed))
 
 
-def _as_seen(fault: str, markers_mm: Array, seed: int) -> Array:
+def _as_tracked(fault: str, markers_mm: Array, seed: int) -> Array:
     """Return markers, (n_poses, n_markers, 3) mm, as a tracker with this fault would report them.
 
     Faults of servos leave the markers as they are.
     """
     rng = np.random.default_rng([seed, 29])
-    of: Mapping[str, Callable[[Array], Array]] = {
+    disturbance_of: Mapping[str, Callable[[Array], Array]] = {
         "lips exchanged": _lips_exchanged,
         "half scale": lambda mm: 0.5 * mm,
         "double scale": lambda mm: 2.0 * mm,
@@ -183,34 +190,34 @@ def _as_seen(fault: str, markers_mm: Array, seed: int) -> Array:
         "knocked": lambda mm: _knocked(mm),
         "hand-held": lambda mm: mm + rng.normal(0.0, 4.0, (len(mm), 1, 3)),
     }
-    return of[fault](markers_mm) if fault in of else markers_mm
+    return disturbance_of[fault](markers_mm) if fault in disturbance_of else markers_mm
 
 
 def _lips_exchanged(markers_mm: Array) -> Array:
     upper, lower = MARKERS_47.upper_lip, MARKERS_47.lower_lip
-    other = markers_mm.copy()
-    other[:, [upper, lower]] = markers_mm[:, [lower, upper]]
-    return other
+    exchanged = markers_mm.copy()
+    exchanged[:, [upper, lower]] = markers_mm[:, [lower, upper]]
+    return exchanged
 
 
 def _knocked(markers_mm: Array) -> Array:
-    other = markers_mm.copy()
-    other[len(other) // 2 :] += [5.0, -3.0, 2.0]
-    return other
+    moved = markers_mm.copy()
+    moved[len(moved) // 2 :] += [5.0, -3.0, 2.0]
+    return moved
 
 
-def _warnings_of(
+def _check_and_count(
     model: FaceWithAnimPhos, servos: MouthServos, fault: str, joint: int, capture: Capture
 ) -> FaultCount:
-    """Return whether the check of a capture, its warnings or its refusal, names the fault."""
+    """Check a capture; return whether its warnings, or the refusal's text, name the fault."""
     try:
         warnings = list(check_capture(capture, model, servos.positive).warnings)
     except CalibrationError as error:
         warnings = [str(error)]
-    return _counted(servos, fault, joint, warnings)
+    return _count_warnings(servos, fault, joint, warnings)
 
 
-def _counted(servos: MouthServos, fault: str, joint: int, warnings: list[str]) -> FaultCount:
+def _count_warnings(servos: MouthServos, fault: str, joint: int, warnings: list[str]) -> FaultCount:
     """Return one try's count: the fault named rightly, named wrongly, or not at all.
 
     Named rightly: a warning contains one of the fault's words (`_WORDS`), and the only servo named
@@ -221,10 +228,10 @@ def _counted(servos: MouthServos, fault: str, joint: int, warnings: list[str]) -
         line for line in warnings if " is weak or dead" not in line and "far off" not in line
     ]
     blamed = [name for name in servos.names if any(f"servo {name!r}" in line for line in warnings)]
-    right = servos.names[joint]
-    named = any(word in line for line in warnings for word in _WORDS[fault])
-    rightly = named and blamed == ([right] if fault in _OF_A_SERVO else [])
-    return FaultCount(1, int(rightly), int(bool(warnings) and not rightly))
+    faulty = servos.names[joint]
+    names_fault = any(word in line for line in warnings for word in _WORDS[fault])
+    is_right = names_fault and blamed == ([faulty] if fault in _OF_A_SERVO else [])
+    return FaultCount(1, int(is_right), int(bool(warnings) and not is_right))
 
 
 _FEW = (
@@ -237,7 +244,10 @@ _OUTLIERS, _ANYWHERE_MM = 0.01, 30.0
 
 @dataclass(frozen=True, slots=True)
 class _Tracker:
-    """marker_names: of those that it sees; disturbed: what it makes of (n_markers, 3)."""
+    """A simulated tracker. marker_names: the markers that it sees.
+
+    noise_mm: standard deviation of each coordinate; disturbed: changes a reading (n_markers, 3) mm.
+    """
 
     marker_names: tuple[str, ...] = MARKERS_47.names
     noise_mm: float = SENSOR_NOISE_MM
@@ -245,9 +255,9 @@ class _Tracker:
 
 
 def _with_outliers(seen_mm: Array, rng: np.random.Generator) -> Array:
-    wild = rng.random((len(seen_mm), 1)) < _OUTLIERS
+    is_outlier = rng.random((len(seen_mm), 1)) < _OUTLIERS
     return np.where(
-        wild, seen_mm + rng.uniform(-_ANYWHERE_MM, _ANYWHERE_MM, seen_mm.shape), seen_mm
+        is_outlier, seen_mm + rng.uniform(-_ANYWHERE_MM, _ANYWHERE_MM, seen_mm.shape), seen_mm
     )
 
 
@@ -261,7 +271,7 @@ _TRACKERS: Mapping[str, _Tracker] = {
 def refusals(
     model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, seed: int
 ) -> dict[str, str | None]:
-    """Return for each tracker why a healthy robot is refused; None: it is not."""
+    """Return for each of `_TRACKERS` why it makes a healthy robot refused; None: it does not."""
     return {
         name: _refusal(model, face, servos, tracker, seed) for name, tracker in _TRACKERS.items()
     }
@@ -276,12 +286,12 @@ def _refusal(
     """
     robot = SimulatedRobot(face, noise_seed=seed, noise_mm=tracker.noise_mm)
     rng = np.random.default_rng([seed, 41])
-    seen = [MARKERS_47.names.index(name) for name in tracker.marker_names]
+    marker_rows = [MARKERS_47.names.index(name) for name in tracker.marker_names]
     procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
     try:
         capture = procedure.capture(
             tracker.marker_names,
-            Robot(robot.move, lambda: tracker.disturbed(robot.measure()[seen], rng)),
+            Robot(robot.move, lambda: tracker.disturbed(robot.measure()[marker_rows], rng)),
         )
         check_capture(capture, model, servos.positive)
     except CalibrationError as error:

@@ -35,7 +35,7 @@ _NOISE_MM: Final = 0.3
 
 @dataclass(frozen=True, slots=True)
 class KilledCapture:
-    """One capture that was killed `at_s` after its start; why: what went wrong, or empty."""
+    """A capture that was killed `at_s` after its start. why: what went wrong; empty: nothing."""
 
     tracker: str
     at_s: float
@@ -43,8 +43,11 @@ class KilledCapture:
 
 
 @dataclass(slots=True)
-class _OtherProgram:
-    """A tracker that knows `pose.json` alone. requested: the poses in it, in their order."""
+class _ExternalTracker:
+    """Stands for a tracking program of a user's, which only sees the request file of poses.
+
+    path: the CSV or JSON file that it writes. requested: numbers of the poses seen in requests.
+    """
 
     path: Path
     face: SimulatedFace
@@ -52,24 +55,25 @@ class _OtherProgram:
     over: threading.Event = field(default_factory=threading.Event)
 
     def run(self) -> None:
-        """Add a reading for each new pose until `over` is set."""
+        """Add a reading for each newly requested pose until `over` is set."""
         request = self.path.with_name(f"{self.path.name}.pose.json")
-        stamp: object = None
+        seen_ns: object = None
         while not self.over.wait(_LOOK_S):
             try:
-                now, stands = request.stat().st_mtime_ns, json.loads(request.read_text())
+                # The request tells its pose and the angles at which the servos stand, degrees.
+                now_ns, stands = request.stat().st_mtime_ns, json.loads(request.read_text())
             except (OSError, ValueError):
                 continue
-            if now != stamp:
-                stamp = now
+            if now_ns != seen_ns:
+                seen_ns = now_ns
                 self.requested.append(stands["pose"])
                 self._record(stands["pose"], np.array([[stands["servos_deg"][_JOINT]]]))
 
     def _record(self, pose: int, stands_deg: Array) -> None:
         """Append a row for each marker of a pose to the CSV or JSON file, with noise.
 
-        stands_deg: (1, 1), degrees of the one servo. A JSON file is replaced whole, a CSV file is
-        appended to.
+        stands_deg: (1, 1), angle of the one servo. The noise depends on the pose alone. A JSON file
+        is replaced whole, a CSV file is appended to.
         """
         noise = np.random.default_rng([pose, 7]).normal(0.0, _NOISE_MM, (47, 3))
         places = (marker_positions_mm(self.face, stands_deg)[0] + noise).round(3).tolist()
@@ -92,22 +96,25 @@ class _OtherProgram:
 def killed_captures(
     model: FaceWithAnimPhos, seed: int, n_kills: int, trackers: Sequence[str] = TRACKERS
 ) -> list[KilledCapture]:
-    """Kill captures with each of `trackers` at times drawn from `seed`, and go on with them."""
-    found = []
+    """Kill `n_kills` captures with each of `trackers` at drawn times, and resume them.
+
+    Returns one result for each; if a capture fails that is not killed at all, only that one.
+    """
+    captures = []
     for tracker in trackers:
         began_s = time.monotonic()
-        whole = _went_wrong(model, tracker, None)
-        lasts_s = time.monotonic() - began_s
-        if whole:
-            return [KilledCapture(tracker, 0.0, f"not killed at all: {whole}")]
+        failure = _resume_failure(model, tracker, None)
+        whole_s = time.monotonic() - began_s
+        if failure:
+            return [KilledCapture(tracker, 0.0, f"not killed at all: {failure}")]
         rng = np.random.default_rng([seed, TRACKERS.index(tracker), 71])
-        for at_s in rng.uniform(0.0, lasts_s, n_kills).tolist():
-            found.append(KilledCapture(tracker, at_s, _went_wrong(model, tracker, at_s)))
-    return found
+        for at_s in rng.uniform(0.0, whole_s, n_kills).tolist():
+            captures.append(KilledCapture(tracker, at_s, _resume_failure(model, tracker, at_s)))
+    return captures
 
 
 def resumed_figures(captures: Sequence[KilledCapture]) -> dict[str, object]:
-    """Return the share of killed captures that ended in a whole calibration, and the others."""
+    """Return the share of killed captures that ended in a whole calibration; list the others."""
     return {
         "resumed": sum(not each.why for each in captures) / max(len(captures), 1),
         "resumed_of": len(captures),
@@ -115,8 +122,11 @@ def resumed_figures(captures: Sequence[KilledCapture]) -> dict[str, object]:
     }
 
 
-def _went_wrong(model: FaceWithAnimPhos, tracker: str, at_s: float | None) -> str:
-    """Return what went wrong with a capture that is killed at `at_s` (None: is not); or empty."""
+def _resume_failure(model: FaceWithAnimPhos, tracker: str, at_s: float | None) -> str:
+    """Return what went wrong with a capture that is killed at `at_s` and resumed; empty: nothing.
+
+    at_s: seconds after its start; None: it is not killed.
+    """
     rest_mm = model.markers_mm(model.rest[None])[0]
     with (
         tempfile.TemporaryDirectory() as name,
@@ -125,13 +135,13 @@ def _went_wrong(model: FaceWithAnimPhos, tracker: str, at_s: float | None) -> st
         folder = Path(name)
         out, markers = folder / "jaw.calibration.yaml", folder / f"markers.{tracker}"
         computed = tracker == "computed"
-        other = _OtherProgram(markers, simulated_face(rest_mm, [_JOINT]))
+        program = _ExternalTracker(markers, simulated_face(rest_mm, [_JOINT]))
         seen_by = ["--sim", "pty"] if computed else ["--port", port, "--tracker", str(markers)]
         command = [
             sys.executable, "-m", "lipservo", "calibrate", "measure", "--config", _FACE, *seen_by,
             "--poses", "9", "--speed", "400", "--accept", "--quiet", "-o", str(out),
         ]  # fmt: skip
-        with _beside(None if computed else other):
+        with _run_beside(None if computed else program):
             if at_s is not None:
                 _run(command, at_s)
             done = _run(command, None)
@@ -143,23 +153,23 @@ def _went_wrong(model: FaceWithAnimPhos, tracker: str, at_s: float | None) -> st
             return str(error)
         if made.grade is None or made.following is None or not made.following.lag_s.any():
             return "the calibration has no grade, or no lags"
-        twice = [pose for pose in set(other.requested) if other.requested.count(pose) > 1]
+        twice = [pose for pose in set(program.requested) if program.requested.count(pose) > 1]
         # The pose that stood when it was killed may be requested again: it was not recorded.
         return f"poses {twice} were requested twice" if len(twice) > 1 else ""
 
 
 @contextmanager
-def _beside(other: _OtherProgram | None) -> Iterator[None]:
-    """Run the other program, if there is one, until the block ends."""
-    if other is None:
+def _run_beside(tracker: _ExternalTracker | None) -> Iterator[None]:
+    """Run an external tracker in a thread until the block ends; None: run nothing."""
+    if tracker is None:
         yield
         return
-    thread = threading.Thread(target=other.run, name="tracker", daemon=True)
+    thread = threading.Thread(target=tracker.run, name="tracker", daemon=True)
     thread.start()
     try:
         yield
     finally:
-        other.over.set()
+        tracker.over.set()
         thread.join()
 
 

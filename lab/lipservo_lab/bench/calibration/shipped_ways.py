@@ -1,8 +1,8 @@
 """Every way to a calibration that is shipped, on elastic robots of every number of servos.
 
-measured: a plan, markers, a fit, by files; guided: a person's eye; practise: as the command of that
-name; port: servos simulated to the byte behind a wire, their lags as well; hobby: the same robot's
-servos on a Maestro, which report no positions; dots: pictures.
+measured: a plan, markers, a fit; guided: a person's eye; practise: as the command of that name;
+port: servos simulated to the byte behind a wire, their lags as well; hobby: the same robot's servos
+on a Maestro, which report no positions; dots: pictures.
 
 Pictures of blue dots on a simulated face, one a pose, for the way by coloured dots.
 
@@ -69,15 +69,15 @@ def write_dots_pictures(
     import cv2
 
     flat_mm = markers_mm[..., :2]
-    left_mm, low_mm = flat_mm.min(axis=(0, 1)) - _MARGIN_MM
-    right_mm, high_mm = flat_mm.max(axis=(0, 1)) + _MARGIN_MM
-    size_px = (round(_PX_PER_MM * (right_mm - left_mm)), round(_PX_PER_MM * (high_mm - low_mm)))
-    places_px = _PX_PER_MM * np.stack([flat_mm[..., 0] - left_mm, high_mm - flat_mm[..., 1]], 2)
+    left_mm, bottom_mm = flat_mm.min(axis=(0, 1)) - _MARGIN_MM
+    right_mm, top_mm = flat_mm.max(axis=(0, 1)) + _MARGIN_MM
+    size_px = (round(_PX_PER_MM * (right_mm - left_mm)), round(_PX_PER_MM * (top_mm - bottom_mm)))
+    dots_px = _PX_PER_MM * np.stack([flat_mm[..., 0] - left_mm, top_mm - flat_mm[..., 1]], 2)
     noise = np.random.default_rng([seed, 41])
-    for pose, dots_px in enumerate(places_px):
+    for pose, pose_px in enumerate(dots_px):
         large = np.full((size_px[1] * _FINER, size_px[0] * _FINER, 3), _SKIN, np.uint8)
         radius = round(_FINER * _PX_PER_MM * _DOT_MM / 2)
-        for column, row in dots_px:
+        for column, row in pose_px:
             middle = (round(_FINER * (column + 0.5)), round(_FINER * (row + 0.5)))
             cv2.circle(large, middle, radius, _BLUE, -1, cv2.LINE_AA)
         small = cv2.resize(large, size_px, interpolation=cv2.INTER_AREA).astype(np.float64)
@@ -87,7 +87,7 @@ def write_dots_pictures(
     with (folder / NAMES_FILE).open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["marker", "column_px", "row_px", "mm_per_px"])
-        for name, (column, row) in zip(marker_names, places_px[0], strict=True):
+        for name, (column, row) in zip(marker_names, dots_px[0], strict=True):
             writer.writerow([name, round(column, 2), round(row, 2), 1.0 / _PX_PER_MM])
 
 
@@ -98,7 +98,10 @@ _PORT_SPEED_DEG_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """A robot to calibrate. setup: its face as a YAML would say it."""
+    """A robot to calibrate: model: the speaker's face; face: the true robot.
+
+    setup: what calibration knows, as from the robot's YAML. seed: of the sensor's noise.
+    """
 
     model: FaceWithAnimPhos
     face: ElasticFace
@@ -116,8 +119,11 @@ class _Task:
 def way_figures(
     model: FaceWithAnimPhos, seed: int, sizes: Iterable[int] = N_SERVOS
 ) -> dict[str, dict[str, float | str]]:
-    """Return each way's true lip error, mm rms, or why it was refused, by number of servos."""
-    found: dict[str, dict[str, float | str]] = {way: {} for way in WAYS}
+    """Calibrate a robot of each size in every way; return the true lip errors.
+
+    Result: by way and number of servos (as text), mm rms, or the reason of the refusal.
+    """
+    error_of: dict[str, dict[str, float | str]] = {way: {} for way in WAYS}
     frames = split_frames(model, 0)[1][:_N_FRAMES]
     for n_servos in sizes:
         task = _task(model, seed, n_servos)
@@ -125,16 +131,16 @@ def way_figures(
         for way, calibrate in WAYS.items():
             try:
                 output_deg = played(task.face, calibrate(task), frames)
-                found[way][str(n_servos)] = shown(task.face, output_deg, wanted).off_mm
+                error_of[way][str(n_servos)] = shown(task.face, output_deg, wanted).off_mm
             except CalibrationError as error:
-                found[way][str(n_servos)] = f"refused: {error}"
-    return found
+                error_of[way][str(n_servos)] = f"refused: {error}"
+    return error_of
 
 
 def _task(model: FaceWithAnimPhos, seed: int, n_servos: int) -> _Task:
     """Return an elastic robot drawn by a seed, with settings of a face of `n_servos` Dynamixels."""
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
-    of_servos = {
+    servo_settings = {
         joint.name: {
             "id": 11 + n,
             "model": "XL330-M288",
@@ -146,34 +152,36 @@ def _task(model: FaceWithAnimPhos, seed: int, n_servos: int) -> _Task:
         for n, joint in enumerate(servos.joints)
     }
     settings = FaceSettings.model_validate(
-        {"name": f"elastic {seed}", "rate_hz": 30.0, "servos": of_servos}
+        {"name": f"elastic {seed}", "rate_hz": 30.0, "servos": servo_settings}
     )
     setup = CalibrationSetup(settings, model, quiet=True, speed_deg_s=_PORT_SPEED_DEG_S)
     return _Task(model, ElasticFace(draw), setup, seed)
 
 
-def _measured(task: _Task) -> Calibration:
+def _calibrate_measured(task: _Task) -> Calibration:
+    """Calibrate a robot from markers at every pose of one plan, without grade or lags."""
     plan, robot = task.setup.procedure(task.seed).whole_range_plan(), task.robot()
     capture = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure)
     return fit_measured(task.model, capture, task.servos).calibration
 
 
-def _guided(task: _Task) -> Calibration:
-    """A person finds the poses that look most like the speaker's."""
+def _calibrate_by_eye(task: _Task) -> Calibration:
+    """Return a guided calibration: a person finds the poses that look most like the speaker's."""
     frames = np.array([pose.coefficients for pose in landmark_poses(task.model)])
     wanted = wanted_shapes(task.model, task.face, task.servos, frames)
-    of, limits = NAMES.shape_features, task.servos.limits_deg
-    best_deg = nearest_poses_deg(task.face.markers_mm, wanted.features, of, limits)
+    shape_features, limits = NAMES.shape_features, task.servos.limits_deg
+    nearest_deg = nearest_poses_deg(task.face.markers_mm, wanted.features, shape_features, limits)
     is_jaw = np.arange(len(task.servos.joints)) == task.face.draw.jaw
-    return guided_by_eye(task.model, task.servos, best_deg, is_jaw, task.seed)
+    return guided_by_eye(task.model, task.servos, nearest_deg, is_jaw, task.seed)
 
 
-def _practise(task: _Task) -> Calibration:
+def _calibrate_as_practised(task: _Task) -> Calibration:
+    """Calibrate a robot by the whole procedure, as `lipservo calibrate practise` does."""
     robot = task.robot()
-    return _whole_procedure(task, Robot(robot.move, robot.measure)).calibration
+    return _run_procedure(task, Robot(robot.move, robot.measure)).calibration
 
 
-def _port(task: _Task) -> Calibration:
+def _calibrate_at_port(task: _Task) -> Calibration:
     """Calibrate a robot over servos simulated to the byte, whose lags are measured as well."""
     robot, settings = task.robot(), task.setup.settings
     bus, clock = simulated_wire(settings)
@@ -184,22 +192,22 @@ def _port(task: _Task) -> Calibration:
             robot.move(reached_deg)
             return reached_deg
 
-        result = _whole_procedure(task, Robot(move, robot.measure))
+        result = _run_procedure(task, Robot(move, robot.measure))
         return with_lags(task.setup, held, result).calibration
 
 
-def _hobby(task: _Task) -> Calibration:
+def _calibrate_hobby(task: _Task) -> Calibration:
     """Calibrate a robot with hobby servos, which report no position: goals count as positions."""
     robot, settings = task.robot(), _on_maestro(task.setup.settings)
-    on = watched_servos(settings.wiring)
-    with HeldFace(settings, on.clock, bus=on.bus, speed_deg_s=_PORT_SPEED_DEG_S) as held:
+    maestro = watched_servos(settings.wiring)
+    with HeldFace(settings, maestro.clock, bus=maestro.bus, speed_deg_s=_PORT_SPEED_DEG_S) as held:
 
         def move(goal_deg: Array) -> Array:
             reached_deg = held.move(goal_deg)
-            robot.move(on.shafts_deg())
+            robot.move(maestro.shafts_deg())
             return reached_deg
 
-        return _whole_procedure(task, Robot(move, robot.measure)).calibration
+        return _run_procedure(task, Robot(move, robot.measure)).calibration
 
 
 def _on_maestro(settings: FaceSettings) -> FaceSettings:
@@ -226,48 +234,49 @@ def _on_maestro(settings: FaceSettings) -> FaceSettings:
 
 
 def hobby_over_positions(ways: Mapping[str, Mapping[str, float | str]]) -> float:
-    """Return the median error on hobby servos over that on servos with positions, of each size.
+    """Return the error on hobby servos over that on servos with positions: the median of all sizes.
 
-    Infinite where a robot of hobby servos was refused.
+    ways: result of `way_figures`. A refused robot of hobby servos counts as infinite; sizes whose
+    servos with positions were refused do not count. NaN: there are no others.
     """
     ratios = [
-        _ratio(hobby, ways["port"][size])
-        for size, hobby in ways["hobby"].items()
+        _error_ratio(hobby_mm, ways["port"][size])
+        for size, hobby_mm in ways["hobby"].items()
         if not isinstance(ways["port"][size], str)
     ]
     return float(np.median(ratios)) if ratios else np.nan
 
 
-def _ratio(hobby_mm: float | str, positions_mm: float | str) -> float:
+def _error_ratio(hobby_mm: float | str, positions_mm: float | str) -> float:
     return np.inf if isinstance(hobby_mm, str) else hobby_mm / float(positions_mm)
 
 
-def _whole_procedure(task: _Task, on: Robot) -> CalibrationResult:
-    """Both parts of the capture, the fit, and the grade."""
+def _run_procedure(task: _Task, robot: Robot) -> CalibrationResult:
+    """Do both parts of a capture, fit it, and grade the calibration on the robot."""
     procedure = task.setup.procedure(task.seed)
-    capture = procedure.capture(MARKERS_47.names, Robot(on.move, on.measure))
-    return fit_capture(task.setup, capture).graded_by(task.setup, on, capture.n_planned)
+    capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure))
+    return fit_capture(task.setup, capture).graded_by(task.setup, robot, capture.n_planned)
 
 
-def _dots(task: _Task) -> Calibration:
+def _calibrate_by_dots(task: _Task) -> Calibration:
     """Calibrate a robot from pictures with blue dots, without depth; raises CalibrationError."""
     setup = replace(task.setup, sees_forward=False)
     plan, robot = setup.procedure(task.seed).whole_range_plan(), task.robot(noise_mm=0.0)
-    seen = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure)
-    with tempfile.TemporaryDirectory() as name:
-        folder, file = Path(name) / "pictures", Path(name) / "poses.csv"
+    true_capture = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder, file = Path(temporary) / "pictures", Path(temporary) / "poses.csv"
         folder.mkdir()
         write_plan(plan, file)
-        write_dots_pictures(folder, MARKERS_47.names, seen.markers_mm, task.seed)
+        write_dots_pictures(folder, MARKERS_47.names, true_capture.markers_mm, task.seed)
         capture = read_capture(file, folder, task.servos.names, read=DotsFolder(folder).readings)
     return fit_measured(task.model, capture, setup.servos).calibration
 
 
 WAYS: Mapping[str, Callable[[_Task], Calibration]] = {
-    "measured": _measured,
-    "guided": _guided,
-    "practise": _practise,
-    "port": _port,
-    "hobby": _hobby,
-    "dots": _dots,
+    "measured": _calibrate_measured,
+    "guided": _calibrate_by_eye,
+    "practise": _calibrate_as_practised,
+    "port": _calibrate_at_port,
+    "hobby": _calibrate_hobby,
+    "dots": _calibrate_by_dots,
 }

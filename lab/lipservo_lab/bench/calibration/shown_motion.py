@@ -54,14 +54,14 @@ _EASED, _HARDENED = 1.0 / 3.0, 4.0
 
 @dataclass(frozen=True, slots=True)
 class _Tried:
-    """Poses (n, n_servos), the features they show, and what these cost, (n,)."""
+    """Poses (n, n_servos), the features that they show (n, n_features), and their costs (n,)."""
 
     poses_deg: Array
     shown: Array
     cost: Array
 
     def better_of(self, other: "_Tried") -> "_Tried":
-        """The cheaper of the two, frame by frame."""
+        """Return, for each frame, the poses with the lower cost of the two."""
         ours = (self.cost <= other.cost)[:, None]
         return _Tried(
             np.where(ours, self.poses_deg, other.poses_deg),
@@ -83,13 +83,13 @@ def converged_poses_deg(
     Parameters
     ----------
     markers_of : MarkersOf
-        Poses (n, n_servos) to markers (n, n_markers, 3).
+        Gives markers (n, n_markers, 3) mm of poses (n, n_servos) degrees.
     wanted : Array
         (n, n_features).
     shape_features : ShapeFeatures
-        Makes features.
+        Computes the features of a shape from its markers.
     limits_deg : tuple[Array, Array]
-        Least and most, (n_servos,) each.
+        Least and greatest angles, (n_servos,) each.
 
     Returns
     -------
@@ -97,27 +97,29 @@ def converged_poses_deg(
         (n, n_servos) degrees.
     """
 
-    def tried(poses_deg: Array) -> _Tried:
+    def evaluate(poses_deg: Array) -> _Tried:
         shown = shape_features.of(markers_of(poses_deg))
-        apart = np.sum((shown - wanted) ** 2, axis=1)
-        turned = NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.sum(poses_deg**2, axis=1)
-        return _Tried(poses_deg, shown, apart + turned)
+        shape_cost = np.sum((shown - wanted) ** 2, axis=1)
+        turn_cost = NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.sum(poses_deg**2, axis=1)
+        return _Tried(poses_deg, shown, shape_cost + turn_cost)
 
     n_servos = len(limits_deg[0])
-    best = tried(np.zeros((len(wanted), n_servos)))
+    best = evaluate(np.zeros((len(wanted), n_servos)))
     damping = np.full(len(wanted), _FIRST_DAMPING)
     for _ in range(_ROUNDS):
-        by_deg = shape_slopes(markers_of, shape_features, best.poses_deg, best.shown)
-        across = by_deg.transpose(0, 2, 1)
-        bends = across @ by_deg
-        bends += (NEUTRAL_WEIGHT_MM_PER_DEG**2 + damping[:, None, None]) * np.eye(n_servos)
-        pull = (across @ (wanted - best.shown)[..., None])[..., 0]
+        # One damped Gauss-Newton step for all frames: curvature and gradient of the cost, the
+        # minimum within the limits; it is kept where it lowers the cost.
+        slopes = shape_slopes(markers_of, shape_features, best.poses_deg, best.shown)
+        transposed = slopes.transpose(0, 2, 1)
+        curvature = transposed @ slopes
+        curvature += (NEUTRAL_WEIGHT_MM_PER_DEG**2 + damping[:, None, None]) * np.eye(n_servos)
+        pull = (transposed @ (wanted - best.shown)[..., None])[..., 0]
         pull -= NEUTRAL_WEIGHT_MM_PER_DEG**2 * best.poses_deg
-        pull += (bends @ best.poses_deg[..., None])[..., 0]
-        step = tried(bounded_minimum(bends, pull, *limits_deg))
-        helped = step.cost < best.cost
-        best = best.better_of(step)
-        damping *= np.where(helped, _EASED, _HARDENED)
+        pull += (curvature @ best.poses_deg[..., None])[..., 0]
+        candidate = evaluate(bounded_minimum(curvature, pull, *limits_deg))
+        is_better = candidate.cost < best.cost
+        best = best.better_of(candidate)
+        damping *= np.where(is_better, _EASED, _HARDENED)
         damping = np.clip(damping, _LEAST_DAMPING, _MOST_DAMPING)
     return best.poses_deg
 
@@ -129,11 +131,12 @@ NAMES = correspond(MARKERS_47.names)
 
 @dataclass(frozen=True, slots=True)
 class WantedShapes:
-    """For frames of speech (n, n_components).
+    """The shapes that a robot should show for n frames of speech.
 
-    features: (n, n_features), of the literal copies, as ShapeFeatures has them; shapes_mm:
-    (n, 47, 3), of the nearest poses; gap_mm: (n,), the height in the middle that is wanted beyond
-    the robot's own closed gap; human_gap_mm: (n,), how far the speaker's lips are apart.
+    scale: robot's over speaker's mouth. features: (n, n_features), of literal copies of the frames;
+    shapes_mm: (n, 47, 3), markers of the robot's poses nearest to these; gap_mm: (n,), the wanted
+    opening between the lips' middles beyond the robot's closed gap; human_gap_mm: (n,), the
+    speaker's lip gap.
     """
 
     scale: float
@@ -146,7 +149,7 @@ class WantedShapes:
 def wanted_shapes(
     model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, frames: Array
 ) -> WantedShapes:
-    """Return the shapes that the robot should show, by its true geometry once it is warm.
+    """Return the shapes that the robot should show, as the module's docstring defines them.
 
     Parameters
     ----------
@@ -155,9 +158,9 @@ def wanted_shapes(
     face : ElasticFace
         The robot.
     servos : MouthServos
-        Its mouth.
+        The robot's joints and limits.
     frames : Array
-        (n, n_components).
+        (n, n_components), coefficients of the speaker's face.
 
     Returns
     -------
@@ -165,20 +168,22 @@ def wanted_shapes(
         Shapes in mm.
     """
     human_gap_mm = model.lip_gaps_mm(model.markers_mm(frames))
-    speakers_mm = model.lip_gaps_mm(model.markers_mm(model.animphos.frames[::7]))
-    opens_mm = float(np.quantile(speakers_mm, _RANGE_QUANTILE)) - model.lip_gap_mm(model.rest)
+    gaps_of_all_mm = model.lip_gaps_mm(model.markers_mm(model.animphos.frames[::7]))
+    opens_mm = float(np.quantile(gaps_of_all_mm, _RANGE_QUANTILE)) - model.lip_gap_mm(model.rest)
     scale = min(MOST_SCALE, widest_gap_mm(face, servos) / opens_mm)
     rest_mm = model.markers_mm(model.rest[None])
     moved_mm = model.markers_mm(frames) - rest_mm
     neutral_mm = face.markers_mm(np.zeros((1, len(servos.joints))))
-    of = NAMES.shape_features
-    gaps_mm = of.gaps_mm(neutral_mm) + scale * of.gaps_mm(moved_mm)
-    off_mm = face.draw.skin.off_edge_mm
-    own_closed_mm = (off_mm[:3] + off_mm[3:])[[1, 0, 2]]  # middle, right, left
-    opened_mm = np.maximum(scale * of.gaps_mm(moved_mm)[..., 1], 0.0)
+    shape_features = NAMES.shape_features
+    gaps_mm = shape_features.gaps_mm(neutral_mm) + scale * shape_features.gaps_mm(moved_mm)
+    edge_mm = face.draw.skin.off_edge_mm
+    # The markers' gaps while the lips' edges touch: upper and lower marker's distance from the
+    # edge; order: middle, right, left.
+    own_closed_mm = (edge_mm[:3] + edge_mm[3:])[[1, 0, 2]]  # middle, right, left
+    opened_mm = np.maximum(scale * shape_features.gaps_mm(moved_mm)[..., 1], 0.0)
     gaps_mm[..., 1] = own_closed_mm + opened_mm
-    features = of.of(neutral_mm + scale * moved_mm, gaps_mm)
-    nearest_deg = converged_poses_deg(face.markers_mm, features, of, servos.limits_deg)
+    features = shape_features.of(neutral_mm + scale * moved_mm, gaps_mm)
+    nearest_deg = converged_poses_deg(face.markers_mm, features, shape_features, servos.limits_deg)
     return WantedShapes(
         scale=scale,
         features=features,
@@ -189,16 +194,17 @@ def wanted_shapes(
 
 
 def widest_gap_mm(face: ElasticFace, servos: MouthServos) -> float:
-    """Return the widest gap between the lips' edges, mm.
+    """Return the widest gap between the middles of the lips that the robot reaches, mm.
 
-    Each joint in turn is moved to its better end, twice round.
+    Searched by moving each joint in turn to its best of least, 0 and greatest angle, all of them
+    twice.
     """
     limits_deg, middle = servos.limits_deg, N_PAIRS // 2
     pose_deg = np.zeros((1, len(servos.joints)))
     for joint in (*range(len(servos.joints)), *range(len(servos.joints))):
-        tries = np.repeat(pose_deg, 3, axis=0)
-        tries[:, joint] = (limits_deg[0][joint], 0.0, limits_deg[1][joint])
-        pose_deg = tries[face.state(tries).gaps_mm[:, middle].argmax()][None]
+        candidates_deg = np.repeat(pose_deg, 3, axis=0)
+        candidates_deg[:, joint] = (limits_deg[0][joint], 0.0, limits_deg[1][joint])
+        pose_deg = candidates_deg[face.state(candidates_deg).gaps_mm[:, middle].argmax()][None]
     return float(face.state(pose_deg).gaps_mm[0, middle])
 
 
@@ -210,7 +216,12 @@ _ENOUGH_MM = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Millimetres rms over frames and lips; shares 0..1."""
+    """The scores of a robot's motion against the wanted shapes.
+
+    off_mm: lip error, rms over frames and lip markers. gap_r, gap_slope: correlation of the lip gap
+    with the wanted one, and slope over it. touch: share of closures in which lips touch, 0 to 1.
+    force_ratio: median force between closed lips over the force that suffices.
+    """
 
     off_mm: float
     gap_r: float
@@ -227,9 +238,9 @@ def played(face: ElasticFace, calibration: Calibration, frames: Array) -> Array:
     face : ElasticFace
         The robot.
     calibration : Calibration
-        Its map.
+        Maps frames to the robot's joints; its backlash is compensated.
     frames : Array
-        (n, n_components).
+        (n, n_components), coefficients of the speaker's face.
 
     Returns
     -------
@@ -258,14 +269,14 @@ def behind_play(face: ElasticFace, goals_deg: Array) -> Array:
     Returns
     -------
     Array
-        (n, n_servos) degrees.
+        (n, n_servos) degrees, after each goal.
     """
     robot = SimulatedRobot(face)
-    stands = []
+    horns_deg = []
     for goal_deg in goals_deg:
         robot.move(goal_deg)
-        stands.append(robot.output_deg)
-    return np.array(stands)
+        horns_deg.append(robot.output_deg)
+    return np.array(horns_deg)
 
 
 def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
@@ -276,24 +287,24 @@ def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
     face : ElasticFace
         The robot.
     output_deg : Array
-        (n, n_servos), of the wanted frames.
+        (n, n_servos), angles of the servo horns for the wanted frames.
     wanted : WantedShapes
-        Their shapes.
+        The shapes of these n frames.
 
     Returns
     -------
     Motion
-        Distances in mm.
+        Scores; distances in mm.
     """
     state = face.state(output_deg)
     off_mm = (state.markers_mm - wanted.shapes_mm)[:, list(MARKERS_47.lips)]
     gap_mm = state.gaps_mm[:, N_PAIRS // 2]
     touches = gap_mm <= _TOUCH_MM
     closed = wanted.human_gap_mm <= CLOSED_GAP_MM
-    moves = gap_mm.std() > 0.0
+    is_moving = gap_mm.std() > 0.0
     return Motion(
         off_mm=float(np.sqrt(np.mean(np.sum(off_mm**2, axis=2)))),
-        gap_r=float(np.corrcoef(wanted.gap_mm, gap_mm)[0, 1]) if moves else 0.0,
+        gap_r=float(np.corrcoef(wanted.gap_mm, gap_mm)[0, 1]) if is_moving else 0.0,
         gap_slope=float(np.polyfit(wanted.gap_mm, gap_mm, 1)[0]),
         touch=float(touches[closed].mean()),
         force_ratio=float(np.median(state.force_n[closed]) / face.closing_force_n(_ENOUGH_MM)),
@@ -301,9 +312,9 @@ def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
 
 
 def rest_force_ratio(face: ElasticFace, calibration: Calibration) -> float:
-    """Return the force between the lips of a silent face, over that which closes them."""
-    silent = np.repeat(calibration.rest[None], 10, axis=0)  # until it stands still
-    state = face.state(played(face, calibration, silent)[-1:])
+    """Return the force between the lips of a face at rest, over the force that suffices."""
+    rest_frames = np.repeat(calibration.rest[None], 10, axis=0)  # until it stands still
+    state = face.state(played(face, calibration, rest_frames)[-1:])
     return float(state.force_n[0] / face.closing_force_n(_ENOUGH_MM))
 
 
@@ -311,18 +322,18 @@ _STRENGTHS = np.logspace(-3, 3, 13)
 
 
 def rival_poses_deg(capture: Capture, servos: MouthServos, features: Array, degree: int) -> Array:
-    """Return the poses by a rival method: a polynomial ridge from features to angles.
+    """Return the poses by the textbook's way: a ridge from angles to markers, then least squares.
 
     Parameters
     ----------
     capture : Capture
-        What it learns from.
+        Poses and markers that the ridge is fitted to; missing markers count as in the middle.
     servos : MouthServos
-        The mouth.
+        The robot's joints and limits.
     features : Array
-        (n, n_features).
+        (n, n_features), of the wanted shapes.
     degree : int
-        Of the polynomial.
+        Of the polynomial of the angles: 1 or 2.
 
     Returns
     -------
@@ -332,11 +343,11 @@ def rival_poses_deg(capture: Capture, servos: MouthServos, features: Array, degr
     ridge = make_pipeline(
         PolynomialFeatures(degree, include_bias=False), StandardScaler(), RidgeCV(_STRENGTHS)
     )
-    usual_mm = np.nanmedian(capture.markers_mm, axis=0)
-    seen_mm = np.where(np.isfinite(capture.markers_mm), capture.markers_mm, usual_mm)
-    fitted = ridge.fit(capture.goals_deg, seen_mm.reshape(len(capture), -1))
+    median_mm = np.nanmedian(capture.markers_mm, axis=0)
+    seen_mm = np.where(np.isfinite(capture.markers_mm), capture.markers_mm, median_mm)
+    fitted_model = ridge.fit(capture.goals_deg, seen_mm.reshape(len(capture), -1))
 
     def markers_of(angles_deg: Array) -> Array:
-        return np.asarray(fitted.predict(angles_deg)).reshape(len(angles_deg), -1, 3)
+        return np.asarray(fitted_model.predict(angles_deg)).reshape(len(angles_deg), -1, 3)
 
     return nearest_poses_deg(markers_of, features, NAMES.shape_features, servos.limits_deg)

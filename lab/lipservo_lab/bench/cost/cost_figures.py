@@ -28,7 +28,7 @@ _END_S: Final = 60.0
 
 
 class _Process:
-    """The speech process of a checkout, which runs one turn at a time."""
+    """The speech process of a checkout, which runs one turn at a time, when `turn` is called."""
 
     def __init__(self, root: Path, output: Path, face: str, sound: str, n_cycles: int) -> None:
         with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
@@ -42,7 +42,11 @@ class _Process:
         self._root, self._output = root, output
 
     def turn(self, *, counts_calls: bool) -> dict[str, float]:
-        """Run the next turn; return its seconds, processor time, and calls if they are counted."""
+        """Run the next turn; return its `seconds` of sound and `spent_s`, processor time.
+
+        counts_calls: also return `python_calls` and `c_calls`. Raises UserError if the process has
+        ended.
+        """
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         line = ""
@@ -60,7 +64,10 @@ class _Process:
         return found
 
     def targets(self) -> tuple[np.ndarray, np.ndarray]:
-        """End the process; return when targets were published and due (n, 2), and these (n, k)."""
+        """End the process; return when its targets were published and due, (n, 2) s, and the goals.
+
+        Goals: (n, n_joints) degrees.
+        """
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait(_END_S)
@@ -82,34 +89,34 @@ def cost_figures(
     n_cycles: int,
     advance: Callable[[int, int], None] = lambda _n_done, _n_all: None,
 ) -> dict[str, Any]:
-    """Return the figures of a face that speaks and rests in turns. Raises UserError.
+    """Return the processor time of a face that speaks and rests in turns. Raises UserError.
 
-    against: another checkout; None: no ratios. face: a shipped one. sound: `voice` or `file`, as in
-    `speech_turns`. n_cycles: cycles of speech and rest; one more counts calls. advance: called
-    with the turns done and all of them.
+    against: root of another checkout, run in turns with this one; None: no ratios. face: name of a
+    shipped one. sound: "voice" or "file", as in `speech_turns`. n_cycles: cycles of speech and
+    rest; one more counts calls. advance: called with turns done and all turns.
 
-    `speaking_ms`, `idle_ms`: processor time a second of sound, medians. `calls_per_step`: calls of
-    C and of Python functions in 10 ms. `speaking_ratio`, `idle_ratio`: of processor time, ours over
-    the other's in the same cycle, medians. `goals_apart_deg`: the farthest that a target is from
-    the other's. `goals_apart_s`: the same of when targets are published, and are due.
+    `speaking_ms`, `idle_ms`: ms of processor time for a second of sound, medians. `calls_per_step`:
+    calls of C and of Python functions in 10 ms. `speaking_ratio`, `idle_ratio`: our time over the
+    other's in the same cycle, medians. `goals_apart_deg`, `goals_apart_s`: the greatest difference
+    from the other's targets, in angle, and in when they were published or due.
     """
-    roots = {"own": _ROOT} if against is None else {"own": _ROOT, "other": against}
-    turns: dict[str, list[dict[str, float]]] = {name: [] for name in roots}
+    checkouts = {"own": _ROOT} if against is None else {"own": _ROOT, "other": against}
+    turns: dict[str, list[dict[str, float]]] = {name: [] for name in checkouts}
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-bench-")))
-        running = {
+        processes = {
             name: stack.enter_context(
                 _Process(root, folder / f"{name}.npz", face, sound, n_cycles + 1)
             )
-            for name, root in roots.items()
+            for name, root in checkouts.items()
         }
         n_turns = (n_cycles + 1) * len(TURNS)
         for number in range(n_turns):
             is_counted = number >= n_cycles * len(TURNS)
-            for name, process in running.items():
+            for name, process in processes.items():
                 turns[name].append(process.turn(counts_calls=is_counted))
             advance(number + 1, n_turns)
-        targets = [process.targets() for process in running.values()]
+        targets = [process.targets() for process in processes.values()]
     figures = turn_figures(turns)
     if len(targets) > 1:
         figures |= differences(*targets)
@@ -117,20 +124,24 @@ def cost_figures(
 
 
 def turn_figures(turns: Mapping[str, list[dict[str, float]]]) -> dict[str, Any]:
-    """Return costs, calls and ratios of the turns of `own` process, and of an `other` if given."""
+    """Return costs, calls and ratios, as `cost_figures` describes them.
+
+    turns: results of `_Process.turn` in their order, of the process `own`, and of `other` if there
+    is one. The last cycle's turns count calls.
+    """
     figures: dict[str, Any] = {"calls_per_step": {}}
-    for first, what in enumerate(TURNS):
+    for offset, turn_kind in enumerate(TURNS):
         cost = {
-            name: [turn["spent_s"] / turn["seconds"] for turn in found[first :: len(TURNS)]][:-1]
+            name: [turn["spent_s"] / turn["seconds"] for turn in found[offset :: len(TURNS)]][:-1]
             for name, found in turns.items()
         }
-        figures[f"{what}_ms"] = median(cost["own"]) * 1e3
+        figures[f"{turn_kind}_ms"] = median(cost["own"]) * 1e3
         if "other" in cost:
             pairs = zip(cost["own"], cost["other"], strict=True)
-            figures[f"{what}_ratio"] = median(own / other for own, other in pairs)
-        counted = turns["own"][first - len(TURNS)]
-        figures["calls_per_step"][what] = {
-            kind: round(counted[f"{kind}_calls"] / counted["seconds"] / 100.0)
+            figures[f"{turn_kind}_ratio"] = median(own / other for own, other in pairs)
+        counted_turn = turns["own"][offset - len(TURNS)]
+        figures["calls_per_step"][turn_kind] = {
+            kind: round(counted_turn[f"{kind}_calls"] / counted_turn["seconds"] / 100.0)
             for kind in ("c", "python")
         }
     return figures
@@ -139,7 +150,10 @@ def turn_figures(turns: Mapping[str, list[dict[str, float]]]) -> dict[str, Any]:
 def differences(
     own: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]
 ) -> dict[str, float]:
-    """Return how far targets (times (n, 2), goals (n, k)) are apart. Raises UserError."""
+    """Return the greatest differences of two processes' targets: `goals_apart_deg`, `_s`.
+
+    own, other: as `_Process.targets` returns them. Raises UserError if their shapes differ.
+    """
     if own[1].shape != other[1].shape:
         raise UserError(
             f"this checkout has sent {len(own[1])} goals to {own[1].shape[1:]} joints, --against "

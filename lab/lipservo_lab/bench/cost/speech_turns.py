@@ -42,7 +42,7 @@ class CallCounter:
             self.c += 1
 
 
-class _Over(BaseException):
+class _NoMoreTurns(BaseException):
     """Ends the process's loop: there is no further turn."""
 
 
@@ -67,16 +67,16 @@ class VirtualTime:
         return self.now_s
 
     def sleep_until(self, time_s: float) -> None:
-        """Jump to `time_s`, and begin and end the turns on the way."""
+        """Jump to `time_s`; begin and end the turns on the way, which may block for input."""
         if not self.started_s:
             self.started_s = self.now_s
         while not self._borders or time_s >= self._borders[0][0]:
             if not self._borders:
                 self._plan_cycle()
                 continue
-            border_s, what = self._borders.pop(0)
+            border_s, event = self._borders.pop(0)
             self.now_s = max(self.now_s, border_s)
-            self._cross(what)
+            self._begin_or_end_turn(event)
         self.now_s = max(self.now_s, time_s)
 
     def sleep(self, seconds: float) -> None:
@@ -93,20 +93,20 @@ class VirtualTime:
             (silent_s + _RESTS_AFTER_S, "begin"), (end_s, "end"),
         ]  # fmt: skip
 
-    def _cross(self, what: str) -> None:
+    def _begin_or_end_turn(self, event: str) -> None:
         """Do what is due at a border: "say" queues speech, "begin" and "end" bound a measured turn.
 
         "begin" blocks for a line on standard input ("count...": calls are counted as well) and
-        raises `_Over` at the end of input; "end" prints virtual seconds, processor seconds and
-        calls as JSON.
+        raises `_NoMoreTurns` at the end of input; "end" prints virtual seconds, processor seconds
+        and calls as JSON.
         """
-        if what == "say":
+        if event == "say":
             for say in self.sentences:
                 say()
-        elif what == "begin":
+        elif event == "begin":
             line = sys.stdin.readline()
             if not line:
-                raise _Over
+                raise _NoMoreTurns
             if line.startswith("count"):
                 self._counter = CallCounter()
                 sys.setprofile(self._counter.profile)
@@ -114,15 +114,16 @@ class VirtualTime:
         else:
             spent_s = time.process_time() - self._began[1]
             sys.setprofile(None)
-            found: dict[str, float] = {"seconds": self.now_s - self._began[0], "spent_s": spent_s}
+            costs: dict[str, float] = {"seconds": self.now_s - self._began[0], "spent_s": spent_s}
             if self._counter is not None:
-                found |= {"python_calls": self._counter.python, "c_calls": self._counter.c}
+                costs |= {"python_calls": self._counter.python, "c_calls": self._counter.c}
                 self._counter = None
-            sys.stdout.write(json.dumps(found) + "\n")
+            sys.stdout.write(json.dumps(costs) + "\n")
             sys.stdout.flush()
 
 
-def _cycled(samples: Any) -> Any:
+def _one_cycle(samples: Any) -> Any:
+    """Return the sound of one cycle, (n,): speech from `samples`, then digital silence."""
     import numpy as np
 
     speech = np.resize(samples, round((SPEECH_S - 0.5) * _RATE_HZ)).astype(np.float32)
@@ -130,10 +131,11 @@ def _cycled(samples: Any) -> Any:
 
 
 def main(output: str, face: str, sound: str, clip: str, n_cycles: int) -> None:
-    """Run the speech process of `face` in turns until standard input ends.
+    """Run the speech process of `face` in turns until standard input ends, then write its targets.
 
-    sound: `voice`, the face speaks and has no microphone, or `file`, it listens to a recording with
-    digital silence in it.
+    output: .npz file of the targets. sound: "voice": the face speaks and has no microphone; "file":
+    it listens to a recording with digital silence in it. clip: file of the speech. n_cycles: length
+    of that recording in cycles. Never returns: the process exits.
     """
     clock = VirtualTime()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as `lipservo.__main__` does
@@ -153,23 +155,24 @@ def main(output: str, face: str, sound: str, clip: str, n_cycles: int) -> None:
     from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 
     # What the loop uses is put in the place of clock, channel and speech.
-    patched: dict[str, Any] = {"clocks": clocks, "targets": targets, "speech": face_speech}
-    patched["clocks"].MonotonicClock = lambda: clock
+    modules: dict[str, Any] = {"clocks": clocks, "targets": targets, "speech": face_speech}
+    modules["clocks"].MonotonicClock = lambda: clock
     samples, _ = soundfile.read(clip, dtype="float32")  # the bundled clip, at 16 kHz
-    speech = _cycled(samples)
+    speech = _one_cycle(samples)
     published: list[tuple[float, float, Any]] = []
 
     class Recording(targets.SocketTargetChannel):
         def publish(self, targets: Any) -> None:
             published.append((clock.now_s, targets.time_s, targets.positions_deg.copy()))
 
-    patched["targets"].SocketTargetChannel = Recording
+    modules["targets"].SocketTargetChannel = Recording
+    # The class itself: `with_words` takes its place.
     made = face_speech.FaceSpeech
 
     def with_words(*arguments: Any, **options: Any) -> Any:
         """Make a FaceSpeech; with sound "voice", let each cycle put speech in its playout."""
-        found: Any = made(*arguments, **options)
-        source = found.source
+        face_speech_object: Any = made(*arguments, **options)
+        source = face_speech_object.source
         if sound == "voice":
 
             def say() -> None:
@@ -179,9 +182,9 @@ def main(output: str, face: str, sound: str, clip: str, n_cycles: int) -> None:
                 source.requests.append(PlayoutRequest("say", stream))
 
             clock.sentences.append(say)
-        return found
+        return face_speech_object
 
-    patched["speech"].FaceSpeech = with_words
+    modules["speech"].FaceSpeech = with_words
     folder = Path(output).parent
     if sound == "voice":
         request = RunRequest(face, SILENCE, voice=VoiceOptions("silent"), quiet=True)
@@ -196,7 +199,7 @@ def main(output: str, face: str, sound: str, clip: str, n_cycles: int) -> None:
     handed = processes.Handed(
         ends[0].detach(), board.fileno(), live.fileno(), Lifeline(child.detach())
     )
-    with contextlib.suppress(_Over):
+    with contextlib.suppress(_NoMoreTurns):
         processes.run_speech_process(request, handed, None, None)
     times, goals = [each[:2] for each in published], [each[2] for each in published]
     np.savez(output, times_s=np.array(times), goals_deg=np.array(goals))

@@ -51,28 +51,29 @@ _LIPS_MEET = ("P", "B", "M")
 
 
 def film_sync_ms() -> float:
-    """Return how far flashes in a film are from clicks in its sound, ms: the greatest distance."""
+    """Make a film of flashes with clicks; return the longest time from flash to click, ms."""
     rate_hz = 48_000
     clicks = np.zeros(_SYNC_PICTURES * rate_hz // _RATE_HZ, dtype=np.float32)
     for n in _FLASHES:
-        at = n * rate_hz // _RATE_HZ
-        clicks[at : at + 48] = np.hanning(48) * 0.9
+        first = n * rate_hz // _RATE_HZ
+        clicks[first : first + 48] = np.hanning(48) * 0.9
     dark = np.zeros((_SYNC_SIZE[1], _SYNC_SIZE[0], 3), dtype=np.uint8)
     pictures = (dark + 255 if n in _FLASHES else dark for n in range(_SYNC_PICTURES))
     with tempfile.TemporaryDirectory() as folder:
         sound, out = Path(folder) / "clicks.wav", Path(folder) / "film.mp4"
         soundfile.write(sound, clicks, rate_hz)
         write_film(pictures, _SYNC_SIZE, sound, out)
-        seen_s = [time_s for time_s, picture in video_pictures(out) if picture.mean() > 128]
-        heard = video_sound(out)
-    loud = np.flatnonzero(np.abs(heard.samples) > 0.2) / 16_000 + heard.begins_s
-    return max(1e3 * float(np.abs(loud - each - 0.0005).min()) for each in seen_s)
+        flashes_s = [time_s for time_s, picture in video_pictures(out) if picture.mean() > 128]
+        film_sound = video_sound(out)
+    # Times of the loud samples; a click is loudest half a millisecond after its beginning.
+    clicks_s = np.flatnonzero(np.abs(film_sound.samples) > 0.2) / 16_000 + film_sound.begins_s
+    return max(1e3 * float(np.abs(clicks_s - flash_s - 0.0005).min()) for flash_s in flashes_s)
 
 
 def film_times() -> dict[str, float]:
-    """Return seconds, and seconds of processor time, to make a film of 60 s, recognition included.
+    """Return seconds, and seconds of processor time, that a film of 60 s takes to be made.
 
-    The sound is the bundled clip, repeated.
+    Recognition is included. The sound is the bundled clip, repeated.
     """
     with tempfile.TemporaryDirectory() as folder:
         sound = Path(folder) / "minute.wav"
@@ -98,25 +99,26 @@ def tracked_film(
     tracker: FaceTracker,
     advance: Advance,
 ) -> dict[str, Array]:
-    """Return the points of every sentence, and of `rest`, tracked in one film of them all.
+    """Film all sentences in one film, and track the face in its pictures.
 
     Parameters
     ----------
     display : Display
-        Draws frames.
+        Draws the face of a frame.
     face : FaceModel
-        The model.
+        The model of the frames.
     motions : Mapping[str, Array]
-        (n, n_components) by sentence.
+        (n, n_components) by sentence, at the film's rate.
     tracker : FaceTracker
-        Finds points.
+        Finds the points of a face in a picture.
     advance : Advance
         Called with the progress.
 
     Returns
     -------
     dict[str, Array]
-        (n, 478, 3) by sentence.
+        Points (n, 478, 3) in pixels by sentence, and under `rest` those of the still pictures at
+        the beginning; NaN where no face was found.
     """
     frames = [Frame(0.0, face.rest)] * _STILL
     frames += [Frame(0.0, each) for shown in motions.values() for each in shown]
@@ -139,18 +141,18 @@ def cut_track(points: Array, motions: Mapping[str, Array]) -> dict[str, Array]:
     points : Array
         (n_pictures, 478, 3).
     motions : Mapping[str, Array]
-        (n, n_components) by sentence.
+        (n, n_components) by sentence, in the order of the film.
 
     Returns
     -------
     dict[str, Array]
-        (n, 478, 3) by sentence.
+        (n, 478, 3) by sentence, and under `rest` the still pictures.
     """
-    found, at = {"rest": points[:_STILL]}, _STILL
+    points_of, first = {"rest": points[:_STILL]}, _STILL
     for name, shown in motions.items():
-        found[name] = points[at : at + len(shown)]
-        at += len(shown)
-    return found
+        points_of[name] = points[first : first + len(shown)]
+        first += len(shown)
+    return points_of
 
 
 def seen_figures(
@@ -159,7 +161,7 @@ def seen_figures(
     motions: Mapping[str, Array],
     sentences: Sequence[Utterance],
 ) -> dict[str, object]:
-    """Compare lip gaps, closures and read words of tracks with those of the wanted frames.
+    """Compare lip gaps, closures and words read in tracked films with those of the filmed frames.
 
     The reader of words learns from the other sentences as they were recorded.
 
@@ -168,45 +170,48 @@ def seen_figures(
     face : FaceModel
         The model.
     tracks : Mapping[str, Array]
-        (n, 478, 3) by sentence, of `tracked_film`.
+        (n, 478, 3) by sentence, as `tracked_film` returns them.
     motions : Mapping[str, Array]
-        (n, n_components) by sentence, held out.
+        The filmed frames, (n, n_components) by sentence; the reader has not learned these
+        sentences.
     sentences : Sequence[Utterance]
-        Of the corpus.
+        All sentences of the corpus.
 
     Returns
     -------
     dict[str, object]
-        Correlation of gaps, and shares 0 to 1.
+        gap_r: correlation of the gaps; pbm_shut: share of P, B and M closed in the frames that are
+        closed in the film, 0 to 1; read_...: scores of the reader.
     """
-    markers = _markers_mm(face, tracks)
+    markers = _face_markers_mm(face, tracks)
     wanted_gaps = {
         name: face.lip_gaps_mm(face.markers_mm(shown)) for name, shown in motions.items()
     }
     # Lips touch at rest: what a tracker says of them there is its zero.
-    closed_mm = float(np.median(face.lip_gaps_mm(markers["rest"])))
-    seen = {name: face.lip_gaps_mm(markers[name]) - closed_mm for name in motions}
-    n_shut, n_wanted = 0, 0
-    for one in sentences:
-        if one.name not in motions:
+    rest_gap_mm = float(np.median(face.lip_gaps_mm(markers["rest"])))
+    seen_gaps = {name: face.lip_gaps_mm(markers[name]) - rest_gap_mm for name in motions}
+    n_closed, n_wanted = 0, 0
+    for sentence in sentences:
+        if sentence.name not in motions:
             continue
-        for phone in one.phones:
+        for phone in sentence.phones:
             if phone.phoneme not in _LIPS_MEET:
                 continue
             first, last = round(phone.start_s * _RATE_HZ), round((phone.end_s or 0.0) * _RATE_HZ)
+            # The pictures from one before the phone to one after it.
             during = slice(max(0, first - 1), last + 2)
             if (
-                len(wanted_gaps[one.name][during])
-                and wanted_gaps[one.name][during].min() < CLOSED_GAP_MM
+                len(wanted_gaps[sentence.name][during])
+                and wanted_gaps[sentence.name][during].min() < CLOSED_GAP_MM
             ):
                 n_wanted += 1
-                n_shut += bool(seen[one.name][during].min() < CLOSED_GAP_MM)
+                n_closed += bool(seen_gaps[sentence.name][during].min() < CLOSED_GAP_MM)
     wanted, shown = (
-        np.concatenate([each[name] for name in motions]) for each in (wanted_gaps, seen)
+        np.concatenate([each[name] for name in motions]) for each in (wanted_gaps, seen_gaps)
     )
-    read = slotted(sentences)
-    recorded = recorded_motions(face, read, LIP_READER)
-    folds = known_fold(LIP_READER, read, frozenset(motions), recorded)
+    readable = slotted(sentences)
+    recorded = recorded_motions(face, readable, LIP_READER)
+    folds = known_fold(LIP_READER, readable, frozenset(motions), recorded)
 
     def score(made: Motions) -> float:
         return float(known_score(read_words(folds, made, recorded)).score)
@@ -215,7 +220,7 @@ def seen_figures(
     of_film = score({name: LIP_READER.view(face, markers[name]) for name in motions})
     return {
         "gap_r": round(float(np.corrcoef(wanted, shown)[0, 1]), 4),
-        "pbm_shut": round(n_shut / max(1, n_wanted), 4),
+        "pbm_shut": round(n_closed / max(1, n_wanted), 4),
         "pbm_asked": n_wanted,
         "read_frames": round(of_frames, 4),
         "read_film": round(of_film, 4),
@@ -224,21 +229,24 @@ def seen_figures(
     }
 
 
-def _markers_mm(face: FaceModel, tracks: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the tracked points of the model, moved from the model's rest as from the film's."""
-    rigid = np.concatenate([each[:, RIGID] for each in tracks.values()]) * _TO_FACE_AXES
-    mean = refine_mean(rigid, (*_EYES, _EYE_DISTANCE_MM))
+def _face_markers_mm(face: FaceModel, tracks: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the model's markers as tracked, (n, n_markers, 3) mm by sentence.
+
+    Head motion is removed; each marker is moved from the model's rest as it moved from the film's.
+    """
+    rigid_points = np.concatenate([each[:, RIGID] for each in tracks.values()]) * _TO_FACE_AXES
+    mean = refine_mean(rigid_points, (*_EYES, _EYE_DISTANCE_MM))
     chosen = list(face.layout.landmarks)
     placed = {}
     for name, points in tracks.items():
         at = points * _TO_FACE_AXES
         placed[name] = apply_similarity(at[:, chosen], *fit_similarity(at[:, RIGID], mean))
-    rest = placed["rest"].mean(axis=0)
+    film_rest = placed["rest"].mean(axis=0)
     model_rest = face.markers_mm(face.rest[None])[0]
-    _, turn, _ = fit_similarity(rest[None], model_rest)
-    return {name: model_rest + (each - rest) @ turn[0].T for name, each in placed.items()}
+    _, rotation, _ = fit_similarity(film_rest[None], model_rest)
+    return {name: model_rest + (each - film_rest) @ rotation[0].T for name, each in placed.items()}
 
 
 def held_out(corpus: Path) -> frozenset[str]:
-    """Return the sentences of `random_test`."""
+    """Return the names of the sentences in `random_test` of a corpus's `splits.json`."""
     return frozenset(json.loads((corpus / "splits.json").read_text())["random_test"])

@@ -34,11 +34,11 @@ _CHECKED_FRAMES = 40
 
 
 def known_faces(corpus: Path) -> dict[str, tuple[tuple[int, int], Landmarks]]:
-    """Size of the picture and landmarks of each face, by name."""
+    """Return for each face, by name, the size of its picture and its landmarks."""
     return {
         "twin": (TWIN_SIZE, twin_landmarks()),
-        "grid_s1": (_GRID_SIZE, _stored(corpus)),
-        "small": (_SMALL_SIZE, _small()),
+        "grid_s1": (_GRID_SIZE, _corpus_landmarks(corpus)),
+        "small": (_SMALL_SIZE, _small_face()),
     }
 
 
@@ -48,7 +48,7 @@ def warp_figures(
     motions: Mapping[str, Array],
     advance: Callable[[str, int, int], None],
 ) -> dict[str, object]:
-    """Return rest_error_px, marker_error_px and folds, of each face and the worst.
+    """Warp each face through all motions; return its errors and folds, and the worst of all faces.
 
     Parameters
     ----------
@@ -64,34 +64,36 @@ def warp_figures(
     Returns
     -------
     dict[str, object]
-        Errors in pixels.
+        rest_error_px, marker_error_px: as `_rest_error_px` and `_marker_error_px` return them; the
+        latter is the largest of some 40 frames. folds: triangles that turned over in all frames.
     """
     rows = []
     for name, (size, landmarks) in faces.items():
         blank = np.full((size[1], size[0], 3), 128, dtype=np.uint8)
-        display = PhotoDisplay(photo_face(*(cut := framed(blank, landmarks, SIZE)), face))
-        folds, markers = 0, [0.0]
-        for n, shown in enumerate(motions.values()):
-            advance(name, n, len(motions))
-            folds += sum(_folds(display, Frame(0.0, each)) for each in shown)
-            step = max(1, len(motions) * len(shown) // _CHECKED_FRAMES)
-            for each in shown[::step]:
-                markers.append(_marker_error_px(display, face, each))
+        display = PhotoDisplay(photo_face(*(framed_photo := framed(blank, landmarks, SIZE)), face))
+        folds, marker_errors_px = 0, [0.0]
+        for number, motion in enumerate(motions.values()):
+            advance(name, number, len(motions))
+            folds += sum(_count_folds(display, Frame(0.0, coefficients)) for coefficients in motion)
+            step = max(1, len(motions) * len(motion) // _CHECKED_FRAMES)
+            for coefficients in motion[::step]:
+                marker_errors_px.append(_marker_error_px(display, face, coefficients))
         rows.append(
             {
                 "face": name,
-                "face_px": round(float(np.ptp([at[0] for at in cut[1].values()])), 1),
-                "rest_error_px": round(_rest_error_px(display, cut[1]), 3),
-                "marker_error_px": round(max(markers), 3),
+                "face_px": round(float(np.ptp([at[0] for at in framed_photo[1].values()])), 1),
+                "rest_error_px": round(_rest_error_px(display, framed_photo[1]), 3),
+                "marker_error_px": round(max(marker_errors_px), 3),
                 "folds": folds,
                 "frames": sum(map(len, motions.values())),
             }
         )
-    worst = {key: max(row[key] for row in rows) for key in ("rest_error_px", "marker_error_px")}  # type: ignore[type-var]
-    return {**worst, "folds": sum(int(str(row["folds"])) for row in rows), "faces": rows}
+    worst_px = {key: max(row[key] for row in rows) for key in ("rest_error_px", "marker_error_px")}  # type: ignore[type-var]
+    return {**worst_px, "folds": sum(int(str(row["folds"])) for row in rows), "faces": rows}
 
 
-def _folds(display: PhotoDisplay, frame: Frame) -> int:
+def _count_folds(display: PhotoDisplay, frame: Frame) -> int:
+    """Return how many triangles of the photograph's mesh a frame turns over."""
     mesh = display.warp.mesh
     before = areas_px2(mesh.rest_px, mesh.triangles)
     after = areas_px2(display.warp.moved(frame)[0], mesh.triangles)
@@ -99,15 +101,19 @@ def _folds(display: PhotoDisplay, frame: Frame) -> int:
 
 
 def _rest_error_px(display: PhotoDisplay, landmarks: Landmarks) -> float:
-    """Return the largest distance between a landmark and where it is drawn, in the own pose."""
+    """Return the largest error at a landmark while the photograph is warped into its own pose, px.
+
+    Of two errors: of the mesh's vertex from the landmark, and of the place that the landmark's
+    pixel is sampled from.
+    """
     frame = Frame(0.0, display.own)
     moved = display.warp.moved(frame)[0]
     numbers = [n for n in landmarks if n < N_SKIN and display.warp.vertex_of(n) >= 0]
     at = np.stack([moved[display.warp.vertex_of(n)] for n in numbers])
-    wanted = np.stack([landmarks[n][:2] for n in numbers])
-    drawn = _source(display, moved, wanted) - wanted
+    wanted_px = np.stack([landmarks[n][:2] for n in numbers])
+    moved_px = _sampled_from(display, moved, wanted_px) - wanted_px
     return float(
-        max(np.linalg.norm(at - wanted, axis=1).max(), np.linalg.norm(drawn, axis=1).max())
+        max(np.linalg.norm(at - wanted_px, axis=1).max(), np.linalg.norm(moved_px, axis=1).max())
     )
 
 
@@ -117,19 +123,22 @@ def _marker_error_px(display: PhotoDisplay, face: FaceModel, coefficients: Array
     The model's markers are the photograph's, moved as the model moves them from its own pose, in
     this head's size and turn. coefficients: (n_components,), one frame.
     """
-    wanted, drawn = [], []
+    model_px, drawn_px = [], []
     moved = display.warp.moved(Frame(0.0, coefficients))[0]
-    model = display.model_moves_px(face, coefficients)
-    for landmark, move in zip(face.layout.landmarks, model, strict=True):
+    model_moves_px = display.model_moves_px(face, coefficients)
+    for landmark, move in zip(face.layout.landmarks, model_moves_px, strict=True):
         vertex = display.warp.vertex_of(landmark) if landmark < N_SKIN else -1
         if vertex >= 0:
-            wanted.append(display.warp.mesh.rest_px[vertex] + move)
-            drawn.append(moved[vertex])
-    return float(np.linalg.norm(np.array(wanted) - drawn, axis=1).mean())
+            model_px.append(display.warp.mesh.rest_px[vertex] + move)
+            drawn_px.append(moved[vertex])
+    return float(np.linalg.norm(np.array(model_px) - drawn_px, axis=1).mean())
 
 
-def _source(display: PhotoDisplay, moved: Array, at_px: Array) -> Array:
-    """Return where the photograph is sampled at places (n, 2), interpolated between pixels."""
+def _sampled_from(display: PhotoDisplay, moved: Array, at_px: Array) -> Array:
+    """Return where in the photograph the pixels of a warped picture come from, (n, 2) px.
+
+    moved: vertices of the warped mesh. at_px: (n, 2), the pixels; interpolated between whole ones.
+    """
     from scipy.ndimage import map_coordinates
 
     maps = display.source_of(moved)
@@ -139,17 +148,18 @@ def _source(display: PhotoDisplay, moved: Array, at_px: Array) -> Array:
     )
 
 
-def _stored(corpus: Path) -> Landmarks:
+def _corpus_landmarks(corpus: Path) -> Landmarks:
+    """Return the tracked landmarks of one frame of the corpus, px by landmark number."""
     numbers = json.loads((corpus / "landmarks.json").read_text())["landmark_ids"]
     path = corpus / "landmarks" / f"{_GRID_SENTENCE}.npz"
     with path.open("rb") as file, ArrayArchive(file, 1 << 26) as archive:
-        first = archive["landmarks_64th_px"][0] / _UNITS_PER_PIXEL - (0.5, 0.5, 0.0)
-    return dict(zip(numbers, first, strict=True))
+        first_frame_px = archive["landmarks_64th_px"][0] / _UNITS_PER_PIXEL - (0.5, 0.5, 0.0)
+    return dict(zip(numbers, first_frame_px, strict=True))
 
 
-def _small() -> Landmarks:
-    """The mean head, narrower, turned, small, and away from the picture's middle."""
-    places = load_mean_face().vertices_mm[:N_SKIN] * _NARROW
+def _small_face() -> Landmarks:
+    """Return landmarks, px, of the mean head: narrower, turned, small, not in the middle."""
+    vertices_mm = load_mean_face().vertices_mm[:N_SKIN] * _NARROW
     yaw, pitch, roll = np.radians(_YAW_PITCH_ROLL_DEG)
-    turned = places @ rotation(pitch, yaw, roll).T * _SMALL_PX_PER_MM
-    return dict(enumerate(turned * (1.0, -1.0, -1.0) + (*_SMALL_AT_PX, 0.0)))
+    turned_px = vertices_mm @ rotation(pitch, yaw, roll).T * _SMALL_PX_PER_MM
+    return dict(enumerate(turned_px * (1.0, -1.0, -1.0) + (*_SMALL_AT_PX, 0.0)))

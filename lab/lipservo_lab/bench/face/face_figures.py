@@ -46,42 +46,44 @@ _PATIENCE_S: Final = 60.0
 
 
 def browser() -> str | None:
-    """The program of a Chromium; None: none is installed."""
+    """Return the path of a Chromium; None: none is installed."""
     return next(filter(None, map(shutil.which, _NAMES)), None)
 
 
 def page_ready_s(address: str, times: int = 3, ready: str = READY) -> float | None:
     """Return the median time from a page's request until it is ready, s; None without a Chromium.
 
-    ready: JavaScript that is true once the page is ready. The browser runs already; its cache is
-    empty the first time. Raises TimeoutError.
+    address: the page's URL. times: number of loads, each in a new browser with an empty cache,
+    whose start does not count. ready: JavaScript that is true once the page is ready. Raises
+    TimeoutError.
     """
     program = browser()
     if program is None:
         return None
-    return asyncio.run(_measured(program, address, times, ready))
+    return asyncio.run(_median_ready_s(program, address, times, ready))
 
 
-async def _measured(program: str, address: str, times: int, ready: str) -> float:
+async def _median_ready_s(program: str, address: str, times: int, ready: str) -> float:
     """Return the median time from a request of a page until `ready` is true in it, s.
 
-    Each of the `times` loads has a page of its own; raises TimeoutError.
+    Each of the `times` loads has a browser of its own. program: the browser's path. Raises
+    TimeoutError.
     """
-    taken = []
+    loads_s = []
     for _ in range(times):
-        async with _new_page(program) as ask:
-            await ask("Page.enable")
+        async with _new_page(program) as command:
+            await command("Page.enable")
             began_s = time.perf_counter()
-            await ask("Page.navigate", url=address)
+            await command("Page.navigate", url=address)
             async with asyncio.timeout(_PATIENCE_S):
-                while not await _is_true(ask, ready):
+                while not await _evaluates_to_true(command, ready):
                     await asyncio.sleep(_LOOK_S)
-            taken.append(time.perf_counter() - began_s)
-    return sorted(taken)[len(taken) // 2]
+            loads_s.append(time.perf_counter() - began_s)
+    return sorted(loads_s)[len(loads_s) // 2]
 
 
-async def _is_true(ask: Any, expression: str) -> bool:
-    answer = await ask("Runtime.evaluate", expression=expression, returnByValue=True)
+async def _evaluates_to_true(command: Any, expression: str) -> bool:
+    answer = await command("Runtime.evaluate", expression=expression, returnByValue=True)
     return answer.get("result", {}).get("value") is True
 
 
@@ -89,13 +91,13 @@ async def _is_true(ask: Any, expression: str) -> bool:
 async def _new_page(program: str) -> AsyncIterator[Any]:
     """Run a browser with an empty cache; yield a function for Chrome DevTools commands."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        quiet = subprocess.DEVNULL
+        no_output = subprocess.DEVNULL
         command = [program, *_FLAGS, f"--user-data-dir={folder}", "about:blank"]
-        with started(command, stdout=quiet, stderr=quiet):
+        with started(command, stdout=no_output, stderr=no_output):
             async with asyncio.timeout(_PATIENCE_S):
                 url = await _page_url(Path(folder) / "DevToolsActivePort")
             async with connect(url, max_size=None, proxy=None, compression=None) as socket:
-                yield _asking(socket)
+                yield _command_sender(socket)
 
 
 async def _page_url(file: Path) -> str:
@@ -114,22 +116,22 @@ async def _page_url(file: Path) -> str:
         await asyncio.sleep(_LOOK_S)
 
 
-def _asking(socket: ClientConnection) -> Any:
+def _command_sender(socket: ClientConnection) -> Any:
     """Return a coroutine function that sends a DevTools command and returns its result.
 
     Messages with another number, such as events, are dropped meanwhile.
     """
-    numbers = itertools.count(1)
+    message_ids = itertools.count(1)
 
-    async def ask(method: str, **parameters: object) -> dict[str, Any]:
-        number = next(numbers)
-        await socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+    async def command(method: str, **parameters: object) -> dict[str, Any]:
+        message_id = next(message_ids)
+        await socket.send(json.dumps({"id": message_id, "method": method, "params": parameters}))
         while True:
             answer = json.loads(await socket.recv())
-            if answer.get("id") == number:
+            if answer.get("id") == message_id:
                 return dict(answer.get("result") or {})
 
-    return ask
+    return command
 
 
 _SERVED_HEAD_PATIENCE_S: Final = 180.0
@@ -145,19 +147,19 @@ def served_head() -> Iterator[str]:
     """
     with tempfile.TemporaryDirectory() as folder, socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        listen = f"127.0.0.1:{probe.getsockname()[1]}"
+        host_port = f"127.0.0.1:{probe.getsockname()[1]}"
         probe.close()
         command = [sys.executable, "-P", "-m", "lipservo", "daemon", "--config", "face_head"]
-        command += ["--quiet", "--dashboard", "--dashboard-listen", listen, "--sounds", folder]
+        command += ["--quiet", "--dashboard", "--dashboard-listen", host_port, "--sounds", folder]
         command += ["--open-to-this-computer", "--listen", "127.0.0.1:0"]
         with started([*command, "--control", str(Path(folder) / "head.sock")]):
-            _wait_for(f"http://{listen}/api/health")
-            _wait_for(f"http://{listen}/twin/head.bin")  # is made while the rest starts
+            _wait_for_url(f"http://{host_port}/api/health")
+            _wait_for_url(f"http://{host_port}/twin/head.bin")  # is made while the rest starts
             time.sleep(_SETTLE_S)
-            yield f"http://{listen}"
+            yield f"http://{host_port}"
 
 
-def _wait_for(url: str) -> None:
+def _wait_for_url(url: str) -> None:
     """Wait until a URL answers with success; raise TimeoutError after `_SERVED_HEAD_PATIENCE_S`."""
     give_up_s = time.monotonic() + _SERVED_HEAD_PATIENCE_S
     while time.monotonic() < give_up_s:
@@ -170,9 +172,10 @@ def _wait_for(url: str) -> None:
 
 
 def face_figures(voices: Sequence[Path], seconds: float, advance: Advance) -> dict[str, object]:
-    """Streams, expression, page. voices: sound files of one speaker or several.
+    """Return all figures of `bench face`: of the dashboard's streams, expression, and the page.
 
-    Without one, the bundled clip speaks. seconds: how long each window of the streams takes.
+    voices: sound files of one speaker or several; none: the bundled clip. seconds: for how long the
+    streams are measured with each number of clients.
     """
     advance("face", 0, 3)
     figures: dict[str, object] = dict(stream_figures(seconds))

@@ -20,24 +20,24 @@ async def run(address: str, path: str, n: int) -> float:
         await socket.recv()
     sys.stdout.write("connected\n")
     sys.stdout.flush()
-    over = asyncio.Event()
+    is_over = asyncio.Event()
     loop = asyncio.get_running_loop()
 
-    def wait() -> None:
+    def wait_for_input_end() -> None:
         sys.stdin.read()
-        loop.call_soon_threadsafe(over.set)
+        loop.call_soon_threadsafe(is_over.set)
 
-    threading.Thread(target=wait, daemon=True).start()
+    threading.Thread(target=wait_for_input_end, daemon=True).start()
     began_s = time.monotonic()
-    reading = [asyncio.create_task(_read(socket, over)) for socket in sockets]
-    n_bytes = sum(await asyncio.gather(*reading))
+    readers = [asyncio.create_task(_count_bytes(socket, is_over)) for socket in sockets]
+    n_bytes = sum(await asyncio.gather(*readers))
     return n_bytes / n / (time.monotonic() - began_s)
 
 
-async def _read(socket: ClientConnection, over: asyncio.Event) -> int:
+async def _count_bytes(socket: ClientConnection, is_over: asyncio.Event) -> int:
     # The header of a WebSocket frame of more than 125 bytes is four bytes, of a shorter one two.
     n_bytes = 0
-    while not over.is_set():
+    while not is_over.is_set():
         message = await socket.recv()
         n_bytes += len(message) + (2 if len(message) < 126 else 4)
     return n_bytes

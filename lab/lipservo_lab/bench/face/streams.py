@@ -48,11 +48,11 @@ _N_SERVOS, _BAUD_RATE, _N_COMPONENTS = 10, 1_000_000, 8
 MANY: Final = 20
 _START_S, _SETTLE_S = 180.0, 1.0
 #: Of a core, of a dashboard that nobody watches; it is waited for so many seconds at most.
-_AT_REST, _MOST_SETTLING = 0.08, 60
+_SHARE_AT_REST, _MOST_SETTLING = 0.08, 60
 
 
 class BenchedFace:
-    """The loop of a face, run for a given time."""
+    """The servo loop of a face at 100 Hz, with simulated speech, run for a given time."""
 
     def __init__(
         self,
@@ -62,14 +62,17 @@ class BenchedFace:
         control: ControlSocket,
     ) -> None:
         self._bridge = bridge
-        self._tell = ServoBoard(board, bridge)
+        self._servo_board = ServoBoard(board, bridge)
         self._board = board
         self._control = control
         self._channel = channel
         self._clock = MonotonicClock()
 
     def run(self, seconds: float, *, until: Callable[[], bool] = lambda: False) -> None:
-        """Run for so long, or until something is so, scheduled as the bridge's process is."""
+        """Run the loop for some seconds, scheduled as the bridge's process is.
+
+        until: ends it earlier once it returns True; called every ten ticks.
+        """
         with on_time():
             end_s = self._clock.now() + seconds
             for n, (time_s, late) in enumerate(ticks(self._clock, RATE_HZ)):
@@ -84,7 +87,7 @@ class BenchedFace:
         """
         swing = float(np.sin(2.0 * np.pi * time_s))
         self._channel.publish(ServoTargets(time_s, np.full(_N_SERVOS, 20.0 * swing)))
-        self._tell.tell(self._bridge.tick(time_s, late))
+        self._servo_board.tell(self._bridge.tick(time_s, late))
         self._board.write_speech(
             [abs(swing)],
             time_s=time_s,
@@ -100,16 +103,19 @@ class BenchedFace:
 
 
 def stream_figures(seconds: float) -> dict[str, float]:
-    """The dashboard's share of a core with one client and with twenty. seconds: of each window."""
+    """Return the dashboard's share of a core with one client and with twenty.
+
+    seconds: for how long each is measured.
+    """
     figures: dict[str, float] = {}
     with watched_face() as (face, address, dashboard):
-        _settle(face, dashboard())
+        _wait_until_at_rest(face, dashboard())
         for n in (1, MANY):
             with clients(address, n, "/api/twin"):
                 face.run(_SETTLE_S)
                 began_s, spent_s = time.monotonic(), processor_s(dashboard())
                 face.run(seconds)
-                figures[f"dashboard_core_share_{n}"] = _share(dashboard(), spent_s, began_s)
+                figures[f"dashboard_core_share_{n}"] = _core_share(dashboard(), spent_s, began_s)
     return figures
 
 
@@ -130,8 +136,8 @@ def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
         port = stack.enter_context(simulated_port(options))
         bus = stack.enter_context(DynamixelBus(servos, lambda: open_port(port, _BAUD_RATE)))
         board = stack.enter_context(LiveBoard.create(layout))
-        about = {"name": "bench", "port": port}
-        control = ControlSocket(folder / "bench.sock", about, watched_fd=board.fileno())
+        face_facts = {"name": "bench", "port": port}
+        control = ControlSocket(folder / "bench.sock", face_facts, watched_fd=board.fileno())
         stack.enter_context(control)
         channel = MemoryTargetChannel()
         bridge = Bridge(bus, joints, channel, BridgeSettings(RATE_HZ, tolerant=True))
@@ -141,7 +147,7 @@ def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
         stack.enter_context(dashboard_child(control.path, listener))
         face = BenchedFace(bridge, channel, board, control)
         address = address_of(listener)
-        asking = subprocess.Popen([sys.executable, "-c", _ASK, f"{address}/api/health"])
+        asking = subprocess.Popen([sys.executable, "-c", _WAIT_FOR_HEALTH, f"{address}/api/health"])
         face.run(_START_S, until=lambda: asking.poll() is not None)
         if asking.wait() != 0:
             raise RuntimeError("the dashboard did not start")
@@ -156,7 +162,7 @@ def _dashboard() -> int:
 
 
 #: Waits until the dashboard says that its face ticks.
-_ASK: Final = """
+_WAIT_FOR_HEALTH: Final = """
 import json, sys, time, urllib.request
 end_s = time.monotonic() + 170
 while time.monotonic() < end_s:
@@ -200,14 +206,18 @@ def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
             received[0] = float(json.loads(line)["bytes_s"]) if line else float("nan")
 
 
-def _settle(face: BenchedFace, pid: int) -> None:
-    """Run the face until a dashboard that has just started uses little processor time."""
+def _wait_until_at_rest(face: BenchedFace, pid: int) -> None:
+    """Run the face until its dashboard, just started, uses little processor time.
+
+    pid: of the dashboard. At most `_MOST_SETTLING` seconds.
+    """
     for _ in range(_MOST_SETTLING):
         began_s, spent_s = time.monotonic(), processor_s(pid)
         face.run(_SETTLE_S)
-        if _share(pid, spent_s, began_s) < _AT_REST:
+        if _core_share(pid, spent_s, began_s) < _SHARE_AT_REST:
             return
 
 
-def _share(pid: int, spent_s: float, began_s: float) -> float:
+def _core_share(pid: int, spent_s: float, began_s: float) -> float:
+    """Return a process's share of a core since `began_s`, when it had used `spent_s`."""
     return (processor_s(pid) - spent_s) / (time.monotonic() - began_s)

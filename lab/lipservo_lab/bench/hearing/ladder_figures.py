@@ -41,7 +41,7 @@ LOADS_S: Final = ((8.0, 1.0), (22.0, 2.0), (38.0, 5.0))
 
 
 class LadderError(UserError):
-    """A process that was to be measured did not work; one line."""
+    """A process that was to be measured did not work; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +54,11 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """The ticks of a trace, (n,) each, by monotonic time.
+    """The ticks of a trace, (n,) each.
 
-    heard_s: the sound time heard then. is_network: whether it listens. over_s: how much later than
-    declared its targets are. late: ticks missed before.
+    time_s: monotonic. heard_s: the sound time that was heard then. is_network: whether the network
+    recognised, and not a lesser recogniser. over_s: how much later than declared the targets were.
+    late: number of ticks missed before this one.
     """
 
     time_s: Array
@@ -73,7 +74,10 @@ class Ticks:
 
 
 def read_ticks(trace: Path, first_s: float) -> Ticks:
-    """Read the ticks of a trace whose first tick was at monotonic `first_s`. Raises LadderError."""
+    """Read the ticks of a trace file, whose first tick was at monotonic `first_s`.
+
+    Raises LadderError for a trace that is not whole.
+    """
     columns: list[tuple[float, float, bool, float, int]] = []
     try:
         with trace.open(encoding="utf-8") as file:
@@ -109,26 +113,28 @@ def figures_of(
     Parameters
     ----------
     ticks : Ticks
-        Of the trace.
+        Of the whole run.
     loads : Sequence[Load]
-        Times in s at which other programs ran.
+        When other programs kept all cores busy.
     is_speech : NDArray[np.bool_]
-        (n,), each 10 ms of the sound, which repeats.
+        (n_blocks,), whether each 10 ms of one turn of the sound is speech; the sound repeats.
 
     Returns
     -------
     dict[str, object]
-        Share of speech heard by the network, 0 to 1; delay over the declared under load, ms.
+        network_share: share of speech recognised by the network, 0 to 1. delay_over_p99_ms: 99th
+        percentile, under load, of the delay beyond the declared one. changes: of the recogniser.
     """
+    # A tick also stands for the ticks missed before it.
     weights = 1 + ticks.late
     frame = np.floor(np.maximum(ticks.heard_s, 0.0) / BLOCK_S).astype(np.int64)
     speaks = is_speech[frame % len(is_speech)] & (ticks.heard_s >= 0.0)
     over_ms: list[float] = []
     for load in loads:
-        within = (ticks.time_s >= load.begin_s) & (ticks.time_s < load.end_s)
-        for index in np.flatnonzero(within).tolist():
-            missed = np.arange(ticks.late[index] + 1) / RATE_HZ
-            over_ms += (1e3 * (ticks.over_s[index] + missed)).tolist()
+        in_load = (ticks.time_s >= load.begin_s) & (ticks.time_s < load.end_s)
+        for index in np.flatnonzero(in_load).tolist():
+            missed_s = np.arange(ticks.late[index] + 1) / RATE_HZ
+            over_ms += (1e3 * (ticks.over_s[index] + missed_s)).tolist()
     return {
         "network_share": float((weights * ticks.is_network)[speaks].sum() / weights[speaks].sum()),
         "delay_over_p99_ms": float(np.percentile(over_ms, 99)) if over_ms else 0.0,
@@ -140,7 +146,7 @@ def figures_of(
 
 #: Between two repetitions of the clip.
 _PAUSE_S: Final = 0.6
-_STARTS_S, _ENDS_S, _ASK_S = 60.0, 30.0, 0.02
+_STARTS_S, _ENDS_S, _POLL_S = 60.0, 30.0, 0.02
 _N_TICKS: Final = 50
 #: Of the slowed process: how many times as long as its sound the network takes; how long it runs.
 _SLOWED: Final = 10.0
@@ -154,7 +160,7 @@ _RUN_SLOWED = (
 )
 _STOPPED: Final = "stopped before the end: no figures"
 #: Burns for as many seconds as each line says.
-_HOG = """
+_BURN = """
 import sys, time
 for line in sys.stdin:
     until_s = time.monotonic() + float(line)
@@ -173,15 +179,15 @@ def ladder_figures(
     """Let a face listen for `minutes` under load; return the figures of `bench ladder`.
 
     n_busy: busy processes for each core, scheduled as the face is. folder: gets sound, trace and
-    log. progress: called with seconds done and all. is_over: called often; True ends the run early.
-    Raises LadderError.
+    log. progress: called with seconds done and all. is_over: called often; True ends the run early,
+    with LadderError. Raises LadderError also where the face does not work.
     """
     (folder / "session").mkdir(mode=0o700)
     seconds = minutes * 60.0
     sound, is_speech = repeated_speech(folder / "speech.wav", seconds)
-    with _hogs(n_busy * (os.cpu_count() or 1)) as burn:
-        ticks, loads = _under_load(folder, sound, seconds, burn, progress, is_over)
-    fallback_s = _slowed(folder, sound, is_over)
+    with _busy_processes(n_busy * (os.cpu_count() or 1)) as burn:
+        ticks, loads = _listen_under_load(folder, sound, seconds, burn, progress, is_over)
+    fallback_s = _fallback_time_s(folder, sound, is_over)
     return {**figures_of(ticks.until(seconds), loads, is_speech), "fallback_s": fallback_s}
 
 
@@ -189,33 +195,36 @@ def slow_the_network(times: float) -> None:
     """Patch this process so that the network takes `times` as long as its sound lasts, busy."""
     prepare = NetworkRecognizer.prepare
 
-    def slowly(self: NetworkRecognizer, blocks: Sequence[AudioBlock]) -> None:
+    def prepare_slowly(self: NetworkRecognizer, blocks: Sequence[AudioBlock]) -> None:
         sound_s = sum(len(block.samples) / block.sample_rate_hz for block in blocks)
         until_s = time.perf_counter() + times * sound_s
         prepare(self, blocks)
         while time.perf_counter() < until_s:
             pass
 
-    NetworkRecognizer.prepare = slowly  # type: ignore[method-assign]
+    NetworkRecognizer.prepare = prepare_slowly  # type: ignore[method-assign]
 
 
 def repeated_speech(path: Path, seconds: float) -> tuple[Path, NDArray[np.bool_]]:
-    """The bundled clip repeated, and for each 10 ms of one turn whether there is speech."""
+    """Write the bundled clip, repeated for so many seconds; return the path and where speech is.
+
+    The latter: (n_blocks,), for each 10 ms of one turn of the clip.
+    """
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples = read_speech(clip)
         events = list(settled_events(FileSource(clip), make_recognizer("network")))
-    n_turn = -(-(len(samples) + round(_PAUSE_S * SAMPLE_RATE_HZ)) // 160)
-    turn = np.zeros(n_turn * 160, np.float32)
-    turn[: len(samples)] = samples
-    soundfile.write(path, np.resize(turn, round(seconds * SAMPLE_RATE_HZ)), SAMPLE_RATE_HZ)
-    is_speech = np.zeros(n_turn, np.bool_)
+    n_blocks = -(-(len(samples) + round(_PAUSE_S * SAMPLE_RATE_HZ)) // 160)
+    one_turn = np.zeros(n_blocks * 160, np.float32)
+    one_turn[: len(samples)] = samples
+    soundfile.write(path, np.resize(one_turn, round(seconds * SAMPLE_RATE_HZ)), SAMPLE_RATE_HZ)
+    is_speech = np.zeros(n_blocks, np.bool_)
     for event in events:
         if event.phoneme != SILENCE and event.end_s is not None:
             is_speech[round(event.start_s / BLOCK_S) : round(event.end_s / BLOCK_S)] = True
     return path, is_speech
 
 
-def _under_load(
+def _listen_under_load(
     folder: Path,
     sound: Path,
     seconds: float,
@@ -225,10 +234,10 @@ def _under_load(
 ) -> tuple[Ticks, list[Load]]:
     """Let a face listen for `seconds`, loading all cores at the times of `LOADS_S` each minute.
 
-    Returns the ticks of its trace, and when there was load (monotonic).
+    burn: keeps all cores busy for some seconds. Returns the ticks of the trace, and the loads.
     """
     trace = folder / "trace.jsonl"
-    script = [
+    load_times = [
         (minute * 60.0 + at_s, length_s)
         for minute in range(int(np.ceil(seconds / 60.0)))
         for at_s, length_s in LOADS_S
@@ -237,7 +246,7 @@ def _under_load(
     loads: list[Load] = []
     with listening_face(RUN, folder, sound, trace) as process:
         first_s = first_tick_s(folder, process, is_over)
-        for at_s, length_s in script:
+        for at_s, length_s in load_times:
             wait_until(first_s + at_s, process, is_over)
             begin_s = time.monotonic()
             burn(length_s)
@@ -247,19 +256,22 @@ def _under_load(
     return read_ticks(trace, first_s), loads
 
 
-def _slowed(folder: Path, sound: Path, is_over: Callable[[], bool]) -> float | None:
-    """Return after how long the loudness recogniser replaces a slow one, s; None: it did not."""
-    short = folder / "short.wav"
+def _fallback_time_s(folder: Path, sound: Path, is_over: Callable[[], bool]) -> float | None:
+    """Return how long after its start a too slow network is replaced by the loudness recogniser, s.
+
+    None: it is not.
+    """
+    short_sound = folder / "short.wav"
     samples = soundfile.read(sound, frames=round(_SLOWED_S * SAMPLE_RATE_HZ), dtype="float32")[0]
-    soundfile.write(short, samples, SAMPLE_RATE_HZ)
+    soundfile.write(short_sound, samples, SAMPLE_RATE_HZ)
     trace = folder / "slowed.jsonl"
-    with listening_face(_RUN_SLOWED, folder, short, trace) as process:
+    with listening_face(_RUN_SLOWED, folder, short_sound, trace) as process:
         until_s = time.monotonic() + _STARTS_S + _SLOWED_S + _ENDS_S
         wait_until(until_s, process, is_over, may_end=True)
     ticks = read_ticks(trace, 0.0).until(_SLOWED_S)
-    lesser = np.flatnonzero(~ticks.is_network[:-1])
+    fallback_ticks = np.flatnonzero(~ticks.is_network[:-1])
     # The tick in which it was left took long: it ended before the next one.
-    return float(ticks.time_s[lesser[0] + 1]) if len(lesser) else None
+    return float(ticks.time_s[fallback_ticks[0] + 1]) if len(fallback_ticks) else None
 
 
 @contextmanager
@@ -277,10 +289,10 @@ def listening_face(
         "OPENBLAS_NUM_THREADS": "1",  # as `lipservo run` itself sets it
     }
     environment.pop("RUNTIME_DIRECTORY", None)
-    shipped = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
-    face = folder / "face.yaml"
-    face.write_text(shipped.replace("rate_hz: 30", f"rate_hz: {RATE_HZ:g}"))
-    arguments = ["run", "--wav", str(sound), "--trace", str(trace), "--config", str(face)]
+    face_yaml = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
+    face_file = folder / "face.yaml"
+    face_file.write_text(face_yaml.replace("rate_hz: 30", f"rate_hz: {RATE_HZ:g}"))
+    arguments = ["run", "--wav", str(sound), "--trace", str(trace), "--config", str(face_file)]
     with (
         (folder / "log").open("ab") as log,
         started(
@@ -295,16 +307,16 @@ def listening_face(
 
 
 @contextmanager
-def _hogs(n_processes: int) -> Iterator[Callable[[float], None]]:
+def _busy_processes(n_processes: int) -> Iterator[Callable[[float], None]]:
     """Start idle processes; yield a function that keeps all of them busy for some seconds."""
-    hog = [sys.executable, "-c", _HOG]
+    command = [sys.executable, "-c", _BURN]
     with ExitStack() as stack:
-        busy = [
-            stack.enter_context(started(hog, stdin=subprocess.PIPE)) for _ in range(n_processes)
+        processes = [
+            stack.enter_context(started(command, stdin=subprocess.PIPE)) for _ in range(n_processes)
         ]
 
         def burn(seconds: float) -> None:
-            for process in busy:
+            for process in processes:
                 assert process.stdin is not None
                 process.stdin.write(f"{seconds}\n".encode())
                 process.stdin.flush()
@@ -320,12 +332,12 @@ def first_tick_s(
 ) -> float:
     """Return the monotonic time of a face's first tick, from the tick counts in its status.
 
-    The result is right to some 10 ms. Raises LadderError where the face does not start, or
-    `is_over` returns True.
+    The result is right to some 10 ms: the least of `n_ticks` estimates. Raises LadderError where
+    the face does not start, or `is_over` returns True.
     """
     give_up_s = time.monotonic() + _STARTS_S
-    found_s: list[float] = []
-    while len(found_s) < n_ticks:
+    estimates_s: list[float] = []
+    while len(estimates_s) < n_ticks:
         if time.monotonic() > give_up_s or process.poll() is not None:
             log_lines = (folder / "log").read_text(errors="replace").strip().splitlines()
             raise LadderError(
@@ -333,7 +345,7 @@ def first_tick_s(
             )
         if is_over():
             raise LadderError(_STOPPED)
-        time.sleep(_ASK_S)
+        time.sleep(_POLL_S)
         for path in (folder / "session").glob("**/*.sock"):
             try:
                 status = ask(path, "status")
@@ -341,8 +353,8 @@ def first_tick_s(
                 continue
             if status.get("n_ticks"):
                 n_passed = status["n_ticks"] + status["n_late"]
-                found_s.append(time.monotonic() - n_passed / RATE_HZ)
-    return min(found_s)
+                estimates_s.append(time.monotonic() - n_passed / RATE_HZ)
+    return min(estimates_s)
 
 
 def wait_until(

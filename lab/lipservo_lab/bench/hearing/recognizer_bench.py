@@ -49,9 +49,10 @@ def aligned(
     n_processes: int | None,
     advance: Callable[[str, int, int], None],
 ) -> dict[str, AlignedUtterance]:
-    """Return the alignment of each utterance by name, from the cache, or made now and kept there.
+    """Return the alignment of each utterance, by name.
 
-    n_processes: None: one a core.
+    cache: folder from which alignments are read, and in which new ones are kept; None: no cache.
+    n_processes: None: one for each core. advance: called with progress.
     """
     names: list[str] = []
 
@@ -68,26 +69,28 @@ def measured_recognizer(
 ) -> Callable[[], LiveRecognizer]:
     """Return a function that makes a recogniser of this engine, without a fallback.
 
-    latency_s: of `network`; `energy` has a fixed one. Raises WeightsError for unusable weights.
+    latency_s: of `network`; `energy` has a fixed latency. weights: name or file of the network's.
+    Raises WeightsError for unusable weights.
     """
     if engine == "energy":
         return EnergyRecognizer
-    learned = find_weights(weights)
-    return lambda: NetworkRecognizer(learned, latency_s)
+    network = find_weights(weights)
+    return lambda: NetworkRecognizer(network, latency_s)
 
 
 def known_texts(
     utterances: Sequence[TranscribedUtterance], which: Literal["own", "another"] | None
 ) -> dict[str, str]:
-    """The text that the recogniser gets for each utterance, by name; None: none.
+    """Return the text that the recogniser gets beforehand for each utterance, by name.
 
-    another: the text of the utterance half the list away.
+    which: "own": the utterance's text; "another": that of the utterance half the list away; None:
+    empty texts.
     """
     if which is None:
         return {u.name: "" for u in utterances}
     shift = max(1, len(utterances) // 2) if which == "another" else 0
-    others = [*utterances[shift:], *utterances[:shift]]
-    return {u.name: other.text.lower() for u, other in zip(utterances, others, strict=True)}
+    texts_from = [*utterances[shift:], *utterances[:shift]]
+    return {u.name: source.text.lower() for u, source in zip(utterances, texts_from, strict=True)}
 
 
 class SpeakerGroupError(UserError):

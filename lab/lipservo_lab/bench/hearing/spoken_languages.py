@@ -18,7 +18,7 @@ from lipsync.phonemes import LiveRecognizer
 
 #: espeak-ng's name, where it is another: its `zh` reads characters, and lacks most of them.
 VOICE_OF = MappingProxyType({"zh": "cmn-latn-pinyin"})
-#: Of the rates and pitches: every sentence has its own.
+#: Seed of the rate and pitch that are drawn for each sentence.
 _SEED = 0
 
 
@@ -28,7 +28,7 @@ class LanguageError(UserError):
 
 @cache
 def language_sentences() -> Mapping[str, tuple[str, ...]]:
-    """The sentences of each language, by its tag."""
+    """Return the sentences of each language, by its tag, such as "de"."""
     text = (
         files("lipservo_lab.bench.hearing").joinpath("language_sentences.yaml").read_text("utf-8")
     )
@@ -38,7 +38,10 @@ def language_sentences() -> Mapping[str, tuple[str, ...]]:
 
 
 def read_languages(listed: str) -> tuple[str, ...]:
-    """Tags with commas between; none: all. Raises LanguageError for one without sentences."""
+    """Return the language tags of a list with commas between; an empty list means all.
+
+    Raises LanguageError for a language without sentences.
+    """
     known = language_sentences()
     chosen = tuple(tag.strip() for tag in listed.split(",") if tag.strip())
     for tag in chosen:

@@ -43,9 +43,10 @@ _RATES_WPM, _PITCHES = (140, 210), (20, 80)
 
 @dataclass(slots=True)
 class Followed:
-    """Scores of frames, and how far phones begin from where the voice says that they do, ms.
+    """How well the recogniser has found a voice's phones: scores of frames, errors of beginnings.
 
-    n_phones: of the voice; those of them that were not found are in no error.
+    errors_ms: of phones that were found: found beginning less the voice's own; closing_errors_ms:
+    of P, B and M alone. n_phones: phones spoken, found or not.
     """
 
     score: Score = field(default_factory=Score)
@@ -54,9 +55,12 @@ class Followed:
     n_phones: int = 0
 
     def add(self, found: Sequence[PhonemeEvent], spoken: Sequence[PhonemeEvent]) -> None:
-        """Count one sentence: labels of its frames, and starts of phones that match, in ms."""
+        """Count one sentence: labels of its frames, and beginnings of the phones that match.
+
+        found: recognised; spoken: as the voice reports them.
+        """
         n_frames = round((spoken[-1].end_s or 0.0) / BLOCK_S)
-        self.score.add(_labels(found, n_frames), _labels(spoken, n_frames))
+        self.score.add(_frame_labels(found, n_frames), _frame_labels(spoken, n_frames))
         ours, theirs = (
             [each for each in events if each.phoneme != SILENCE] for events in (found, spoken)
         )
@@ -67,10 +71,10 @@ class Followed:
             autojunk=False,
         )
         for i, j, n in matcher.get_matching_blocks():
-            for our, their in zip(ours[i : i + n], theirs[j : j + n], strict=True):
-                error_ms = 1e3 * (our.start_s - their.start_s)
+            for phone, true_phone in zip(ours[i : i + n], theirs[j : j + n], strict=True):
+                error_ms = 1e3 * (phone.start_s - true_phone.start_s)
                 self.errors_ms.append(error_ms)
-                if their.phoneme in _CLOSING:
+                if true_phone.phoneme in _CLOSING:
                     self.closing_errors_ms.append(error_ms)
 
     def figures(self) -> dict[str, float]:
@@ -78,10 +82,10 @@ class Followed:
 
         `found`: share of phones that were found; `boundary_ms_...`: error of their beginnings.
         """
-        sizes_ms, scored = np.abs(self.errors_ms or [np.nan]), self.score.figures()
+        sizes_ms, score_figures = np.abs(self.errors_ms or [np.nan]), self.score.figures()
         return {
             **self.score.bilabials.figures("closure"),
-            **{name: scored[name] for name in ("viseme_all", "viseme_speech", "per")},
+            **{name: score_figures[name] for name in ("viseme_all", "viseme_speech", "per")},
             "found": len(self.errors_ms) / max(1, self.n_phones),
             "boundary_ms_p50": float(np.percentile(sizes_ms, 50)),
             "boundary_ms_p90": float(np.percentile(sizes_ms, 90)),
@@ -100,7 +104,8 @@ def followed_voice(
 ) -> Followed:
     """Recognise texts spoken by a synthesiser's voice; return how well their phones are found.
 
-    tells: whether the recogniser gets the text beforehand, or the sound alone. Raises
+    make: makes a recogniser for each text. tells: give it the text beforehand; else the sound
+    alone. progress: called before each text. Texts that the voice cannot speak are left out. Raises
     SynthesisError where the voice is missing or reports no times; PronunciationError.
     """
     speaker, counted = synthesizer_for(synthesizer), Followed()
@@ -113,7 +118,7 @@ def followed_voice(
         if not spoken.phonemes:
             raise SynthesisError(f"{synthesizer} gives no phoneme times; use espeak")
         words = pronounced(text, voice.language) if tells else ()
-        counted.add(_settled(make(), spoken, words), spoken.phonemes)
+        counted.add(_recognize_live(make(), spoken, words), spoken.phonemes)
     return counted
 
 
@@ -124,7 +129,10 @@ def followed_language(
     tells: bool = True,
     progress: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """Recognise a language's sentences, spoken by espeak-ng; as `followed_voice`."""
+    """Recognise a language's sentences, spoken by espeak-ng at drawn rates and pitches.
+
+    tag: of the language. The rest as in `followed_voice`.
+    """
     speaker, counted = synthesizer_for("espeak"), Followed()
     language = VOICE_OF.get(tag, tag)
     for number, text in enumerate(language_sentences()[tag]):
@@ -133,27 +141,27 @@ def followed_language(
         rate_wpm, pitch = int(rng.integers(*_RATES_WPM)), int(rng.integers(*_PITCHES))
         spoken = speaker.speak(text, Voice(language, "", rate_wpm, pitch))
         words = pronounced(text, language) if tells else ()
-        counted.add(_settled(make(), spoken, words), spoken.phonemes)
+        counted.add(_recognize_live(make(), spoken, words), spoken.phonemes)
     return counted
 
 
-def _settled(
+def _recognize_live(
     recognizer: NetworkRecognizer, spoken: SynthesizedSpeech, words: Sequence[PronouncedWord]
 ) -> list[PhonemeEvent]:
     """Return the final phonemes of a sound played live, with its words given beforehand."""
     samples = soxr.resample(spoken.samples, spoken.sample_rate_hz, SAMPLE_RATE_HZ)
     n_tail = round((recognizer.latency_s + _TAIL_S) * SAMPLE_RATE_HZ)
-    whole = np.concatenate((samples, np.zeros(n_tail, np.float32))).astype(np.float32)
+    padded = np.concatenate((samples, np.zeros(n_tail, np.float32))).astype(np.float32)
     recognizer.tell(words)
     log = UpdateLog()
-    RecognizerStream(recognizer, (log,)).run(blocks_of(whole[: len(whole) // _HOP * _HOP], _HOP))
+    RecognizerStream(recognizer, (log,)).run(blocks_of(padded[: len(padded) // _HOP * _HOP], _HOP))
     return list(log.timeline.events)
 
 
-def _labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
+def _frame_labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
     """Return phoneme numbers of frames, (n_frames,); frames without an event are silence."""
     labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
-    ends_s = [after.start_s for _, after in pairwise(events)] + [n_frames * BLOCK_S]
+    ends_s = [following.start_s for _, following in pairwise(events)] + [n_frames * BLOCK_S]
     for event, next_s in zip(events, ends_s, strict=True):
         end_s = next_s if event.end_s is None else event.end_s
         labels[round(event.start_s / BLOCK_S) : round(end_s / BLOCK_S)] = PHONEME_INDEX[

@@ -29,14 +29,14 @@ _NO_CODE: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The code lines that some folders may have.
+    """How many code lines some folders may have together.
 
     Attributes
     ----------
     folders
         From the root of the checkout.
     ceiling
-        What they may have; it only falls.
+        The most code lines; this number is only ever lowered.
     """
 
     folders: tuple[str, ...]
@@ -99,15 +99,16 @@ def room_lines(root: Path) -> dict[str, int]:
         for path in sources(root, folder)
     }
     rooms = {name: row for name, row in table.items() if name not in ("wheel", "all")}
-    found = dict.fromkeys(rooms, 0)
+    room_counts = dict.fromkeys(rooms, 0)
     for file, count in lines.items():
+        # A file belongs to the room with the longest matching folder.
         depth = {
             name: max((len(each) for each in row.folders if file.startswith(f"{each}/")), default=0)
             for name, row in rooms.items()
         }
-        nearest = max(depth, key=lambda name: depth[name])
-        if depth[nearest]:
-            found[nearest] += count
+        room = max(depth, key=lambda name: depth[name])
+        if depth[room]:
+            room_counts[room] += count
     in_wheel = tuple(f"{folder}/" for folder in table["wheel"].folders)
-    found["wheel"] = sum(count for file, count in lines.items() if file.startswith(in_wheel))
-    return {**found, "all": sum(lines.values())}
+    room_counts["wheel"] = sum(count for file, count in lines.items() if file.startswith(in_wheel))
+    return {**room_counts, "all": sum(lines.values())}

@@ -94,14 +94,17 @@ def above_bars(figures: dict[str, Any]) -> list[str]:
 
 
 def tick_figures(face: str) -> dict[str, Any]:
-    """Files and hops of a tick of a shipped face, medians."""
+    """Replay the bundled clip with a shipped face; return medians of its ticks: files and hops."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         found: dict[str, Any] = _traced("ticks", "replay", str(clip), "--config", face, "--quiet")
     return found
 
 
 def loaded_figures() -> dict[str, float]:
-    """Modules of ours at a first tick, their lines and code lines, and the processor time to it."""
+    """Start a `run` of the bundled clip; return what it has loaded when its first tick is due.
+
+    Number of our modules, their lines and code lines, and the processor time until then, s.
+    """
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         found = _traced("loaded", "run", "--wav", str(clip), "--quiet")
     modules: dict[str, str] = found["modules"]
@@ -115,25 +118,31 @@ def loaded_figures() -> dict[str, float]:
 
 
 def processor_s(arguments: Sequence[str]) -> float:
-    """Processor time of a process of `lipservo`, where no face runs; the least of some."""
+    """Return the processor time of a `lipservo` process, s, where no face runs.
+
+    The least of `_N_PROCESSES` runs. arguments: of the command line.
+    """
     with tempfile.TemporaryDirectory(prefix="lipservo-bench-") as folder:
         environment = {**os.environ, "XDG_RUNTIME_DIR": folder}
-        return min(_spent_s(arguments, environment, folder) for _ in range(_N_PROCESSES))
+        return min(_process_time_s(arguments, environment, folder) for _ in range(_N_PROCESSES))
 
 
-def _spent_s(arguments: Sequence[str], environment: dict[str, str], folder: str) -> float:
+def _process_time_s(arguments: Sequence[str], environment: dict[str, str], folder: str) -> float:
     command = [sys.executable, "-P", "-m", "lipservo", *arguments]
     quiet = subprocess.DEVNULL
-    with subprocess.Popen(command, stdout=quiet, stderr=quiet, env=environment, cwd=folder) as run:
-        _, status, used = os.wait4(run.pid, 0)
-        run.returncode = os.waitstatus_to_exitcode(status)
-    return used.ru_utime + used.ru_stime
+    with subprocess.Popen(
+        command, stdout=quiet, stderr=quiet, env=environment, cwd=folder
+    ) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    return usage.ru_utime + usage.ru_stime
 
 
 def _traced(what: str, *arguments: str) -> Any:
-    """Run `traced_ticks` in a process; return its result.
+    """Run a `lipservo` command in a process that `traced_ticks` observes; return the result.
 
-    Raises RuntimeError with what the process wrote to standard error.
+    what: "ticks" or "loaded". arguments: of the command. Raises RuntimeError with what the process
+    wrote to standard error, where there is no result.
     """
     with tempfile.TemporaryDirectory(prefix="lipservo-bench-") as folder:
         output = Path(folder) / "traced.json"

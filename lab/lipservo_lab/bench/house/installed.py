@@ -15,30 +15,35 @@ _OURS: Final = {
 
 
 def installed_mb(root: Path, required: str) -> float:
-    """Return the MB that a requirement (`lipservo[dashboard]`) takes on the disk, byte code too.
+    """Return how many MB a requirement, such as `lipservo[dashboard]`, takes on the disk.
 
-    root: the checkout's. What is not installed here is counted as nothing.
+    All that it depends on is counted, byte code too, but nothing that is not installed here. root:
+    of the checkout.
     """
     needed: set[tuple[str, str]] = set()
-    _require(required, needed)
+    _add_requirement(required, needed)
     files = {path for name in {name for name, _ in needed} for path in _files(root, name)}
     return sum(path.stat().st_blocks for path in files if path.is_file()) * 512 / 2**20
 
 
-def _require(text: str, needed: set[tuple[str, str]], extra: str = "") -> None:
-    """Add what a requirement of a distribution's extra needs: (name, extra), "" for all."""
+def _add_requirement(text: str, needed: set[tuple[str, str]], extra: str = "") -> None:
+    """Add a requirement and all that it depends on to `needed`, as (distribution, extra).
+
+    text: as in a distribution's metadata. extra: the extra for which it is required; "": for none.
+    Extra "" in `needed`: the distribution without extras.
+    """
     requirement = Requirement(text)
     if requirement.marker and not requirement.marker.evaluate({"extra": extra}):
         return
     name = requirement.name.lower()
-    for wanted in {"", *requirement.extras} - {e for n, e in needed if n == name}:
-        needed.add((name, wanted))
+    for wanted_extra in {"", *requirement.extras} - {e for n, e in needed if n == name}:
+        needed.add((name, wanted_extra))
         try:
-            requires = distribution(name).requires or ()
+            dependencies = distribution(name).requires or ()
         except PackageNotFoundError:
-            requires = ()
-        for each in requires:
-            _require(each, needed, wanted)
+            dependencies = ()
+        for dependency in dependencies:
+            _add_requirement(dependency, needed, wanted_extra)
 
 
 def _files(root: Path, name: str) -> Iterator[Path]:

@@ -20,7 +20,11 @@ _CLOCK, _WAIT = "clock.py", "sleep_until"
 
 
 class TickTracer:
-    """Files and hops of every tick of this thread, for `sys.setprofile`."""
+    """Counts files and hops of every tick of this thread, by `sys.setprofile`.
+
+    n_files: of each tick, how many of our files it enters. n_hops: how many calls go from one of
+    our files to another.
+    """
 
     def __init__(self, root: str) -> None:
         folders = [os.path.join(root, each) for each in _PACKAGES]
@@ -32,20 +36,23 @@ class TickTracer:
         self.n_hops: list[int] = []
 
     def profile(self, frame: FrameType, event: str, _arg: Any) -> None:
-        """Count a call of a function of ours, a generator's resumption included."""
+        """Count a call of a function of ours, a generator's resumption included.
+
+        Calls and returns of a clock's `sleep_until` end and begin a tick.
+        """
         if event not in ("call", "return"):
             return
         file = frame.f_code.co_filename
         if not file.startswith(self._prefixes):
             return
         if frame.f_code.co_name == _WAIT and file.endswith(_CLOCK):
-            self._turn(is_over=event == "call")
+            self._begin_or_end_tick(is_over=event == "call")
         elif event == "call" and self._is_in_tick:
             self._files.add(file)
             caller = frame.f_back.f_code.co_filename if frame.f_back else ""
             self._hops += caller != file and caller.startswith(self._prefixes)
 
-    def _turn(self, *, is_over: bool) -> None:
+    def _begin_or_end_tick(self, *, is_over: bool) -> None:
         if is_over and self._is_in_tick:
             self.n_files.append(len(self._files))
             self.n_hops.append(self._hops)
@@ -54,7 +61,10 @@ class TickTracer:
 
 
 def traced_ticks(root: str) -> dict[str, Any]:
-    """Run the command line of this process; return medians of files and calls over its ticks."""
+    """Run the command line of this process; return medians of files and hops over its ticks.
+
+    root: the folder of our packages.
+    """
     from lipservo.__main__ import main
 
     tracer = TickTracer(root)
@@ -85,17 +95,17 @@ def loaded_modules(root: str) -> dict[str, Any]:
     from firmware_bridge import clock
     from lipservo.__main__ import main
 
-    def stop(_clock: clock.MonotonicClock, time_s: float) -> None:  # noqa: ARG001
+    def stop_at_first_tick(_clock: clock.MonotonicClock, time_s: float) -> None:  # noqa: ARG001
         raise _FirstTick
 
-    clock.MonotonicClock.sleep_until = stop  # type: ignore[method-assign, assignment]
+    clock.MonotonicClock.sleep_until = stop_at_first_tick  # type: ignore[method-assign, assignment]
     with contextlib.suppress(_FirstTick):
         main()
     used = resource.getrusage(resource.RUSAGE_SELF)
     prefixes = tuple(os.path.join(root, each) + os.sep for each in _PACKAGES)
     found = {name: getattr(module, "__file__", None) or "" for name, module in sys.modules.items()}
-    modules = {name: file for name, file in found.items() if file.startswith(prefixes)}
-    return {"modules": modules, "processor_s": round(used.ru_utime + used.ru_stime, 3)}
+    our_modules = {name: file for name, file in found.items() if file.startswith(prefixes)}
+    return {"modules": our_modules, "processor_s": round(used.ru_utime + used.ru_stime, 3)}
 
 
 if __name__ == "__main__":

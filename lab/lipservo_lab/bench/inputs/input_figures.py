@@ -21,27 +21,28 @@ _NAMED: Final = 3
 def input_figures(
     n_each: int, seed: int, advance: Callable[[str, int, int], None]
 ) -> dict[str, object]:
-    """Return counts over `n_each` inputs of each kind, and what was wrong, a line each.
+    """Let readers read `n_each` odd inputs of each kind; return how many they read wrongly.
 
-    seed: of the inputs. advance: called with the kind, and its number of all.
+    `wrong`: by kind, the number of wrong ones and a line for each of the first. seed: of the
+    inputs. advance: called with the kind, its number, and the number of kinds.
     """
-    total: Counter[str] = Counter()
-    wrong: dict[str, list[str]] = {}
+    counts: Counter[str] = Counter()
+    wrong_lines: dict[str, list[str]] = {}
     for number, (kind, make) in enumerate(KINDS.items()):
         advance(kind, number, len(KINDS))
         for n in range(n_each):
             rng = np.random.default_rng([seed, number, n])
             with tempfile.TemporaryDirectory() as folder:
-                found, why = verdict(make(rng, Path(folder)))
-            total[found] += 1
+                result, why = verdict(make(rng, Path(folder)))
+            counts[result] += 1
             if why:
-                wrong.setdefault(kind, []).append(f"{n}: {found}: {why[:400]}")
+                wrong_lines.setdefault(kind, []).append(f"{n}: {result}: {why[:400]}")
     return {
         "inputs": n_each * len(KINDS),
         "kinds": len(KINDS),
-        "tracebacks": total["traceback"],
-        "hangs": total["hang"],
-        "silently_wrong": total["silently_wrong"],
-        "refused_wrongly": total["refused_wrongly"],
-        "wrong": {kind: [len(lines), *lines[:_NAMED]] for kind, lines in wrong.items()},
+        "tracebacks": counts["traceback"],
+        "hangs": counts["hang"],
+        "silently_wrong": counts["silently_wrong"],
+        "refused_wrongly": counts["refused_wrongly"],
+        "wrong": {kind: [len(lines), *lines[:_NAMED]] for kind, lines in wrong_lines.items()},
     }

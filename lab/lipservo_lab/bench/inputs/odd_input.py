@@ -23,10 +23,11 @@ Verdict = Literal["right", "traceback", "hang", "silently_wrong", "refused_wrong
 
 @dataclass(frozen=True, slots=True)
 class OddInput:
-    """read: returns what a reader makes of the input, and lines that it tells a person.
+    """An input with the right result of reading it, known by how the input was made.
 
-    right: the value that is right, or `REFUSED`. reported: a line has to say so. may_refuse: a
-    refusal is right, too. tolerance: of numbers.
+    about: describes the input in reports. read: lets a reader read it; returns the value, and the
+    lines that the reader shows to a person. right: the right value, or `REFUSED`. reported: a line
+    is needed, too. may_refuse: a refusal is right as well. tolerance: for numbers.
     """
 
     about: str
@@ -46,13 +47,13 @@ class _HangError(Exception):
 
 
 def verdict(odd: OddInput) -> tuple[Verdict, str]:
-    """Return what a reader made of an input, and why that is wrong (empty: it is right).
+    """Let a reader read an input; return the verdict, and why it is wrong (empty: it is right).
 
-    An error for a user must be one line of at most 1000 characters, else it counts as a traceback.
-    Where refusing is allowed, a wrong value is right if the reader has reported a problem.
+    A UserError must be one line of at most 1000 characters, else it counts as a traceback. Where
+    refusing is allowed, a wrong value counts as right if the reader has reported a problem.
     """
     try:
-        with _in_time():
+        with _time_limit():
             value, lines = odd.read()
     except UserError as error:
         if "\n" in str(error).strip() or len(str(error)) > 1000:
@@ -77,7 +78,7 @@ def verdict(odd: OddInput) -> tuple[Verdict, str]:
 
 
 def _alike(value: object, right: object, tolerance: float) -> bool:
-    """Compare two values, nested ones element by element; numbers within `tolerance`.
+    """Return whether two values are equal, nested ones item by item, floats within `tolerance`.
 
     NaN equals NaN. Keys of dicts must have the same order; a list equals a tuple.
     """
@@ -95,16 +96,16 @@ def _alike(value: object, right: object, tolerance: float) -> bool:
 
 
 @contextmanager
-def _in_time() -> Iterator[None]:
+def _time_limit() -> Iterator[None]:
     """Raise `_HangError` once the body has run for `LONGEST_S`; main thread only (SIGALRM)."""
 
-    def late(_signal: int, _frame: FrameType | None) -> None:
+    def raise_hang(_signal: int, _frame: FrameType | None) -> None:
         raise _HangError
 
-    before = signal.signal(signal.SIGALRM, late)
+    previous = signal.signal(signal.SIGALRM, raise_hang)
     signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, previous)

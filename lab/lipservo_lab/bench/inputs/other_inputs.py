@@ -33,34 +33,38 @@ _MANUALS: Final = {
 _BOARDS: Final = {"micro6": 6, "mini12": 12, "mini18": 18, "mini24": 24}
 
 
-def _range(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Write a recorded range of a servo; to be refused if it is of a model with more positions."""
+def _servo_range(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Write a recorded range of a servo, to be read as joint limits and zero offset, degrees.
+
+    To be refused where its positions are beyond those of the servo's model.
+    """
     kind = str(rng.choice(list(_MANUALS)))
     model = str(rng.choice(list(_MANUALS[kind])))
-    n, reach_deg = _MANUALS[kind][model]
-    stands = int(rng.integers(n // 4, 3 * n // 4))
-    least = int(rng.integers(max(1, stands - n // 5), stands))
-    most = int(rng.integers(stands + 1, stands + n // 5))
+    # Positions of the model, and the degrees that all of them are.
+    n, range_deg = _MANUALS[kind][model]
+    neutral = int(rng.integers(n // 4, 3 * n // 4))
+    least = int(rng.integers(max(1, neutral - n // 5), neutral))
+    most = int(rng.integers(neutral + 1, neutral + n // 5))
     is_other = bool(rng.random() < 0.2)
     entry = {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": least}
     entry |= {"range_max": n + most if is_other else most}
     path = folder / "ranges.json"
     path.write_text(json.dumps({"jaw": entry}))
     sign = int(rng.choice([1, -1]))
-    step_deg = reach_deg / n
+    step_deg = range_deg / n
 
     def read() -> tuple[object, Sequence[str]]:
-        facts = bus_kind(kind).workshop().servo_models()[model]
+        servo_model = bus_kind(kind).workshop().servo_models()[model]
         found = FoundJoint("jaw", 1, model, "opens", sign)
-        joint = found.within(read_ranges(path)["jaw"], stands, facts)
+        joint = found.within(read_ranges(path)["jaw"], neutral, servo_model)
         return (joint.min_deg, joint.max_deg, joint.zero_offset_deg), ()
 
-    ends = sorted(sign * (each - stands) * step_deg for each in (least, most))
-    right = (*ends, sign * (stands - n // 2) * step_deg)
+    ends = sorted(sign * (each - neutral) * step_deg for each in (least, most))
+    right = (*ends, sign * (neutral - n // 2) * step_deg)
     return OddInput(f"{model} {entry}", read, REFUSED if is_other else right, tolerance=0.01)
 
 
-def _board(rng: np.random.Generator, _folder: Path) -> OddInput:
+def _board_channel(rng: np.random.Generator, _folder: Path) -> OddInput:
     """Write a face with a servo at a channel, to be refused where its board has no such channel."""
     board = str(rng.choice([*_BOARDS, "pca9685"]))
     channel = int(rng.integers(0, 30))
@@ -112,25 +116,29 @@ _BLOCKS: Final = (
 )
 
 
-def _filled(pair: tuple[str, str], fill: Callable[[], Any]) -> Any:
-    """Fill the places W or L of a mark-up and of what is spoken of it with the same words."""
-    written, right = pair
-    kept = []
+def _fill(pair: tuple[str, str], fill: Callable[[], Any]) -> Any:
+    """Fill the places W or L of a mark-up, and of what is to be spoken of it, alike.
+
+    pair: (mark-up, spoken). fill: returns a written filling with what is spoken of it, a pair.
+    Returns the filled pair.
+    """
+    written, spoken = pair
+    fillings = []
     for _ in range(max(written.count("W") if "W" in written else 0, written.count("L"))):
-        kept.append(fill())
-    out, read, n = [], [], 0
+        fillings.append(fill())
+    written_parts, spoken_parts, n_filled = [], [], 0
     for part in re.split(r"([WL])", written):
-        out.append(kept[n][0] if part in ("W", "L") else part)
-        n += part in ("W", "L")
-    n = 0
-    for part in re.split(r"([WL])", right):
-        read.append(kept[n][1] if part in ("W", "L") else part)
-        n += part in ("W", "L")
-    return "".join(out), "".join(read)
+        written_parts.append(fillings[n_filled][0] if part in ("W", "L") else part)
+        n_filled += part in ("W", "L")
+    n_filled = 0
+    for part in re.split(r"([WL])", spoken):
+        spoken_parts.append(fillings[n_filled][1] if part in ("W", "L") else part)
+        n_filled += part in ("W", "L")
+    return "".join(written_parts), "".join(spoken_parts)
 
 
-def _text(rng: np.random.Generator, _folder: Path) -> OddInput:
-    """Write a text with mark-up; right are the words that are to be spoken, in their order."""
+def _marked_up_text(rng: np.random.Generator, _folder: Path) -> OddInput:
+    """Write a text with mark-up, of which the right words are to be spoken, in their order."""
 
     def word() -> tuple[str, str]:
         chosen = str(rng.choice(_WORDS))
@@ -138,18 +146,22 @@ def _text(rng: np.random.Generator, _folder: Path) -> OddInput:
 
     def line() -> tuple[str, str]:
         marks = [_MARKS[int(rng.integers(len(_MARKS)))] for _ in range(int(rng.integers(1, 5)))]
-        parts = [("plain", "plain"), *(_filled(pair, word) for pair in marks)]
+        parts = [("plain", "plain"), *(_fill(pair, word) for pair in marks)]
         return " ".join(p[0] for p in parts), " ".join(p[1] for p in parts if p[1])
 
     blocks = [_BLOCKS[int(rng.integers(len(_BLOCKS)))] for _ in range(int(rng.integers(1, 4)))]
-    found = [_filled(pair, line) for pair in blocks]
-    written = "\n\n".join(each[0] for each in found)
-    right = re.findall(r"\w+", " ".join(each[1] for each in found))
-    return OddInput(written, lambda: (re.findall(r"\w+", spoken_form(written)), ()), right)
+    filled_blocks = [_fill(pair, line) for pair in blocks]
+    written = "\n\n".join(each[0] for each in filled_blocks)
+    words = re.findall(r"\w+", " ".join(each[1] for each in filled_blocks))
+    return OddInput(written, lambda: (re.findall(r"\w+", spoken_form(written)), ()), words)
 
 
-def _c3d(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Write a C3D file of markers: some lost (zeros, negative residuals), angles, similar names."""
+def _c3d_file(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Write a C3D file of markers in some unit; it is to be read as places in mm.
+
+    Some markers are lost in some frames (zeros or negative residuals), and one may be an angle. To
+    be refused where two have the same name, or the unit is missing.
+    """
     import ezc3d
 
     n = int(rng.choice([4, 4, 4, 300]))
@@ -158,21 +170,21 @@ def _c3d(rng: np.random.Generator, folder: Path) -> OddInput:
     data = np.ones((4, n, 9))
     data[:3] = places.T[:, :, None]
     residuals = np.zeros((1, n, 9))
-    lost = rng.integers(0, 3, n)
-    for i in np.flatnonzero(lost):
-        data[:3, i, :6] = 0.0 if lost[i] == 1 else 99.0
-        residuals[0, i, :6] = 0.0 if lost[i] == 1 else -1.0
+    loss = rng.integers(0, 3, n)
+    for i in np.flatnonzero(loss):
+        data[:3, i, :6] = 0.0 if loss[i] == 1 else 99.0
+        residuals[0, i, :6] = 0.0 if loss[i] == 1 else -1.0
     file = ezc3d.c3d()
     point = file["parameters"]["POINT"]
     unit = str(rng.choice(["mm", "mm", "cm", "m", ""]))
     point["UNITS"]["value"], point["RATE"]["value"] = [unit], [100.0]
-    is_twice = bool(rng.random() < 0.15)
-    written = [labels[1], *labels[1:]] if is_twice else labels
-    point["LABELS"]["value"] = written[:255]
+    is_duplicate = bool(rng.random() < 0.15)
+    written_labels = [labels[1], *labels[1:]] if is_duplicate else labels
+    point["LABELS"]["value"] = written_labels[:255]
     file["data"]["points"], file["data"]["meta_points"]["residuals"] = data, residuals
     if n > 255:
-        file.add_parameter("POINT", "LABELS2", written[255:])
-    is_angle = bool(rng.random() < 0.3) and not is_twice
+        file.add_parameter("POINT", "LABELS2", written_labels[255:])
+    is_angle = bool(rng.random() < 0.3) and not is_duplicate
     if is_angle:
         file.add_parameter("POINT", "ANGLES", [labels[0]])
     path = folder / "pose_1.c3d"
@@ -183,42 +195,45 @@ def _c3d(rng: np.random.Generator, folder: Path) -> OddInput:
         return {name: place.tolist() for name, place in read_c3d(path).items()}, ()
 
     right: object = REFUSED
-    if scale is not None and not is_twice:
+    if scale is not None and not is_duplicate:
         right = {x: (scale * places[i]).tolist() for i, x in enumerate(labels) if i >= is_angle}
-    return OddInput(f"{n} points, {unit!r}, {lost[:4]}", read, right, tolerance=0.5)
+    return OddInput(f"{n} points, {unit!r}, {loss[:4]}", read, right, tolerance=0.5)
 
 
-def _photo(rng: np.random.Generator, folder: Path) -> OddInput:
+def _oriented_photo(rng: np.random.Generator, folder: Path) -> OddInput:
     """Write a photograph whose left half is dark, with any EXIF orientation, valid or not."""
     from PIL import Image
 
     pixels = np.full((80, 120, 3), 220, dtype=np.uint8)
     pixels[:, :60] = 30
-    turn = int(rng.choice([1, 3, 6, 8, 0, 9, 99, 65_535]))
+    orientation = int(rng.choice([1, 3, 6, 8, 0, 9, 99, 65_535]))
     exif = Image.Exif()
-    exif[0x0112] = turn
+    exif[0x0112] = orientation
     path = folder / "a.png"
     Image.fromarray(pixels).save(path, exif=exif)
     # EXIF 2.32, 4.6.4: where the first row and column of the picture belong.
     upright = {3: pixels[::-1, ::-1], 6: np.rot90(pixels, -1), 8: np.rot90(pixels)}.get(
-        turn, pixels
+        orientation, pixels
     )
 
     def read() -> tuple[object, Sequence[str]]:
         return bool(np.array_equal(read_photo(path)[0], upright)), ()
 
-    return OddInput(f"orientation {turn}", read, right=True)
+    return OddInput(f"orientation {orientation}", read, right=True)
 
 
-def _no_file(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Choose what is no readable file: a pipe, device, folder, link to itself, impossible name."""
+def _unreadable_path(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Choose a path that is no readable file, and a reader, which is to refuse it.
+
+    Pipes, devices, folders, a link to itself, impossible names.
+    """
     link = folder / "link"
     link.symlink_to(link)
     os.mkfifo(folder / "pipe")
-    odd: list[Path] = [folder / "pipe", folder, link, folder / "none", Path("x" * 100_000)]
-    odd += [Path("/dev/zero"), Path("/dev/null"), Path("a\0b"), Path("/proc/self/mem")]
-    path = odd[int(rng.integers(len(odd)))]
-    reader = int(rng.integers(4))
+    paths: list[Path] = [folder / "pipe", folder, link, folder / "none", Path("x" * 100_000)]
+    paths += [Path("/dev/zero"), Path("/dev/null"), Path("a\0b"), Path("/proc/self/mem")]
+    path = paths[int(rng.integers(len(paths)))]
+    reader_number = int(rng.integers(4))
 
     def read() -> tuple[object, Sequence[str]]:
         """Read the path with the drawn reader: labels, sound, C3D or photograph."""
@@ -228,16 +243,16 @@ def _no_file(rng: np.random.Generator, folder: Path) -> OddInput:
             lambda: read_c3d(path),
             lambda: read_photo(path),
         ]
-        return readers[reader](), ()
+        return readers[reader_number](), ()
 
-    return OddInput(f"{str(path)[:40]!r} by reader {reader}", read, REFUSED)
+    return OddInput(f"{str(path)[:40]!r} by reader {reader_number}", read, REFUSED)
 
 
 OTHER_KINDS: Final[dict[str, Maker]] = {
-    "servos: ranges": _range,
-    "servos: channels of boards": _board,
-    "texts: mark-up": _text,
-    "markers: C3D": _c3d,
-    "photographs: orientation": _photo,
-    "names of no files": _no_file,
+    "servos: ranges": _servo_range,
+    "servos: channels of boards": _board_channel,
+    "texts: mark-up": _marked_up_text,
+    "markers: C3D": _c3d_file,
+    "photographs: orientation": _oriented_photo,
+    "names of no files": _unreadable_path,
 }

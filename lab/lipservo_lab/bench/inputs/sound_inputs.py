@@ -22,8 +22,8 @@ _CODECS: Final = (
 )
 
 
-def _voice(rng: np.random.Generator, seconds: float) -> Array:
-    """Harmonics of a voice that rises and falls."""
+def _draw_voice(rng: np.random.Generator, seconds: float) -> Array:
+    """Return the sum of five harmonics of a drawn pitch, (n,), like a voice, at 16 kHz."""
     time_s = np.arange(round(seconds * _RATE_HZ)) / _RATE_HZ
     pitch_hz = float(rng.uniform(90, 250))
     parts = [np.sin(2 * np.pi * pitch_hz * n * time_s) / n for n in range(1, 6)]
@@ -35,74 +35,77 @@ def _write(path: Path, samples: Array, subtype: str = "PCM_16", rate_hz: int = _
     return path
 
 
-def _heard(path: Path, expected: Array, channel: str = MIX) -> tuple[object, Sequence[str]]:
-    """Whether the file is heard as `expected` (n,), and the line that is reported."""
-    lines = [line for line in [checked_sound(path, channel).warning] if line]
+def _compare(path: Path, expected: Array, channel: str = MIX) -> tuple[object, Sequence[str]]:
+    """Read a sound file; return whether its samples are as `expected`, and the reader's warnings.
+
+    expected: (n,), at 16 kHz; lengths may differ by an eighth of a second.
+    """
+    warnings = [line for line in [checked_sound(path, channel).warning] if line]
     samples = read_sound(path, channel)[0]
     n = min(len(samples), len(expected))
-    is_whole = abs(len(samples) - len(expected)) <= _RATE_HZ // 8
-    return bool(is_whole and np.abs(samples[:n] - expected[:n]).max() < 2e-3), lines
+    has_length = abs(len(samples) - len(expected)) <= _RATE_HZ // 8
+    return bool(has_length and np.abs(samples[:n] - expected[:n]).max() < 2e-3), warnings
 
 
-def _antiphase(rng: np.random.Generator, folder: Path) -> OddInput:
-    voice = _voice(rng, 0.4)
+def _channels_in_antiphase(rng: np.random.Generator, folder: Path) -> OddInput:
+    voice = _draw_voice(rng, 0.4)
     quieter = float(rng.uniform(0.95, 1.0))
     path = _write(folder / "a.wav", np.stack([voice, -quieter * voice], axis=1))
-    return OddInput("antiphase", lambda: _heard(path, voice), right=True, reported=True)
+    return OddInput("antiphase", lambda: _compare(path, voice), right=True, reported=True)
 
 
-def _whole_numbers(rng: np.random.Generator, folder: Path) -> OddInput:
-    bits, voice = int(rng.choice(_BITS)), _voice(rng, 0.4)
+def _floats_of_whole_numbers(rng: np.random.Generator, folder: Path) -> OddInput:
+    bits, voice = int(rng.choice(_BITS)), _draw_voice(rng, 0.4)
     path = _write(folder / "a.wav", voice * 2.0 ** (bits - 1), "FLOAT")
-    return OddInput(f"{bits} bits", lambda: _heard(path, voice), right=True, reported=True)
+    return OddInput(f"{bits} bits", lambda: _compare(path, voice), right=True, reported=True)
 
 
-def _no_size(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Sizes that were never written, or that promise up to 4 GB."""
-    voice = _voice(rng, 0.4)
+def _wrong_size(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Write a WAV file whose header has a size of zero, or one far too large; to be read whole."""
+    voice = _draw_voice(rng, 0.4)
     path = _write(folder / "a.wav", voice)
     content = bytearray(path.read_bytes())
     size = int(rng.choice([0, 0xFFFF_FFFF, 0x7FFF_F000, 0x7FFF_FFFF]))
-    at = content.find(b"data") + 4
-    content[at : at + 4] = content[4:8] = struct.pack("<I", size)
+    size_at = content.find(b"data") + 4
+    content[size_at : size_at + 4] = content[4:8] = struct.pack("<I", size)
     path.write_bytes(content)
-    return OddInput(f"size {size:x}", lambda: _heard(path, voice), right=True)
+    return OddInput(f"size {size:x}", lambda: _compare(path, voice), right=True)
 
 
-def _channels(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Write a file of one to four channels and choose one, or their mix.
+def _chosen_channel(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Write a file of one to four channels and choose one of them, or their mix.
 
     To be refused where the file has no such channel.
     """
     n = int(rng.integers(1, 5))
-    voices = np.stack([_voice(rng, 0.3) for _ in range(n)], axis=1)
+    voices = np.stack([_draw_voice(rng, 0.3) for _ in range(n)], axis=1)
     path = _write(folder / "a.wav", voices)
     channel = str(rng.choice(["left", "right", "mix", "1", "2", "3", "4", "5"]))
     if channel == MIX:
-        return OddInput(f"mix of {n}", lambda: _heard(path, voices.mean(axis=1)), right=True)
+        return OddInput(f"mix of {n}", lambda: _compare(path, voices.mean(axis=1)), right=True)
     index = {"left": 1, "right": 2}.get(channel) or int(channel)
     about = f"{channel} of {n}"
     if index > n:
-        return OddInput(about, lambda: _heard(path, voices[:, 0], channel), REFUSED)
-    return OddInput(about, lambda: _heard(path, voices[:, index - 1], channel), right=True)
+        return OddInput(about, lambda: _compare(path, voices[:, 0], channel), REFUSED)
+    return OddInput(about, lambda: _compare(path, voices[:, index - 1], channel), right=True)
 
 
-def _cut(rng: np.random.Generator, folder: Path) -> OddInput:
+def _cut_off(rng: np.random.Generator, folder: Path) -> OddInput:
     """Cut a sound file anywhere in its middle: to be refused, or reported."""
-    kind, subtype = (("wav", "PCM_16"), ("mp3", "MPEG_LAYER_III"), ("ogg", "VORBIS"))[
+    suffix, subtype = (("wav", "PCM_16"), ("mp3", "MPEG_LAYER_III"), ("ogg", "VORBIS"))[
         int(rng.integers(3))
     ]
-    voice = _voice(rng, 1.5)
-    path = _write(folder / f"a.{kind}", voice, subtype)
+    voice = _draw_voice(rng, 1.5)
+    path = _write(folder / f"a.{suffix}", voice, subtype)
     content = path.read_bytes()
     path.write_bytes(content[: int(len(content) * rng.uniform(0.3, 0.85))])
-    read: Any = lambda: _heard(path, voice)  # noqa: E731 - as all others here
-    return OddInput(f"cut {kind}", read, REFUSED, may_refuse=True)
+    read: Any = lambda: _compare(path, voice)  # noqa: E731 - as all others here
+    return OddInput(f"cut {suffix}", read, REFUSED, may_refuse=True)
 
 
-def _broken(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Samples that are no numbers, silence, nothing, other bytes."""
-    path, voice = folder / "a.wav", _voice(rng, 0.4)
+def _broken_file(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Write a WAV file that is to be refused: NaN or infinity, silence, too short, random bytes."""
+    path, voice = folder / "a.wav", _draw_voice(rng, 0.4)
     kind = int(rng.integers(4))
     if kind == 0:
         voice[int(rng.integers(len(voice)))] = float(rng.choice([np.nan, np.inf]))
@@ -113,18 +116,18 @@ def _broken(rng: np.random.Generator, folder: Path) -> OddInput:
         _write(path, voice[: int(rng.integers(0, 300))])
     else:
         path.write_bytes(rng.bytes(int(rng.integers(0, 2000))))
-    return OddInput(f"broken {kind}", lambda: _heard(path, voice), REFUSED)
+    return OddInput(f"broken {kind}", lambda: _compare(path, voice), REFUSED)
 
 
-def _codec(rng: np.random.Generator, folder: Path) -> OddInput:
-    """Write a sound with a drawn codec; right is a correlation above 0.8 with what was encoded.
+def _encoded(rng: np.random.Generator, folder: Path) -> OddInput:
+    """Write a sound with a drawn codec; read, it is to correlate by more than 0.8 with the sound.
 
-    WAV in its place where this libsndfile cannot write the codec.
+    Where this libsndfile cannot write the codec, the file is WAV.
     """
-    subtype, ending = _CODECS[int(rng.integers(len(_CODECS)))]
-    voice = _voice(rng, 0.6)
+    subtype, suffix = _CODECS[int(rng.integers(len(_CODECS)))]
+    voice = _draw_voice(rng, 0.6)
     try:
-        path = _write(folder / f"a.{ending}", voice, subtype)
+        path = _write(folder / f"a.{suffix}", voice, subtype)
     except (soundfile.LibsndfileError, ValueError):  # this libsndfile cannot write it
         path = _write(folder / "a.wav", voice)
 
@@ -137,11 +140,11 @@ def _codec(rng: np.random.Generator, folder: Path) -> OddInput:
 
 
 SOUND_KINDS: Final[dict[str, Maker]] = {
-    "sound: antiphase": _antiphase,
-    "sound: whole numbers": _whole_numbers,
-    "sound: no size": _no_size,
-    "sound: channels": _channels,
-    "sound: cut": _cut,
-    "sound: broken": _broken,
-    "sound: codecs": _codec,
+    "sound: antiphase": _channels_in_antiphase,
+    "sound: whole numbers": _floats_of_whole_numbers,
+    "sound: no size": _wrong_size,
+    "sound: channels": _chosen_channel,
+    "sound: cut": _cut_off,
+    "sound: broken": _broken_file,
+    "sound: codecs": _encoded,
 }

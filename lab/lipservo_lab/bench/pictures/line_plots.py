@@ -57,13 +57,14 @@ def draw_lines(
     methods: Sequence[Method],
     rows: Sequence[Row],
 ) -> None:
-    """Plot a sentence by each method that uses it whole, its path of states, and all errors.
+    """Draw `LINE_PICTURES` into a folder: a sentence by each method, its path of states, errors.
 
-    states: of the sentences `training`, in their order. methods: those that are drawn.
+    states: the offline model of the sentences `training`, in their order. unseen: the sentence
+    drawn. methods: only those that use a line whole are drawn. rows: of `bench motion`.
     """
     without_screen()
-    shown = [m for m in methods if m.name in (CATMULL_ROM, *PLANNED_METHODS)]
-    draw_trajectories(folder / LINE_PICTURES[0], model, unseen, shown)
+    drawn = [m for m in methods if m.name in (CATMULL_ROM, *PLANNED_METHODS)]
+    draw_trajectories(folder / LINE_PICTURES[0], model, unseen, drawn)
     draw_states(folder / LINE_PICTURES[1], states, training, unseen)
     draw_figures(folder / LINE_PICTURES[2], rows)
 
@@ -71,9 +72,9 @@ def draw_lines(
 def draw_trajectories(
     path: Path, model: TrainedModel, utterance: Utterance, methods: Sequence[Method]
 ) -> None:
-    """Draw lip gap, lip width and first component: recorded (black) and by each method.
+    """Draw lip gap, lip width and first component of a sentence: recorded (black) and by methods.
 
-    Width and component are shifted to the recording's mean over speech.
+    Width and component are shifted to the recording's mean over speech. A column for each method.
     """
     from matplotlib import pyplot as plt
 
@@ -88,11 +89,11 @@ def draw_trajectories(
     )  # fmt: skip
     for column, method in zip(axes.T, methods, strict=True):
         made = motion_curves(model, method.faces(model, heard, times_s, 0.0))
-        for number, (axis, was, is_now) in enumerate(zip(column, recorded, made, strict=False)):
+        for number, (axis, seen, is_now) in enumerate(zip(column, recorded, made, strict=False)):
             # A sentence is wider or narrower as a whole, which no phoneme tells.
-            off = np.interp(frames_s, times_s, is_now)[in_speech].mean() - was[in_speech].mean()
+            off = np.interp(frames_s, times_s, is_now)[in_speech].mean() - seen[in_speech].mean()
             shift = 0.0 if number == 0 else off
-            axis.plot(frames_s, was, color=COLOURS[RECORDED], linewidth=1.4)
+            axis.plot(frames_s, seen, color=COLOURS[RECORDED], linewidth=1.4)
             axis.plot(times_s, is_now - shift, color=COLOURS[method.name], linewidth=1.6)
         mark_phones(column[0], utterance, heights=(1.03, 1.12, 1.21))
         title = f"{method.name}; black: recorded"
@@ -107,20 +108,24 @@ def draw_trajectories(
 def draw_states(
     path: Path, model: StateModel, training: Sequence[Utterance], unseen: Utterance
 ) -> None:
-    """Draw the speech manifold in two of its dimensions: frames by state, and a sentence's path."""
+    """Draw the speech manifold in two of its dimensions.
+
+    Left: recorded frames, coloured by their states. Right: the path of the sentence `unseen`, as
+    recorded, and by the centres of the states that the model chooses for it.
+    """
     from matplotlib import pyplot as plt
 
     places, states, recorded = laid_out(model, training, unseen)
-    centres = {int(s): places[states == s].mean(axis=0) for s in np.unique(states)}
+    centre_of = {int(s): places[states == s].mean(axis=0) for s in np.unique(states)}
     in_speech = speech_frames(unseen)
     way = np.array(
-        [centres[s] for s, spoken in zip(_way(model, unseen), in_speech, strict=True)
-         if spoken and s in centres]
+        [centre_of[s] for s, spoken in zip(_chosen_states(model, unseen), in_speech, strict=True)
+         if spoken and s in centre_of]
     )  # fmt: skip
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained")
     # Numbers of states that were one cluster are near: dealt anew, they get other colours.
-    dealt = np.random.default_rng(0).permutation(model.n_states)
-    left.scatter(*places.T, c=dealt[states], cmap="hsv", s=3, linewidths=0)
+    colours = np.random.default_rng(0).permutation(model.n_states)
+    left.scatter(*places.T, c=colours[states], cmap="hsv", s=3, linewidths=0)
     left.set_title(f"{len(places)} recorded frames in {model.n_states} states", fontsize=10)
     right.scatter(*places.T, color="0.88", s=4, linewidths=0)
     frames = np.flatnonzero(in_speech)
@@ -130,8 +135,8 @@ def draw_states(
     right.plot(*way.T, color=COLOURS["model-based"], linewidth=0.5, alpha=0.5)
     right.scatter(*way.T, color=COLOURS["model-based"], s=16, zorder=3, label="states chosen")
     right.set_title(f"a sentence that was not learned, {unseen.name}", fontsize=10)
-    both = np.concatenate([recorded[in_speech], way])
-    (low_x, low_y), (high_x, high_y) = both.min(axis=0), both.max(axis=0)
+    drawn = np.concatenate([recorded[in_speech], way])
+    (low_x, low_y), (high_x, high_y) = drawn.min(axis=0), drawn.max(axis=0)
     right.set_xlim(low_x - _MARGIN, high_x + _MARGIN)
     right.set_ylim(low_y - _MARGIN, high_y + _MARGIN)
     right.legend(fontsize=8)
@@ -145,14 +150,14 @@ def draw_states(
 def laid_out(
     model: StateModel, training: Sequence[Utterance], unseen: Utterance
 ) -> tuple[Array, Indices, Array]:
-    """Lay training frames out anew: a model keeps the state of each frame, not its place.
+    """Compute manifold places of frames anew: a model keeps the state of each frame, not its place.
 
     Parameters
     ----------
     model : StateModel
-        Its states.
+        An offline model.
     training : Sequence[Utterance]
-        Sentences.
+        The sentences that it was trained on, in their order.
     unseen : Utterance
         Another sentence.
 
@@ -163,24 +168,25 @@ def laid_out(
         (m, 2).
     """
     step = -(-len(training) // _LAID_OUT)
-    motion, states = [], []
+    components, states = [], []
     for number in range(0, len(training), step):
-        motion.append(_components(model, training[number]))
+        components.append(_components(model, training[number]))
         states.append(model.states[model.borders[number] : model.borders[number + 1]])
-    motion.append(_components(model, unseen))
-    places = speech_manifold(joint_parameters(motion), _LANDMARKS)
+    components.append(_components(model, unseen))
+    places = speech_manifold(joint_parameters(components), _LANDMARKS)
     places = places[:, [min(d, places.shape[1] - 1) for d in _DIMENSIONS]]
-    n_learned = len(places) - len(motion[-1])
+    n_learned = len(places) - len(components[-1])
     return places[:n_learned], np.concatenate(states), places[n_learned:]
 
 
 def _components(model: StateModel, utterance: Utterance) -> Array:
+    """Return a sentence's frames as components of the model's basis, (n_frames, n_components)."""
     flat = utterance.markers_mm.reshape(len(utterance.markers_mm), -1)
     return np.asarray((flat - model.mean_mm) @ model.basis.T)
 
 
-def _way(model: StateModel, utterance: Utterance) -> list[int]:
-    """The states that an utterance goes through, one a frame."""
+def _chosen_states(model: StateModel, utterance: Utterance) -> list[int]:
+    """Return the states that the model chooses for a sentence, one for each frame."""
     n_frames = len(utterance.markers_mm)
     times_s = np.arange(n_frames) / model.frame_rate_hz
     heard = at_times(cepstra(read_speech(utterance.sound_path)), times_s)
@@ -198,14 +204,14 @@ def draw_figures(path: Path, rows: Sequence[Row]) -> None:
     names = [name for name in _COMPARED if any(row["strategy"] == name for row in rows)]
     splits = list(dict.fromkeys(str(row["split"]) for row in rows))
     longest_ms = max(int(str(row["lookahead_ms"])) for row in rows)
-    last = {
+    row_of = {
         (row["strategy"], row["split"]): row for row in rows if row["lookahead_ms"] == longest_ms
     }
     figure, axes = plt.subplots(1, len(_FIGURES), figsize=(12, 4), layout="constrained")
     width = 0.8 / len(names)
     for axis, (key, label) in zip(axes, _FIGURES.items(), strict=True):
         for number, name in enumerate(names):
-            mine = [last[name, split] for split in splits]
+            mine = [row_of[name, split] for split in splits]
             values = np.array([float_or_nan(row[key]) for row in mine])
             ends = np.array([row[f"{key}_95"] or (np.nan, np.nan) for row in mine], np.float64)
             axis.bar(

@@ -70,10 +70,10 @@ def draw_mouths(path: Path, model: TrainedModel) -> None:
 
 
 def phoneme_face(model: TrainedModel, phoneme: str) -> Array:
-    """Return the face of a phoneme: consonants between two AH, vowels between two T, silence alone.
+    """Return the face of a phoneme as the live method makes it.
 
-    In the middle of the phoneme; of those for which lips close, at the instant when they are
-    nearest.
+    Consonants stand between two AH, vowels between two T, silence alone. The face is that in the
+    middle of the phoneme or, if lips close for it, at the instant when they are nearest.
 
     Returns
     -------
@@ -88,13 +88,14 @@ def phoneme_face(model: TrainedModel, phoneme: str) -> Array:
     times_s = np.arange(0.0, _PHONE_S * len(phonemes), TICK_S)
     faces = LiveMethod().faces(model, Heard(events), times_s, _LOOKAHEAD_S)
     inside = np.flatnonzero((times_s >= events[3].start_s) & (times_s < (events[3].end_s or 0.0)))
-    shown = inside[len(inside) // 2]
+    shown_tick = inside[len(inside) // 2]
     if phoneme in CLOSING:
-        shown = inside[np.argmin(model.lip_gaps_mm(model.markers_mm(faces[inside])))]
-    return np.asarray(faces[shown])
+        shown_tick = inside[np.argmin(model.lip_gaps_mm(model.markers_mm(faces[inside])))]
+    return np.asarray(faces[shown_tick])
 
 
 def _draw_mouth(axis: "Axes", model: TrainedModel, points_mm: Array) -> None:
+    """Fill the outer and the inner lip's outline of one face, (n_markers, 3) mm."""
     for group, colour in ((OUTER_LIP_GROUP, _LIPS), (INNER_LIP_GROUP, _INSIDE)):
         points = list(model.layout.group(group))
         axis.fill(points_mm[points, 0], points_mm[points, 1], color=colour, linewidth=0)
@@ -132,7 +133,10 @@ PICTURES = ("trajectory.png", "recovery.png", "mouths.png")
 
 
 def draw(folder: Path, model: TrainedModel, unseen: Utterance, recovery: Sequence[Row]) -> None:
-    """Mouths, the trajectory of a sentence that is not the model's, what is left of a phoneme."""
+    """Draw `PICTURES` into a folder: mouths, a sentence's trajectory, recovery from an error.
+
+    unseen: a sentence that the model has not learned. recovery: rows of `recovery_rows`.
+    """
     without_screen()
     draw_mouths(folder / "mouths.png", model)
     draw_trajectory(folder, model, unseen)
@@ -158,8 +162,8 @@ def draw_trajectory(folder: Path, model: TrainedModel, utterance: Utterance) -> 
     labels = ("inner lip gap, mm", "width, mm", f"component {first}, mm", f"component {fine}, mm")
     for axis, label, number in zip(axes, labels, range(4), strict=True):
         for name, (at_s, values) in curves.items():
-            thick = 2.0 if name in (RECORDED, LIVE_STRATEGY) else 0.9
-            axis.plot(at_s, values[number], label=name, linewidth=thick, color=COLOURS[name])
+            line_width = 2.0 if name in (RECORDED, LIVE_STRATEGY) else 0.9
+            axis.plot(at_s, values[number], label=name, linewidth=line_width, color=COLOURS[name])
         axis.set_ylabel(label)
     mark_phones(axes[0], utterance)
     axes[0].legend(fontsize=8)
@@ -175,17 +179,17 @@ def mark_phones(
 
     heights: names stand at these in turn, so that those of short phones do not overlap.
     """
-    spoken = [p for p in utterance.phones if p.phoneme != SILENCE] or list(utterance.phones)
-    for number, phone in enumerate(spoken):
+    named_phones = [p for p in utterance.phones if p.phoneme != SILENCE] or list(utterance.phones)
+    for number, phone in enumerate(named_phones):
         height = heights[number % len(heights)]
-        place = axis.get_xaxis_transform()
-        axis.text(phone.start_s, height, phone.phoneme, fontsize=8, transform=place)
+        transform = axis.get_xaxis_transform()
+        axis.text(phone.start_s, height, phone.phoneme, fontsize=8, transform=transform)
         axis.axvline(phone.start_s, color="0.85", linewidth=0.6, zorder=0)
         if phone.phoneme in BILABIALS:
             axis.axvspan(phone.start_s, phone.end_s or phone.start_s, color="0.9", zorder=0)
     axis.axhline(CLOSED_GAP_MM, color="0.5", linewidth=0.6, linestyle=":")
-    last_s = spoken[-1].end_s or spoken[-1].start_s
-    axis.set_xlim(spoken[0].start_s - _MARGIN_S, last_s + _MARGIN_S)
+    last_s = named_phones[-1].end_s or named_phones[-1].start_s
+    axis.set_xlim(named_phones[0].start_s - _MARGIN_S, last_s + _MARGIN_S)
 
 
 def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
@@ -200,15 +204,15 @@ def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
     figure, axis = plt.subplots(figsize=(7, 4.5), layout="constrained")
     for row in rows:
         name, case = str(row["strategy"]), str(row["case"])
-        ours = name == LIVE_STRATEGY and row["lookahead_ms"] == drawn_ms
-        if not isinstance(row["left"], list) or not (ours or name == RECORDED):
+        is_ours = name == LIVE_STRATEGY and row["lookahead_ms"] == drawn_ms
+        if not isinstance(row["left"], list) or not (is_ours or name == RECORDED):
             continue
-        left = np.array([float_or_nan(share) for share in row["left"]])
+        shares_left = np.array([float_or_nan(share) for share in row["left"]])
         label = f"{name}, {case}"
-        axis.plot(left, linestyle=styles[case], marker="o", label=label, color=COLOURS[name])
+        axis.plot(shares_left, linestyle=styles[case], marker="o", label=label, color=COLOURS[name])
         if name == RECORDED:
             low, high = np.array(row["left_95"], dtype=np.float64).T
-            axis.fill_between(range(len(left)), low, high, color="0.9", zorder=0)
+            axis.fill_between(range(len(shares_left)), low, high, color="0.9", zorder=0)
     axis.set_xticks(range(1 + AFTER), ["the phoneme", *(f"+{k}" for k in range(1, 1 + AFTER))])
     axis.set_ylabel("share of its deviation that is left")
     if axis.lines:
@@ -238,5 +242,5 @@ def motion_curves(model: TrainedModel, faces: Array) -> tuple[Array, ...]:
 
 
 def float_or_nan(value: object) -> float:
-    """NaN for what a row leaves out."""
+    """Return a number of a row as float; NaN for what a row leaves out."""
     return float(value) if isinstance(value, int | float) else float("nan")

@@ -27,33 +27,34 @@ _BAR_WIDTH: Final = 0.8
 
 
 def draw_paper(folder: Path, tables: Mapping[str, Rows]) -> None:
-    """Draw figure_1 and figure_6 of `paper_tables`, what the paper prints as grey; the example.
+    """Draw `PAPER_PICTURES` into a folder from tables of `paper_tables` and `edge_tables`.
 
-    And edge_modes of `edge_tables`, where the corpus holds what the model learned from.
+    Figures 1 and 6 of Wei and Deng, the paper's own values in grey; their example of selection; and
+    the modes of Edge, Hilton and Jackson if `tables` has "edge_modes".
     """
     agreement, example, misses, modes = PAPER_PICTURES
     _draw_example(folder / example)
-    _bars(folder / agreement, tables["figure_1"], "agrees with the labels", PRINTED_AGREEMENT)
+    _draw_bars(folder / agreement, tables["figure_1"], "agrees with the labels", PRINTED_AGREEMENT)
     printed = (PRINTED_PRIORITY_MISSES - 0.01, PRINTED_PRIORITY_MISSES + 0.01)
-    _bars(folder / misses, tables["figure_6"], "misses", printed)
+    _draw_bars(folder / misses, tables["figure_6"], "misses", printed)
     if "edge_modes" in tables:
         _draw_modes(folder / modes, tables["edge_modes"])
 
 
-def _bars(path: Path, rows: Rows, label: str, printed: tuple[float, float]) -> None:
+def _draw_bars(path: Path, rows: Rows, label: str, printed: tuple[float, float]) -> None:
     """Draw a group of bars for each row, named by its first cell; shade the range `printed`."""
     without_screen()
     from matplotlib import pyplot as plt
 
-    first, *names = [name for name in rows[0] if not name.startswith("printed")]
+    label_key, *names = [name for name in rows[0] if not name.startswith("printed")]
     figure, axis = plt.subplots(figsize=(9, 4), layout="constrained")
     axis.axhspan(*printed, color="0.85", label="printed", zorder=0)
     width = _BAR_WIDTH / len(names)
     for number, name in enumerate(names):
-        at = np.arange(len(rows)) + (number - (len(names) - 1) / 2.0) * width
+        positions = np.arange(len(rows)) + (number - (len(names) - 1) / 2.0) * width
         heights = [float(str(row[name])) for row in rows]
-        axis.bar(at, heights, width, label=name, color=COLOURS.get(name))
-    axis.set_xticks(range(len(rows)), [str(row[first]) for row in rows], fontsize=8)
+        axis.bar(positions, heights, width, label=name, color=COLOURS.get(name))
+    axis.set_xticks(range(len(rows)), [str(row[label_key]) for row in rows], fontsize=8)
     axis.set_ylim(0.0, 1.0)
     axis.set_ylabel(label)
     figure.legend(loc="outside upper center", ncols=1 + len(names), fontsize=8)
@@ -81,11 +82,16 @@ def _draw_modes(path: Path, rows: Rows) -> None:
 
 
 def _draw_example(path: Path) -> None:
-    """Draw a panel a strategy: a column a phoneme, arrows from AnimPhos to their followers."""
+    """Draw the paper's example of selection: a panel for each strategy, a column for each phoneme.
+
+    Numbers are AnimPhos (recorded pieces of motion); arrows lead to those that followed them in the
+    recording; coloured are those that the strategy chooses.
+    """
     without_screen()
     from matplotlib import pyplot as plt
 
     units, names = example_units(), ("naive", "priority")
+    # Where each AnimPho of the example is drawn: a column for each phoneme.
     at = {
         number: (column, -line)
         for column, numbers in enumerate(SAYS.values())
@@ -94,14 +100,14 @@ def _draw_example(path: Path) -> None:
     figure, axes = plt.subplots(1, len(names), figsize=(9, 4), layout="constrained")
     for axis, name in zip(axes, names, strict=True):
         chosen = choices(STRATEGIES[name], units, *SAYS)
-        for before, after in FOLLOWS:
+        for previous, follower in FOLLOWS:
             arrow = {"arrowstyle": "->", "shrinkA": 18, "shrinkB": 18}
-            axis.annotate("", at[after], at[before], arrowprops=arrow)
-        for place, choice in enumerate(chosen):
+            axis.annotate("", at[follower], at[previous], arrowprops=arrow)
+        for position, choice in enumerate(chosen):
             colour = "tab:red" if choice.missed else "tab:green"
             axis.plot(*at[choice.animpho], "o", markersize=28, color=colour, alpha=0.4)
-            if place:
-                ends = zip(at[chosen[place - 1].animpho], at[choice.animpho], strict=True)
+            if position:
+                ends = zip(at[chosen[position - 1].animpho], at[choice.animpho], strict=True)
                 axis.plot(*ends, ":", color=colour)
         for number, (column, line) in at.items():
             lengths = chosen[column].chain_lengths

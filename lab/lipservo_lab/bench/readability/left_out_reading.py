@@ -25,7 +25,10 @@ _MEANS = ("score", "samples", "gain", "gap_r")
 
 
 def left_out_parts(corpus: Corpus, limit: int) -> list[Part]:
-    """The folds of `word_folds`, of each word at most `limit` sentences. Raises CorpusError."""
+    """Return the folds of `word_folds`, tested on at most `limit` sentences of each word.
+
+    Raises CorpusError.
+    """
     return [
         replace(part, test=frozenset(name for name, _ in chosen_places(corpus, part, limit)))
         for part in word_folds(corpus)
@@ -33,11 +36,11 @@ def left_out_parts(corpus: Corpus, limit: int) -> list[Part]:
 
 
 def pooled(rows: Sequence[Row]) -> list[Row]:
-    """One row for each motion and reader: the mean over all words of all folds."""
-    alike: dict[tuple[object, ...], list[Row]] = defaultdict(list)
+    """Pool the rows of all folds: return one row for each motion and reader, as `_mean`."""
+    rows_of_reader: dict[tuple[object, ...], list[Row]] = defaultdict(list)
     for row in rows:
-        alike[tuple(row[name] for name in _SAME)].append(row)
-    return [_mean(of_folds) for of_folds in alike.values()]
+        rows_of_reader[tuple(row[name] for name in _SAME)].append(row)
+    return [_mean(fold_rows) for fold_rows in rows_of_reader.values()]
 
 
 def _mean(rows: Sequence[Row]) -> Row:
@@ -49,12 +52,12 @@ def _mean(rows: Sequence[Row]) -> Row:
     # Samples in which a word was not drawn are missing.
     samples = [cast(Array, row["samples"]) for row in rows]
     n_samples = min(map(len, samples))
-    columns = {name: [row[name] for row in rows] for name in _MEANS}
-    columns["samples"] = [each[:n_samples] for each in samples]
+    values_of = {name: [row[name] for row in rows] for name in _MEANS}
+    values_of["samples"] = [each[:n_samples] for each in samples]
     n_words = [len(each) for each in shares]
     means = {
         name: None if values[0] is None else np.average(np.array(values), axis=0, weights=n_words)
-        for name, values in columns.items()
+        for name, values in values_of.items()
     }
     return {
         **rows[0],

@@ -69,10 +69,10 @@ HEADLINE_LOOKAHEAD_MS = round(DEFAULT_LOOKAHEAD_S * 1e3)
 
 @dataclass(frozen=True, slots=True)
 class ReadingQuestion:
-    """What is to be read: whose motion, with which phonemes, and whether the robot plays it too.
+    """What is to be read: the motion of which methods, made from which phonemes.
 
-    line_methods: those of `lipservo lines render`, which need models of their own. weights: of the
-    recogniser, a name or a file.
+    robot: whether the robot plays the motion too. line_methods: methods of `lipservo lines render`
+    without their models yet. weights: of the recogniser, a name or a file.
     """
 
     methods: tuple[Method, ...]
@@ -86,7 +86,10 @@ class ReadingQuestion:
 def reading_question(
     strategies: str, lookaheads: str, phonemes: str, *, robot: bool
 ) -> ReadingQuestion:
-    """Parse the command line's texts, lists with commas; raise BenchError for an unknown name."""
+    """Parse the options of `bench readability`; raise BenchError for an unknown name.
+
+    strategies, lookaheads (ms), phonemes: lists with commas between.
+    """
     named = list(dict.fromkeys(text.strip() for text in strategies.split(",")))
     line_methods = tuple(name for name in PLANNED_METHODS if name in named)
     kinds = tuple(dict.fromkeys(text.strip() for text in phonemes.split(",")))
@@ -115,7 +118,10 @@ def with_line_methods(
 
 @dataclass(frozen=True, slots=True)
 class _Split:
-    """One part with its model, recorded motion and folds for each kind of reader."""
+    """One part of the corpus with its model, and what each kind of reader needs, by its name.
+
+    read: sentences that are read. recorded: motion of all sentences. folds: trained readers.
+    """
 
     part: Part
     model: TrainedModel
@@ -124,6 +130,7 @@ class _Split:
     folds: Mapping[str, tuple[Fold, ...]]
 
     def score(self, kind: ReaderKind, seen: Motions) -> ReadingScore:
+        """Let readers of one kind read the motion `seen`, by sentence; return the score."""
         recorded = self.recorded[kind.name]
         readings = read_words(self.folds[kind.name], seen, recorded)
         if self.part.words is None:
@@ -141,10 +148,10 @@ def reading_rows(
     *,
     is_pooled: bool = False,
 ) -> list[Row]:
-    """Return the rows of all parts, each read by a model that has not learned its test sentences.
+    """Return the scores of words read off recorded and made motion, a row for each kind of reader.
 
-    model_of: returns that model. is_pooled: the parts are folds of one question, and the rows are
-    their means.
+    model_of: returns the model of a part, which has not learned the sentences that are read. track,
+    advance: for progress bars. is_pooled: the parts are folds of one question; rows are means.
     """
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
@@ -153,23 +160,28 @@ def reading_rows(
     }
     rows: list[Row] = []
     for part in parts:
-        split = _split(part, model_of(part), corpus)
+        split = _prepare_split(part, model_of(part), corpus)
         rows += [_row(split, kind, split.recorded[kind.name]) for kind in READERS]
         for phonemes in reading.phonemes:
-            rows += _made_rows(split, reading, phonemes, listeners[phonemes], track)
+            rows += _method_rows(split, reading, phonemes, listeners[phonemes], track)
         if reading.robot and part.split == KNOWN:
             rows += _robot_rows(split, reading, listeners, track, advance)
     rows = pooled(rows) if is_pooled else rows
-    _pair(rows)
+    _compare_strategies(rows)
     return rows
 
 
-def _pair(rows: Sequence[Row]) -> None:
-    """Say by how much AnimPhos change a score, on the same samples of sentences."""
+def _compare_strategies(rows: Sequence[Row]) -> None:
+    """Add to all rows by how much recorded pieces of motion (AnimPhos) change the score.
+
+    `less_expected`, with a 95 % interval: score of the strategy with AnimPhos less that of the
+    strategy without, on the same samples of sentences; None for rows of other strategies. Removes
+    the samples from all rows.
+    """
     same = itemgetter("split", "face", "phonemes", "lookahead_ms", "reader")
-    without = {same(row): row for row in rows if row["strategy"] == LIVE_STRATEGY}
+    expected = {same(row): row for row in rows if row["strategy"] == LIVE_STRATEGY}
     for row in rows:
-        other = without.get(same(row)) if row["strategy"] == UNIT_STRATEGY else None
+        other = expected.get(same(row)) if row["strategy"] == UNIT_STRATEGY else None
         change, interval = None, None
         if other is not None:
             change = cast(float, row["score"]) - cast(float, other["score"])
@@ -180,12 +192,12 @@ def _pair(rows: Sequence[Row]) -> None:
 
 
 def headline(rows: Sequence[Row]) -> dict[str, object]:
-    """Return the main scores, by split: recorded motion, and the default strategy at 100 ms.
+    """Return the main scores by split: of recorded motion, and the default strategy at 100 ms.
 
-    Own face: by `COMPONENT_READER`. robot_...: the robot's lips, by `LIP_READER`. gap_r_...: of the
-    sentences with known words.
+    Keys begin with `robot_` for the robot's lips, read by `LIP_READER`; the model's own face is
+    read by `COMPONENT_READER`. gap_r_...: of the sentences with known words.
     """
-    found: dict[str, object] = {}
+    scores: dict[str, object] = {}
     for row in rows:
         split, phonemes = row["split"], row["phonemes"]
         if row["strategy"] not in (RECORDED, DEFAULT_STRATEGY):
@@ -194,16 +206,16 @@ def headline(rows: Sequence[Row]) -> dict[str, object]:
             continue
         key = f"{RECORDED}_{split}" if phonemes is None else f"{split}_{phonemes}"
         if row["face"] == OWN_FACE and row["reader"] == COMPONENT_READER.name:
-            found[key] = row["score"]
+            scores[key] = row["score"]
             if split == KNOWN and phonemes is not None:
-                found[f"gap_r_{phonemes}"] = row["gap_r"]
+                scores[f"gap_r_{phonemes}"] = row["gap_r"]
         elif row["face"] == ROBOT and row["reader"] == LIP_READER.name:
-            found[f"robot_{key}"] = row["score"]
-    return found
+            scores[f"robot_{key}"] = row["score"]
+    return scores
 
 
-def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
-    """Prepare one part: its recorded motion and its folds, for each kind of reader."""
+def _prepare_split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
+    """Return a part with recorded motion and trained readers of each kind."""
     sentences = slotted(check_scorable(model, corpus))
     recorded = {kind.name: recorded_motions(model, sentences, kind) for kind in READERS}
     folds = {}
@@ -217,7 +229,7 @@ def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
     return _Split(part, model, read, recorded, folds)
 
 
-def _made_rows(
+def _method_rows(
     split: _Split, reading: ReadingQuestion, phonemes: str, listen: Listen, track: Track
 ) -> Iterator[Row]:
     """Yield a row for each method, look-ahead and kind of reader, of faces made by the method.
@@ -239,9 +251,9 @@ def _made_rows(
 
 
 def _gap_r(split: _Split, faces: Motions) -> float:
-    """Correlation of the lip gap with the recorded one, in the frames that `bench motion` scores.
+    """Return the correlation of made and recorded lip gaps, in the frames of `bench motion`.
 
-    0 for a gap that does not move.
+    faces: (n_frames, n_components) by sentence. 0 for a gap that does not move.
     """
     made_mm, recorded_mm = [], []
     for utterance in split.read:
@@ -250,8 +262,8 @@ def _gap_r(split: _Split, faces: Motions) -> float:
         made_mm.append(gaps_mm[: len(scored)][scored])
         recorded_mm.append(split.model.lip_gaps_mm(utterance.markers_mm)[: len(scored)][scored])
     gaps_mm = np.array([np.concatenate(made_mm), np.concatenate(recorded_mm)])
-    moves = gaps_mm.std(axis=1).min() > 1e-6
-    return float(np.corrcoef(gaps_mm).flat[1]) if moves else 0.0
+    is_moving = gaps_mm.std(axis=1).min() > 1e-6
+    return float(np.corrcoef(gaps_mm).flat[1]) if is_moving else 0.0
 
 
 def _robot_rows(
@@ -266,10 +278,10 @@ def _robot_rows(
     The latter only if it is among the methods.
     """
     robot = calibrated_robot(split.model)
-    play = partial(_robot_seen, split, robot, advance)
+    readers_view = partial(_seen_of_robot, split, robot, advance)
     rate_hz = split.read[0].frame_rate_hz
     recorded = {u.name: split.model.coefficients(u.markers_mm) for u in split.read}
-    for kind, seen in play(recorded, rate_hz).items():
+    for kind, seen in readers_view(recorded, rate_hz).items():
         yield _row(split, kind, seen, face=ROBOT)
     ours = next((m for m in reading.methods if m.name == DEFAULT_STRATEGY), None)
     if ours is None:
@@ -279,19 +291,22 @@ def _robot_rows(
         faces = made_faces(
             split.model, sentences, ours, DEFAULT_LOOKAHEAD_S, listeners[phonemes], 1.0 / TICK_S
         )
-        for kind, seen in play(faces, 1.0 / TICK_S).items():
+        for kind, seen in readers_view(faces, 1.0 / TICK_S).items():
             yield _row(split, kind, seen, phonemes, ours.name, HEADLINE_LOOKAHEAD_MS, face=ROBOT)
 
 
-def _robot_seen(
+def _seen_of_robot(
     split: _Split, robot: Face, advance: Advance, faces: Motions, rate_hz: float
 ) -> dict[ReaderKind, Motions]:
-    """Return what each kind of reader sees of the robot while it plays the sentences."""
-    shown = shown_markers_mm(
+    """Let the robot play sentences; return what each kind of reader sees of it.
+
+    faces: (n, n_components) at `rate_hz`, by sentence.
+    """
+    shown_mm = shown_markers_mm(
         robot, faces, rate_hz, split.read[0].frame_rate_hz, partial(advance, f"{ROBOT} plays")
     )
     return {
-        kind: {name: kind.view(split.model, each) for name, each in shown.items()}
+        kind: {name: kind.view(split.model, each) for name, each in shown_mm.items()}
         for kind in READERS
     }
 
@@ -307,9 +322,10 @@ def _row(
     face: str = OWN_FACE,
     gap_r: float | None = None,
 ) -> Row:
-    """Return a row of what one kind of reader reads.
+    """Let readers of one kind read the motion `seen`; return the row of their score.
 
-    phonemes, lookahead_ms, gap_r: None for recorded motion.
+    The other arguments say what motion it is: phonemes, lookahead_ms, gap_r are None for recorded
+    motion; face: `OWN_FACE` or the robot.
     """
     scored = split.score(kind, seen)
     return {
@@ -350,7 +366,7 @@ _COLOURS = {"true": "tab:blue", "recognized": "tab:orange", "text": "tab:green",
 
 
 def draw_readability(folder: Path, rows: Sequence[Row]) -> None:
-    """Draw a bar with its interval for each motion at 100 ms, a panel for each split and reader."""
+    """Draw the scores at 100 ms look-ahead as bars with intervals, a panel a split and reader."""
     without_screen()
     from matplotlib import pyplot as plt
 
@@ -362,16 +378,16 @@ def draw_readability(folder: Path, rows: Sequence[Row]) -> None:
         len(readers), len(splits), sharex=True, squeeze=False,
         figsize=(4.0 * len(splits), len(readers) * (1.0 + 0.3 * n_bars)), layout="constrained",
     )  # fmt: skip
-    for line, reader in zip(axes, readers, strict=True):
-        for axis, split in zip(line, splits, strict=True):
-            mine = [r for r in shown if r["split"] == split and r["reader"] == reader]
-            scores = np.array([r["score"] for r in mine], dtype=np.float64)
-            ends = np.array([r["score_95"] for r in mine], dtype=np.float64)
+    for axes_row, reader in zip(axes, readers, strict=True):
+        for axis, split in zip(axes_row, splits, strict=True):
+            panel_rows = [r for r in shown if r["split"] == split and r["reader"] == reader]
+            scores = np.array([r["score"] for r in panel_rows], dtype=np.float64)
+            ends = np.array([r["score_95"] for r in panel_rows], dtype=np.float64)
             axis.barh(
-                range(len(mine)), scores, xerr=np.abs(ends.T - scores), capsize=3,
-                color=[_COLOURS[_phonemes(r)] for r in mine],
+                range(len(panel_rows)), scores, xerr=np.abs(ends.T - scores), capsize=3,
+                color=[_COLOURS[_phonemes_of(r)] for r in panel_rows],
             )  # fmt: skip
-            axis.set_yticks(range(len(mine)), [_label(r) for r in mine], fontsize=8)
+            axis.set_yticks(range(len(panel_rows)), [_bar_label(r) for r in panel_rows], fontsize=8)
             axis.invert_yaxis()
             axis.set_title(f"{split}, reader of {reader}", fontsize=10)
             axis.set_xlim(0.0, 1.0)
@@ -381,11 +397,11 @@ def draw_readability(folder: Path, rows: Sequence[Row]) -> None:
     plt.close(figure)
 
 
-def _phonemes(row: Row) -> str | None:
+def _phonemes_of(row: Row) -> str | None:
     return None if row["phonemes"] is None else str(row["phonemes"])
 
 
-def _label(row: Row) -> str:
+def _bar_label(row: Row) -> str:
     names = [str(row["strategy"])]
     if row["strategy"] != RECORDED:
         names.append(str(row["phonemes"]))

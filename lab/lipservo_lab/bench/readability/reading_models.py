@@ -18,10 +18,11 @@ _NEW = "new_"
 
 
 def requested_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Part]:
-    """Return the parts of a folder's splits.json, or one part with `words` (commas between).
+    """Return the parts to be read: those of the folder's splits.json, or one with `words`.
 
-    The former are known words and the sets of new words. corpus: labelled. Raises BenchError or
-    CorpusError for what cannot be held out.
+    The former are sentences of known words, and sets of new words. corpus: labelled. words: with
+    commas between; None: read splits.json. Raises BenchError or CorpusError for what cannot be held
+    out.
     """
     if words is None:
         return reading_parts(folder, corpus)
@@ -63,9 +64,10 @@ def given_models(folder: Path, parts: Sequence[Part]) -> ModelOf:
 
 
 def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) -> ModelOf:
-    """Models trained on each part's training sentences, at their first use.
+    """Return a function from a part to a model trained on the part's training sentences.
 
-    track: of what is heard, once for all trainings. tell: what training is doing.
+    Each call trains. track: shows progress while all sentences are recognised, once for all
+    trainings. tell: called with texts of what training is doing.
     """
     teacher = ModelTeacher(corpus, DEFAULT_WEIGHTS, track, tell)
     return lambda part: teacher(corpus.keep(set(part.train)))
@@ -74,10 +76,10 @@ def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) ->
 def kept_models(
     corpus: Corpus, track: Track, tell: Callable[[str], None], others: Sequence[Path]
 ) -> ModelOf:
-    """Train models, kept from one run to the next; return a function from a part to its model.
+    """Return a function from a part to its model, trained at the first use and kept on disk.
 
-    `bench motion --leave-words-out` uses the same models. others: files of weights that recognise
-    the sentences too.
+    `bench motion --leave-words-out` uses the same models. track, tell: as in `trained_models`.
+    others: files of further weights by which the sentences are recognised for training.
     """
     weights = [load_weights(path) for path in others]
     digests = tuple(weights_digest(str(path)) for path in others)

@@ -43,13 +43,13 @@ from lipsync.recognition.scripted import ScriptedPhonemes
 
 
 class PlayedMotion:
-    """A `Synthesizer` of given faces, between which it goes by straight lines."""
+    """A `Synthesizer` that plays given faces, linearly interpolated."""
 
     lookahead_s = 0.0
     phonemes_planned = 0
 
     def __init__(self, times_s: Array, faces: Array, model: FaceModel) -> None:
-        """times_s: (n,), ascending; faces: (n, n_components), of the model."""
+        """Play `faces`, (n, n_components) of the model, at ascending sound times (n,)."""
         self._times_s = times_s
         self._faces = faces
         self._gap = lip_gap_of(model)
@@ -99,17 +99,20 @@ def calibrated_robot(model: FaceWithAnimPhos) -> Face:
     """
     if model.layout.names != MARKERS_47.names:
         raise UserError(f"{ROBOT} needs a model of 47 markers, not {model.layout.name}")
-    shipped = assemble_face(ROBOT, None)
-    setup = CalibrationSetup(shipped.settings, model, quiet=True, lags=False)
-    fitted = fit_simulated_face(setup).calibration
-    following = shipped.calibration.following
-    kept = replace(fitted, following=following, rules=mouth_rules(shipped.settings))
-    return replace(shipped, model=model, calibration=kept)
+    shipped_face = assemble_face(ROBOT, None)
+    setup = CalibrationSetup(shipped_face.settings, model, quiet=True, lags=False)
+    calibration = fit_simulated_face(setup).calibration
+    following = shipped_face.calibration.following
+    complete = replace(calibration, following=following, rules=mouth_rules(shipped_face.settings))
+    return replace(shipped_face, model=model, calibration=complete)
 
 
 @dataclass(frozen=True, slots=True)
-class _Programme:
-    """Sentences one after the other: knots of the motion, and when each sentence begins."""
+class _Sequence:
+    """Sentences one after the other as knots of one motion: times_s (n,), faces (n, n_components).
+
+    begins_s: sound time at which each sentence begins.
+    """
 
     times_s: Array
     faces: Array
@@ -123,64 +126,64 @@ class _Programme:
 def shown_markers_mm(
     robot: Face, faces: Motions, rate_hz: float, seen_at_hz: float, progress: Progress
 ) -> dict[str, Array]:
-    """Return the markers that the robot shows of each sentence's motion; all are played in one go.
+    """Play sentences on the simulated robot, in one go; return the markers that it shows.
 
     Parameters
     ----------
     robot : Face
-        With its map.
+        A calibrated face.
     faces : Motions
         (n, n_components) at rate_hz, two at least, by sentence.
     rate_hz,seen_at_hz : float
-        Of the faces, and of the markers.
+        Rate of the faces, and of the markers returned.
     progress : Progress
-        Called with seconds played, of how many.
+        Called with the seconds played, and all seconds.
 
     Returns
     -------
     dict[str, Array]
-        (n_frames, 47, 3) by sentence.
+        (n_frames, 47, 3) mm by sentence.
     """
-    programme = _programme(robot, faces, rate_hz)
-    sound_s, encoders_deg = _played(robot, programme, progress)
+    sequence = _join_sentences(robot, faces, rate_hz)
+    sound_s, encoders_deg = _play_on_robot(robot, sequence, progress)
     neutral_mm = robot.model.markers_mm(robot.model.rest[None])[0]
     geometry = simulated_face(neutral_mm, robot.calibration.servo_names)
     shown = {}
-    for name, each in faces.items():
-        times_s = np.arange(0.0, len(each) / rate_hz, 1.0 / seen_at_hz)
-        at_s = programme.begins_s[name] + times_s
+    for name, sentence_faces in faces.items():
+        times_s = np.arange(0.0, len(sentence_faces) / rate_hz, 1.0 / seen_at_hz)
+        at_s = sequence.begins_s[name] + times_s
         columns = [np.interp(at_s, sound_s, column) for column in encoders_deg.T]
         shown[name] = marker_positions_mm(geometry, np.stack(columns, axis=1))
     return shown
 
 
-def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
+def _join_sentences(robot: Face, faces: Motions, rate_hz: float) -> _Sequence:
     """Return all sentences one after the other, with pauses between, as knots 10 ms apart.
 
     Faces, (n, n_components) at `rate_hz`, are joined by cubic splines; each sentence begins and
     ends at its own first and last face.
     """
-    knots_s, knots = [np.zeros(1)], [robot.model.rest[None]]
+    knots_s, knot_faces = [np.zeros(1)], [robot.model.rest[None]]
     begins_s: dict[str, float] = {}
-    now_s = _LEAD_IN_S
-    for name, each in faces.items():
-        begins_s[name] = now_s
-        times_s = np.arange(len(each)) / rate_hz
+    begin_s = _LEAD_IN_S
+    for name, sentence_faces in faces.items():
+        begins_s[name] = begin_s
+        times_s = np.arange(len(sentence_faces)) / rate_hz
         # Between recorded frames a mouth goes without corners: servos stumble over those.
         dense_s = np.arange(0.0, times_s[-1] + TICK_S / 2, TICK_S)
-        knots_s.append(now_s + dense_s)
-        knots.append(CubicSpline(times_s, each)(dense_s))
-        now_s += len(each) / rate_hz + _PAUSE_S
-    return _Programme(np.concatenate(knots_s), np.concatenate(knots), begins_s)
+        knots_s.append(begin_s + dense_s)
+        knot_faces.append(CubicSpline(times_s, sentence_faces)(dense_s))
+        begin_s += len(sentence_faces) / rate_hz + _PAUSE_S
+    return _Sequence(np.concatenate(knots_s), np.concatenate(knot_faces), begins_s)
 
 
-def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Array, Array]:
+def _play_on_robot(robot: Face, sequence: _Sequence, progress: Progress) -> tuple[Array, Array]:
     """Play motion on the simulated robot; return sound times (n,) and encoders (n, n_servos), deg.
 
     Times ascend; encoders are those of the mouth's servos.
     """
     bus, clock = simulated_wire(robot.settings)
-    motion = PlayedMotion(programme.times_s, programme.faces, robot.model)
+    motion = PlayedMotion(sequence.times_s, sequence.faces, robot.model)
     names, channel = list(robot.settings.servos), MemoryTargetChannel()
     phonemes, sound = ScriptedPhonemes(()), SteadyClock()
     options = SpeechOptions(plan=mouth_plan(robot))
@@ -197,7 +200,7 @@ def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Arr
             street.tick(time_s, late)
             sound_s.append(street.speech.sound_time_s(clock.now()))
             encoders_deg.append(bus.feedback().positions_deg[mouth])
-            progress(round(max(0.0, sound_s[-1])), round(programme.end_s))
-            if sound_s[-1] >= programme.end_s:
+            progress(round(max(0.0, sound_s[-1])), round(sequence.end_s))
+            if sound_s[-1] >= sequence.end_s:
                 break
     return np.array(sound_s), np.array(encoders_deg)

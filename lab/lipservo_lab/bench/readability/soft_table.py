@@ -48,10 +48,11 @@ _BARS: Final = {
 def soft_table(
     corpus: Corpus, parts: Sequence[Part], teacher: ModelTeacher, weights: str, track: Track
 ) -> list[Row]:
-    """Return a row for each bar: figure, bar, measured value (None: the parts do not hold it).
+    """Train models and return a row for each bar: figure, bar, measured value.
 
-    parts: of the labelled corpus, from `reading_parts`. teacher: trains with the same weights.
-    Raises TrainingError, BenchError.
+    A value is None if the parts do not give it. parts: of the labelled corpus, as `reading_parts`
+    returns them. teacher: trains a model with the recogniser's `weights`. Raises TrainingError,
+    BenchError.
     """
     models = {part.split: teacher(corpus.keep(set(part.train))) for part in parts}
     reading = reading_question(

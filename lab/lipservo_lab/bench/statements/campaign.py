@@ -16,9 +16,10 @@ def scenes() -> list[tuple[str, str]]:
 
 
 def play_scene(bus: str, scene: str) -> tuple[Tally, list[str]]:
-    """Play one scene; return the tally of its statements, and a line if it broke off.
+    """Play one scene on one kind of bus; return the tally of its statements, and errors.
 
-    Takes some forty seconds, and longer on a busy computer.
+    An error is a line, where the scene broke off. Takes some forty seconds, and longer on a busy
+    computer.
     """
     errors = []
     with heard_face(bus, critical=scene in CRITICAL) as face:

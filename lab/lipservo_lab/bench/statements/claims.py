@@ -28,10 +28,10 @@ _KIND: Final = re.compile(r"\w+ (?:[\w ]+: )?")
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """A statement: requested at `since_s`, heard at `until_s`, monotonic seconds.
+    """A statement: requested at `since_s`, received at `until_s`, monotonic seconds.
 
-    text: with the kind before it, as `status servos.jaw: driven`. about: the object that it is part
-    of; of a line: `began_s`, when its process was started.
+    text: begins with its kind, as in `status servos.jaw: driven`. about: the JSON object that it is
+    part of; for a line of output: `began_s`, when its process was started.
     """
 
     text: str
@@ -56,7 +56,10 @@ _CLAIMS: Final = (Verdict.TRUE, Verdict.UNTRUE, Verdict.UNKNOWN)
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """A statement that a rule knows, the match, and the servos that it may be about."""
+    """A statement with the match of its rule, and the log to compare it with.
+
+    names, addresses: of the face's servos, in the order of the log.
+    """
 
     statement: Statement
     match: re.Match[str]
@@ -66,21 +69,25 @@ class Heard:
 
     @property
     def records(self) -> list[Moment]:
-        """The records of the log from shortly before the statement's request until its arrival."""
-        made = self.statement
-        return self.device.during(made.since_s - OLD_S, made.until_s)
+        """Return the log's records from shortly before the statement's request to its arrival."""
+        statement = self.statement
+        return self.device.during(statement.since_s - OLD_S, statement.until_s)
 
-    def servos(self, who: str) -> list[int]:
-        """Return indices of the servos: of `all`, or of those that the group `who` names."""
-        if who == "all":
+    def servos(self, group: str) -> list[int]:
+        """Return the indices of the servos that a claim is about.
+
+        group: "all", or the name of the pattern's group with their names or addresses; of several
+        names with `|` between, the first that has matched.
+        """
+        if group == "all":
             return list(range(len(self.names)))
-        text = next(filter(None, (self.match[each] for each in who.split("|"))))
-        words = re.findall(r"[\w]+", text)
-        found = [n for n, name in enumerate(self.names) if name in words]
-        if found:
-            return found
-        numbers = [int(each) for each in words if each.isdigit()]
-        return [n for n, address in enumerate(self.addresses) if address in numbers]
+        named_text = next(filter(None, (self.match[each] for each in group.split("|"))))
+        words = re.findall(r"[\w]+", named_text)
+        named = [n for n, name in enumerate(self.names) if name in words]
+        if named:
+            return named
+        addresses = [int(each) for each in words if each.isdigit()]
+        return [n for n, address in enumerate(self.addresses) if address in addresses]
 
 
 Claim = Callable[[Heard], Verdict]
@@ -102,7 +109,11 @@ def unknown(_heard: Heard) -> Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Torque:
-    """Servos are on, or off. who: `all`, `any`, or the group of the pattern that names them."""
+    """The claim that servos have torque, or have none.
+
+    who: "all"; "any": at least one servo has torque, whatever `on`; or the pattern's group, see
+    `Heard.servos`.
+    """
 
     on: bool
     who: str = "all"
@@ -121,7 +132,7 @@ class Torque:
 
 @dataclass(frozen=True, slots=True)
 class AtLeast:
-    """At least as many servos as the group `count` says are on, or off."""
+    """The claim that at least so many servos as the pattern's group `count` says are on, or off."""
 
     on: bool
     count: str = "n"
@@ -136,9 +147,9 @@ class AtLeast:
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """Exactly as many servos as the group `count` says are on, or off.
+    """The claim that exactly so many servos are on, or off, as the pattern's group `count` says.
 
-    With a group `unknown`: up to so many more.
+    If the pattern has a group `unknown`, up to so many more.
     """
 
     on: bool
@@ -155,7 +166,7 @@ class Count:
 
 @dataclass(frozen=True, slots=True, init=False)
 class Each:
-    """Several claims of one sentence; those whose group is not in it are left out."""
+    """Several claims of one sentence; claims whose group has not matched are left out."""
 
     claims: tuple[Claim, ...]
 
@@ -163,7 +174,7 @@ class Each:
         object.__setattr__(self, "claims", claims)
 
     def __call__(self, heard: Heard) -> Verdict:
-        """Judge all claims of a sentence: untrue where one of them is."""
+        """Judge all claims of a sentence: untrue if one of them is, else as the first of them."""
         named = heard.match.groupdict()
         found = [each(heard) for each in self.claims if named.get(getattr(each, "who", ""), "-")]
         return Verdict.UNTRUE if Verdict.UNTRUE in found else found[0]
@@ -171,42 +182,47 @@ class Each:
 
 @dataclass(frozen=True, slots=True)
 class WasOn:
-    """Servos have had torque, or pulses, since the process was started that says so."""
+    """The claim that servos have had torque, or pulses, since the process that says so began."""
 
     who: str
 
     def __call__(self, heard: Heard) -> Verdict:
         """Judge whether each of the servos had torque at some moment since the process began."""
-        made = heard.statement
-        began_s = float(made.about.get("began_s", made.since_s))
-        records = heard.device.during(began_s, made.until_s)
+        statement = heard.statement
+        began_s = float(statement.about.get("began_s", statement.since_s))
+        records = heard.device.during(began_s, statement.until_s)
         servos = heard.servos(self.who)
         return _verdict(holds=all(any(each.on[n] for each in records) for n in servos))
 
 
 def limp_state(heard: Heard) -> Verdict:
-    """A state that means limp, but for servos of which the same object says otherwise."""
-    about = heard.statement.about
-    doubted = [each["name"] for each in about.get("health", ()) if each["torque_on"] is not False]
-    doubted += (about.get("stop_report") or {}).get("unconfirmed", ())
-    limp = [n for n, name in enumerate(heard.names) if name not in doubted]
-    if any(not any(each.on[n] for n in limp) for each in heard.records):
+    """Judge a state that means limp, except for servos of which the same status says otherwise.
+
+    Unknown if the log disagrees, but the status says that torque is not known.
+    """
+    status = heard.statement.about
+    doubted = [each["name"] for each in status.get("health", ()) if each["torque_on"] is not False]
+    doubted += (status.get("stop_report") or {}).get("unconfirmed", ())
+    limp_indices = [n for n, name in enumerate(heard.names) if name not in doubted]
+    if any(not any(each.on[n] for n in limp_indices) for each in heard.records):
         return Verdict.TRUE
-    return Verdict.UNKNOWN if about.get("torque_on") is None else Verdict.UNTRUE
+    return Verdict.UNKNOWN if status.get("torque_on") is None else Verdict.UNTRUE
 
 
 def sent_pulse(heard: Heard) -> Verdict:
-    """Judge `sent_us` of a servo: the pulse that the servo gets, or got last."""
-    (index,), us = heard.servos("who"), float(heard.match["us"])
+    """Judge `sent_us` of a servo: true if the servo gets about this pulse, or got it last."""
+    (index,), sent_us = heard.servos("who"), float(heard.match["us"])
+    # A pulse that is approached slowly may be reached a little after the statement.
     later = heard.device.during(heard.statement.until_s, heard.statement.until_s + _RAMP_S)
-    for each in (*heard.records, *later):
-        if each.on[index] and abs(each.pulses_us[index] - us) <= _PULSE_US:
+    for record in (*heard.records, *later):
+        if record.on[index] and abs(record.pulses_us[index] - sent_us) <= _PULSE_US:
             return Verdict.TRUE
-    if any(each.on[index] for each in heard.records):
+    if any(record.on[index] for record in heard.records):
         return Verdict.UNTRUE
+    # No pulse now: the statement then means the last one that was sent.
     before = heard.device.during(0.0, heard.statement.until_s)
-    last = next((each for each in reversed(before) if each.on[index]), None)
-    return _verdict(holds=last is not None and abs(last.pulses_us[index] - us) <= _PULSE_US)
+    last = next((record for record in reversed(before) if record.on[index]), None)
+    return _verdict(holds=last is not None and abs(last.pulses_us[index] - sent_us) <= _PULSE_US)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,32 +240,33 @@ class Rule:
 
 @dataclass(slots=True)
 class Tally:
-    """What came of many statements.
+    """Counts of checked statements.
 
-    templates: the different ones that claimed something. listed: of what was untrue or unjudged,
-    how often each was made, and one of them with what the log showed.
+    verdicts: by verdict. templates: those of statements that claimed something, see `template`.
+    listed: for what was untrue or unjudged, by (verdict, template, bus and scene): how often it was
+    made, and an example with what the log showed.
     """
 
     verdicts: Counter[Verdict] = field(default_factory=Counter)
     templates: set[str] = field(default_factory=set)
     listed: dict[tuple[Verdict, str, str], tuple[int, str]] = field(default_factory=dict)
 
-    def add(self, verdict: Verdict, short: str, where: str = "", example: str = "") -> None:
-        """Count one. short: its template. where: its bus and scene."""
+    def add(self, verdict: Verdict, template_text: str, where: str = "", example: str = "") -> None:
+        """Count one statement. where: its bus and scene. example: its text, for the report."""
         self.verdicts[verdict] += 1
         if verdict in _CLAIMS:
-            self.templates.add(short)
+            self.templates.add(template_text)
         if verdict in (Verdict.UNTRUE, Verdict.UNJUDGED):
-            n, first = self.listed.get((verdict, short, where), (0, example))
-            self.listed[verdict, short, where] = n + 1, first
+            n_before, first = self.listed.get((verdict, template_text, where), (0, example))
+            self.listed[verdict, template_text, where] = n_before + 1, first
 
     def join(self, other: "Tally") -> None:
-        """Take in another one."""
+        """Add the counts of another tally to this one."""
         self.verdicts += other.verdicts
         self.templates |= other.templates
         for key, (n, example) in other.listed.items():
-            mine, first = self.listed.get(key, (0, example))
-            self.listed[key] = mine + n, first
+            n_mine, first = self.listed.get(key, (0, example))
+            self.listed[key] = n_mine + n, first
 
     @property
     def lines(self) -> list[str]:
@@ -278,12 +295,12 @@ class Tally:
 
 
 class Judge:
-    """Holds statements against the log of one robot by a table of rules."""
+    """Judges statements by a table of rules, against the log of one robot's servos."""
 
     def __init__(
         self, rules: Sequence[Rule], device: LoggedDevice, joints: Sequence[Joint], face: str
     ) -> None:
-        """joints: in the order of the log. face: its name."""
+        """rules: the first that matches counts. joints: in the order of the log. face: its name."""
         self._rules, self._device = tuple(rules), device
         self._names = tuple(each.name for each in joints)
         self._addresses = tuple(each.servo_id for each in joints)
@@ -291,51 +308,54 @@ class Judge:
         self._silent: set[str] = set()
 
     def judge(self, statements: Iterable[Statement], where: str = "") -> Tally:
-        """Judge statements: each sentence in them, by the first rule that it matches."""
+        """Judge each sentence of the statements; return the counts. where: bus and scene."""
         tally = Tally()
-        for made in statements:
-            key = made.text.partition(": ")[0]
+        for statement in statements:
+            key = statement.text.partition(": ")[0]
             if key in self._silent:  # whatever the number
                 tally.verdicts[Verdict.SILENT] += 1
                 continue
-            for text in self._sentences(made.text):
-                self._judge(made, text, where, tally)
+            for text in self._split_sentences(statement.text):
+                self._judge_sentence(statement, text, where, tally)
         return tally
 
-    def _judge(self, made: Statement, text: str, where: str, tally: Tally) -> None:
+    def _judge_sentence(self, statement: Statement, text: str, where: str, tally: Tally) -> None:
         """Add to `tally` what the first matching rule makes of one sentence.
 
         Without a rule the sentence counts as `Verdict.UNJUDGED`. For an untrue one, the torque that
         was logged meanwhile is appended to the example.
         """
-        short = template(text, self._names)
-        found = ((rule, rule.pattern.fullmatch(text)) for rule in self._rules)
-        rule, match = next(((r, m) for r, m in found if m is not None), (None, None))
+        template_text = template(text, self._names)
+        matches = ((rule, rule.pattern.fullmatch(text)) for rule in self._rules)
+        rule, match = next(((r, m) for r, m in matches if m is not None), (None, None))
         if rule is None or match is None:
-            tally.add(Verdict.UNJUDGED, short, where, text)
+            tally.add(Verdict.UNJUDGED, template_text, where, text)
             return
-        heard = Heard(made, match, self._device, self._names, self._addresses)
+        heard = Heard(statement, match, self._device, self._names, self._addresses)
         verdict, truth = rule.claim(heard), ""
         if verdict is Verdict.SILENT and text.startswith("status ") and rule.any_value:
             self._silent.add(text.partition(": ")[0])
         if verdict is Verdict.UNTRUE:
-            seen = dict.fromkeys("".join("01"[on] for on in m.on) for m in heard.records)
-            truth = f" [torque was {', '.join(seen)}; state {made.about.get('state')}]"
-        tally.add(verdict, short, where, f"{text}{truth}")
+            logged = dict.fromkeys("".join("01"[on] for on in m.on) for m in heard.records)
+            truth = f" [torque was {', '.join(logged)}; state {statement.about.get('state')}]"
+        tally.add(verdict, template_text, where, f"{text}{truth}")
 
-    def _sentences(self, text: str) -> list[str]:
-        """Several troubles may stand in one line."""
+    def _split_sentences(self, text: str) -> list[str]:
+        """Return the sentences of a line: each of several troubles with the line's kind before it.
+
+        The face's name is replaced by FACE.
+        """
         for face in self._faces:
             text = text.replace(face, "FACE")
-        first, *others = _NEXT_TROUBLE.split(text)
-        kind = _KIND.match(text)
-        return [first, *(f"{kind[0] if kind else ''}{each}" for each in others)]
+        first, *further = _NEXT_TROUBLE.split(text)
+        prefix = _KIND.match(text)
+        return [first, *(f"{prefix[0] if prefix else ''}{each}" for each in further)]
 
 
 def template(text: str, names: Iterable[str]) -> str:
-    """A sentence without numbers, names and places, so that equal ones are counted once.
+    """Return a sentence with placeholders for numbers, servos' names and paths.
 
-    An exit status is no number.
+    Sentences that differ only in these count as one. Exit statuses are kept.
     """
     text = re.sub(r"(?<![\w.])/[^\s:,;]+", "PATH", text)
     for name in sorted(names, key=len, reverse=True):

@@ -87,10 +87,11 @@ def freeze_cases() -> Iterator[FreezeCase]:
 
 @dataclass(slots=True)
 class FreezeOutcome:
-    """What came of one freeze. untrue: what was answered and is not so, a line each.
+    """The outcome of one freeze. untrue: a line for each part of the answer that is not true.
 
-    armed: servos that got torque after the answer. moved: shafts that moved. n_unknown: servos of
-    which the answer says that it does not know. error: the case itself did not work.
+    answer: as the face gave it. armed: how often a servo got torque after the answer. moved: shafts
+    that moved. n_unknown: servos whose state the answer calls unknown. error: why the case itself
+    did not work; empty: it did.
     """
 
     case: FreezeCase
@@ -117,14 +118,14 @@ class FreezeOutcome:
 def freeze_batches(cases: Sequence[FreezeCase]) -> list[list[FreezeCase]]:
     """Return the cases in batches that share a face; a case that starts a program has its own."""
 
-    def shared(case: FreezeCase) -> tuple[str, bool]:
+    def batch_key(case: FreezeCase) -> tuple[str, bool]:
         return case.bus, case.state is Frozen.RUN_STARTING
 
-    return [list(group) for _, group in groupby(sorted(cases, key=shared), shared)]
+    return [list(group) for _, group in groupby(sorted(cases, key=batch_key), batch_key)]
 
 
 def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
-    """Play cases of one batch; takes some four seconds each."""
+    """Play the cases of one batch, in some four seconds each; return an outcome for each case."""
     outcomes: list[FreezeOutcome] = []
     waiting = list(cases)
     while waiting:
@@ -132,20 +133,20 @@ def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
         try:
             with heard_face(waiting[0].bus, critical=True) as face:
                 if waiting[0].state is Frozen.RUN_STARTING:
-                    _play_run(face, waiting[0], outcome)
+                    _play_during_run(face, waiting[0], outcome)
                     outcomes.append(outcome)
                     waiting.pop(0)
                     continue
                 daemon = face.begin_face("daemon", "--listen", "none", "--wav", str(CLIP))
                 while waiting:
-                    if not face.until_driven(_STARTS_S):
+                    if not face.wait_until_driven(_STARTS_S):
                         raise RuntimeError(f"not driven: {face.last_status.get('troubles')}")
                     face.wait(0.3)
                     outcome = FreezeOutcome(waiting[0])
-                    _play(face, daemon, waiting[0], outcome)
+                    _play_case(face, daemon, waiting[0], outcome)
                     outcomes.append(outcome)
                     waiting.pop(0)
-                    _start(face)
+                    _start_again(face)
         except (OSError, RuntimeError, subprocess.SubprocessError) as error:
             outcome.error = f"{type(error).__name__}: {error}"
             if waiting and outcome.case is waiting[0]:
@@ -157,11 +158,12 @@ def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
 def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
     """Return the number of cases and of untrue answers, and what servos did after a freeze.
 
-    armed_after_freeze and moved_after_freeze count servos. freeze_unknown_share: share of servos of
-    which an answer says only that their state is not known.
+    armed_after_freeze counts how often a servo got torque, moved_after_freeze shafts.
+    freeze_unknown_share: share of servos of which an answer says only that their state is not
+    known.
     """
-    named = [each.answer.get(key, ()) for each in outcomes for key in ("holds", "limp", "unknown")]
-    n_named = sum(map(len, named))
+    lists = [each.answer.get(key, ()) for each in outcomes for key in ("holds", "limp", "unknown")]
+    n_named = sum(map(len, lists))
     n_unknown = sum(each.n_unknown for each in outcomes)
     return {
         "freeze_cases": len(outcomes),
@@ -173,44 +175,44 @@ def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
     }
 
 
-def _play_run(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
-    """Freeze a program while it switches torque on."""
+def _play_during_run(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
+    """Freeze a `run` while it switches the servos' torque on."""
     face.begin_face("run", "--wav", str(CLIP))
-    _until_armed(face)
-    _freeze(face, case, outcome)
+    _wait_for_torque(face)
+    _freeze_and_judge(face, case, outcome)
 
 
-def _play(
+def _play_case(
     face: HeardFace, daemon: subprocess.Popen[bytes], case: FreezeCase, outcome: FreezeOutcome
 ) -> None:
-    """Bring a driven face into the state of a case, freeze it there, and judge what happened.
+    """Bring a driven face into the state of a case, freeze it there, and judge the answer.
 
-    What was answered and is not so is added to `outcome`. Raises RuntimeError where a stop or
-    torque that the state needs does not come.
+    Results are added to `outcome`. Raises RuntimeError where a stop or torque that the state needs
+    does not come.
     """
     device = face.robot.device
     with contextlib.ExitStack() as undo:
         match case.state:
             case Frozen.START_REQUESTED | Frozen.STARTING:
-                _until_stopped(face)
-                face.word("start")
+                _stop_and_wait(face)
+                face.send("start")
                 if case.state is Frozen.STARTING:
-                    _until_armed(face)
+                    _wait_for_torque(face)
             case Frozen.FROZEN:
-                face.word("freeze")
+                face.send("freeze")
             case Frozen.EASING:
-                face.word("soft")
+                face.send("soft")
             case Frozen.LETTING_GO:
-                face.word("limp")
+                face.send("limp")
             case Frozen.STOPPED:
-                _until_stopped(face)
+                _stop_and_wait(face)
             case Frozen.SILENT:
                 os.kill(face.child(daemon, "speech"), signal.SIGSTOP)
-                face.until_state("silent", timeout_s=10.0)
+                face.wait_for_state("silent", timeout_s=10.0)
             case Frozen.PORT_OUT:
                 device.unplug()
                 undo.callback(device.plug_in)
-                face.until(lambda: face.last_status.get("plugged") is False, 5.0)
+                face.wait_until(lambda: face.last_status.get("plugged") is False, 5.0)
             case Frozen.REPLUGGED:
                 device.unplug()
                 face.wait(0.8)
@@ -219,14 +221,14 @@ def _play(
                 os.kill(face.child(daemon, "bridge"), signal.SIGKILL)
             case _:
                 pass
-        _freeze(face, case, outcome)
+        _freeze_and_judge(face, case, outcome)
 
 
-def _freeze(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
-    """Request a freeze after the case's delay, watch the servos, and judge the answer."""
+def _freeze_and_judge(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
+    """Request a freeze after the case's delay, watch the servos, and add results to `outcome`."""
     face.wait(case.delay_s)
     requested_s = time.monotonic()
-    answer = outcome.answer = face.word("freeze")
+    answer = outcome.answer = face.send("freeze")
     answered_s = time.monotonic()
     face.wait(_WATCH_S)
     judge_freeze(face, outcome, requested_s, answered_s)
@@ -239,60 +241,61 @@ def judge_freeze(
 ) -> None:
     """Compare a freeze's answer with the servos' log, from the answer on until now.
 
-    What is not so is added to `outcome`.
+    Adds to `outcome` what is untrue, servos that got torque, and shafts that moved. requested_s,
+    answered_s: monotonic times.
     """
     device, answer = face.robot.device, outcome.answer
     names = list(face.robot.settings.servos)
     settled_s, now_s = answered_s + _ON_THE_WIRE_S, time.monotonic()
-    after = device.during(settled_s, now_s)
+    records = device.during(settled_s, now_s)
     outcome.armed = sum(
         later.on[n] and not earlier.on[n]
-        for earlier, later in pairwise(after)
+        for earlier, later in pairwise(records)
         for n in range(len(names))
     )
     outcome.moved = int((device.travelled_deg(settled_s + _BRAKES_S) > _STILL_DEG).sum())
     outcome.n_unknown = len(answer.get("unknown", ()))
     is_listed = "holds" in answer
-    named_as = {
+    claimed_torque = {
         "hold": (answer.get("holds", ()), True),
         "are limp": (answer.get("limp", ()), False),
     }
-    for words, (named, on) in named_as.items():
-        wrong = [n for n in named if not _was(after, names.index(n), on=on)]
-        if wrong:
-            outcome.untrue.append(f"{', '.join(wrong)} {words}, it says")
-    about = [each for key in ("holds", "limp", "unknown") for each in answer.get(key, ())]
-    if is_listed and sorted(about) != sorted(names):
+    for wording, (names_listed, on) in claimed_torque.items():
+        wrong_names = [n for n in names_listed if not _was_always(records, names.index(n), on=on)]
+        if wrong_names:
+            outcome.untrue.append(f"{', '.join(wrong_names)} {wording}, it says")
+    all_named = [each for key in ("holds", "limp", "unknown") for each in answer.get(key, ())]
+    if is_listed and sorted(all_named) != sorted(names):
         outcome.untrue.append("not every servo is named once")
-    then = device.during(requested_s - OLD_S, now_s)
+    records_around = device.during(requested_s - OLD_S, now_s)
     if answer.get("accepted") == "freeze" and not is_listed:
-        if not any(any(each.on) for each in then):
+        if not any(any(each.on) for each in records_around):
             outcome.untrue.append("accepted, and nothing is held")
         if outcome.armed:
             outcome.untrue.append("accepted, and servos were armed after it")
 
 
-def _was(records: Sequence[Any], index: int, *, on: bool) -> bool:
+def _was_always(records: Sequence[Any], index: int, *, on: bool) -> bool:
     return all(each.on[index] is on for each in records)
 
 
-def _until_armed(face: HeardFace) -> None:
-    if not face.until(lambda: bool(face.robot.torque.any()), _STARTS_S):
+def _wait_for_torque(face: HeardFace) -> None:
+    if not face.wait_until(lambda: bool(face.robot.torque.any()), _STARTS_S):
         raise RuntimeError("no servo got torque")
 
 
-def _until_stopped(face: HeardFace) -> None:
-    face.word("limp", until_end=True)
-    if not face.until_state("stopped", timeout_s=20.0):
+def _stop_and_wait(face: HeardFace) -> None:
+    face.send("limp", until_end=True)
+    if not face.wait_for_state("stopped", timeout_s=20.0):
         raise RuntimeError("it does not come to a stop")
 
 
-def _start(face: HeardFace) -> None:
-    """Request a start until it is accepted, the face is driven, or `_STARTS_S` are over."""
+def _start_again(face: HeardFace) -> None:
+    """Request a start until it is accepted, the face is driven, or `_STARTS_S` have passed."""
     give_up_s = time.monotonic() + _STARTS_S
-    while "error" in (answer := face.word("start")) or not answer:
+    while "error" in (answer := face.send("start")) or not answer:
         if "the next stop ends it" in answer.get("error", ""):
-            face.word("limp", until_end=True)
+            face.send("limp", until_end=True)
         if face.last_status.get("state") == "driven" or time.monotonic() > give_up_s:
             return
         face.wait(0.3)

@@ -24,9 +24,10 @@ _GROUPS: Final = Path("/sys/fs/cgroup")
 
 
 class ProcessorShare:
-    """A control group whose processes get a share of one processor in all, in long pieces.
+    """A Linux control group whose processes together get a share of one processor.
 
-    share: of 1; a change takes effect with the next period.
+    They run in one piece in each period; the length of the period changes now and then. share: 0 to
+    1; a change takes effect with the next period.
     """
 
     def __init__(self, folder: Path, share: float) -> None:
@@ -36,7 +37,11 @@ class ProcessorShare:
         self._changes_s = 0.0
 
     def keep(self, pid: int) -> None:
-        """Put a process into the group, with ordinary scheduling, and change the period if due."""
+        """Put a process and its threads into the group; change the period if that is due.
+
+        Threads get ordinary scheduling, for real-time ones are not counted, or not let in. A
+        process that has ended is ignored.
+        """
         with contextlib.suppress(OSError):
             for thread in os.listdir(f"/proc/{pid}/task"):  # others are not counted, or not let in
                 os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
@@ -46,8 +51,10 @@ class ProcessorShare:
             self.set_period(self._chance.choice(_PERIODS_US))
 
     def set_period(self, period_us: int) -> None:
-        """Share out periods of this length from now on. Raises OSError."""
+        """Set the length of a period, and the share of it that the group gets. Raises OSError."""
         quota_us = round(self.share * period_us)
+        # Control groups of version 2; below, of version 1, where the quota must never exceed the
+        # period.
         if (self._folder / "cpu.max").exists():
             (self._folder / "cpu.max").write_text(f"{quota_us} {period_us}")
             return
@@ -58,9 +65,10 @@ class ProcessorShare:
 
 @contextlib.contextmanager
 def processor_share(kind: str, share: float) -> Iterator[ProcessorShare]:
-    """Make a control group that gets a share of a processor; yield it without processes.
+    """Make a control group that gets a share of a processor; yield it, still without processes.
 
-    It can be removed only once its processes have ended. Raises UserError if refused.
+    kind: part of its name. The group is removed at the end if its processes have ended. Raises
+    UserError where the system does not permit it.
     """
     first = _GROUPS / "cpu"
     folder = (first if first.exists() else _GROUPS) / f"lipservo-bench-{kind}-{os.getpid()}"

@@ -36,13 +36,13 @@ _BUS: Final[dict[str, dict[str, Any]]] = {
 
 
 def face_yaml(shipped: FaceSettings, bus: str, *, critical: bool = False) -> str:
-    """Return a YAML with the joints of a shipped face on another kind of bus.
+    """Return the YAML of a face with the joints of a shipped one on another kind of bus.
 
-    critical: the first servo is critical.
+    bus: one of `BUSES`. critical: mark the first servo as critical.
     """
     servos = {}
     for number, joint in enumerate(shipped.joints()):
-        own: dict[str, Any] = {
+        servo: dict[str, Any] = {
             "positive": "opens" if number == 0 else "widens",
             "min_deg": joint.min_deg,
             "max_deg": joint.max_deg,
@@ -50,46 +50,46 @@ def face_yaml(shipped: FaceSettings, bus: str, *, critical: bool = False) -> str
         }
         match bus:
             case "dynamixel":
-                own |= {"id": 11 + number, "model": "XL330-M288"}
+                servo |= {"id": 11 + number, "model": "XL330-M288"}
             case "feetech":
-                own |= {"id": 1 + number, "model": "STS3215"}
-                own["max_speed_deg_s"] = min(260.0, joint.max_speed_deg_s)
+                servo |= {"id": 1 + number, "model": "STS3215"}
+                servo["max_speed_deg_s"] = min(260.0, joint.max_speed_deg_s)
             case _:
-                own |= {"channel": number, "us_per_deg": _US_PER_DEG}
-                own |= {"min_us": 900.0, "max_us": 2100.0}
-        servos[joint.name] = own | ({"critical": True} if critical and number == 0 else {})
+                servo |= {"channel": number, "us_per_deg": _US_PER_DEG}
+                servo |= {"min_us": 900.0, "max_us": 2100.0}
+        servos[joint.name] = servo | ({"critical": True} if critical and number == 0 else {})
     face = {"name": f"face on {bus}", "rate_hz": _RATE_HZ[bus], "bus": _BUS[bus], "servos": servos}
     return yaml.safe_dump(face | {"calibration": shipped.calibration}, sort_keys=False)
 
 
 def logged_servos(wiring: Wiring) -> LoggedDevice:
-    """The simulated servos of a face, limp in neutral, with their log."""
-    return _MAKERS.get(wiring.settings.kind, _dynamixel)(wiring)
+    """Return the simulated servos of a face, limp in neutral, with their log."""
+    return _MAKERS.get(wiring.settings.kind, _logged_dynamixels)(wiring)
 
 
-def _dynamixel(wiring: Wiring) -> LoggedDevice:
+def _logged_dynamixels(wiring: Wiring) -> LoggedDevice:
     chain = chain_for(mounted_servos(wiring), BAUD_RATE)
     return LoggedDevice(chain, SerialTruth(chain, "deaf_until_s"))
 
 
-def _feetech(wiring: Wiring) -> LoggedDevice:
+def _logged_feetechs(wiring: Wiring) -> LoggedDevice:
     chain = feetech_chain(mounted_feetech(wiring), BAUD_RATE)
     return LoggedDevice(chain, SerialTruth(chain, "silent_until_s"))
 
 
-def _maestro(wiring: Wiring) -> LoggedDevice:
+def _logged_maestro(wiring: Wiring) -> LoggedDevice:
     maestro, numbers = maestro_for(wiring), [each.channel for each in wiring.servos]
     return LoggedDevice(maestro, MaestroTruth(maestro, numbers, PulseScale(wiring.servos)))
 
 
-def _pca9685(wiring: Wiring) -> LoggedDevice:
+def _logged_pca9685(wiring: Wiring) -> LoggedDevice:
     chip = chip_for(wiring)
     truth = Pca9685Truth(chip, [each.channel for each in wiring.servos])
     return LoggedDevice(TerminalChip(chip), truth)
 
 
 _MAKERS: Final[dict[str, Callable[[Wiring], LoggedDevice]]] = {
-    "feetech": _feetech,
-    "maestro": _maestro,
-    "pca9685": _pca9685,
+    "feetech": _logged_feetechs,
+    "maestro": _logged_maestro,
+    "pca9685": _logged_pca9685,
 }

@@ -19,28 +19,28 @@ _NAME: Final = "a_stranger"
 
 
 def main(kind: str) -> None:
-    """Listen until killed."""
+    """Listen on a socket in the folder of faces until killed. kind: "silent" or "endless"."""
     path = Path(os.environ[FOLDER_VARIABLE]) / f"{_NAME}-{os.getpid()}.sock"
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     listener.bind(str(path))
     listener.listen(16)
-    clients: dict[int, socket.socket] = {}
+    client_of_fd: dict[int, socket.socket] = {}
     answer = json.dumps({"accepted": "limp", "name": "stranger", "port": "/dev/null"}).encode()
     while True:
-        ready = select.select([listener, *clients.values()], [], [], 0.5)[0]
-        for each in ready:
-            if each is listener:
+        ready = select.select([listener, *client_of_fd.values()], [], [], 0.5)[0]
+        for ready_socket in ready:
+            if ready_socket is listener:
                 client, _ = listener.accept()
-                clients[client.fileno()] = client
+                client_of_fd[client.fileno()] = client
                 continue
-            number = each.fileno()
+            number = ready_socket.fileno()
             try:
-                if not each.recv(4096):
+                if not ready_socket.recv(4096):
                     raise ConnectionResetError
                 if kind == "endless":
-                    each.send(answer, socket.MSG_NOSIGNAL)
+                    ready_socket.send(answer, socket.MSG_NOSIGNAL)
             except OSError:
-                clients.pop(number).close()
+                client_of_fd.pop(number).close()
 
 
 if __name__ == "__main__":

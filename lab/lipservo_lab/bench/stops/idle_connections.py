@@ -39,13 +39,13 @@ _HANDSHAKE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """What a connection sends when it has come; drips: and then a byte a second."""
+    """What a connection of the crowd sends once connected. drips: then also a byte a second."""
 
     sent: bytes
     drips: bool = False
 
 
-#: That leave a connection of the page, of voice agents, open and idle.
+#: By server, what leaves a connection of it open and idle.
 OPENINGS: Final = {
     "page": (
         Opening(b""),
@@ -65,7 +65,10 @@ OPENINGS: Final = {
 
 
 class IdleCrowd:
-    """Connections from several addresses of this computer to one server, until it is over."""
+    """Many idle connections from several addresses of this computer to one server.
+
+    n_came: how often a connection was made.
+    """
 
     def __init__(
         self,
@@ -74,7 +77,11 @@ class IdleCrowd:
         openings: Sequence[Opening],
         n: int = N_IDLE,
     ) -> None:
-        """n_peers: 1: all come from 127.0.0.1, where stops come from too; else from others."""
+        """Make `n` connections when `run` is called. server: host and port.
+
+        n_peers: number of addresses that they come from; 1: all come from 127.0.0.1, as stops do.
+        openings: what they send, in turn.
+        """
         self.n_came = 0
         self._server = server
         first = 1 if n_peers == 1 else 2
@@ -84,42 +91,43 @@ class IdleCrowd:
 
     def run(self, is_over: Callable[[], bool]) -> None:
         """Connect, and connect again whatever is dropped, until `is_over` returns True."""
-        absent = list(range(self._n))
+        unconnected = list(range(self._n))
         drips_s = time.monotonic() + _DRIP_S
         with selectors.DefaultSelector() as selector:
             while not is_over():
-                absent = [each for each in absent if not self._came(each, selector)]
+                unconnected = [each for each in unconnected if not self._connect(each, selector)]
                 for key, _ in selector.select(0.05):
                     if _is_dropped(key.fileobj):
                         selector.unregister(key.fileobj)
-                        absent.append(key.data)
+                        unconnected.append(key.data)
                 if time.monotonic() > drips_s:
                     drips_s += _DRIP_S
                     self._drip(selector)
             for key in list(selector.get_map().values()):
                 _close(key.fileobj)
 
-    def _came(self, number: int, selector: selectors.BaseSelector) -> bool:
-        """Open one connection, send its opening bytes and register it; return False if that failed.
+    def _connect(self, number: int, selector: selectors.BaseSelector) -> bool:
+        """Open one connection, send its opening bytes and register it; return whether it succeeded.
 
-        number: selects address and opening.
+        number: of the connection; selects address and opening.
         """
-        end = socket.socket()
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
-        end.settimeout(0.1)
+        client = socket.socket()
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
+        client.settimeout(0.1)
         try:
-            end.bind((self._peers[number % len(self._peers)], 0))
-            end.connect(self._server)
-            end.sendall(self._openings[number % len(self._openings)].sent)
+            client.bind((self._peers[number % len(self._peers)], 0))
+            client.connect(self._server)
+            client.sendall(self._openings[number % len(self._openings)].sent)
         except OSError:
-            end.close()
+            client.close()
             return False
-        end.setblocking(False)
-        selector.register(end, selectors.EVENT_READ, number)
+        client.setblocking(False)
+        selector.register(client, selectors.EVENT_READ, number)
         self.n_came += 1
         return True
 
     def _drip(self, selector: selectors.BaseSelector) -> None:
+        """Send a byte over each connection whose opening drips."""
         for key in selector.get_map().values():
             if self._openings[key.data % len(self._openings)].drips:
                 with contextlib.suppress(OSError):
@@ -132,16 +140,16 @@ def _end_of(fileobj: object) -> socket.socket:
 
 
 def _is_dropped(fileobj: object) -> bool:
-    """Read what a connection of the crowd was sent; close it and return True where it has ended."""
-    end = _end_of(fileobj)
+    """Read a connection of the crowd; return whether it has ended, and close it then."""
+    client = _end_of(fileobj)
     try:
-        if end.recv(1 << 16):
+        if client.recv(1 << 16):
             return False
     except BlockingIOError:
         return False
     except OSError:
         pass
-    end.close()
+    client.close()
     return True
 
 
@@ -150,26 +158,29 @@ def _close(fileobj: object) -> None:
 
 
 def stop_beside_idle() -> dict[str, Any]:
-    """Return `stop_beside_idle_s`, and a row of it for each server and number of peers.
+    """Stop a real daemon many times beside crowds of idle connections; return the worst delay.
 
-    The worst of many stops of a real daemon, in seconds from the request, made by a new client, to
-    the face's answer.
+    `stop_beside_idle_s`: longest time from a new client's request to the face's answer, s.
+    `stop_beside_idle_rows`: a row for each server (page, agents) and number of the crowd's
+    addresses.
     """
     rows = []
     with running_face(page=True, agents=True) as face:
         for server in ("page", "agents"):
-            rows += [_row(face, server, n_peers) for n_peers in (10, 1)]
+            rows += [_measure_server(face, server, n_peers) for n_peers in (10, 1)]
     return {
         "stop_beside_idle_s": max(row["worst_s"] for row in rows),
         "stop_beside_idle_rows": rows,
     }
 
 
-def _row(face: RunningFace, server: str, n_peers: int) -> dict[str, Any]:
-    """Return the figures of one server beside one crowd: worst delay of a freeze (s), freezes lost.
+def _measure_server(face: RunningFace, server: str, n_peers: int) -> dict[str, Any]:
+    """Freeze a face again and again beside one crowd at a server; return the row of figures.
 
-    n_peers: addresses from which the connections come. Raises RuntimeError where the crowd does not
-    get its connections.
+    `worst_s`: the longest delay of an answer; `lost`: freezes without an answer in time.
+
+    n_peers: number of addresses from which the crowd connects. Raises RuntimeError where the crowd
+    does not get its connections.
     """
     address = getattr(face.at, server)
     n_before = face.robot.output.count(_STANDS)
@@ -183,7 +194,7 @@ def _row(face: RunningFace, server: str, n_peers: int) -> dict[str, Any]:
         face.robot.look(_SETTLED_S)
         delays_s = []
         for _ in range(_N_STOPS):
-            delays_s.append(_stopped_after_s(face, server))
+            delays_s.append(_stop_delay_s(face, server))
             face.robot.look(_PAUSE_S)
     finally:
         crowd.kill()
@@ -192,8 +203,8 @@ def _row(face: RunningFace, server: str, n_peers: int) -> dict[str, Any]:
     return {"server": server, "peers": n_peers, "worst_s": max(delays_s), "lost": lost}
 
 
-def _stopped_after_s(face: RunningFace, server: str) -> float:
-    """Return how long a server needs to accept a freeze, s; `_LOST_S` where it does not."""
+def _stop_delay_s(face: RunningFace, server: str) -> float:
+    """Return how long a server needs to accept a freeze, s; `_LOST_S` if it does not accept it."""
     began_s = time.monotonic()
     try:
         if server == "page":
@@ -215,14 +226,15 @@ def _main(server: str, netloc: str, n_peers: str) -> None:
     crowd = IdleCrowd((host, int(port)), int(n_peers), OPENINGS[server])
     is_announced = False
 
-    def is_over() -> bool:
+    # Called by the crowd again and again; it runs until it is killed.
+    def announce_all_connected() -> bool:
         nonlocal is_announced
         if crowd.n_came >= N_IDLE and not is_announced:
             is_announced = True
             sys.stderr.write(f"{_STANDS}\n")
         return False
 
-    crowd.run(is_over)
+    crowd.run(announce_all_connected)
 
 
 if __name__ == "__main__":

@@ -41,24 +41,27 @@ class Troubles:
         self._sleep = sleep
 
     def is_on(self, name: str) -> bool:
-        """Return whether a trouble's flag exists; leave a mark the first time that it does."""
+        """Return whether a trouble's flag file exists; write `seen.NAME` the first time it does."""
         if not os.path.exists(os.path.join(self._folder, name)):
             return False
-        seen = os.path.join(self._folder, f"seen.{name}")
-        if not os.path.exists(seen):
-            with open(seen, "w", encoding="ascii"):
+        mark = os.path.join(self._folder, f"seen.{name}")
+        if not os.path.exists(mark):
+            with open(mark, "w", encoding="ascii"):
                 pass
         return True
 
     def delayed(self, function: Callable[..., Any], name: str) -> Callable[..., Any]:
-        """The function, 4 s later while the trouble is on; other threads run meanwhile."""
+        """Return the function delayed by `SLOW_S` while the trouble `name` is on.
 
-        def slow(*arguments: Any, **named: Any) -> Any:
+        Other threads run meanwhile.
+        """
+
+        def delayed_function(*arguments: Any, **named: Any) -> Any:
             if self.is_on(name):
                 self._sleep(SLOW_S)
             return function(*arguments, **named)
 
-        return slow
+        return delayed_function
 
     def failing(self, function: Callable[..., Any], *, may_hang: bool) -> Callable[..., Any]:
         """Wrap `function` so that it raises while the fault `status_raises` is on.
@@ -66,14 +69,14 @@ class Troubles:
         may_hang: the function also does not return while `status_hangs` is on.
         """
 
-        def failed(*arguments: Any, **named: Any) -> Any:
+        def failing_function(*arguments: Any, **named: Any) -> Any:
             if self.is_on("status_raises"):
                 raise RuntimeError("injected: no status can be made")
             while may_hang and self.is_on("status_hangs"):
                 self._sleep(0.1)
             return function(*arguments, **named)
 
-        return failed
+        return failing_function
 
     def jumping(self, clock: Callable[[], Any], unit: int) -> Callable[[], Any]:
         """Wrap a clock so that it is a day ahead in every other half second.
@@ -81,11 +84,11 @@ class Troubles:
         unit: the clock's steps in a second.
         """
 
-        def jumped() -> Any:
-            ahead = self.is_on("clock") and int(time.monotonic() * 2.0) % 2 == 0
-            return clock() + type(clock())(JUMP_S * unit) if ahead else clock()
+        def jumping_clock() -> Any:
+            is_ahead = self.is_on("clock") and int(time.monotonic() * 2.0) % 2 == 0
+            return clock() + type(clock())(JUMP_S * unit) if is_ahead else clock()
 
-        return jumped
+        return jumping_clock
 
 
 class _PatchedLoader(importlib.abc.Loader):
@@ -112,7 +115,7 @@ class PatchingFinder(importlib.abc.MetaPathFinder):
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """The ordinary spec with a loader of ours; None for all other modules."""
+        """Return the ordinary spec with a loader that wraps; None for modules not in `wraps`."""
         wrap = self._wraps.get(name)
         if wrap is None:
             return None

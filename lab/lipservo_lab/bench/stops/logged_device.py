@@ -28,9 +28,10 @@ _EVERY_TRANSFER: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """From `time_s` (monotonic) on: which servos have torque, and the pulse of each, us.
+    """A record of the log: which servos have torque from `time_s` (monotonic) on.
 
-    pulses_us: of hobby servos alone, else empty; 0: none is sent.
+    on: of each servo; of hobby servos: it gets pulses. pulses_us: the pulse of each, 0: none is
+    sent; empty unless they are hobby servos.
     """
 
     time_s: float
@@ -39,7 +40,7 @@ class Moment:
 
 
 class ServoTruth(Protocol):
-    """What a simulator itself knows of its servos, and what may befall them."""
+    """What a simulator itself knows of its servos, and how to make them deaf."""
 
     @property
     def on(self) -> tuple[bool, ...]:
@@ -53,11 +54,11 @@ class ServoTruth(Protocol):
         """Where the shafts are, (n_servos,) degrees."""
 
     def mute(self, index: int | None, *, muted: bool) -> None:
-        """Let one servo, or None: all that answers, hear nothing any more; or again."""
+        """Let a servo receive nothing any more, or again. index: None: all of the device."""
 
 
 class SerialTruth:
-    """Of a chain of Dynamixel or Feetech servos."""
+    """`ServoTruth` of a simulated chain of Dynamixel or Feetech servos."""
 
     pulses_us: tuple[float, ...] = ()
 
@@ -82,7 +83,7 @@ class SerialTruth:
 
 
 class MaestroTruth:
-    """Of a simulated Maestro; `numbers`: its channels in the order of the joints."""
+    """`ServoTruth` of a simulated Maestro. numbers: its channels in the order of the joints."""
 
     def __init__(self, maestro: Any, numbers: Sequence[int], scale: PulseScale) -> None:
         self._maestro, self._scale = maestro, scale
@@ -103,14 +104,14 @@ class MaestroTruth:
         return self._scale.joints_deg(np.array([each.shaft.place_us for each in self._channels]))
 
     def mute(self, index: int | None, *, muted: bool) -> None:
-        """Hang a Maestro: it goes on with its pulses, and reads nothing. index: None only."""
+        """Hang a Maestro: it goes on with its pulses, but reads nothing. index: None only."""
         if index is not None:
             raise ValueError("a Maestro's channels do not answer one by one")
         self._maestro.deaf = muted
 
 
 class Pca9685Truth:
-    """Of a simulated PCA9685, read from its registers; `numbers`: channels as the joints go."""
+    """`ServoTruth` of a simulated PCA9685, from its registers. numbers: as of `MaestroTruth`."""
 
     def __init__(self, chip: Any, numbers: Sequence[int]) -> None:
         self._chip, self._numbers = chip, tuple(numbers)
@@ -126,8 +127,8 @@ class Pca9685Truth:
         registers = self._chip.registers
         if registers[Register.MODE1] & (Mode1.SLEEP | Mode1.RESTART):
             return (0.0,) * len(self._numbers)
-        starts = [Register.LED0_ON_L + 4 * each for each in self._numbers]
-        counts = [counts_of(bytes(registers[each : each + 4])) for each in starts]
+        first_registers = [Register.LED0_ON_L + 4 * each for each in self._numbers]
+        counts = [counts_of(bytes(registers[each : each + 4])) for each in first_registers]
         return tuple(each * self._chip.count_us for each in counts)
 
     def shafts_deg(self) -> NDArray[np.float64]:
@@ -193,23 +194,26 @@ class LoggedDevice:
         return self.device.deliver(now_s)
 
     def turn(self, index: int, by_deg: float) -> None:
-        """Turn a limp servo's shaft by hand, if the simulator can."""
+        """Turn a limp servo's shaft as a hand would; do nothing if the simulator cannot."""
         if (turn := getattr(self.device, "turn", None)) is not None:
             turn(index, by_deg)
 
     def during(self, since_s: float, until_s: float) -> list[Moment]:
-        """Return the records that held at some time from `since_s` to `until_s`: at least one."""
+        """Return the records in force at some time from `since_s` to `until_s`: at least one.
+
+        The first of them may be older than `since_s`. Times are monotonic seconds.
+        """
         records = self.records
-        first = bisect_right(records, since_s, key=lambda each: each.time_s)
-        last = bisect_right(records, until_s, key=lambda each: each.time_s)
-        return records[max(0, first - 1) : max(1, last)]
+        first_after = bisect_right(records, since_s, key=lambda each: each.time_s)
+        last_after = bisect_right(records, until_s, key=lambda each: each.time_s)
+        return records[max(0, first_after - 1) : max(1, last_after)]
 
     def travelled_deg(self, since_s: float, until_s: float = _FOREVER) -> NDArray[np.float64]:
         """Return how far each shaft travelled between its extremes, (n_servos,) degrees."""
-        places = [deg for time_s, deg in self.shafts if since_s <= time_s <= until_s]
-        if not places:
+        angles_deg = [deg for time_s, deg in self.shafts if since_s <= time_s <= until_s]
+        if not angles_deg:
             return np.zeros(len(self.truth.on))
-        return np.asarray(np.ptp(np.array(places), axis=0))
+        return np.asarray(np.ptp(np.array(angles_deg), axis=0))
 
     def _note(self) -> None:
         """Log torque and pulses if they have changed, and shafts every `_SHAFTS_EVERY_S`."""

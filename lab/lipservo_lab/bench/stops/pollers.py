@@ -38,7 +38,7 @@ def poll_page(page: str, token: str) -> None:
 
 
 def poll_agents(agents: str, token: str) -> None:
-    """One connection on which status is requested again and again."""
+    """Request the status again and again over one connection; return only by an exception."""
     from websockets.sync.client import connect
 
     headers = {"Authorization": f"Bearer {token}"} if token else {}
@@ -49,7 +49,8 @@ def poll_agents(agents: str, token: str) -> None:
             time.sleep(_PERIOD_S)
 
 
-def _for_ever(poll: Callable[[], None]) -> None:
+def _repeat(poll: Callable[[], None]) -> None:
+    """Call `poll` every `_PERIOD_S`, whatever it raises."""
     while True:
         with contextlib.suppress(Exception):  # a face that is stopped, restarted, or refuses
             poll()
@@ -57,13 +58,16 @@ def _for_ever(poll: Callable[[], None]) -> None:
 
 
 def main(control: str, page: str, agents: str, token: str = "") -> None:
-    """Poll until killed."""
+    """Run all 20 clients in threads until killed.
+
+    control: path of the control socket. page, agents: URLs. token: empty where none is needed.
+    """
     die_with_parent()
     polls: list[Callable[[], None]] = [lambda: poll_control(Path(control))] * AT_CONTROL
     polls += [lambda: poll_page(page, token)] * AT_PAGE
     polls += [lambda: poll_agents(agents, token)] * AT_AGENTS
     for n, poll in enumerate(polls):
-        threading.Thread(target=_for_ever, args=(poll,), name=f"client {n}", daemon=True).start()
+        threading.Thread(target=_repeat, args=(poll,), name=f"client {n}", daemon=True).start()
     while True:
         time.sleep(1.0)
 

@@ -17,25 +17,27 @@ Answer = dict[str, Any]
 
 
 def request(path: Path, word: str, timeout_s: float) -> Answer:
-    """Send one word, again where the connection ends without an answer; return the answer.
+    """Send a request to a control socket; return the answer.
 
-    Raises OSError where no answer comes within `timeout_s`.
+    It is sent again where the connection ends without an answer. Raises OSError where no answer
+    comes within `timeout_s`.
     """
-    return _exchanged(path, word, timeout_s, waits_for_end=False)[0]
+    return _send_until_answered(path, word, timeout_s, waits_for_end=False)[0]
 
 
 def request_stop(path: Path, word: str, timeout_s: float) -> tuple[Answer, Answer | None]:
-    """Send a stop until it is accepted; return its answer and the report of its end, or None.
+    """Send a stop until it is answered; return the answer, and the report of its end, or None.
 
-    An accepted stop is never sent again. Raises OSError where no answer comes within `timeout_s`.
+    word: the level of the stop. A stop that was answered is never sent again. None: the report did
+    not come in time. Raises OSError where no answer comes within `timeout_s`.
     """
-    return _exchanged(path, word, timeout_s, waits_for_end=True)
+    return _send_until_answered(path, word, timeout_s, waits_for_end=True)
 
 
-def _exchanged(
+def _send_until_answered(
     path: Path, word: str, timeout_s: float, *, waits_for_end: bool
 ) -> tuple[Answer, Answer | None]:
-    """Send a word until it is answered; return the answer and, if waited for, the end's report.
+    """Send a request until it is answered; return the answer and, if waited for, the end's report.
 
     The report is None where the connection ends, or time is over, before it comes. Raises OSError
     where no answer comes in time.
@@ -54,7 +56,10 @@ def _exchanged(
 
 
 def connected(path: Path, give_up_s: float) -> socket.socket:
-    """Return a connection. Raises OSError: ConnectionError where another try may succeed."""
+    """Connect to a control socket; give up at monotonic `give_up_s`.
+
+    Raises OSError: ConnectionError where another try may succeed.
+    """
     client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     client.settimeout(max(0.001, give_up_s - time.monotonic()))
     try:
@@ -69,7 +74,7 @@ def connected(path: Path, give_up_s: float) -> socket.socket:
 
 
 def receive(client: socket.socket, give_up_s: float) -> Answer | None:
-    """The next message; None where the other end has closed. Raises TimeoutError."""
+    """Return the next message; None where the other end has closed. Raises TimeoutError."""
     client.settimeout(max(0.001, give_up_s - time.monotonic()))
     raw = client.recv(_LONGEST_ANSWER)
     return dict(json.loads(raw)) if raw else None

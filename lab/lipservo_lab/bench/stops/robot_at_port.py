@@ -33,14 +33,14 @@ FACE: Final = "face_four"
 CLIP: Final = Path(lipservo.__file__).parent / "clips" / "welcome.flac"
 
 _LOOK_S: Final = 0.005
-_TAIL: Final = 2000
+_N_LAST_CHARACTERS: Final = 2000
 #: Of first-in-first-out scheduling; above everything ordinary.
 _PRIORITY: Final = 50
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What was seen of the servos at one monotonic time: torque, and shafts in degrees, (n,)."""
+    """The state of the servos at one monotonic time: torque (n,), and shafts (n,) in degrees."""
 
     time_s: float
     torque: NDArray[np.bool_]
@@ -49,11 +49,11 @@ class Look:
 
 @dataclass(slots=True)
 class RobotAtPort:
-    """The servos, the port that leads to them, and the processes started here; see `robot_at_port`.
+    """Simulated servos, their serial port, and processes started at it; see `robot_at_port`.
 
-    device: the servos and their log; chain: the simulator itself. config: the face, as processes
-    get it with `--config`. session: the folder in which its processes look for running faces.
-    environment: variables that its processes get besides.
+    device: the servos and their log. config: the face, as processes get it with `--config`. folder:
+    of all files of this robot. session: in which its processes look for running faces.
+    environment: further variables that its processes get. seen: what `look` has recorded.
     """
 
     device: LoggedDevice
@@ -82,8 +82,8 @@ class RobotAtPort:
 
     @property
     def last_output(self) -> str:
-        """Its end, for a message."""
-        return self.output[-_TAIL:]
+        """The last characters of the output, for a message."""
+        return self.output[-_N_LAST_CHARACTERS:]
 
     @property
     def chain(self) -> Any:
@@ -117,14 +117,14 @@ class RobotAtPort:
         return self.session / "lipservo"
 
     def look(self, seconds: float) -> None:
-        """Watch the servos for a while."""
+        """Record torque and shafts in `seen` every `_LOOK_S` for so many seconds."""
         until_s = time.monotonic() + seconds
         while (now_s := time.monotonic()) < until_s:
             self.seen.append(Look(now_s, self.torque, self.device.truth.shafts_deg()))
             time.sleep(_LOOK_S)
 
     def look_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Watch the servos until something is so; whether it came to be."""
+        """Record as `look` until `condition` holds; return False if it does not in `timeout_s`."""
         give_up_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > give_up_s:
@@ -133,21 +133,21 @@ class RobotAtPort:
         return True
 
     def stiff_until_s(self, since_s: float) -> float:
-        """How long after `since_s` any servo was last seen with torque, seconds."""
+        """Return how long after monotonic `since_s` a servo was last seen with torque, s."""
         stiff_s = [each.time_s for each in self.seen if each.torque.any()]
         return max(0.0, stiff_s[-1] - since_s) if stiff_s else 0.0
 
     def switched_on(self, since_s: float) -> int:
-        """How many times a servo got torque after `since_s`."""
-        pairs = zip(self.seen, self.seen[1:], strict=False)
+        """Return how many times a servo got torque after `since_s` (monotonic), by `seen`."""
+        successive_looks = zip(self.seen, self.seen[1:], strict=False)
         return sum(
             int((later.torque & ~earlier.torque).sum())
-            for earlier, later in pairs
+            for earlier, later in successive_looks
             if earlier.time_s > since_s
         )
 
     def moved_deg(self, since_s: float) -> NDArray[np.float64]:
-        """Return how far each shaft travelled between its extremes.
+        """Return how far apart the extremes of each shaft are, in what was seen since a time.
 
         Parameters
         ----------
@@ -159,8 +159,8 @@ class RobotAtPort:
         NDArray[np.float64]
             (n_servos,) degrees.
         """
-        places = np.array([each.shafts_deg for each in self.seen if each.time_s >= since_s])
-        return np.asarray(np.ptp(places, axis=0))
+        angles_deg = np.array([each.shafts_deg for each in self.seen if each.time_s >= since_s])
+        return np.asarray(np.ptp(angles_deg, axis=0))
 
     def start(
         self, *arguments: str, stdin: int = subprocess.DEVNULL, output: int | None = None
@@ -182,13 +182,13 @@ class RobotAtPort:
                 stdin=stdin,
                 stdout=file if output is None else output,
                 stderr=file if output is None else output,
-                env=self._surroundings(),
+                env=self._environment(),
             )
         self.processes.append(process)
         return process
 
-    def _surroundings(self) -> dict[str, str]:
-        """Return an environment without any folder of this user or of another job."""
+    def _environment(self) -> dict[str, str]:
+        """Return the environment of processes: this robot's folders, and none of the user's."""
         left_out = ("NOTIFY_SOCKET", "RUNTIME_DIRECTORY", "STATE_DIRECTORY")
         environment = {key: value for key, value in os.environ.items() if key not in left_out}
         environment["XDG_RUNTIME_DIR"] = str(self.session)
@@ -219,14 +219,14 @@ def robot_at_port(
     critical: bool = False,
     face: str = FACE,
 ) -> Iterator[RobotAtPort]:
-    """Yield the simulated servos of a shipped face at a port, limp in neutral.
+    """Serve the simulated servos of a shipped face at a port; yield them, limp in neutral.
 
-    Processes started at the robot are ended afterwards. bus: kind of bus. session: folder of
-    another robot's session to share; None: an own one. critical: the first servo is critical. face:
-    name of the shipped face.
+    Processes started at the robot are killed afterwards. bus: kind of bus. session: folder of
+    another robot, whose processes then see the same running faces; None: a new one. critical: the
+    first servo is critical. face: name of the shipped face.
     """
-    with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as temporary:
+        folder = Path(temporary)
         (folder / "tmp").mkdir()
         if session is None:
             session = folder / "session"
@@ -239,9 +239,9 @@ def robot_at_port(
         robot = RobotAtPort(logged_servos(settings.wiring), config, settings, folder, session)
         robot.log.touch()
         host = PtyHost(robot.device, robot.port)
-        over = threading.Event()
-        serving = threading.Thread(target=_serve, args=(host, over), daemon=True)
-        serving.start()
+        is_over = threading.Event()
+        server = threading.Thread(target=_serve_port, args=(host, is_over), daemon=True)
+        server.start()
         try:
             with _on_time():
                 yield robot
@@ -250,14 +250,14 @@ def robot_at_port(
                 kill_all(process)
                 if process.stdin is not None:
                     process.stdin.close()
-            over.set()
-            serving.join()
+            is_over.set()
+            server.join()
             host.close()
 
 
-def _serve(host: PtyHost, over: threading.Event) -> None:
+def _serve_port(host: PtyHost, is_over: threading.Event) -> None:
     with _on_time():
-        host.serve(over.is_set)
+        host.serve(is_over.is_set)
 
 
 @contextlib.contextmanager
@@ -266,7 +266,7 @@ def _on_time() -> Iterator[None]:
 
     Servos do not wait for a busy computer; and reading their state holds Python's lock meanwhile.
     """
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    previous = os.sched_getscheduler(0), os.sched_getparam(0)
     with contextlib.suppress(OSError):
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(_PRIORITY))
@@ -274,4 +274,4 @@ def _on_time() -> Iterator[None]:
         yield
     finally:
         with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, *before)
+            os.sched_setscheduler(0, *previous)

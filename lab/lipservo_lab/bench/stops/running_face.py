@@ -46,10 +46,10 @@ _AGENTS: Final = re.compile(r"voice agents: (ws://[\d.]+:\d+)")
 
 @dataclass(slots=True)
 class RunningFace:
-    """A daemon, the robot that it drives, and where it can be reached.
+    """A daemon, the robot that it drives, and the addresses at which it can be reached.
 
-    token: that its servers ask for, empty: none. others: robots beside it, with a daemon each.
-    spent: nothing more can be tried on it.
+    token: that its servers require; empty: none. others: further robots, with a daemon each. spent:
+    no further case can be played on it.
     """
 
     robot: RobotAtPort
@@ -65,17 +65,20 @@ class RunningFace:
         return self.robot.folder / "inject"
 
     def child(self, name: str) -> int:
-        """The process id of the bridge or the speech process; one that is being replaced, too.
+        """Return the process id of the daemon's child, "bridge" or "speech".
 
-        Raises RuntimeError where none comes.
+        Waits for a child that is being replaced; raises RuntimeError where none comes.
         """
-        word, pid = f"{name}-process", self.daemon.pid
-        if not self.robot.look_until(lambda: child_of(pid, word) is not None, _REPLACED_S):
+        process_name, pid = f"{name}-process", self.daemon.pid
+        if not self.robot.look_until(lambda: child_of(pid, process_name) is not None, _REPLACED_S):
             raise RuntimeError(f"no {name} process: {self.robot.last_output}")
-        return child_of(pid, word) or self.child(name)
+        return child_of(pid, process_name) or self.child(name)
 
     def request(self, word: str) -> dict[str, Any]:
-        """Send one word and return its answer, while the servos are watched. Raises OSError."""
+        """Send a request to the control socket; return its answer. Raises OSError.
+
+        The servos are watched meanwhile.
+        """
         with ThreadPoolExecutor(1) as pool:
             answer: Future[dict[str, Any]] = pool.submit(request, self.at.control, word, _ANSWER_S)
             self.robot.look_until(answer.done, 2.0 * _ANSWER_S)
@@ -92,10 +95,10 @@ class RunningFace:
         return "can_start" in self.status()
 
     def start_again(self) -> dict[str, Any]:
-        """Send `start` until it is accepted, for some seconds at most; the last answer.
+        """Send `start` until it is accepted, for `_REFUSED_S` at most; return the last answer.
 
-        A face that lets go of its servos once more, or whose bridge is replaced, refuses it until
-        that is over.
+        A face that releases its servos once more, or whose bridge is being replaced, refuses it
+        meanwhile. {}: there was no answer.
         """
         give_up_s = time.monotonic() + _REFUSED_S
         while True:
@@ -107,7 +110,10 @@ class RunningFace:
             self.robot.look(_POLL_S)
 
     def look_until_state(self, state: str, timeout_s: float) -> bool:
-        """Watch until the status has this state, or its process has ended; whether it has."""
+        """Watch until the status has this state; return whether it came.
+
+        False after `timeout_s`, or once the daemon has ended.
+        """
         give_up_s = time.monotonic() + timeout_s
         while time.monotonic() < give_up_s and self.daemon.poll() is None:
             if self.status().get("state") == state:
@@ -127,26 +133,27 @@ def running_face(
     face: str = FACE,
     sound: Path = CLIP,
 ) -> Iterator[RunningFace]:
-    """Yield a face that speaks and drives all its servos, in folders of its own.
+    """Start a daemon at simulated servos; yield the face once it speaks and drives all servos.
 
-    page, agents: it serves a dashboard, voice agents. n_others: faces that rest beside it, started
-    first, so that they are listed first. tracer: module that replaces the troubles in its
-    processes. face: shipped; sound: what it speaks. Raises RuntimeError where one does not start.
+    page, agents: it serves a dashboard, voice agents. n_others: silent faces that are started
+    first, so that programs list them first. tracer: module loaded into its processes in place of
+    `injected`. face: name of a shipped one; sound: file that it speaks. Raises RuntimeError where a
+    face does not start.
     """
     with ExitStack() as stack:
         robot = stack.enter_context(robot_at_port(bus, face=face))
         others = []
         for _ in range(n_others):
-            beside = stack.enter_context(robot_at_port(session=robot.session))
-            others.append(_started(beside, "--listen", "none"))
+            other_robot = stack.enter_context(robot_at_port(session=robot.session))
+            others.append(_start_face(other_robot, "--listen", "none"))
         if tracer is not None:
             robot.environment[traced.ROOT_VARIABLE] = str(_ROOT)
         options = ["--wav", str(sound), "--listen", "127.0.0.1:0" if agents else "none"]
         if page:
             options += ["--dashboard", "--dashboard-listen", "127.0.0.1:0"]
-        running = _started(robot, *options, module=tracer or injected)
+        running = _start_face(robot, *options, module=tracer or injected)
         running.others = others
-        running.at = _addresses(running, page=page, agents=agents)
+        running.at = _find_addresses(running, page=page, agents=agents)
         with contextlib.suppress(FileNotFoundError):
             running.token = (robot.runtime / _TOKEN).read_text().strip()
         robot.look(1.0)  # into the soft start and the first words
@@ -167,7 +174,8 @@ def start_daemon(
     return robot.start("daemon", *where, *options)
 
 
-def _started(robot: RobotAtPort, *options: str, module: ModuleType = injected) -> RunningFace:
+def _start_face(robot: RobotAtPort, *options: str, module: ModuleType = injected) -> RunningFace:
+    """Start a daemon; return its face once all servos have torque. Raises RuntimeError."""
     daemon = start_daemon(robot, *options, module=module)
     came = robot.look_until(lambda: bool(robot.torque.all()) or daemon.poll() is not None, START_S)
     control = next((each for each in robot.controls if f"-{daemon.pid}." in each.name), None)
@@ -176,29 +184,32 @@ def _started(robot: RobotAtPort, *options: str, module: ModuleType = injected) -
     return RunningFace(robot, daemon, Addresses(control))
 
 
-def _addresses(face: RunningFace, *, page: bool, agents: bool) -> Addresses:
-    """Return where the face can be reached, once its servers answer."""
-    wanted = {"page": _PAGE} if page else {}
-    wanted |= {"agents": _AGENTS} if agents else {}
-    found: dict[str, str] = {}
-    for name, pattern in wanted.items():
-        match = _awaited(face, pattern)
+def _find_addresses(face: RunningFace, *, page: bool, agents: bool) -> Addresses:
+    """Return the addresses of a face's servers from its output, once they answer.
+
+    Raises RuntimeError where one does not.
+    """
+    pattern_of = {"page": _PAGE} if page else {}
+    pattern_of |= {"agents": _AGENTS} if agents else {}
+    address_of: dict[str, str] = {}
+    for name, pattern in pattern_of.items():
+        match = _match_in_output(face, pattern)
         if match is None:
             raise RuntimeError(f"no address of its {name}: {face.robot.last_output}")
-        found[name] = match[1]
-    at = Addresses(face.at.control, **found)
-    if page and not face.robot.look_until(lambda: _answers(at.page), START_S):
+        address_of[name] = match[1]
+    at = Addresses(face.at.control, **address_of)
+    if page and not face.robot.look_until(lambda: _page_answers(at.page), START_S):
         raise RuntimeError(f"its page does not answer: {face.robot.last_output}")
     return at
 
 
-def _awaited(face: RunningFace, pattern: re.Pattern[str]) -> re.Match[str] | None:
-    """Wait for a pattern in the face's log, and return the match."""
+def _match_in_output(face: RunningFace, pattern: re.Pattern[str]) -> re.Match[str] | None:
+    """Wait for a pattern in the face's output; return the match, None if it has not come."""
     face.robot.look_until(lambda: pattern.search(face.robot.output) is not None, START_S)
     return pattern.search(face.robot.output)
 
 
-def _answers(page: str) -> bool:
+def _page_answers(page: str) -> bool:
     with contextlib.suppress(OSError, http.client.HTTPException):
         connection = http.client.HTTPConnection(urlsplit(page).netloc, timeout=0.3)
         with contextlib.closing(connection):

@@ -57,10 +57,11 @@ SIGNALS: Final = (Ending.INT, Ending.TERM, Ending.HUP, Ending.QUIT)
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command at simulated servos.
+    """A command of `lipservo` to be ended at simulated servos.
 
-    arguments: of a robot. prepare: what its servos are like before. answers: on standard input.
-    own_servos: it simulates servos of its own, so that only its output can be checked.
+    arguments: returns its command line for a robot. prepare: brings the robot's servos and files
+    into the state needed before. answers: for its questions, on standard input. own_servos: it
+    simulates servos of its own, so that only its output can be checked.
     """
 
     name: str
@@ -76,9 +77,10 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class SignalCase:
-    """One command ended in one way. twice: the signal comes again 0.1 s later.
+    """One command, ended in one way at one moment. twice: the signal comes again 0.1 s later.
 
-    then: what lets the servos go after a KILL, "limp" or "start". delay_s: from the moment on.
+    then: what releases the servos after a KILL, "limp" or "start" (of another command). delay_s:
+    from the launch to the signal, for `Moment.STARTING`.
     """
 
     command: str
@@ -94,11 +96,11 @@ def _at_port(*arguments: str) -> Callable[[RobotAtPort], list[str]]:
 
 
 def _calibrate(step: str, *arguments: str) -> Callable[[RobotAtPort], list[str]]:
-    def made(robot: RobotAtPort) -> list[str]:
+    def arguments_for(robot: RobotAtPort) -> list[str]:
         output = str(robot.folder / "c.calibration.yaml")
         return ["calibrate", step, "--config", FACE, *arguments, "--output", output]
 
-    return made
+    return arguments_for
 
 
 def _calibrate_at_port(step: str, *arguments: str) -> Callable[[RobotAtPort], list[str]]:
@@ -116,7 +118,7 @@ def _stand_away(robot: RobotAtPort) -> None:
 
 
 def _forget_limits(robot: RobotAtPort) -> None:
-    """Four registers of every servo differ from what the face asks for."""
+    """Set four registers of every servo so that they differ from what the face's YAML requires."""
     for servo in robot.chain.servos:
         servo["min_position_limit"], servo["max_position_limit"] = 0, servo.model.n_positions - 1
         servo["return_delay_time"], servo["operating_mode"] = 250, 3
@@ -129,28 +131,28 @@ def _without_current_limits(robot: RobotAtPort) -> None:
 
 
 def _measure(robot: RobotAtPort) -> list[str]:
-    """Wait at the first pose for a file that no program writes."""
+    """Return the arguments of a `measure` that waits at its first pose: nothing writes its file."""
     markers = str(robot.folder / "markers.csv")
     return _calibrate_at_port("measure", "--tracker", markers)(robot)
 
 
-def _performance(robot: RobotAtPort) -> Path:
+def _line_file(robot: RobotAtPort) -> Path:
     return robot.folder / "line.perf"
 
 
 def _perform(robot: RobotAtPort) -> list[str]:
-    return _at_port("lines", "perform", str(_performance(robot)), "--mute")(robot)
+    return _at_port("lines", "perform", str(_line_file(robot)), "--mute")(robot)
 
 
 def _write_performance(robot: RobotAtPort) -> None:
-    """A minute of noise with a mouth at rest: who moves is the life cycle."""
+    """Write a performance of a minute of noise with the mouth at rest: only start and end move."""
     sound = robot.folder / "noise.wav"
     noise = np.random.default_rng(0).normal(0.0, 0.01, _LONG_S * SAMPLE_RATE_HZ)
     soundfile.write(sound, noise, SAMPLE_RATE_HZ)
     face = load_face()
     faces = np.tile(face.rest.astype(np.float32), (round(_LONG_S * RATE_HZ) + 1, 1))
     kept = performed_sound(sound, included=True)
-    write_performance(Performance(face.checksum, faces, (), kept, "heard"), _performance(robot))
+    write_performance(Performance(face.checksum, faces, (), kept, "heard"), _line_file(robot))
 
 
 #: Longer than any case lasts.
@@ -230,9 +232,11 @@ _WATCH_S: Final = 1.0
 
 @dataclass(slots=True)
 class SignalOutcome:
-    """What came of a case. broken: what was not kept, in words; limp_s: from the last signal on.
+    """The outcome of a case. broken: each broken promise, in words.
 
-    error: the case itself did not work.
+    limp_s: seconds from the last signal until no servo has torque; None: not checked.
+    moved_after_watchdog: shafts that moved on after a KILL; limp_after_kill: whether servos could
+    be released then, None: no KILL. error: why the case itself did not work; empty: it did.
     """
 
     case: SignalCase
@@ -252,11 +256,11 @@ class SignalOutcome:
 
 
 def play_signal(case: SignalCase) -> SignalOutcome:
-    """Play one case to its end; takes some five seconds."""
+    """Play one case to its end, in some five seconds; errors of the case itself are in `error`."""
     outcome = SignalOutcome(case)
     try:
         with _signals_heard(), robot_at_port() as robot:
-            _play(case, robot, outcome)
+            _play_case(case, robot, outcome)
     except (OSError, RuntimeError, subprocess.TimeoutExpired) as error:
         outcome.error = f"{type(error).__name__}: {error}"
     return outcome
@@ -275,19 +279,19 @@ def _signals_heard() -> Iterator[None]:
             signal.signal(number, signal.SIG_IGN)
 
 
-def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
-    """Start a case's command, end it at the case's moment, and judge servos, words and exit status.
+def _play_case(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
+    """Start a case's command, end it at the case's moment, and check servos, output, exit status.
 
-    What was not kept is added to `outcome`. Raises RuntimeError where the moment does not come.
+    Broken promises are added to `outcome`. Raises RuntimeError where the moment does not come.
     """
     command = COMMANDS[case.command]
     command.prepare(robot)
-    process = _start(case, command, robot)
+    process = _launch(case, command, robot)
     _wait_for_moment(case, command, robot, process)
     if case.ending is Ending.KILL:
         _judge_killed(case, robot, process, outcome)
         return
-    ended_s = time.monotonic()
+    last_request_s = time.monotonic()
     if case.ending is Ending.STOP:
         with ThreadPoolExecutor(1) as pool:
             # Without `end` a daemon would wait, limp, for its start.
@@ -303,17 +307,17 @@ def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
         n_more = 0 if not case.twice else 2 if case.moment is Moment.UNPLUGGED else 1
         for _ in range(n_more):
             robot.look(_AGAIN_S)
-            ended_s = time.monotonic()
+            last_request_s = time.monotonic()
             process.send_signal(number)
     timeout_s = _PORT_GONE_S if case.moment is Moment.UNPLUGGED and not case.twice else _END_S
     if not robot.look_until(lambda: process.poll() is not None, timeout_s):
         outcome.broken.append(f"did not end within {timeout_s:g} s")
     robot.look(_WATCH_S)
-    _judge_limp(case, robot, ended_s, outcome)
+    _judge_limp(case, robot, last_request_s, outcome)
     _judge_words(case, command, robot, process, outcome)
 
 
-def _start(case: SignalCase, command: Command, robot: RobotAtPort) -> subprocess.Popen[bytes]:
+def _launch(case: SignalCase, command: Command, robot: RobotAtPort) -> subprocess.Popen[bytes]:
     """Start a case's command at the robot's port, with its answers already on standard input.
 
     For the moment OPENING_SOUND its sound is a minute of noise, so that opening takes a while.
@@ -334,18 +338,21 @@ def _start(case: SignalCase, command: Command, robot: RobotAtPort) -> subprocess
 def _wait_for_moment(
     case: SignalCase, command: Command, robot: RobotAtPort, process: subprocess.Popen[bytes]
 ) -> None:
-    """Watch until the signal is due. Raises RuntimeError when the moment does not come."""
+    """Watch the servos until the case's signal is due; unplug or deafen them before, if it says so.
+
+    Raises RuntimeError when the moment does not come.
+    """
     if case.moment is Moment.STARTING:
         robot.look(case.delay_s)
         return
     if case.moment is Moment.OPENING_SOUND:
         sound = long_sound(robot)
-        come = robot.look_until(lambda: _has_open(process.pid, sound), _WORKS_S)
+        has_come = robot.look_until(lambda: _has_open(process.pid, sound), _WORKS_S)
     else:
-        come = robot.look_until(
-            lambda: _works(command, robot) or process.poll() is not None, _WORKS_S
+        has_come = robot.look_until(
+            lambda: _is_working(command, robot) or process.poll() is not None, _WORKS_S
         )
-    if not come or process.poll() is not None:
+    if not has_come or process.poll() is not None:
         raise RuntimeError(f"the moment did not come: {robot.last_output}")
     if case.moment is Moment.OPENING_SOUND:
         return
@@ -360,7 +367,8 @@ def _wait_for_moment(
         robot.look(0.1)
 
 
-def _works(command: Command, robot: RobotAtPort) -> bool:
+def _is_working(command: Command, robot: RobotAtPort) -> bool:
+    """Return whether a command has come so far that its servos hold, or are being set up."""
     if command.own_servos:
         return bool(robot.controls)
     if not command.arms:
@@ -370,6 +378,7 @@ def _works(command: Command, robot: RobotAtPort) -> bool:
 
 
 def _has_open(pid: int, path: Path) -> bool:
+    """Return whether a process has a file open."""
     with contextlib.suppress(OSError):
         folder = f"/proc/{pid}/fd"
         return str(path) in {os.readlink(f"{folder}/{each}") for each in os.listdir(folder)}
@@ -379,24 +388,24 @@ def _has_open(pid: int, path: Path) -> bool:
 def _judge_limp(
     case: SignalCase, robot: RobotAtPort, ended_s: float, outcome: SignalOutcome
 ) -> None:
-    """Note how long servos had torque after the end, and each way in which that broke the rules.
+    """Add to `outcome` how long servos had torque after the end, and each promise that broke.
 
     ended_s: monotonic time of the last signal or stop.
     """
     outcome.limp_s = robot.stiff_until_s(ended_s)
     if case.moment is Moment.UNPLUGGED:
         return  # nobody can reach them
-    may_hold = [0] if case.moment is Moment.DEAF else []
-    stiff = [n for n in np.flatnonzero(robot.torque).tolist() if n not in may_hold]
-    if stiff:
-        outcome.broken.append(f"servos {stiff} hold after the end")
+    deaf_servos = [0] if case.moment is Moment.DEAF else []
+    holding = [n for n in np.flatnonzero(robot.torque).tolist() if n not in deaf_servos]
+    if holding:
+        outcome.broken.append(f"servos {holding} hold after the end")
     if case.moment is Moment.DEAF:
         outcome.limp_s = None
         return
     if case.moment is Moment.STARTING and robot.switched_on(ended_s + SECOND_WITHIN_S):
         outcome.broken.append("torque came on after the signal")
-    bar_s = SECOND_WITHIN_S if case.twice else LIMP_WITHIN_S
-    if outcome.limp_s > bar_s:
+    limit_s = SECOND_WITHIN_S if case.twice else LIMP_WITHIN_S
+    if outcome.limp_s > limit_s:
         outcome.broken.append(f"limp only {outcome.limp_s:.2f} s after the signal")
 
 
@@ -407,7 +416,7 @@ def _judge_words(
     process: subprocess.Popen[bytes],
     outcome: SignalOutcome,
 ) -> None:
-    """Judge a command's exit status, and whether its output says who confirmed the stop."""
+    """Check a command's exit status, and whether its output says how many confirmed the stop."""
     output, status = robot.output, process.poll()
     if "Traceback" in output or "Fatal Python error" in output:
         outcome.broken.append(f"traceback: {robot.last_output}")
@@ -417,33 +426,33 @@ def _judge_words(
     if not command.arms or case.moment in (Moment.STARTING, Moment.OPENING_SOUND):
         return
     if case.moment in (Moment.UNPLUGGED, Moment.DEAF):
-        wanted = "NOT by"
+        expected = "NOT by"
     elif command.name == "daemon":
-        wanted = "confirmed by all 4 servos"
+        expected = "confirmed by all 4 servos"
     else:
-        wanted = "confirmed by 1 servo" if command.name == "new-face" else "confirmed by 4 servos"
-    if wanted not in output:
-        outcome.broken.append(f"does not say {wanted!r}: {robot.last_output[-300:]}")
+        expected = "confirmed by 1 servo" if command.name == "new-face" else "confirmed by 4 servos"
+    if expected not in output:
+        outcome.broken.append(f"does not say {expected!r}: {robot.last_output[-300:]}")
 
 
 def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
     """Return the exit statuses that are right for a case; -N: ended by signal N."""
     if case.ending is Ending.STOP:
         # What was being measured, set up or held still is not done; speech has no more to do.
-        speaks = command.name in ("run", "daemon", "say", "perform", "run-sim")
-        return (0,) if speaks else (0, ExitStatus.STOPPED_EARLY)
+        is_speaking = command.name in ("run", "daemon", "say", "perform", "run-sim")
+        return (0,) if is_speaking else (0, ExitStatus.STOPPED_EARLY)
     number = signal.Signals[f"SIG{case.ending}"].value
     if case.moment in (Moment.UNPLUGGED, Moment.DEAF):
         # Some have told that no servo can be reached, and ended, before the last signal comes.
         return (ExitStatus.UNCONFIRMED, *((-number,) if case.twice else ()))
     # Before a program has asked for its signals they end it as the system does.
     # So they do after its servos are limp: shells show both as the same.
-    early = case.moment in (Moment.STARTING, Moment.OPENING_SOUND)
-    by_system = (-number,) if early or case.twice else ()
+    is_early = case.moment in (Moment.STARTING, Moment.OPENING_SOUND)
+    ended_by_system = (-number,) if is_early or case.twice else ()
     # `neutral` takes a second: it may just have come to its own end.
-    well = (0,) if command.ends_well or command.name == "neutral" else ()
-    by_signal = () if command.ends_well and not early else (128 + number,)
-    return (*well, *by_signal, *by_system)
+    ended_well = (0,) if command.ends_well or command.name == "neutral" else ()
+    ended_by_signal = () if command.ends_well and not is_early else (128 + number,)
+    return (*ended_well, *ended_by_signal, *ended_by_system)
 
 
 def _judge_killed(
@@ -452,7 +461,7 @@ def _judge_killed(
     process: subprocess.Popen[bytes],
     outcome: SignalOutcome,
 ) -> None:
-    """Kill all processes; judge that servos stop by themselves and a command releases them."""
+    """Kill all processes; check that servos stop by themselves and a command can release them."""
     kill_all(process)
     robot.look(_WATCHDOG_S)
     watched_s = time.monotonic()
@@ -461,13 +470,13 @@ def _judge_killed(
     if outcome.moved_after_watchdog:
         outcome.broken.append(f"{outcome.moved_after_watchdog} shafts moved on")
     if case.then == "limp":
-        after = robot.start("limp", "--port", str(robot.port))
+        release = robot.start("limp", "--port", str(robot.port))
     else:
-        after = robot.start("calibrate", "neutral", "--config", FACE, "--port", str(robot.port))
-    robot.look_until(lambda: after.poll() is not None, _WORKS_S)
-    if after.poll() != 0:
+        release = robot.start("calibrate", "neutral", "--config", FACE, "--port", str(robot.port))
+    robot.look_until(lambda: release.poll() is not None, _WORKS_S)
+    if release.poll() != 0:
         outcome.broken.append(
-            f"`{case.then}` ended with {after.poll()}: {robot.last_output[-300:]}"
+            f"`{case.then}` ended with {release.poll()}: {robot.last_output[-300:]}"
         )
     outcome.limp_after_kill = not robot.torque.any()
     if not outcome.limp_after_kill:
@@ -475,11 +484,15 @@ def _judge_killed(
 
 
 def signal_figures(outcomes: Sequence[SignalOutcome]) -> dict[str, float | int]:
-    """The figures of the campaign."""
+    """Return the figures of the campaign.
+
+    rest_after_worst_s, second_after_worst_s: longest time until limp after one signal, and after a
+    second one, for commands that were working. kill_moved_after_watchdog: shafts that moved on.
+    """
     killed = [o for o in outcomes if o.limp_after_kill is not None]
-    timed = [o for o in outcomes if o.case.moment is Moment.WORKING and o.case.ending in SIGNALS]
-    once_s = [o.limp_s or 0.0 for o in timed if not o.case.twice]
-    twice_s = [o.limp_s or 0.0 for o in timed if o.case.twice]
+    working = [o for o in outcomes if o.case.moment is Moment.WORKING and o.case.ending in SIGNALS]
+    once_s = [o.limp_s or 0.0 for o in working if not o.case.twice]
+    twice_s = [o.limp_s or 0.0 for o in working if o.case.twice]
     return {
         "cases": len(outcomes),
         "kept": sum(o.kept for o in outcomes),

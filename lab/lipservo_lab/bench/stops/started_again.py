@@ -25,26 +25,30 @@ _DRIVEN_S: Final = 30.0
 
 
 def play_starts(cases: Sequence[tuple[int, str]]) -> list[str]:
-    """Fail, stop and start servos of a daemon; return "" for each start that drove the face.
+    """Let servos of a daemon fail, stop it and start it again; return a text for each case.
 
-    Otherwise a line that says why; then a new daemon follows. cases: (number of the servo that
-    fails, level of the stop).
+    Empty: the start drove the face; else why not, and the next case gets a new daemon. cases:
+    (number of the servo that fails, level of the stop).
     """
-    outcomes: list[str] = []
+    failures: list[str] = []
     with tempfile.TemporaryDirectory() as folder, processor_share("starts", 1.0) as share:
         sound = repeated(CLIP, Path(folder) / "sound.wav", _SOUND_S)
-        while len(outcomes) < len(cases):
+        while len(failures) < len(cases):
             with running_face(sound=sound) as face:
-                while len(outcomes) < len(cases):
-                    index, level = cases[len(outcomes)]
-                    outcomes.append(_play(face, share, index, level))
-                    if outcomes[-1]:
+                while len(failures) < len(cases):
+                    index, level = cases[len(failures)]
+                    failures.append(_fail_stop_and_start(face, share, index, level))
+                    if failures[-1]:
                         break
-    return outcomes
+    return failures
 
 
-def _play(face: RunningFace, share: ProcessorShare, number: int, level: str) -> str:
-    """Return why the face is not driven after the start; empty: it is."""
+def _fail_stop_and_start(face: RunningFace, share: ProcessorShare, number: int, level: str) -> str:
+    """Jam a servo until it counts as failed, stop the face, and start it again.
+
+    Returns why the face is not driven then; empty: it is. share: keeps a whole processor for
+    speech.
+    """
     robot = face.robot
     index = number % len(robot.servos)
     name = robot.servos[index].joint.name
@@ -52,21 +56,22 @@ def _play(face: RunningFace, share: ProcessorShare, number: int, level: str) -> 
     robot.seen.clear()
     share.keep(face.child("speech"))
     robot.chain.motors.jammed[index] = True
-    failed = _look_until_servo(face, name, "failed", _FAILS_S)
+    has_failed = _look_until_servo(face, name, "failed", _FAILS_S)
     robot.chain.motors.jammed[index] = False
-    if not failed:
+    if not has_failed:
         return f"{case}: it did not fail: {face.status().get('troubles')}"
     request_stop(face.at.control, level, _STOPS_S)
     if not face.look_until_state("frozen" if level == "freeze" else "stopped", _STOPS_S):
         return f"{case}: it is {face.status().get('state')!r} after the stop"
-    answer = face.start_again()
+    start_answer = face.start_again()
     robot.look_until(lambda: bool(robot.torque.all()), _DRIVEN_S)
     if robot.torque.all() and _look_until_servo(face, name, "driven", _STOPS_S):
         return ""
-    return f"{case}: not driven: {answer}, {face.status().get('servos')}"
+    return f"{case}: not driven: {start_answer}, {face.status().get('servos')}"
 
 
 def _look_until_servo(face: RunningFace, name: str, state: str, timeout_s: float) -> bool:
+    """Watch until the status has this state for a servo; return whether it came in time."""
     give_up_s = time.monotonic() + timeout_s
     while time.monotonic() < give_up_s:
         if (face.status().get("servos") or {}).get(name) == state:

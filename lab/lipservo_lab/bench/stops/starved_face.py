@@ -48,10 +48,12 @@ _CALLED_SILENT: Final = re.compile(r"servo '(\w+)' \(id \d+\) does not (?:answer
 
 @dataclass(slots=True)
 class StarvedOutcome:
-    """What came of it. failures: a line for each thing that must not be.
+    """The result of the campaign. failures: a line for each thing that must not happen.
 
-    called_silent: lines that say of healthy servos that they do not answer; no bar. killed_starved:
-    processes that ended although nobody held them.
+    accused: servos reported as jammed that were not. called_silent: reports that a healthy servo
+    does not answer; no limit. killed_starved: processes that ended although they were not held.
+    jams_named: jams reported in time. held, hung_killed: processes held by SIGSTOP, and those of
+    them killed in time. driven: share of servos with torque, at each step.
     """
 
     accused: int = 0
@@ -80,27 +82,27 @@ class StarvedFace:
         self._kinds = {self._hog: "bridge"}
         self._log = log
         self._names = list(face.status()["servos"])
-        self._excused: set[str] = set()
+        self._jammed_names: set[str] = set()
         self._named_now: set[str] = set()
         self.named: list[str] = []
-        self._held: set[int] = set()
+        self._held_pids: set[int] = set()
 
     def step(self, seconds: float = _STEP_S) -> None:
-        """Let time pass, keep every process of the face starved, and read the log."""
+        """Let time pass; keep every process of the face in its group, and read the log."""
         until_s = time.monotonic() + seconds
         while True:
             for pid in {*children_of(self.face.daemon.pid), *self._kinds}:
-                if kind := self._kind_of(pid):
+                if kind := self._process_kind(pid):
                     self._shares[kind].keep(pid)
             for line in self._log.readlines():
-                self._read(line)
+                self._read_log_line(line)
             self.outcome.driven.append(float(self.face.robot.torque.mean()))
             if time.monotonic() >= until_s:
                 return
             time.sleep(_STEP_S)
 
     def step_until(self, condition: Callable[[], bool], timeout_s: float = _PATIENCE_S) -> bool:
-        """Let time pass, and read the log, until something is so; whether it came to be."""
+        """Do steps until `condition` holds; return False if it does not within `timeout_s`."""
         give_up_s = time.monotonic() + timeout_s
         while time.monotonic() < give_up_s:
             self.step()
@@ -108,17 +110,20 @@ class StarvedFace:
                 return True
         return False
 
-    def _kind_of(self, pid: int) -> str:
-        """Return whether a process is the bridge or the speech process; empty: not known yet."""
+    def _process_kind(self, pid: int) -> str:
+        """Return whether a process is the "bridge" or "speech" process; empty: neither, or unknown.
+
+        A bridge's hog counts as "bridge".
+        """
         if pid not in self._kinds:
             with contextlib.suppress(OSError):
-                words = Path(f"/proc/{pid}/cmdline").read_text(errors="replace")
-                for each in self._shares:
-                    if f"{each}-process" in words:
-                        self._kinds[pid] = each
+                command_line = Path(f"/proc/{pid}/cmdline").read_text(errors="replace")
+                for kind in self._shares:
+                    if f"{kind}-process" in command_line:
+                        self._kinds[pid] = kind
         return self._kinds.get(pid, "")
 
-    def _read(self, line: str) -> None:
+    def _read_log_line(self, line: str) -> None:
         """Count the servos that a line of the log calls jammed or silent.
 
         A report of a jam is right for a servo that is jammed.
@@ -127,14 +132,14 @@ class StarvedFace:
         named = set(_NAMED.findall(line))
         for name in named - self._named_now:
             self.named.append(name)
-            if name not in self._excused:
+            if name not in self._jammed_names:
                 self.outcome.accused += 1
                 self.outcome.failures.append(f"accused although it was not jammed: {line.strip()}")
         if named or "holds again" in line:
             self._named_now = named
 
     def _is_driven(self, name: str) -> bool:
-        """Whether a servo is driven; one that was given up is switched on, as a person would."""
+        """Return whether a servo is driven; switch one on that has failed, as a person would."""
         state = self.face.status().get("servos", {}).get(name)
         self.face.robot.seen.clear()
         if state == "failed":
@@ -143,7 +148,10 @@ class StarvedFace:
         return bool(state == "driven")
 
     def jam(self, number: int) -> None:
-        """Jam one servo of the mouth until a log line names it; wait until it is driven again."""
+        """Jam one servo of the mouth until a log line names it; wait until it is driven again.
+
+        A jam has to be named before the bridge has run for `NAMED_WITHIN_S` of processor time.
+        """
         motors = self.face.robot.chain.motors
         index = number % _N_MOUTH
         name = self._names[index]
@@ -153,8 +161,9 @@ class StarvedFace:
             self.outcome.failures.append(f"{name} was not driven, and could not be jammed")
             return
         bridge = self.face.child("bridge")
+        # Seconds of the bridge's processor time: only while it runs can it notice the jam.
         began_s, n_named = processor_s(bridge), len(self.named)
-        self._excused.add(name)
+        self._jammed_names.add(name)
         motors.jammed[index] = True
         self.step_until(
             lambda: name in self.named[n_named:] or processor_s(bridge) > began_s + NAMED_WITHIN_S
@@ -167,17 +176,20 @@ class StarvedFace:
         motors.jammed[index] = False
         self._shares["speech"].share = _SHARE
         if self.step_until(lambda: self._is_driven(name)):
-            self._excused.discard(name)
+            self._jammed_names.discard(name)
 
     def hold(self, kind: str) -> None:
-        """Hold a process by SIGSTOP, after a heartbeat of it, until the supervisor kills it."""
-        if not self.step_until(lambda: self._beats(kind)):
+        """Hold a process by SIGSTOP after a heartbeat; count whether it is killed in time.
+
+        kind: "bridge" or "speech".
+        """
+        if not self.step_until(lambda: self._has_heartbeat(kind)):
             self.outcome.held += 1
             self.outcome.failures.append(f"{kind} did not begin, and could not be held")
             return
         pid = self.face.child(kind)
         self.outcome.held += 1
-        self._held.add(pid)
+        self._held_pids.add(pid)
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGSTOP)
         self.step_until(lambda: state_of(pid) in ("T", ""))
@@ -196,13 +208,13 @@ class StarvedFace:
 
     def note_ended(self) -> None:
         """Count the processes that have ended although they were not held."""
-        excused = {self._hog, *self._held, *children_of(self.face.daemon.pid)}
+        excused = {self._hog, *self._held_pids, *children_of(self.face.daemon.pid)}
         for pid in sorted(self._kinds.keys() - excused):
             self.outcome.killed_starved += 1
             self.outcome.failures.append(f"{self._kinds[pid]} {pid} ended although it was not held")
 
-    def _beats(self, kind: str) -> bool:
-        """Whether the process that runs now has sent a heartbeat."""
+    def _has_heartbeat(self, kind: str) -> bool:
+        """Return whether the process that runs now has sent a heartbeat. kind: as of `hold`."""
         status = self.face.status()
         self.face.robot.seen.clear()
         if kind == "bridge":  # only one that beats is asked, and answers so
@@ -216,18 +228,21 @@ class StarvedFace:
 
 
 def play_starved(minutes: float, advance: Callable[[int, int], None]) -> StarvedOutcome:
-    """Play the campaign, 20 jams and 20 holds in 20 minutes, fewer in less."""
-    each = max(1, round(min(minutes, 20.0)))
+    """Play the campaign: 20 jams and 20 held processes in 20 minutes, fewer in less time.
+
+    advance: called with jams and holds done, and all of them.
+    """
+    n_each = max(1, round(min(minutes, 20.0)))
     with _starved_face(minutes) as starved:
         began_s = time.monotonic()
-        for number in range(each):
+        for number in range(n_each):
             starved.jam(number)
-            due_s = began_s + 60.0 * minutes * _JAMS_SHARE * (number + 1) / each
+            due_s = began_s + 60.0 * minutes * _JAMS_SHARE * (number + 1) / n_each
             starved.step(max(0.0, due_s - time.monotonic()))
-            advance(number + 1, 2 * each)
-        for number in range(each):
+            advance(number + 1, 2 * n_each)
+        for number in range(n_each):
             starved.hold(("speech", "bridge")[number % 2])
-            advance(each + number + 1, 2 * each)
+            advance(n_each + number + 1, 2 * n_each)
         starved.step(max(0.0, began_s + 60.0 * minutes - time.monotonic()))
         starved.note_ended()
         starved.outcome.minutes = (time.monotonic() - began_s) / 60.0

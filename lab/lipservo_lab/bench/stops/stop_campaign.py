@@ -70,17 +70,25 @@ _STATUS_TROUBLES: Final = (Trouble.STATUS_RAISES, Trouble.STATUS_HANGS)
 def judge_limp(
     face: RunningFace, case: StopCase, requested: Requested, since_s: float, outcome: StopOutcome
 ) -> None:
-    """Torque off in time, and still off at the end of the watch. since_s: of both, the later."""
+    """Count servos whose torque is late, comes back, or is on at the end of the watch.
+
+    Counts are added to `outcome`. since_s: monotonic time of the request, or from which on the
+    servos could be reached, whichever is later.
+    """
     robot = face.robot
     robot.look(max(0.0, since_s + LATE_S - time.monotonic()))
-    outcome.late = int(robot.torque.sum()) + _others_late(face, case)
+    outcome.late = int(robot.torque.sum()) + _count_others_late(face, case)
     _watch(face, case, requested, outcome)
     outcome.torque_left_on = int(robot.torque.sum())
     outcome.limp_after_s = robot.stiff_until_s(since_s) if not outcome.undone else None
 
 
 def judge_frozen(face: RunningFace, case: StopCase, since_s: float, outcome: StopOutcome) -> None:
-    """Judge a freeze: no shaft moves, no servo gets torque, the status shows a servo's fault."""
+    """Count shafts that move in a freeze, and servos that get torque; add both to `outcome`.
+
+    For `FIRST_TROUBLES` a servo then gets a fault, which the status has to show. since_s: as of
+    `judge_limp`.
+    """
     robot = face.robot
     brakes_s = BRAKES_S + (0.0 if case.client is StopClient.SOCKET else _THROUGH_OTHERS_S)
     robot.look(max(0.0, since_s + brakes_s - time.monotonic()))
@@ -91,23 +99,26 @@ def judge_frozen(face: RunningFace, case: StopCase, since_s: float, outcome: Sto
     outcome.moved_frozen = int((robot.moved_deg(watched_s) > _STILL_DEG).sum())
     outcome.undone = robot.switched_on(watched_s)
     if case.trouble in FIRST_TROUBLES:
-        outcome.fault_unseen = int(not _fault_shown(face))
+        outcome.fault_unseen = int(not _is_fault_shown(face))
         face.spent = True
 
 
 def count_undone(face: RunningFace, case: StopCase, requested: Requested) -> int:
-    """How many times a servo got torque since the stop."""
+    """Return how many times a servo got torque since the stop's request had time to take effect."""
     return face.robot.switched_on(requested.requested_s + case.client.loads_s + BRAKES_S)
 
 
 def judge_waiting(
     face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome
 ) -> None:
-    """Judge that after a plain stop the face waits, limp, whatever is killed or unplugged."""
+    """Check that a face waits, limp, after a plain stop, whatever is killed or unplugged.
+
+    What is wrong is added to `outcome`.
+    """
     robot = face.robot
     if not face.look_until_state("stopped", _WAITS_S):
-        ended = face.daemon.poll() is not None
-        state = "its process has ended" if ended else f"it is {face.status().get('state')!r}"
+        has_ended = face.daemon.poll() is not None
+        state = "its process has ended" if has_ended else f"it is {face.status().get('state')!r}"
         outcome.broken.append(f"after a plain stop it does not wait: {state}")
         outcome.undone = count_undone(face, case, requested)
         face.spent = True
@@ -125,7 +136,7 @@ def judge_waiting(
 
 
 def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
-    """Judge that a start drives the face again."""
+    """Check that a start drives the face again; set `outcome.came_back`."""
     is_driven = face.status().get("state") == "driven"
     answer = {} if is_driven else face.start_again()
     outcome.came_back = face.robot.look_until(
@@ -138,7 +149,11 @@ def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
 
 
 def _watch(face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome) -> None:
-    """Watch until whatever undoes a stop would have shown; less once it has, or all has ended."""
+    """Watch until anything that undoes the stop would have shown; count it in `outcome`.
+
+    Ends earlier once it has shown, the daemon has ended, or the status says that it is stopped. A
+    daemon that should have ended, but has not, is added to `outcome.broken`.
+    """
     began_s = time.monotonic()
     slow = case.trouble is Trouble.NAME_SERVICE or not case.is_plain
     while (watched_s := time.monotonic() - began_s) < (_WATCH_SLOW_S if slow else _WATCH_S):
@@ -154,7 +169,7 @@ def _watch(face: RunningFace, case: StopCase, requested: Requested, outcome: Sto
         outcome.broken.append("the daemon has not ended")
 
 
-def _others_late(face: RunningFace, case: StopCase) -> int:
+def _count_others_late(face: RunningFace, case: StopCase) -> int:
     """Return how many servos of the other faces still hold though they can be reached.
 
     Only a stop from the command line stops these.
@@ -167,7 +182,10 @@ def _others_late(face: RunningFace, case: StopCase) -> int:
 def judge_others(
     face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome
 ) -> None:
-    """Judge that `lipservo stop` releases a hung face by force, too, before the command ends."""
+    """Check that `lipservo stop` also releases a hung face by force, before the command ends.
+
+    Does nothing for other clients and troubles. What is wrong is added to `outcome`.
+    """
     process = requested.process
     if process is None or case.client is not StopClient.COMMAND or not face.others:
         return
@@ -182,16 +200,16 @@ def judge_others(
 
 def _kill_children(face: RunningFace, case: StopCase) -> None:
     """Kill the bridge of a stopped face, and for `FIRST_TROUBLES` its speech process, too."""
-    names = ["bridge"]
+    child_names = ["bridge"]
     if case.trouble in FIRST_TROUBLES and not case.agents:
-        names.append("speech")  # loading it again takes the most of a core
-    for name in names:
+        child_names.append("speech")  # loading it again takes the most of a core
+    for name in child_names:
         with contextlib.suppress(OSError, RuntimeError):
             os.kill(face.child(name), signal.SIGKILL)
     face.robot.look(0.1)
 
 
-def _fault_shown(face: RunningFace) -> bool:
+def _is_fault_shown(face: RunningFace) -> bool:
     """Give the first servo a hardware error; return whether the status shows it in time."""
     face.robot.chain.servos[0].latch(_HARDWARE_SHOCK)
     give_up_s = time.monotonic() + _SHOWN_S
@@ -204,12 +222,15 @@ def _fault_shown(face: RunningFace) -> bool:
 
 #: A face that was started again speaks for so long before the next case.
 _SPEAKS_S: Final = 0.7
-_MEETS_S: Final = 10.0
-_WATCH_MEETING_S: Final = 3.0
+_OVERLAP_TIMEOUT_S: Final = 10.0
+_WATCH_OVERLAP_S: Final = 3.0
 
 
 def play_batch(cases: Sequence[StopCase]) -> list[StopOutcome]:
-    """Play cases that one face can serve, each to its end; takes some ten seconds a case."""
+    """Play cases that one face can serve, each to its end, in some ten seconds a case.
+
+    Returns an outcome for each case. A new face is started where the last one cannot be used again.
+    """
     outcomes = []
     waiting = deque(cases)
     while waiting:
@@ -219,7 +240,7 @@ def play_batch(cases: Sequence[StopCase]) -> list[StopOutcome]:
                 is_starting = waiting[0].trouble is Trouble.STARTING
                 has_start = is_starting or face.knows_start()
                 while waiting and not face.spent:
-                    outcomes.append(_played(waiting.popleft(), face, has_start=has_start))
+                    outcomes.append(_outcome_of(waiting.popleft(), face, has_start=has_start))
         except (OSError, RuntimeError, subprocess.SubprocessError) as error:
             if len(waiting) == n_waiting:
                 failed = f"{type(error).__name__}: {error}"
@@ -245,7 +266,7 @@ def _face_for(case: StopCase) -> Iterator[RunningFace]:
         yield RunningFace(robot, daemon, Addresses(robot.controls[0]))
 
 
-def _played(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcome:
+def _outcome_of(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcome:
     """Return the outcome of one case; an exception becomes its `error`.
 
     Where the stop was not kept, or the daemon has ended, the face is marked as spent: no further
@@ -257,7 +278,7 @@ def _played(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcom
         if case.trouble in NEED_START and not has_start:
             outcome.no_start = True
             return outcome
-        _play(case, face, outcome, has_start=has_start)
+        _play_case(case, face, outcome, has_start=has_start)
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
         outcome.error = f"{type(error).__name__}: {error}"
     if not outcome.kept or face.daemon.poll() is not None:
@@ -265,7 +286,7 @@ def _played(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcom
     return outcome
 
 
-def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start: bool) -> None:
+def _play_case(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start: bool) -> None:
     """Begin the case's trouble, request its stop, and add to `outcome` what servos did afterwards.
 
     At the end the face is started again where that is due, else marked as spent.
@@ -275,7 +296,7 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
         robot.look(case.moment_s)
     with gone_wrong(case.trouble, face) as reachable_s:
         if case.trouble in NEED_START:
-            requested = _meet(case, face, outcome)
+            requested = _overlap_stop(case, face, outcome)
             if requested is None:
                 judge_start(face, outcome)
                 return
@@ -312,17 +333,17 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
     robot.look(_SPEAKS_S)
 
 
-def _meet(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Requested | None:
-    """Send a stop and a start that overlap; return the stop, or None if the start came after it.
+def _overlap_stop(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Requested | None:
+    """Send a stop and a start that overlap, as the case's trouble says.
 
-    After None the face has to be driven. START_AGAIN: a stopped face is started, then stopped.
-    Other troubles: the face is stopped, then started; it may be driven only where the stop was
-    confirmed before the start was accepted.
+    START_AGAIN: a stopped face is started, then stopped. Other troubles: the face is stopped, then
+    started; it may be driven only if the stop was confirmed before the start was accepted. Returns
+    the stop to be checked; None if the start came later, so that the face has to be driven.
     """
     robot, path = face.robot, face.at.control
-    give_up_s = time.monotonic() + _MEETS_S
+    give_up_s = time.monotonic() + _OVERLAP_TIMEOUT_S
     if case.trouble is Trouble.START_AGAIN:
-        _, report = request_stop(path, "limp", _MEETS_S)
+        _, report = request_stop(path, "limp", _OVERLAP_TIMEOUT_S)
         if report is None:
             raise RuntimeError("the stop before the start was not confirmed")
         answer = face.start_again()
@@ -347,8 +368,8 @@ def _meet(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Requested 
         ]
         for thread in threads:
             thread.start()
-        robot.look_until(lambda: not any(each.is_alive() for each in threads), _MEETS_S)
-        robot.look(_WATCH_MEETING_S)
+        robot.look_until(lambda: not any(each.is_alive() for each in threads), _OVERLAP_TIMEOUT_S)
+        robot.look(_WATCH_OVERLAP_S)
     requested.answers = [f"{name}: {answer}" for name, answer in answers.items()]
     accepted = (answers.get("start") or {}).get("accepted") == "start"
     if accepted and came_s.get("ended", float("inf")) <= came_s["start"]:
@@ -365,9 +386,13 @@ def _receive_until(
     answers: dict[str, Answer | None],
     give_up_s: float,
 ) -> None:
-    """Receive the answer, and of a stop also the report of its end. came_s: when each came."""
-    for each in (name, "ended") if name == "accepted" else (name,):
+    """Receive a request's answer, and of a stop also the report of its end; runs in a thread.
+
+    name: "accepted" for the stop, "start" for the start. answers gets the answer under this name,
+    the report under "ended"; came_s the monotonic times at which they came.
+    """
+    for key in (name, "ended") if name == "accepted" else (name,):
         with contextlib.suppress(OSError):
-            answers[each] = receive(end, give_up_s)
-            if answers[each] is not None:
-                came_s[each] = time.monotonic()
+            answers[key] = receive(end, give_up_s)
+            if answers[key] is not None:
+                came_s[key] = time.monotonic()

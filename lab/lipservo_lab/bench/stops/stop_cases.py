@@ -48,9 +48,10 @@ _MOST_OF_A_FACE: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class StopCase:
-    """One stop: how hard, what went wrong before it, how much later it came, by whom; on what bus.
+    """One stop of the campaign: its level, the trouble before it, and the client that requests it.
 
-    Where everybody was killed, the moment is how long the face had been driven by then.
+    moment_s: from the trouble to the stop; for `EVERYBODY_KILLED`, how long the face had been
+    driven. bus: kind of bus.
     """
 
     level: StopLevel
@@ -80,11 +81,11 @@ class StopCase:
 
 
 def stop_cases() -> Iterator[StopCase]:
-    """Yield every stop of the campaign; no signal freezes a face."""
+    """Yield every stop of the campaign; a freeze by a signal does not exist."""
     for level, trouble, moment_s, client in product(
         StopLevel, FIRST_TROUBLES, TIMES_S, (StopClient.SOCKET, StopClient.SIGNAL)
     ):
-        if _exists(level, client):
+        if _is_possible(level, client):
             yield StopCase(level, trouble, moment_s, client)
     for level, trouble, client in product(
         (StopLevel.SOFT, StopLevel.LIMP),
@@ -93,7 +94,7 @@ def stop_cases() -> Iterator[StopCase]:
     ):
         yield StopCase(level, trouble, 0.0, client)
     for level, trouble, client in product(StopLevel, FOR_EVERY_CLIENT, CLIENTS):
-        if _exists(level, client):
+        if _is_possible(level, client):
             yield StopCase(level, trouble, 0.0, client)
     for level in StopLevel:
         yield StopCase(level, Trouble.FOREIGN_ENDLESS, 0.0, StopClient.COMMAND)
@@ -101,14 +102,14 @@ def stop_cases() -> Iterator[StopCase]:
         StopLevel,
         (StopClient.SOCKET, StopClient.SIGNAL, StopClient.PAGE_SCRIPT, StopClient.CONTROL),
     ):
-        if _exists(level, client):
+        if _is_possible(level, client):
             yield StopCase(level, Trouble.CLOCK_JUMPS, 0.0, client)
-    yield from _meetings()
-    yield from _on_buses()
+    yield from _overlapping_stops()
+    yield from _stops_on_all_buses()
 
 
-def _meetings() -> Iterator[StopCase]:
-    """Stops that meet another stop, or a start."""
+def _overlapping_stops() -> Iterator[StopCase]:
+    """Yield stops that overlap with another stop, or with a start."""
     for client in (StopClient.SOCKET, StopClient.PAGE_SCRIPT, StopClient.COMMAND):
         yield StopCase(StopLevel.LIMP, Trouble.EASING, 0.0, client)
     for level, moment_s in zip((StopLevel.LIMP, StopLevel.SOFT) * 2, _STARTING_S, strict=True):
@@ -118,7 +119,7 @@ def _meetings() -> Iterator[StopCase]:
             yield StopCase(level, trouble, moment_s)
 
 
-def _on_buses() -> Iterator[StopCase]:
+def _stops_on_all_buses() -> Iterator[StopCase]:
     """Yield stops of a starting face, and the death of all processes, on every kind of bus."""
     for bus, level, moment_s in product(BUSES, StopLevel, _ARMING_S):
         yield StopCase(level, Trouble.START_AGAIN, moment_s, bus=bus)
@@ -126,33 +127,34 @@ def _on_buses() -> Iterator[StopCase]:
         yield StopCase(StopLevel.LIMP, Trouble.EVERYBODY_KILLED, moment_s, StopClient.NO_ONE, bus)
 
 
-def _exists(level: StopLevel, client: StopClient) -> bool:
+def _is_possible(level: StopLevel, client: StopClient) -> bool:
     return not (level is StopLevel.FREEZE and client is StopClient.SIGNAL)
 
 
 def batches(cases: Sequence[StopCase]) -> list[list[StopCase]]:
-    """Return the cases in batches that one face can serve; what ends a face comes last in each.
+    """Return the cases in batches that one face can serve, of `_MOST_OF_A_FACE` cases at most.
 
-    A batch has one trouble, one kind of bus, and one set of servers (page, agents).
+    A batch has one trouble, one kind of bus, and one set of servers (page, agents); cases after
+    which the face cannot be used again come last.
     """
 
-    def shared(case: StopCase) -> tuple[str, str, bool, bool]:
+    def needed_face(case: StopCase) -> tuple[str, str, bool, bool]:
         return case.trouble, case.bus, case.page, case.agents
 
-    def order(case: StopCase) -> tuple[tuple[str, str, bool, bool], bool, bool]:
-        return shared(case), case.client is StopClient.SIGNAL, case.level is StopLevel.FREEZE
+    def sort_key(case: StopCase) -> tuple[tuple[str, str, bool, bool], bool, bool]:
+        return needed_face(case), case.client is StopClient.SIGNAL, case.level is StopLevel.FREEZE
 
-    found = []
-    for _, group in groupby(sorted(cases, key=order), shared):
-        alike = list(group)
-        starts = range(0, len(alike), _MOST_OF_A_FACE)
-        found += [alike[n : n + _MOST_OF_A_FACE] for n in starts]
-    return found
+    case_batches = []
+    for _, group in groupby(sorted(cases, key=sort_key), needed_face):
+        group_cases = list(group)
+        first_numbers = range(0, len(group_cases), _MOST_OF_A_FACE)
+        case_batches += [group_cases[n : n + _MOST_OF_A_FACE] for n in first_numbers]
+    return case_batches
 
 
 @dataclass(slots=True)
 class StopOutcome:
-    """What came of one stop.
+    """The outcome of one stop.
 
     late: servos that still had torque 2 s after both the stop was requested and they could be
     reached; easing is within these. torque_left_on: servos that had it at the end of the watch.
@@ -208,19 +210,19 @@ def stop_figures(outcomes: Sequence[StopOutcome]) -> dict[str, Any]:
     """
     limp_s = [o.limp_after_s for o in outcomes if o.limp_after_s is not None]
     return {
-        **_counts(outcomes),
+        **_count_outcomes(outcomes),
         "starts": sum(o.came_back is not None for o in outcomes),
         "came_back": sum(o.came_back is True for o in outcomes),
         "starts_unavailable": sum(o.no_start for o in outcomes),
         "limp_after_p95_s": float(np.percentile(limp_s, 95)) if limp_s else 0.0,
         "limp_after_worst_s": max(limp_s, default=0.0),
-        "by_client": _table(outcomes, lambda case: case.client.value),
-        "by_trouble": _table(outcomes, lambda case: case.trouble.value),
-        "by_bus": _table(outcomes, lambda case: case.bus),
+        "by_client": _counts_by(outcomes, lambda case: case.client.value),
+        "by_trouble": _counts_by(outcomes, lambda case: case.trouble.value),
+        "by_bus": _counts_by(outcomes, lambda case: case.bus),
     }
 
 
-def _counts(outcomes: Sequence[StopOutcome]) -> dict[str, int]:
+def _count_outcomes(outcomes: Sequence[StopOutcome]) -> dict[str, int]:
     """Return how many outcomes there are, and how often each fault occurred in them.
 
     `undone` counts how often a servo got torque, `torque_left_on` and `moved_frozen` count servos,
@@ -239,10 +241,11 @@ def _counts(outcomes: Sequence[StopOutcome]) -> dict[str, int]:
     }
 
 
-def _table(
+def _counts_by(
     outcomes: Sequence[StopOutcome], key: Callable[[StopCase], str]
 ) -> dict[str, dict[str, int]]:
-    parts: dict[str, list[StopOutcome]] = defaultdict(list)
+    """Return the counts of outcomes, grouped by what `key` returns of their cases."""
+    groups: dict[str, list[StopOutcome]] = defaultdict(list)
     for outcome in outcomes:
-        parts[key(outcome.case)].append(outcome)
-    return {name: _counts(part) for name, part in parts.items()}
+        groups[key(outcome.case)].append(outcome)
+    return {name: _count_outcomes(group) for name, group in groups.items()}

@@ -53,7 +53,7 @@ class StopClient(StrEnum):
 
     @property
     def loads_s(self) -> float:
-        """Seconds that a client may take before it can request anything."""
+        """Seconds that a client may need to start before it can request anything."""
         is_loaded = (StopClient.COMMAND, StopClient.CONNECT, StopClient.NO_ONE)
         return LOADS_S if self in is_loaded else 0.0
 
@@ -62,7 +62,7 @@ class StopClient(StrEnum):
 CLIENTS: Final = tuple(each for each in StopClient if each is not StopClient.NO_ONE)
 
 
-#: Which of a daemon's doors a client needs, for the fewest processes in each case.
+#: Clients that need a daemon's page, and those that need its server of voice agents.
 NEEDS_PAGE: Final = (StopClient.PAGE_EARLY, StopClient.PAGE_SCRIPT, StopClient.API)
 NEEDS_AGENTS: Final = (StopClient.CONTROL, StopClient.CONNECT)
 
@@ -78,10 +78,10 @@ class Addresses:
 
 @dataclass(slots=True)
 class Requested:
-    """A stop that is under way. requested_s: monotonic time of the request.
+    """A stop that has been requested. requested_s: monotonic time of the request.
 
-    process: that requests it, where it is one of its own. answers: what it received so far, or why
-    it received nothing, for the line of a case that fails.
+    process: the client, where it is a process; None: a thread. answers: what the client received so
+    far, or the error that it got, as text for the report of a case that fails.
     """
 
     requested_s: float
@@ -94,10 +94,13 @@ def request_stop_by(
     level: StopLevel,
     robot: RobotAtPort,
     daemon: subprocess.Popen[bytes],
-    at: Addresses,
+    addresses: Addresses,
 ) -> Requested:
-    """Begin to request a stop as a client does, and return without waiting for the answer."""
-    work: Callable[[], object]
+    """Let a client request a stop; return at once, without waiting for the answer.
+
+    robot: where processes are started. at: the face's addresses. Answers are added later.
+    """
+    send_request: Callable[[], object]
     requested = Requested(time.monotonic())
     match client:
         case StopClient.COMMAND:
@@ -105,33 +108,34 @@ def request_stop_by(
             requested.process = robot.start("stop", *option)
             return requested
         case StopClient.CONNECT:
-            requested.process = robot.start_python("-c", _CONNECT, at.agents, level.value)
+            requested.process = robot.start_python("-c", _CONNECT, addresses.agents, level.value)
             return requested
         case StopClient.NO_ONE:
             return requested
         case StopClient.SOCKET:
-            work = partial(request_stop, at.control, level.value, _LONGEST_S)
+            send_request = partial(request_stop, addresses.control, level.value, _LONGEST_S)
         case StopClient.SIGNAL:
-            work = partial(_signal, daemon, twice=level is StopLevel.LIMP)
+            send_request = partial(_send_signals, daemon, twice=level is StopLevel.LIMP)
         case StopClient.PAGE_EARLY:
-            work = partial(post_stop, at.page, level, 0, _LONGEST_S)
+            send_request = partial(post_stop, addresses.page, level, 0, _LONGEST_S)
         case StopClient.PAGE_SCRIPT:
-            work = partial(press_stop, at.page, level)
+            send_request = partial(press_stop, addresses.page, level)
         case StopClient.API:
-            work = partial(post_stop, at.page, level, _API_WAIT_S, _LONGEST_S)
+            send_request = partial(post_stop, addresses.page, level, _API_WAIT_S, _LONGEST_S)
         case StopClient.CONTROL:
-            work = partial(stop_by_control, at.agents, level)
-    _in_thread(work, requested.answers)
+            send_request = partial(stop_by_control, addresses.agents, level)
+    _in_thread(send_request, requested.answers)
     return requested
 
 
 def post_stop(
     page: str, level: str, wait_s: int, timeout_s: float, browser: str = "campaign"
 ) -> tuple[int, dict[str, object]]:
-    """POST /api/stop as a browser does from the face's own page: (status, answer).
+    """POST /api/stop as a browser does from the face's own page.
 
-    browser: the name that it gives itself. Raises OSError or http.client.HTTPException where no
-    answer comes within `timeout_s`.
+    Returns the HTTP status and the JSON answer, {} if it is no JSON. wait_s: how long the server
+    shall wait for the end of the stop. browser: the User-Agent. Raises OSError or
+    http.client.HTTPException where no answer comes within `timeout_s`.
     """
     connection = http.client.HTTPConnection(urlsplit(page).netloc, timeout=timeout_s)
     with contextlib.closing(connection):
@@ -152,26 +156,25 @@ def post_stop(
 
 
 def press_stop(page: str, level: str, post: Callable[..., tuple[int, object]] = post_stop) -> int:
-    """Do what stop.js does when its button is pressed.
+    """Do what stop.js does when its button is pressed; block until the stop is accepted.
 
-    Return how many requests it needed to be accepted.
-
-    Two requests at once: one that is answered when the stop is accepted, repeated until it is, and
-    one that is answered when the servos have confirmed the end. 0: never accepted, or refused.
+    It sends two requests at once: one that is answered when the stop is accepted, repeated until it
+    is, and, in a thread, one that is answered when the servos have confirmed the end. Returns how
+    many of the former were sent; 0: never accepted, or refused. post: sends one request.
     """
 
     def wait_for_end() -> None:
         post(page, level, _PAGE_WAIT_S, _PAGE_TIMEOUT_S + _PAGE_WAIT_S)
 
-    waiting: threading.Thread | None = None
-    for n in range(1, _PAGE_TRIES + 1):
-        if waiting is None or not waiting.is_alive():
-            waiting = _in_thread(wait_for_end)
+    waiting_thread: threading.Thread | None = None
+    for n_requests in range(1, _PAGE_TRIES + 1):
+        if waiting_thread is None or not waiting_thread.is_alive():
+            waiting_thread = _in_thread(wait_for_end)
         status = 503
         with contextlib.suppress(OSError, http.client.HTTPException):
             status, _ = post(page, level, 0, _PAGE_TIMEOUT_S)
         if status < 300:
-            return n
+            return n_requests
         if 400 <= status < 500:
             return 0
         time.sleep(_PAGE_RETRY_S)
@@ -181,7 +184,10 @@ def press_stop(page: str, level: str, post: Callable[..., tuple[int, object]] = 
 def stop_by_control(
     agents: str, level: str, timeout_s: float = _LONGEST_S, number: int | str = 1
 ) -> str | bytes:
-    """Send a stop to `/control` of voice agents, without a token: the first message that comes."""
+    """Send a stop to `/control` of the agent server, without a token; return the first message.
+
+    number: the request's id.
+    """
     from websockets.sync.client import connect
 
     with connect(f"{agents}/control", open_timeout=timeout_s) as client:
@@ -189,7 +195,7 @@ def stop_by_control(
         return client.recv(timeout_s)
 
 
-def _signal(daemon: subprocess.Popen[bytes], *, twice: bool) -> None:
+def _send_signals(daemon: subprocess.Popen[bytes], *, twice: bool) -> None:
     daemon.send_signal(signal.SIGTERM)
     if twice:
         time.sleep(0.05)
@@ -199,7 +205,7 @@ def _signal(daemon: subprocess.Popen[bytes], *, twice: bool) -> None:
 def _in_thread(work: Callable[[], object], answers: list[str] | None = None) -> threading.Thread:
     """Start `work` in a daemon thread; append its result or exception as text to `answers`."""
 
-    def run() -> None:
+    def note_result() -> None:
         try:
             answer = str(work())
         except Exception as error:  # whatever goes wrong here is seen at the servos
@@ -207,6 +213,6 @@ def _in_thread(work: Callable[[], object], answers: list[str] | None = None) -> 
         if answers is not None:
             answers.append(answer[:_LONGEST_LINE])
 
-    thread = threading.Thread(target=run, daemon=True)
+    thread = threading.Thread(target=note_result, daemon=True)
     thread.start()
     return thread

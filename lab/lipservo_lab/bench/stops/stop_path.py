@@ -25,26 +25,26 @@ Walk = dict[str, Any]
 
 
 def register_files(level: StopLevel) -> set[str]:
-    """Files of ours between a press of the page's STOP and the register of torque.
+    """Return the source files that a stop passes, from the page's STOP to the torque register.
 
-    Raises RuntimeError where the stop does not come to it.
+    A face is started and stopped for that. Raises RuntimeError where the stop does not get there.
     """
     with running_face(page=True, tracer=traced) as face:
         page, marker = face.at.page, traced.MARKER
         walk = traced_stop(face, lambda: post_stop(page, level, 0, TIMEOUT_S, marker))["walk"]
-        came = face.robot.look_until(lambda: bool(_walks(face.inject, "register")), _COMES_S)
+        came = face.robot.look_until(lambda: bool(_read_walks(face.inject, "register")), _COMES_S)
         if not came:
             raise RuntimeError(f"a {level} stop did not come to the register of torque: {walk}")
-        register = _walks(face.inject, "register")[0]["calls"]
-    passed = {call.rpartition(":")[0] for calls in walk.values() for call in calls}
-    return passed | {file for file, _ in register}
+        register_calls = _read_walks(face.inject, "register")[0]["calls"]
+    passed_files = {call.rpartition(":")[0] for calls in walk.values() for call in calls}
+    return passed_files | {file for file, _ in register_calls}
 
 
 def traced_stop(face: RunningFace, stop: Callable[[], object]) -> dict[str, Any]:
-    """Request a stop and return the files and calls that it passes.
+    """Request a stop of a traced face; return the files and calls that it passes, as `counted`.
 
     stop: requests it, with `MARKER` in the request. Raises RuntimeError where the stop does not
-    reach the queue.
+    reach the command queue.
     """
     for path in face.inject.glob("walk.*.json"):
         path.unlink()
@@ -53,22 +53,22 @@ def traced_stop(face: RunningFace, stop: Callable[[], object]) -> dict[str, Any]
     face.robot.look(_FLAG_S)
     try:
         stop()
-        came = face.robot.look_until(lambda: _comes_to_queue(face.inject), _COMES_S)
+        came = face.robot.look_until(lambda: _has_reached_queue(face.inject), _COMES_S)
     finally:
         face.robot.look(_FLAG_S)
         flag.unlink()
-    walks = _walks(face.inject)
+    walks = _read_walks(face.inject)
     if not came:
         raise RuntimeError(f"a stop did not come to the queue: {walks}")
     return counted(walks)
 
 
 def counted(walks: Sequence[Walk]) -> dict[str, Any]:
-    """Return files and calls of the walks of one stop, and the functions in each process."""
-    calls = [tuple(call) for walk in walks for call in walk["calls"]]
+    """Return how many files and calls one stop's walks have, and its functions by process."""
+    all_calls = [tuple(call) for walk in walks for call in walk["calls"]]
     return {
-        "files": len({file for file, _ in calls}),
-        "calls": len(calls),
+        "files": len({file for file, _ in all_calls}),
+        "calls": len(all_calls),
         "walk": {
             walk["role"]: [f"{file}:{function}" for file, function in walk["calls"]]
             for walk in walks
@@ -76,11 +76,15 @@ def counted(walks: Sequence[Walk]) -> dict[str, Any]:
     }
 
 
-def _walks(folder: Path, kind: str = "walk") -> list[Walk]:
-    """Return the walks of the newest stop; the server's first."""
+def _read_walks(folder: Path, kind: str = "walk") -> list[Walk]:
+    """Read the walks of the newest stop that processes have written; the server's comes first.
+
+    kind: "walk", or "register" for that of the tick that clears the torque register.
+    """
     found = [json.loads(path.read_text()) for path in sorted(folder.glob(f"{kind}.*.json"))]
     return sorted(found, key=lambda walk: walk["role"] == _OWNER)
 
 
-def _comes_to_queue(folder: Path) -> bool:
-    return any(walk["calls"][-1][1] == traced.QUEUE for walk in _walks(folder))
+def _has_reached_queue(folder: Path) -> bool:
+    """Return whether a stop has reached the command queue in some process."""
+    return any(walk["calls"][-1][1] == traced.QUEUE for walk in _read_walks(folder))

@@ -52,8 +52,8 @@ _TORQUE_ENABLE = b"\x40\x00"
 class Walk:
     """The functions that one stop passes in one process.
 
-    calls: (file, function), in turn. at_owner: of the process that owns the control socket, where
-    sending is answering.
+    calls: (file, function), in their order. at_owner: it is of the process that owns the control
+    socket; there a sending on a socket is an answer and does not end the walk.
     """
 
     calls: list[tuple[str, str]] = field(default_factory=list)
@@ -62,14 +62,14 @@ class Walk:
 
 
 class StopTracer:
-    """Finds the walks of stops among all calls of a process."""
+    """Finds the walks of stops among all calls of a process; see the module's docstring."""
 
     def __init__(
         self, root: str, write: Callable[[Walk], None], write_register: Callable[[Walk], None]
     ) -> None:
-        """root: the folder that the packages lie in; write: takes each walk at its end.
+        """root: the folder of our packages. write: called with each walk at its end.
 
-        write_register: takes that from the tick's beginning to the register.
+        write_register: called with the walk from a tick's beginning to the torque register.
         """
         self._prefixes = tuple(os.path.join(root, each) + os.sep for each in PACKAGES)
         self._root = os.path.join(root, "")
@@ -84,7 +84,7 @@ class StopTracer:
         self.is_on = False
 
     def look(self, flag: str) -> None:
-        """Be on as long as this file is there."""
+        """Switch tracing on or off: it is on while the file `flag` exists."""
         self.is_on = os.path.exists(flag)
 
     def profile(self, frame: FrameType, event: str, arg: Any) -> None:
@@ -108,7 +108,7 @@ class StopTracer:
             self._add(walk, frame)
 
     def received(self, raw: bytes, frame: FrameType) -> None:
-        """Bytes that `frame` has just received from a socket."""
+        """Begin a walk if the bytes that `frame` has just received from a socket are a stop."""
         level = raw.split(b" ")[0] if len(raw) < 16 else b""
         if self.is_on and level in _LEVELS and self._is_ours(frame):
             walk = Walk(at_owner=True)
@@ -116,12 +116,13 @@ class StopTracer:
             self._add(walk, frame)
 
     def submitted(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap what a thread of an executor runs, so that it belongs to the submitter's walk."""
+        """Return a function given to an executor, wrapped to belong to the submitter's walk."""
         if self._walk.get() is None:
             return function
         return partial(contextvars.copy_context().run, function)
 
     def _add(self, walk: Walk, frame: FrameType) -> None:
+        """Add a call to a walk; end the walk if the call is that of the command queue."""
         code = frame.f_code
         walk.calls.append((code.co_filename.removeprefix(self._root), code.co_qualname))
         if code.co_qualname == QUEUE:
@@ -129,9 +130,9 @@ class StopTracer:
             self._end(walk)
 
     def _follow_tick(self, frame: FrameType) -> None:
-        """Add a call to its thread's walk of this tick; report the walk when torque is cleared.
+        """Add a call to its thread's walk of this tick; write the walk when torque is cleared.
 
-        `sleep_until` begins a new walk. Reported is only the first one after a stop was queued.
+        `sleep_until` begins a new walk. Only the first one after a stop was queued is written.
         """
         code = frame.f_code
         if code.co_name == "sleep_until":
@@ -155,7 +156,7 @@ class StopTracer:
 
 
 def clears_torque(value: Any) -> bool:
-    """Whether these are bytes of a packet that writes 0 to the register of torque."""
+    """Return whether a value is a Dynamixel packet that writes 0 to the torque register."""
     if not isinstance(value, bytes | bytearray) or len(value) < 13:
         return False
     instruction, address = value[7], bytes(value[8:10])
@@ -165,22 +166,25 @@ def clears_torque(value: Any) -> bool:
 
 
 def has_marker(value: Any, depth: int = 0) -> bool:
-    """Whether the marker is anywhere in text, bytes, or what holds them."""
+    """Return whether `MARKER` is in a text, in bytes, or in containers of these.
+
+    Containers are searched `_DEEPEST` levels deep, of each the first `_MOST_LOOKED_AT` parts.
+    """
     if isinstance(value, str):
         return MARKER in value
     if isinstance(value, bytes | bytearray):
         return MARKER.encode() in value
     if depth >= _DEEPEST or not isinstance(value, dict | list | tuple):
         return False
-    inside = itertools.chain(value, value.values()) if isinstance(value, dict) else value
-    return any(has_marker(each, depth + 1) for each in itertools.islice(inside, _MOST_LOOKED_AT))
+    parts = itertools.chain(value, value.values()) if isinstance(value, dict) else value
+    return any(has_marker(each, depth + 1) for each in itertools.islice(parts, _MOST_LOOKED_AT))
 
 
 def _arguments(frame: FrameType) -> tuple[Any, ...]:
     code = frame.f_code
     names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
-    found = frame.f_locals
-    return tuple(found[name] for name in names if name in found)
+    local_values = frame.f_locals
+    return tuple(local_values[name] for name in names if name in local_values)
 
 
 def _is_unix_send(function: Any) -> bool:
@@ -190,7 +194,10 @@ def _is_unix_send(function: Any) -> bool:
 
 
 def install(folder: str, root: str) -> None:
-    """Trace this process's calls from now on, while the flag file exists."""
+    """Trace this process's calls from now on, while the flag file exists in `folder`.
+
+    Walks become files in `folder`. root: the folder of our packages.
+    """
     numbers = itertools.count()
     role = next((each for each in _ROLES if each in sys.orig_argv), "daemon")
 
@@ -203,15 +210,15 @@ def install(folder: str, root: str) -> None:
     tracer = StopTracer(root, write, partial(write, kind="register"))
     plain_recv, plain_submit = socket.socket.recv, ThreadPoolExecutor.submit
 
-    def recv(end: socket.socket, *arguments: Any) -> bytes:
-        raw = plain_recv(end, *arguments)
+    def recv(sock: socket.socket, *arguments: Any) -> bytes:
+        raw = plain_recv(sock, *arguments)
         tracer.received(raw, sys._getframe(1))
         return raw
 
     def submit(
-        pool: ThreadPoolExecutor, function: Callable[..., Any], /, *arguments: Any, **named: Any
+        executor: ThreadPoolExecutor, function: Callable[..., Any], /, *arguments: Any, **named: Any
     ) -> "Future[Any]":
-        return plain_submit(pool, tracer.submitted(function), *arguments, **named)
+        return plain_submit(executor, tracer.submitted(function), *arguments, **named)
 
     def watch() -> None:
         while True:

@@ -73,39 +73,39 @@ _COMES_S: Final = 5.0
 
 
 def n_others(trouble: Trouble) -> int:
-    """How many other faces run beside the one under test."""
+    """Return how many other faces a trouble needs beside the one under test."""
     return int(trouble in _OTHERS)
 
 
 def needs_page(trouble: Trouble) -> bool:
-    """Whether the trouble itself needs the face's page."""
+    """Return whether a trouble needs the face's page."""
     return trouble in (Trouble.SLOW_UPLOAD, Trouble.POLLERS)
 
 
 def needs_agents(trouble: Trouble) -> bool:
-    """Whether the trouble itself needs the face's agent server, which a face's lines need, too."""
+    """Return whether a trouble needs the face's agent server; a face's lines need it, too."""
     return needs_page(trouble)
 
 
 @contextlib.contextmanager
 def gone_wrong(trouble: Trouble, face: RunningFace) -> Iterator[float]:
-    """Let it happen, for as long as the block lasts; since when the servos can be reached.
+    """Let a trouble last until the block ends; yield the monotonic time at which it has begun.
 
-    What cannot be taken back, as a killed process, is not. Raises RuntimeError, OSError.
+    What cannot be undone, such as a killed process, is not. Raises RuntimeError, OSError.
     """
     with ExitStack() as undo:
-        _begin(trouble, face, undo)
+        _begin_trouble(trouble, face, undo)
         yield time.monotonic()
 
 
-def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
+def _begin_trouble(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
     """Begin a trouble at a running face; put what ends it again, if anything, on `undo`.
 
     Blocks until the trouble is there. Raises RuntimeError where it cannot be made.
     """
     robot = face.robot
     if trouble in _INJECTED:
-        _switch_on(face, _INJECTED[trouble], undo)
+        _inject(face, _INJECTED[trouble], undo)
     match trouble:
         case Trouble.UNPLUGGED:
             robot.device.unplug()
@@ -133,8 +133,8 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
             if second.poll() == 0:
                 raise RuntimeError("a second face was started at a port that is in use")
         case Trouble.SLOW_UPLOAD:
-            _switch_on(face, "disk", undo)
-            _upload(face)
+            _inject(face, "disk", undo)
+            _upload_slowly(face)
         case Trouble.POLLERS:
             at = face.at
             arguments = (str(at.control), at.page, at.agents, face.token)
@@ -152,48 +152,53 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
             for pid in (*children_of(other), other):
                 os.kill(pid, signal.SIGSTOP)
         case Trouble.FOREIGN_SILENT | Trouble.FOREIGN_ENDLESS:
-            _begin_foreign(face, trouble.removeprefix("foreign_"), undo)
+            _start_foreign_socket(face, trouble.removeprefix("foreign_"), undo)
         case Trouble.EASING:
             face.request("soft")
 
 
-def _switch_on(face: RunningFace, name: str, undo: ExitStack) -> None:
+def _inject(face: RunningFace, name: str, undo: ExitStack) -> None:
+    """Switch an injected trouble on by its flag file; put its end on `undo`."""
     flag = face.inject / name
     flag.touch()
     undo.callback(flag.unlink, missing_ok=True)
 
 
-def _upload(face: RunningFace) -> None:
-    """Upload a line, and return when its bytes are on their way to the disk."""
-    seen = face.inject / "seen.disk"
-    seen.unlink(missing_ok=True)
+def _upload_slowly(face: RunningFace) -> None:
+    """Begin to upload a line in a thread; return once the face writes its bytes to the disk.
 
-    def upload() -> None:
+    Raises RuntimeError where it does not.
+    """
+    reached_disk = face.inject / "seen.disk"
+    reached_disk.unlink(missing_ok=True)
+
+    def post_sound() -> None:
         """Upload a sound to the page's `/api/lines` and ignore all errors; runs in a thread."""
         connection = http.client.HTTPConnection(urlsplit(face.at.page).netloc, timeout=_UPLOAD_S)
         with contextlib.closing(connection), contextlib.suppress(OSError):
             name = urlencode({"name": "upload.wav", "replace": "true"})
             headers = {"Authorization": f"Bearer {face.token}"} if face.token else {}
-            body = _wav()
+            body = _noise_wav()
             connection.request("POST", f"/api/lines?{name}", body, headers)
             connection.getresponse().read()
 
-    threading.Thread(target=upload, daemon=True).start()
-    if not face.robot.look_until(seen.exists, _COMES_S):
+    threading.Thread(target=post_sound, daemon=True).start()
+    if not face.robot.look_until(reached_disk.exists, _COMES_S):
         raise RuntimeError("the upload did not come to the disk")
 
 
-def _wav() -> bytes:
+def _noise_wav() -> bytes:
     file = io.BytesIO()
     noise = np.random.default_rng(0).normal(0.0, 0.1, 16_000)
     soundfile.write(file, noise, 16_000, format="WAV")
     return file.getvalue()
 
 
-def _begin_foreign(face: RunningFace, kind: str, undo: ExitStack) -> None:
-    """Run a program that is not ours and listens where our faces' sockets are.
+def _start_foreign_socket(face: RunningFace, kind: str, undo: ExitStack) -> None:
+    """Run a foreign program whose socket lies where our faces' sockets are, until `undo`.
 
-    The program is given by standard input, so that no command line has a name of ours in it.
+    kind: as of `foreign_socket`. The program is given by standard input, so that its command line
+    has no name of ours. Raises RuntimeError where the socket does not appear.
     """
     robot = face.robot
     before = set(robot.controls)
@@ -202,7 +207,7 @@ def _begin_foreign(face: RunningFace, kind: str, undo: ExitStack) -> None:
         process = robot.start_python("-", kind, stdin=subprocess.PIPE)
     finally:
         del robot.environment[foreign_socket.FOLDER_VARIABLE]
-    undo.callback(_end, face, process)
+    undo.callback(_end_process, face, process)
     assert process.stdin is not None
     process.stdin.write(Path(foreign_socket.__file__).read_bytes())
     process.stdin.close()
@@ -213,10 +218,10 @@ def _begin_foreign(face: RunningFace, kind: str, undo: ExitStack) -> None:
 
 
 def _start_beside(face: RunningFace, undo: ExitStack, *arguments: str) -> None:
-    undo.callback(_end, face, face.robot.start_python(*arguments))
+    undo.callback(_end_process, face, face.robot.start_python(*arguments))
 
 
-def _end(face: RunningFace, process: subprocess.Popen[bytes]) -> None:
+def _end_process(face: RunningFace, process: subprocess.Popen[bytes]) -> None:
     process.kill()
     process.wait()
     face.robot.processes.remove(process)

@@ -51,10 +51,10 @@ _PATIENT_HZ: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What the clip became at some servos, tick by tick.
+    """The clip as played on some servos, tick by tick.
 
-    sound_s (n,): what of the sound is shown; faces (n, n_components): what the lips should do;
-    shafts_deg (n, n_mouth): where the mouth's joints stood.
+    sound_s (n,): sound time that is shown; faces (n, n_components): faces that should be shown;
+    shafts_deg (n, n_mouth): where the shafts of the mouth's joints stood.
     """
 
     sound_s: Array
@@ -63,27 +63,29 @@ class Shown:
 
 
 def closures_at_shaft(name: str) -> dict[str, float]:
-    """Closures of the clip that the shafts of a face meet, and the same face on Dynamixels.
+    """Count the clip's closures (P, B, M) that the servos of a face reach, and Dynamixels instead.
 
-    A closure is reached where the lips come within half a millimetre of the gap that the angles
-    leave for the face whose lips are nearest, during the phoneme or 60 ms beside it.
+    A closure is reached if, during the phoneme or 60 ms beside it, the lips come within 0.5 mm of
+    the gap that exact angles would give them for the face with the smallest gap in that time.
+    name: of the face or its YAML. `closures_at_shaft_share`: our servos' count over that of the
+    Dynamixels.
     """
     face = assemble_face(name, None)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         events = recognize_file(make_recognizer(), clip).events
         closures = [each for each in events if each.phoneme in _BILABIALS]
-        n_reached = _n_reached(face, _shown(face, _own_servos(face.settings), clip), closures)
-        on_dynamixel = _n_reached(face, _shown(face, _dynamixels(face), clip), closures)
+        n_reached = _n_reached(face, _play_clip(face, _face_servos(face.settings), clip), closures)
+        n_on_dynamixel = _n_reached(face, _play_clip(face, _dynamixels(face), clip), closures)
     return {
         "closures": len(closures),
         "closures_at_shaft": n_reached,
-        "closures_at_shaft_on_dynamixel": on_dynamixel,
-        "closures_at_shaft_share": n_reached / max(1, on_dynamixel),
+        "closures_at_shaft_on_dynamixel": n_on_dynamixel,
+        "closures_at_shaft_share": n_reached / max(1, n_on_dynamixel),
     }
 
 
-class _ClockOfAll(ManualClock):
-    """A clock that takes those of several buses along."""
+class _JointClock(ManualClock):
+    """A virtual clock that advances the clocks of several buses with it."""
 
     def __init__(self, clocks: Sequence[ManualClock]) -> None:
         super().__init__()
@@ -96,8 +98,11 @@ class _ClockOfAll(ManualClock):
             clock.sleep_until(time_s)
 
 
-def _own_servos(settings: FaceSettings) -> WatchedServos:
-    """Return the simulated servos of the face's YAML, on all of its buses."""
+def _face_servos(settings: FaceSettings) -> WatchedServos:
+    """Return the simulated servos of the face's YAML, on all of its buses.
+
+    Raises UserError for a bus whose simulator does not give the shafts' angles.
+    """
     if settings.buses:
         return _on_several_buses(settings)
     watch = getattr(settings.bus_kind.simulator(), "watched_servos", None)
@@ -112,23 +117,23 @@ def _own_servos(settings: FaceSettings) -> WatchedServos:
 
 def _on_several_buses(settings: FaceSettings) -> WatchedServos:
     """Return the servos of a face with several buses as one bus; each bus keeps its own clock."""
-    parts = {name: _own_servos(alone) for name, alone in settings.alone.items()}
-    clock = _ClockOfAll([part.clock for part in parts.values()])
-    buses = {name: part.bus for name, part in parts.items()}
+    parts = {name: _face_servos(alone) for name, alone in settings.alone.items()}
+    clock = _JointClock([bus_servos.clock for bus_servos in parts.values()])
+    buses = {name: bus_servos.bus for name, bus_servos in parts.items()}
     bus = SeveralBuses(buses, settings.bus_of, clock, _PATIENT_HZ)
     at = {name: np.flatnonzero(np.array(settings.bus_of) == name) for name in parts}
 
     def shafts_deg() -> Array:
-        found_deg = np.full(len(settings.servos), np.nan)
-        for name, part in parts.items():
-            found_deg[at[name]] = part.shafts_deg()
-        return found_deg
+        all_deg = np.full(len(settings.servos), np.nan)
+        for name, bus_servos in parts.items():
+            all_deg[at[name]] = bus_servos.shafts_deg()
+        return all_deg
 
     return WatchedServos(bus, clock, None, shafts_deg, lambda: True)
 
 
 def _dynamixels(face: Face) -> WatchedServos:
-    """XL330-M288 in the place of each servo."""
+    """Return simulated servos of the same face, an XL330-M288 in place of each servo."""
     model, clock = servo_models()["XL330-M288"], ManualClock()
     servos = [
         MountedServo(
@@ -141,10 +146,13 @@ def _dynamixels(face: Face) -> WatchedServos:
     return WatchedServos(bus, clock, chain, lambda: bus.feedback().positions_deg, lambda: True)
 
 
-def _shown(face: Face, servos: WatchedServos, clip: Path) -> Shown:
-    """Play a clip on simulated servos; return faces and shafts at each tick until after its end."""
+def _play_clip(face: Face, servos: WatchedServos, clip: Path) -> Shown:
+    """Play a clip on simulated servos; return faces and shafts of each tick.
+
+    Until `_AFTER_S` after the clip's end, on a virtual clock.
+    """
     bus, clock, rate_hz = servos.bus, servos.clock, face.settings.rate_hz
-    mouth = [list(face.settings.servos).index(each) for each in face.settings.mouth_servos]
+    mouth_indices = [list(face.settings.servos).index(each) for each in face.settings.mouth_servos]
     synthesizer = make_synthesizer(face.model, MotionOptions())
     sound_s, faces, shafts_deg = [], [], []
     with FileSource(clip) as source, bus:
@@ -153,12 +161,12 @@ def _shown(face: Face, servos: WatchedServos, clip: Path) -> Shown:
         clock.sleep_until(clock.now() + _COMES_ON_S * len(face.joints))
         street.begin(clock.now())
         for time_s, late in ticks(clock, rate_hz):
-            tick = street.tick(time_s, late)
-            if tick.sound_s > (source.duration_s or 0.0) + _AFTER_S:
+            tick_result = street.tick(time_s, late)
+            if tick_result.sound_s > (source.duration_s or 0.0) + _AFTER_S:
                 break
-            sound_s.append(tick.sound_s)
-            faces.append(tick.frame.coefficients)
-            shafts_deg.append(servos.shafts_deg()[mouth])
+            sound_s.append(tick_result.sound_s)
+            faces.append(tick_result.frame.coefficients)
+            shafts_deg.append(servos.shafts_deg()[mouth_indices])
     return Shown(np.array(sound_s), np.array(faces), np.array(shafts_deg))
 
 
@@ -171,7 +179,7 @@ def _gap_mm(markers_mm: Array) -> Array:
 def _n_reached(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
     """Return how many of the closures the shafts reach, as `closures_at_shaft` defines it.
 
-    A closure during which nothing was shown is not reached.
+    shown: the clip as played. A closure during which nothing was shown is not reached.
     """
     servos = CalibrationSetup(face.settings, load_face_with_animphos(), quiet=True).servos
     markers_of = markers_of_face(face.model.markers_mm(face.model.rest[None])[0], servos)
@@ -180,10 +188,10 @@ def _n_reached(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
     n_reached = 0
     for event in closures:
         end_s = np.inf if event.end_s is None else event.end_s + _AROUND_S
-        around = (event.start_s - _AROUND_S <= shown.sound_s) & (shown.sound_s <= end_s)
-        if around.any():
-            nearest = int(np.argmin(np.where(around, gap_mm, np.inf)))
+        in_closure = (event.start_s - _AROUND_S <= shown.sound_s) & (shown.sound_s <= end_s)
+        if in_closure.any():
+            nearest = int(np.argmin(np.where(in_closure, gap_mm, np.inf)))
             closed_deg = face.calibration.positions_deg(shown.faces[nearest])
             closed_mm = _gap_mm(markers_of(closed_deg[None]))[0]
-            n_reached += bool(shown_mm[around].min() <= closed_mm + _REACHED_MM)
+            n_reached += bool(shown_mm[in_closure].min() <= closed_mm + _REACHED_MM)
     return n_reached

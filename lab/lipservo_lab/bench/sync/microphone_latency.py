@@ -59,10 +59,10 @@ class SimulatedMicrophone:
         del until_s
         n_ready = math.floor((self._clock.now() - _DRIVER_S) / BLOCK_S + 1e-6)
         n_ready = min(n_ready, len(self._samples) // BLOCK_SAMPLES)
-        first, self._n_given = self._n_given, max(self._n_given, n_ready)
+        n_before, self._n_given = self._n_given, max(self._n_given, n_ready)
         return [
             AudioBlock(self._samples[n * BLOCK_SAMPLES : (n + 1) * BLOCK_SAMPLES], n * BLOCK_S)
-            for n in range(first, self._n_given)
+            for n in range(n_before, self._n_given)
         ]
 
     def __enter__(self) -> "SimulatedMicrophone":
@@ -78,9 +78,9 @@ def clip_to_bus_s(motion: MotionOptions, n_times: int) -> Array:
     Parameters
     ----------
     motion : MotionOptions
-        Options.
+        How motion is made.
     n_times : int
-        Instants.
+        Number of instants.
 
     Returns
     -------
@@ -98,19 +98,20 @@ def clip_to_bus_s(motion: MotionOptions, n_times: int) -> Array:
 def microphone_to_bus_s(
     samples: NDArray[np.float32], changed_s: Sequence[float], motion: MotionOptions
 ) -> Array:
-    """Return how long after a time the first goal goes out that depends on the sound there.
+    """Return how long after an instant of the sound the first goal is sent that depends on it.
 
-    The sound is played twice, the second time silent from then on: the first tick whose goals
-    differ is the one. Times after which nothing differs within a second are left out.
+    The sound is played twice, the second time silent from that instant on; the delay is up to the
+    first tick whose goals differ. Instants after which no goal differs within a second are left
+    out.
 
     Parameters
     ----------
     samples : NDArray[np.float32]
         (m,) at 16 kHz.
     changed_s : Sequence[float]
-        Times.
+        The instants, sound time.
     motion : MotionOptions
-        Options.
+        How motion is made.
 
     Returns
     -------
@@ -118,17 +119,17 @@ def microphone_to_bus_s(
         (n,) s.
     """
     whole_deg = _goals_deg(samples, motion)
-    found = []
-    for at_s in changed_s:
-        first = round(at_s * SAMPLE_RATE_HZ)
-        cut = samples[: first + SAMPLE_RATE_HZ].copy()
-        cut[first:] = 0.0
-        cut_deg = _goals_deg(cut, motion)
-        n = min(len(cut_deg), len(whole_deg))
-        differs = (np.abs(cut_deg[:n] - whole_deg[:n]) > _SAME_DEG).any(axis=1)
-        if differs.any():
-            found.append(int(differs.argmax()) / RATE_HZ - at_s)
-    return np.array(found)
+    delays_s = []
+    for silent_from_s in changed_s:
+        first_sample = round(silent_from_s * SAMPLE_RATE_HZ)
+        silenced = samples[: first_sample + SAMPLE_RATE_HZ].copy()
+        silenced[first_sample:] = 0.0
+        silenced_deg = _goals_deg(silenced, motion)
+        n = min(len(silenced_deg), len(whole_deg))
+        is_different = (np.abs(silenced_deg[:n] - whole_deg[:n]) > _SAME_DEG).any(axis=1)
+        if is_different.any():
+            delays_s.append(int(is_different.argmax()) / RATE_HZ - silent_from_s)
+    return np.array(delays_s)
 
 
 def _goals_deg(samples: NDArray[np.float32], motion: MotionOptions) -> Array:
@@ -168,31 +169,31 @@ def microphone_table(
     *,
     n_times: int = _N_TIMES,
 ) -> list[dict[str, object]]:
-    """Return a row for each look-ahead and each recogniser latency.
+    """Return a row of delays and closures for each recogniser latency and look-ahead.
 
     `declared_delay_ms` is what `run` prints at its start; `microphone_to_bus_p95_ms` is measured on
-    the bundled clip at `n_times` instants; closures are those of the recordings. accuracy: returns
-    further figures of a recogniser by its latency in seconds.
+    the bundled clip at `n_times` instants; closures are those of `recordings`, played by `face`.
+    weights: of the recogniser. accuracy: returns further figures of a recogniser by its latency, s.
     """
     n_rows = len(LATENCIES_S) * len(LOOKAHEADS_S)
     rows: list[dict[str, object]] = []
     for latency_s in LATENCIES_S:
-        accurate = accuracy(latency_s)
+        accuracy_figures = accuracy(latency_s)
         for lookahead_s in LOOKAHEADS_S:
             advance("table", len(rows), n_rows)
             motion = MotionOptions(
                 weights=weights, style=Style(lookahead_s), recognizer_latency_s=latency_s
             )
-            bus_s = clip_to_bus_s(motion, n_times)
+            delays_s = clip_to_bus_s(motion, n_times)
             closures = _closures(recordings, face, motion)
             rows.append(
                 {
                     "lookahead_ms": _ms(lookahead_s),
                     "latency_ms": _ms(latency_s),
                     "declared_delay_ms": _ms(declared_delay_s(motion)),
-                    "microphone_to_bus_p95_ms": _ms(float(np.percentile(bus_s, 95))),
+                    "microphone_to_bus_p95_ms": _ms(float(np.percentile(delays_s, 95))),
                     **closure_figures(closures),
-                    **accurate,
+                    **accuracy_figures,
                 }
             )
     advance("table", n_rows, n_rows)
@@ -200,7 +201,7 @@ def microphone_table(
 
 
 def declared_delay_s(motion: MotionOptions) -> float:
-    """Return the delay from sound to face, s, without the servos' lag."""
+    """Return the delay from sound to face that a face declares, s, without the servos' lag."""
     recognizer = make_recognizer(latency_s=motion.recognizer_latency_s, weights=motion.weights)
     return Delay(recognizer.latency_s, motion.style.lookahead_s).total_s
 
@@ -208,7 +209,7 @@ def declared_delay_s(motion: MotionOptions) -> float:
 def _closures(
     recordings: Sequence[Recording], face: TrainedModel, motion: MotionOptions
 ) -> list[Closure]:
-    """Return each closure in all recordings, in the motion that a live recogniser led to."""
+    """Return the closures of all recordings, in motion made from a live recogniser's phonemes."""
     recognizer = NetworkRecognizer(find_weights(motion.weights), motion.recognizer_latency_s)
     lookahead_s = motion.style.lookahead_s
     return [

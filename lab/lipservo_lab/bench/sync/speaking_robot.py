@@ -40,12 +40,12 @@ Seconds = NDArray[np.float64]
 
 
 class SimulatedLoudspeaker:
-    """A `lipsync.audio.playout.Loudspeaker`; `advance` lets time pass.
+    """A simulated `lipsync.audio.playout.Loudspeaker`; `advance` lets its time pass.
 
-    rate_hz: samples a second, a multiple of 100, by its own clock. latency_s: from its taking a
-    sample to the sample's leaving it. skew: how much faster than nominal its clock runs, 200e-6 for
-    200 parts in a million. jitter_s: its reports are up to so much early or late, evenly spread,
-    and its callbacks come up to so much late, by `rng`.
+    rate_hz: samples a second by its own clock, a multiple of 100. latency_s: from taking a sample
+    to playing it. skew: how much faster than nominal its clock runs, 200e-6 for 200 parts in a
+    million. jitter_s: its reports are up to so much early or late, evenly distributed, and its
+    callbacks come up to so much late, drawn by `rng`.
     """
 
     def __init__(
@@ -64,8 +64,8 @@ class SimulatedLoudspeaker:
         self._frames: Samples = np.zeros((rate_hz // 100, 1), dtype=np.float32)
         self._report: PositionReport | None = None
         self._now_s = 0.0
-        self._due_s: float | None = None  # when it asks for the next block, by its clock
-        self._late_s = 0.0  # so much later the callback comes
+        self._callback_due_s: float | None = None  # when it asks for the next block, by its clock
+        self._callback_late_s = 0.0  # so much later the callback comes
         self._stalls: list[tuple[float, float]] = []
         self._played: list[tuple[float, Samples]] = []
 
@@ -90,38 +90,44 @@ class SimulatedLoudspeaker:
         return self._ring.n_underruns
 
     def write(self, samples: Samples) -> None:
-        """The next samples (n,) float32 mono of the timeline."""
+        """Append the next samples of the timeline, (n,) float32 mono."""
         self._ring.write(samples)
 
     def silence_rest(self) -> float:
-        """Drop what has not been played, as `LoudspeakerOutput.silence_rest`."""
+        """Drop samples that have not been taken, as `LoudspeakerOutput.silence_rest`.
+
+        Returns the second of the timeline from which on there is silence.
+        """
         return self._ring.silence_rest(self.rate_hz // 100) / self.rate_hz
 
     def position(self) -> tuple[float, float] | None:
-        """Return a monotonic time, with jitter, and the second of the timeline that leaves then."""
+        """Return a monotonic time, with jitter, and the second of the timeline that is played then.
+
+        None: nothing has been taken yet.
+        """
         return None if self._report is None else self._report.at(self._now_s)
 
     def stall(self, from_s: float, until_s: float) -> None:
-        """Take nothing and play nothing between two monotonic times."""
+        """Let the loudspeaker take and play nothing between two monotonic times."""
         self._stalls.append((from_s, until_s))
 
     def advance(self, now_s: float) -> None:
-        """Take what it asks for until monotonic `now_s`. The first call begins its time."""
+        """Take the blocks that are due until monotonic `now_s`. The first call starts its clock."""
         self._now_s = now_s
-        if self._due_s is None:
-            self._due_s = now_s
-        while self._due_s + self._late_s <= now_s:
-            self._due_s = self._after_stalls(self._due_s)
-            if self._due_s + self._late_s > now_s:
+        if self._callback_due_s is None:
+            self._callback_due_s = now_s
+        while self._callback_due_s + self._callback_late_s <= now_s:
+            self._callback_due_s = self._end_of_stall(self._callback_due_s)
+            if self._callback_due_s + self._callback_late_s > now_s:
                 return
-            self._take(self._due_s)
-            self._due_s += self._period_s
-            self._late_s = self._jitter_s * float(self._rng.random())
+            self._take_block(self._callback_due_s)
+            self._callback_due_s += self._period_s
+            self._callback_late_s = self._jitter_s * float(self._rng.random())
 
     def played(self) -> tuple[Samples, Seconds]:
-        """Return the samples (n,) taken from the timeline, and when each leaves, (n,) s.
+        """Return the samples (n,) taken from the timeline, and when each is played, (n,) s.
 
-        Zeros that were played for want of samples are not among them.
+        Times are monotonic and exact. Zeros that were played for want of samples are left out.
         """
         if not self._played:
             return np.zeros(0, dtype=np.float32), np.zeros(0)
@@ -129,29 +135,29 @@ class SimulatedLoudspeaker:
         times_s = [begins_s + sample_s * np.arange(len(each)) for begins_s, each in self._played]
         return np.concatenate([each for _, each in self._played]), np.concatenate(times_s)
 
-    def _after_stalls(self, due_s: float) -> float:
+    def _end_of_stall(self, due_s: float) -> float:
         for from_s, until_s in sorted(self._stalls):
             if from_s <= due_s < until_s:
                 due_s = until_s
         return due_s
 
-    def _take(self, requested_s: float) -> None:
+    def _take_block(self, requested_s: float) -> None:
         """Take 10 ms of samples, as a sound card's callback does; note when they leave.
 
         requested_s: monotonic time at which the callback was due. The times of `played` are exact,
         those that `position` reports are in error by the jitter.
         """
         position_s = self._ring.n_taken / self.rate_hz
-        n = self._ring.take_into(self._frames)
+        n_taken = self._ring.take_into(self._frames)
         leaves_s = requested_s + self._latency_s
-        error_s = self._jitter_s * (2.0 * float(self._rng.random()) - 1.0)
-        reported_s = leaves_s + error_s
-        end_position_s = position_s + n / self.rate_hz
+        report_error_s = self._jitter_s * (2.0 * float(self._rng.random()) - 1.0)
+        reported_s = leaves_s + report_error_s
+        end_position_s = position_s + n_taken / self.rate_hz
         self._report = PositionReport(
             reported_s, position_s, reported_s + self._period_s + self._jitter_s, end_position_s
         )
-        if n:
-            self._played.append((leaves_s, self._frames[:n, 0].copy()))
+        if n_taken:
+            self._played.append((leaves_s, self._frames[:n_taken, 0].copy()))
 
 
 #: A face of ten servos whose geometry is known, so that encoders tell how far its lips are apart.
@@ -161,9 +167,9 @@ RATE_HZ: Final = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What was seen in each tick: times_s (n,), encoder angles (n, n_servos), lip gap in mm (n,).
+    """What a robot did in each tick: times_s (n,), encoders_deg (n, n_servos), gap_mm (n,).
 
-    zero_s: where the sound's timeline begins, on the same clock.
+    gap_mm: lip gap by the encoders. zero_s: when the sound's timeline begins, on the same clock.
     """
 
     times_s: Array
@@ -206,10 +212,10 @@ class SpeakingRobot:
         rate_hz: float = RATE_HZ,
         performance: Performance | None = None,
     ) -> None:
-        """rate_hz: ticks a second.
+        """Build the face on a virtual clock. loudspeaker: None: one without skew and jitter.
 
-        is_listening: whether there is a recogniser; else only known phonemes move the mouth, or
-        what was rendered, where there is a performance.
+        is_listening: a recogniser runs; else only phonemes that come with the sound move the mouth.
+        rate_hz: ticks a second. performance: rendered motion, which then moves the mouth alone.
         """
         face = assemble_face(FACE, None)
         self.loudspeaker = loudspeaker or SimulatedLoudspeaker()
@@ -225,9 +231,9 @@ class SpeakingRobot:
         self.street = make_street(face, self.playout, self._bus, rate_hz, recognizer, synthesizer)
 
     def run(self, until_s: float, act: Callable[[float], None] | None = None) -> Watched:
-        """Run from the first torque until `until_s` seconds after the timeline began.
+        """Run from the first torque until `until_s` seconds after the sound's timeline began.
 
-        act: called in each tick with the seconds since then.
+        act: called in each tick with the seconds since that beginning.
         """
         times_s: list[float] = []
         encoders_deg: list[Array] = []
@@ -245,8 +251,8 @@ class SpeakingRobot:
                 encoders_deg.append(self._bus.feedback().positions_deg)
                 if time_s - zero_s >= until_s:
                     break
-        seen_deg = np.array(encoders_deg)
-        return Watched(np.array(times_s), seen_deg, self._gap_mm(seen_deg), zero_s)
+        all_encoders_deg = np.array(encoders_deg)
+        return Watched(np.array(times_s), all_encoders_deg, self._gap_mm(all_encoders_deg), zero_s)
 
     def _gap_mm(self, positions_deg: Array) -> Array:
         """Return the lip gap, (n,) mm, by the face's geometry, of positions (n, n_servos)."""
@@ -259,22 +265,22 @@ class SpeakingRobot:
 def spoken_stream(
     text: SynthesizedSpeech, playout: Playout, *, knows: bool, kind: UnitKind | None = None
 ) -> PlayoutStream:
-    """Return a whole text as a stream that has ended.
+    """Return a whole synthesised text as a stream that has ended.
 
-    knows: the stream brings the text's phonemes. kind: of the units that a sender gives beforehand,
-    as a voice agent does; None: none.
+    knows: the stream carries the text's phonemes. kind: of the units that are sent before the
+    sound, as a voice agent does; None: no units.
     """
     known = text.phonemes if knows else ()
     stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)
     if kind is not None:
-        spoken = _spoken_text(text, kind)
-        stream.tell(spoken, () if spoken.moves_mouth else pronounced_units(spoken))
+        spoken_text = _as_units(text, kind)
+        stream.tell(spoken_text, () if spoken_text.moves_mouth else pronounced_units(spoken_text))
     stream.push(text.samples)
     stream.end()
     return stream
 
 
-def _spoken_text(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
+def _as_units(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
     """Return a synthesised text as units of one kind: all of it, its words, or its phonemes.
 
     Words and phonemes carry the sample at which each begins; the text carries none.

@@ -41,7 +41,7 @@ _LEAST_CLOSURE_S: Final = 0.010
 
 @dataclass(frozen=True, slots=True)
 class Crossings:
-    """Seconds, in order: when lips close and when they part."""
+    """When lips close and when they part, seconds in ascending order, (n,) and (m,)."""
 
     closing_s: Array
     parting_s: Array
@@ -57,15 +57,15 @@ def sounding_closures(text: SynthesizedSpeech) -> Crossings:
     phonemes = text.phonemes
     closing_s: list[float] = []
     parting_s: list[float] = []
-    before = SILENCE
-    following = [*(each.phoneme for each in phonemes[1:]), SILENCE]
-    for event, after in zip(phonemes, following, strict=True):
+    previous = SILENCE
+    next_phonemes = [*(each.phoneme for each in phonemes[1:]), SILENCE]
+    for event, next_phoneme in zip(phonemes, next_phonemes, strict=True):
         if event.phoneme in BILABIALS:
-            if before not in (*BILABIALS, SILENCE):
+            if previous not in (*BILABIALS, SILENCE):
                 closing_s.append(event.start_s)
-            if after not in (*BILABIALS, SILENCE) and event.end_s is not None:
+            if next_phoneme not in (*BILABIALS, SILENCE) and event.end_s is not None:
                 parting_s.append(_release_s(text, event.start_s, event.end_s))
-        before = event.phoneme
+        previous = event.phoneme
     return Crossings(np.array(closing_s), np.array(parting_s))
 
 
@@ -75,69 +75,71 @@ def _release_s(text: SynthesizedSpeech, start_s: float, end_s: float) -> float:
     The phoneme's end where it has no silence of `_LEAST_CLOSURE_S`.
     """
     first = round(start_s * text.sample_rate_hz)
-    sounds = np.abs(text.samples[first : round(end_s * text.sample_rate_hz)]) >= _SILENT
+    is_sounding = np.abs(text.samples[first : round(end_s * text.sample_rate_hz)]) >= _SILENT
     # The longest stretch without sound: from one sample that sounds to the next.
-    places = np.concatenate(([-1], np.flatnonzero(sounds)))
-    gaps = np.diff(places)
-    if len(gaps) == 0 or gaps.max() < _LEAST_CLOSURE_S * text.sample_rate_hz:
+    sounding_samples = np.concatenate(([-1], np.flatnonzero(is_sounding)))
+    gap_lengths = np.diff(sounding_samples)
+    if len(gap_lengths) == 0 or gap_lengths.max() < _LEAST_CLOSURE_S * text.sample_rate_hz:
         return end_s
-    return start_s + float(places[int(gaps.argmax()) + 1]) / text.sample_rate_hz
+    return start_s + float(sounding_samples[int(gap_lengths.argmax()) + 1]) / text.sample_rate_hz
 
 
 def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_MM) -> Crossings:
-    """Return when the lips crossed closed_mm, between samples by a straight line.
+    """Return when the lip gap crossed `closed_mm`, interpolated linearly between samples.
 
     Parameters
     ----------
     times_s,gap_mm : Array
-        (n,).
+        (n,), the lip gap over time.
     closed_mm : float
-        The limit.
+        Lips with a smaller gap are closed.
 
     Returns
     -------
     Crossings
         Closings and partings in s.
     """
-    closed = gap_mm < closed_mm
-    changed = np.flatnonzero(closed[1:] != closed[:-1])
-    share = (closed_mm - gap_mm[changed]) / (gap_mm[changed + 1] - gap_mm[changed])
-    at_s = times_s[changed] + share * (times_s[changed + 1] - times_s[changed])
-    return Crossings(at_s[closed[changed + 1]], at_s[~closed[changed + 1]])
+    is_closed = gap_mm < closed_mm
+    last_before = np.flatnonzero(is_closed[1:] != is_closed[:-1])
+    fraction = (closed_mm - gap_mm[last_before]) / (gap_mm[last_before + 1] - gap_mm[last_before])
+    at_s = times_s[last_before] + fraction * (times_s[last_before + 1] - times_s[last_before])
+    return Crossings(at_s[is_closed[last_before + 1]], at_s[~is_closed[last_before + 1]])
 
 
 def matched_errors_s(wanted_s: Array, seen_s: Array) -> tuple[Array, int]:
-    """Return how much later each wanted event was seen, and how many were not.
+    """Return how much later wanted events were seen, and how many were not seen.
+
+    Each wanted event is matched to the nearest one seen, at most `MATCHED_S` away.
 
     Parameters
     ----------
     wanted_s : Array
-        (n,).
+        (n,), times of the wanted events.
     seen_s : Array
-        (m,).
+        (m,), times of the events seen.
 
     Returns
     -------
     tuple[Array, int]
-        (n_matched,) s, and the number of the others.
+        Delays of those matched, (n_matched,) s, and the number of the others.
     """
     if len(seen_s) == 0 or len(wanted_s) == 0:
         return np.zeros(0), len(wanted_s)
     late_s = seen_s[None] - wanted_s[:, None]
     nearest_s = late_s[np.arange(len(wanted_s)), np.abs(late_s).argmin(axis=1)]
-    matched = np.abs(nearest_s) <= MATCHED_S
-    return nearest_s[matched], int(np.sum(~matched))
+    is_matched = np.abs(nearest_s) <= MATCHED_S
+    return nearest_s[is_matched], int(np.sum(~is_matched))
 
 
 def performances_of(texts: Sequence[SynthesizedSpeech]) -> list[Performance]:
     """Render each text with the shipped models and the default method, its phonemes known."""
-    return [_performance(text) for text in texts]
+    return [_render_text(text) for text in texts]
 
 
 def performed_stream(
     text: SynthesizedSpeech, performance: Performance, playout: Playout
 ) -> PlayoutStream:
-    """The whole line as a stream that has ended."""
+    """Return a rendered line as a stream that has ended. text: its sound."""
     line = line_of(performance, "text", text.samples, text.sample_rate_hz)
     stream = line.stream(playout)
     for chunk in line.chunks():
@@ -146,7 +148,7 @@ def performed_stream(
     return stream
 
 
-def _performance(text: SynthesizedSpeech) -> Performance:
+def _render_text(text: SynthesizedSpeech) -> Performance:
     """Return a text rendered with the shipped models as a performance, its phonemes known."""
     speaker = load_speaker(None, None)
     samples = soxr.resample(text.samples, text.sample_rate_hz, SAMPLE_RATE_HZ)
@@ -170,9 +172,11 @@ _AROUND_S: Final = 2.5
 
 @dataclass(frozen=True, slots=True)
 class SpeechTiming:
-    """Of all sentences: how much later lips close and part than the sound says, seconds.
+    """Timing of the lips in all sentences.
 
-    n_wanted, n_unmatched: closings and partings together. n_closures, n_hits: of P B M.
+    errors_s: how much later lips close and part than they should by the sound, (n_matched,).
+    n_wanted, n_unmatched: closings and partings together. n_closures, n_hits: P, B and M, and those
+    of them with closed lips.
     """
 
     errors_s: Array
@@ -190,28 +194,29 @@ def speech_timing(
     performances: Sequence[Performance] | None = None,
     loudspeaker_seed: int = 0,
 ) -> SpeechTiming:
-    """Return how late lips close and part, each text spoken by a robot of its own.
+    """Let a simulated robot speak each text; return how late its lips close and part.
 
-    knows: phonemes come with the sound; else the robot recognises them. kind: of the units sent
-    beside the stream, None: none. performances: of the texts; they are performed.
+    knows: the text's phonemes come with the sound; else the robot recognises them. kind: of the
+    units sent beside the stream; None: none. performances: rendered motion of the texts, which is
+    played instead.
 
-    Each loudspeaker differs: latency 20 to 120 ms, a clock up to 200 parts in a million off,
-    reports up to 5 ms off.
+    Loudspeakers are drawn by `loudspeaker_seed`: latency 20 to 120 ms, a clock up to 200 parts in a
+    million off, reports up to 5 ms off.
     """
-    rendered = [None] * len(texts) if performances is None else performances
+    performance_of_text = [None] * len(texts) if performances is None else performances
     rng = np.random.default_rng(loudspeaker_seed)
     errors_s: list[Array] = []
     n_wanted = n_unmatched = n_closures = n_hits = 0
-    for text, performance in zip(texts, rendered, strict=True):
-        watched, sound_s = _spoken(text, _loudspeaker(rng), performance, knows=knows, kind=kind)
+    for text, performance in zip(texts, performance_of_text, strict=True):
+        watched, sound_s = _speak_text(text, _loudspeaker(rng), performance, knows=knows, kind=kind)
         times_s = watched.times_s - sound_s
         wanted, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
         for wanted_s, seen_s in (
             (wanted.closing_s, seen.closing_s),
             (wanted.parting_s, seen.parting_s),
         ):
-            late_s, n_missing = matched_errors_s(wanted_s, seen_s)
-            errors_s.append(late_s)
+            errors_of_kind_s, n_missing = matched_errors_s(wanted_s, seen_s)
+            errors_s.append(errors_of_kind_s)
             n_wanted += len(wanted_s)
             n_unmatched += n_missing
         hits = _closure_hits(text.phonemes, times_s, watched.gap_mm)
@@ -229,7 +234,7 @@ def _loudspeaker(rng: np.random.Generator) -> SimulatedLoudspeaker:
     )
 
 
-def _spoken(
+def _speak_text(
     text: SynthesizedSpeech,
     loudspeaker: SimulatedLoudspeaker,
     performance: Performance | None,
@@ -237,7 +242,11 @@ def _spoken(
     knows: bool,
     kind: UnitKind | None,
 ) -> tuple[Watched, float]:
-    """Let a robot speak a text; return what was seen, and when its first sample left, s."""
+    """Let a robot speak a text; return what it did, and when the text's first sample was played, s.
+
+    performance: rendered motion to play; None: motion is made live, from known phonemes (knows) or
+    recognised ones.
+    """
     robot = SpeakingRobot(loudspeaker, is_listening=not knows, performance=performance)
     if performance is None:
         stream = spoken_stream(text, robot.playout, knows=knows, kind=kind)
@@ -249,15 +258,15 @@ def _spoken(
 
 
 def first_sample_s(text: SynthesizedSpeech, loudspeaker: SimulatedLoudspeaker) -> float:
-    """Return when a text's first sample left the loudspeaker, s.
+    """Return when the loudspeaker played a text's first sample, s (monotonic).
 
-    Samples are counted, since the loudspeaker's reports have errors. The first loud sample decides:
-    quieter ones may be a resampler's ringing.
+    Found from the first loud sample, since quieter ones may be a resampler's ringing; the
+    loudspeaker's reports are not used, for they have errors.
     """
     samples, times_s = loudspeaker.played()
-    began = int(np.flatnonzero(np.abs(samples) > _LOUD)[0])
-    wanted = int(np.flatnonzero(np.abs(text.samples) > _LOUD)[0])
-    return float(times_s[began]) - wanted / text.sample_rate_hz
+    first_loud = int(np.flatnonzero(np.abs(samples) > _LOUD)[0])
+    first_loud_of_text = int(np.flatnonzero(np.abs(text.samples) > _LOUD)[0])
+    return float(times_s[first_loud]) - first_loud_of_text / text.sample_rate_hz
 
 
 def _closure_hits(phonemes: Sequence[PhonemeEvent], times_s: Array, gap_mm: Array) -> list[bool]:

@@ -30,7 +30,7 @@ _OPENING_S: Final = 0.100
 
 @dataclass(frozen=True, slots=True)
 class FirstSeen:
-    """From the first byte that came to the first motion, and to the first sound, seconds."""
+    """Delays from a stream's first byte to the first motion, and to the first sound, seconds."""
 
     motion_s: float
     sound_s: float
@@ -38,63 +38,66 @@ class FirstSeen:
 
 @dataclass(frozen=True, slots=True)
 class BargeIn:
-    """From the interruption to closed lips, and how far what was reported as played is off, s."""
+    """closed_s: from an interruption to closed lips; played_error_s: error of the played sound.
+
+    The latter: the seconds that the face reports as played, less those that were.
+    """
 
     closed_s: float
     played_error_s: float
 
 
 def first_seen(text: SynthesizedSpeech) -> FirstSeen:
-    """Play a stream whose first byte is sound, at the pace of speech; return when it is shown."""
-    voiced = _from_first_sound(text)
+    """Play a stream whose first byte is speech, at the pace of speech; return when it is seen."""
+    voiced = _without_lead_in(text)
     robot = SpeakingRobot(is_listening=True)
     feed = _Feed(robot, voiced, text.sample_rate_hz, _even(len(voiced), text.sample_rate_hz))
     watched = robot.run(_READY_S + 1.0, feed.advance)
-    samples, left_s = robot.loudspeaker.played()
-    first_s = watched.zero_s + _READY_S
-    rest_deg = watched.encoders_deg[np.searchsorted(watched.times_s, first_s) - 1]
-    moved = (np.abs(watched.encoders_deg - rest_deg) > _MOVED_DEG).any(axis=1)
-    moved &= watched.times_s >= first_s
-    sound_s = float(left_s[np.flatnonzero(np.abs(samples) > _SOUNDS)[0]])
-    return FirstSeen(float(watched.times_s[moved][0]) - first_s, sound_s - first_s)
+    samples, played_s = robot.loudspeaker.played()
+    first_byte_s = watched.zero_s + _READY_S
+    rest_deg = watched.encoders_deg[np.searchsorted(watched.times_s, first_byte_s) - 1]
+    is_moving = (np.abs(watched.encoders_deg - rest_deg) > _MOVED_DEG).any(axis=1)
+    is_moving &= watched.times_s >= first_byte_s
+    sound_s = float(played_s[np.flatnonzero(np.abs(samples) > _SOUNDS)[0]])
+    return FirstSeen(float(watched.times_s[is_moving][0]) - first_byte_s, sound_s - first_byte_s)
 
 
 def barge_in(text: SynthesizedSpeech, after_s: float, rate_hz: float) -> BargeIn:
-    """Interrupt a robot `after_s` after its first sound was heard; return how soon lips close.
+    """Interrupt a robot `after_s` after its first sound was played; return how soon lips close.
 
-    The lips should be open then. rate_hz: of the servo loop.
+    `after_s` is to be chosen such that the lips are open then. rate_hz: of the servo loop.
     """
     robot = SpeakingRobot(is_listening=True, rate_hz=rate_hz)
     samples = text.samples
     feed = _Feed(robot, samples, text.sample_rate_hz, _even(len(samples), text.sample_rate_hz))
     requested_s: list[float] = []
-    at_s = _READY_S + robot.street.speech.delay.total_s + after_s
+    interrupt_at_s = _READY_S + robot.street.speech.delay.total_s + after_s
 
-    def act(now_s: float) -> None:
+    def feed_and_interrupt(now_s: float) -> None:
         feed.advance(now_s)
-        if now_s >= at_s and not requested_s:
+        if now_s >= interrupt_at_s and not requested_s:
             requested_s.append(now_s)
             robot.playout.requests.append(PlayoutRequest("interrupt"))
 
-    watched = robot.run(at_s + 1.0, act)
-    cut_s = watched.zero_s + requested_s[0]
-    later = watched.times_s >= cut_s
-    closed_s = watched.times_s[later & (watched.gap_mm <= CLOSED_GAP_MM)][0] - cut_s
+    watched = robot.run(interrupt_at_s + 1.0, feed_and_interrupt)
+    interrupted_s = watched.zero_s + requested_s[0]
+    is_after = watched.times_s >= interrupted_s
+    closed_s = watched.times_s[is_after & (watched.gap_mm <= CLOSED_GAP_MM)][0] - interrupted_s
     (event,) = (each for each in robot.playout.events if each.kind == "interrupted")
     played, left_s = robot.loudspeaker.played()
-    last = int(np.flatnonzero(np.abs(played) > 0.0)[-1])
+    last_sounding = int(np.flatnonzero(np.abs(played) > 0.0)[-1])
     began_s = first_sample_s(text, robot.loudspeaker)
-    heard_s = float(left_s[last]) - began_s
+    heard_s = float(left_s[last_sounding]) - began_s
     return BargeIn(float(closed_s), abs(event.n_played / text.sample_rate_hz - heard_s))
 
 
 def stuck_open_s(
     texts: Sequence[SynthesizedSpeech], rng: np.random.Generator
 ) -> tuple[float, float, int]:
-    """Return seconds of open lips in pauses, seconds of lips that open early, and underruns.
+    """Play texts as streams with jitter; return seconds of open lips in pauses, and underruns.
 
-    Over jittery streams. The first are lips that stay open with nothing to say; the second open for
-    the sound that follows, and are no fault.
+    First: seconds in which lips stay open without sound to say; second: seconds in which they open
+    for the sound that follows, which is no fault; third: number of underruns.
     """
     stuck_s, opening_s, n_underruns = 0.0, 0.0, 0
     for text in texts:
@@ -102,30 +105,33 @@ def stuck_open_s(
         schedule = _jittery(len(text.samples), text.sample_rate_hz, rng)
         feed = _Feed(robot, text.samples, text.sample_rate_hz, schedule)
         watched = robot.run(_READY_S + schedule[-1][0] + _TAIL_S, feed.advance)
-        stuck_more_s, opening_more_s = _stuck_s(watched, robot.loudspeaker)
-        stuck_s += stuck_more_s
-        opening_s += opening_more_s
+        text_stuck_s, text_opening_s = _open_times_s(watched, robot.loudspeaker)
+        stuck_s += text_stuck_s
+        opening_s += text_opening_s
         n_underruns += robot.playout.n_underruns
     return stuck_s, opening_s, n_underruns
 
 
-def _stuck_s(watched: Watched, loudspeaker: SimulatedLoudspeaker) -> tuple[float, float]:
-    """Seconds of lips that are stuck, and of lips that open for the next sound."""
+def _open_times_s(watched: Watched, loudspeaker: SimulatedLoudspeaker) -> tuple[float, float]:
+    """Return seconds of lips that are stuck open, and of lips that open for the next sound."""
     samples, left_s = loudspeaker.played()
     speech_s = left_s[np.abs(samples) > _SOUNDS]
-    following = np.searchsorted(speech_s, watched.times_s)
-    since_s = watched.times_s - np.concatenate(([-np.inf], speech_s))[following]
-    until_s = np.concatenate((speech_s, [np.inf]))[following] - watched.times_s
+    next_speech = np.searchsorted(speech_s, watched.times_s)
+    since_s = watched.times_s - np.concatenate(([-np.inf], speech_s))[next_speech]
+    until_s = np.concatenate((speech_s, [np.inf]))[next_speech] - watched.times_s
     rest_mm = float(np.median(watched.gap_mm[:20]))
-    quarter_mm = rest_mm + _STUCK_SHARE * (float(watched.gap_mm.max()) - rest_mm)
-    is_open = (watched.gap_mm > quarter_mm) & (since_s > _STUCK_AFTER_S)
-    stuck, opening = is_open & (until_s > _OPENING_S), is_open & (until_s <= _OPENING_S)
+    open_mm = rest_mm + _STUCK_SHARE * (float(watched.gap_mm.max()) - rest_mm)
+    is_open = (watched.gap_mm > open_mm) & (since_s > _STUCK_AFTER_S)
+    is_stuck, is_opening = is_open & (until_s > _OPENING_S), is_open & (until_s <= _OPENING_S)
     ticks_s = np.diff(watched.times_s)
-    return float(ticks_s[stuck[1:]].sum()), float(ticks_s[opening[1:]].sum())
+    return float(ticks_s[is_stuck[1:]].sum()), float(ticks_s[is_opening[1:]].sum())
 
 
 class _Feed:
-    """Pushes a stream's samples as a schedule says: (seconds since it began, samples by then)."""
+    """Sends a sound to a robot as an agent's stream, chunk by chunk.
+
+    schedule: (seconds since the stream began, number of samples sent by then).
+    """
 
     def __init__(
         self,
@@ -143,7 +149,7 @@ class _Feed:
         self._has_begun = False
 
     def advance(self, now_s: float) -> None:
-        """Send what is due, seconds after the timeline began."""
+        """Send the chunks that are due `now_s` seconds after the sound's timeline began."""
         if now_s < _READY_S:
             return
         if not self._has_begun:
@@ -159,11 +165,11 @@ class _Feed:
 
 
 def _even(n_samples: int, rate_hz: int) -> list[tuple[float, int]]:
-    """Pieces at the pace of speech, the first at once."""
-    return [(n * _CHUNK_S, end) for n, end in enumerate(_ends(n_samples, rate_hz))]
+    """Return a schedule of chunks at the pace of speech, the first at once."""
+    return [(n * _CHUNK_S, end) for n, end in enumerate(_chunk_ends(n_samples, rate_hz))]
 
 
-def _ends(n_samples: int, rate_hz: int) -> Iterator[int]:
+def _chunk_ends(n_samples: int, rate_hz: int) -> Iterator[int]:
     length = round(_CHUNK_S * rate_hz)
     for end in range(length, n_samples + length, length):
         yield min(end, n_samples)
@@ -171,13 +177,13 @@ def _ends(n_samples: int, rate_hz: int) -> Iterator[int]:
 
 def _jittery(n_samples: int, rate_hz: int, rng: np.random.Generator) -> list[tuple[float, int]]:
     """Return a schedule in bursts: one chunk in twenty is 100 to 400 ms late, the rest wait."""
-    at_s, schedule = 0.0, []
-    for n, end in enumerate(_ends(n_samples, rate_hz)):
+    sent_s, schedule = 0.0, []
+    for n, end in enumerate(_chunk_ends(n_samples, rate_hz)):
         late_s = float(rng.uniform(0.1, 0.4)) if rng.random() < 0.05 else 0.0
-        at_s = max(at_s, n * _CHUNK_S + late_s)
-        schedule.append((at_s, end))
+        sent_s = max(sent_s, n * _CHUNK_S + late_s)
+        schedule.append((sent_s, end))
     return schedule
 
 
-def _from_first_sound(text: SynthesizedSpeech) -> NDArray[np.float32]:
+def _without_lead_in(text: SynthesizedSpeech) -> NDArray[np.float32]:
     return text.samples[int(np.flatnonzero(np.abs(text.samples) > _SOUNDS)[0]) :]

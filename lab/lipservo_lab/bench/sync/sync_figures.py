@@ -50,29 +50,30 @@ _DEVICE_HZ: Final = 8_000
 
 
 def drift_s(skew: float, duration_s: float, *, jitter_s: float = 0.005) -> float:
-    """Return the largest distance between shown and heard sound, s.
+    """Return the largest time between the sound that is shown and that which is heard, s.
 
-    skew: how much too fast the loudspeaker's clock is, as a share; jitter_s: how far off its
-    reports are.
+    A simulated loudspeaker plays for `duration_s`. skew: how much too fast its clock runs, as a
+    share; jitter_s: largest error of the times that it reports. The first `_SETTLED_S` do not
+    count.
     """
     face = assemble_face(FACE, None)
     loudspeaker = SimulatedLoudspeaker(_DEVICE_HZ, 0.08, skew, jitter_s)
     playout = Playout(loudspeaker)
     synthesizer = make_synthesizer(face.model, MotionOptions())
     side = make_speech_side(face, playout, Deaf(), synthesizer, MemoryTargetChannel(), start_s=0.0)
-    now_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
-    shown_s = np.empty(len(now_s))
+    ticks_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
+    shown_s = np.empty(len(ticks_s))
     loudspeaker.advance(0.0)
     side.begin(0.0)
-    for n, time_s in enumerate(now_s):
+    for n, time_s in enumerate(ticks_s):
         loudspeaker.advance(float(time_s))
         side.advance(float(time_s))
         shown_s[n] = side.speech.sound_time_s(float(time_s))
-    samples, left_s = loudspeaker.played()
+    samples, left_at_s = loudspeaker.played()
     positions_s = np.arange(len(samples)) / _DEVICE_HZ - playout.preroll_s
-    settled = (now_s > _SETTLED_S) & (now_s < left_s[-1])
-    heard_s = np.interp(now_s[settled], left_s, positions_s)
-    return float(np.abs(shown_s[settled] - heard_s).max())
+    is_compared = (ticks_s > _SETTLED_S) & (ticks_s < left_at_s[-1])
+    heard_s = np.interp(ticks_s[is_compared], left_at_s, positions_s)
+    return float(np.abs(shown_s[is_compared] - heard_s).max())
 
 
 #: The largest error of a sound card's clock.
@@ -88,63 +89,64 @@ _N_MICROPHONE: Final = 20
 
 
 def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
-    """Return all figures of `bench sync`.
+    """Return all figures of `bench sync`, by the names under which docs/benchmarks.md has them.
 
-    quick: fewer sentences, and a minute of drift.
+    quick: fewer sentences, and a minute of drift instead of ten. advance: called with the step's
+    name, its number, and the number of steps.
     """
     voice = synthesizer_for()
     sentences = SENTENCES[:3] if quick else SENTENCES
-    texts = [voice.speak(sentence) for sentence in sentences]
+    spoken_texts = [voice.speak(sentence) for sentence in sentences]
     steps = 8
     advance("known phonemes", 0, steps)
-    known = speech_timing(texts, knows=True)
+    known = speech_timing(spoken_texts, knows=True)
     advance("recognised phonemes", 1, steps)
-    heard = speech_timing(texts, knows=False)
+    recognized = speech_timing(spoken_texts, knows=False)
     advance("what is told", 2, steps)
     kinds: tuple[UnitKind, ...] = ("phoneme", "word", "text")
-    by_kind = {kind: speech_timing(texts, knows=False, kind=kind) for kind in kinds}
+    by_kind = {kind: speech_timing(spoken_texts, knows=False, kind=kind) for kind in kinds}
     advance("performances", 3, steps)
-    performed = speech_timing(texts, knows=True, performances=performances_of(texts))
+    performed = speech_timing(spoken_texts, knows=True, performances=performances_of(spoken_texts))
     advance("drift", 4, steps)
     minutes_s = 60.0 if quick else _DRIFT_DURATION_S
     drifts_s = [drift_s(skew, minutes_s) for skew in (-_SKEW, _SKEW)]
     advance("microphone", 5, steps)
-    quickest = MotionOptions(
+    low_latency = MotionOptions(
         style=Style(LOW_LATENCY_LOOKAHEAD_S), recognizer_latency_s=LOW_LATENCY_S
     )
-    microphone_s = clip_to_bus_s(quickest, 4 if quick else _N_MICROPHONE)
+    microphone_s = clip_to_bus_s(low_latency, 4 if quick else _N_MICROPHONE)
     advance("streams", 6, steps)
-    openings = [first_seen(voice.speak(opening)) for opening in _OPENINGS]
-    cuts = [
-        barge_in(texts[0], after_s, rate_hz)
+    first_seen_times = [first_seen(voice.speak(opening)) for opening in _OPENINGS]
+    barge_ins = [
+        barge_in(spoken_texts[0], after_s, rate_hz)
         for rate_hz in _RATES_HZ
         for after_s in _INTERRUPTED_AFTER_S
     ]
     advance("jitter", 7, steps)
-    stuck_s, opening_s, n_underruns = stuck_open_s(texts, np.random.default_rng(0))
+    stuck_s, opening_s, n_underruns = stuck_open_s(spoken_texts, np.random.default_rng(0))
     return {
-        **_timing("playback", known),
-        **_timing("recognized", heard),
-        **_timing("stream_phonemes", by_kind["phoneme"]),
-        **_timing("stream_words", by_kind["word"]),
-        **_timing("stream_text", by_kind["text"]),
-        **_timing("performed", performed),
+        **_timing_figures("playback", known),
+        **_timing_figures("recognized", recognized),
+        **_timing_figures("stream_phonemes", by_kind["phoneme"]),
+        **_timing_figures("stream_words", by_kind["word"]),
+        **_timing_figures("stream_text", by_kind["text"]),
+        **_timing_figures("performed", performed),
         "drift_10min_ms": _ms(max(drifts_s)),
         "mic_to_bus_p95_ms": _ms(np.percentile(microphone_s, 95)),
-        "stream_first_motion_ms": _ms(max(each.motion_s for each in openings)),
-        "stream_first_sound_ms": _ms(max(each.sound_s for each in openings)),
-        "barge_in_ms": _ms(max(each.closed_s for each in cuts)),
-        "played_error_ms": _ms(max(each.played_error_s for each in cuts)),
+        "stream_first_motion_ms": _ms(max(each.motion_s for each in first_seen_times)),
+        "stream_first_sound_ms": _ms(max(each.sound_s for each in first_seen_times)),
+        "barge_in_ms": _ms(max(each.closed_s for each in barge_ins)),
+        "played_error_ms": _ms(max(each.played_error_s for each in barge_ins)),
         "say_closure_hits": round(known.n_hits / known.n_closures, 4),
         "stuck_open_s": round(stuck_s, 3),
         "stuck_and_opening_s": round(stuck_s + opening_s, 3),
         "jitter_underruns": n_underruns,
-        "sentences": len(texts),
+        "sentences": len(spoken_texts),
         "drift_duration_s": minutes_s,
     }
 
 
-def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
+def _timing_figures(name: str, timing: SpeechTiming) -> dict[str, object]:
     """Return one way of playing as figures in ms and shares, under names that begin with `name`."""
     error_s = np.abs(timing.errors_s)
     return {

@@ -45,10 +45,11 @@ _OTHER_TEXT: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """Units that are sent with the sound, or a text; before it, or `late_s` after each message's.
+    """What a sender sends beside its sound: timed units, or a text; if neither, nothing.
 
-    message_s: of the sound of one message; 0: each unit is sent alone. lead_in_s: silence that the
-    sound has before the clip, of which the units' times know nothing.
+    late_s: after the beginning of each message's sound; None: all before the sound. message_s:
+    seconds of sound that one message covers; 0: each unit is sent alone. lead_in_s: silence before
+    the clip in the sound, which the units' times ignore.
     """
 
     kind: UnitKind = "phoneme"
@@ -60,10 +61,10 @@ class Sent:
 
 
 def timed_figures(advance: Callable[[int, int], None]) -> list[dict[str, object]]:
-    """Return a row for each defect of what a sender says of its sound.
+    """Play the clip with each defect of what is sent beside it; return a row for each defect.
 
-    Shares of right speech frames, P B M closed, and false closures. right_settled: the share from
-    1.5 s on. closures_spoken: P B M of the clip.
+    right: share of speech frames with the right viseme; right_settled: the same from 1.5 s on.
+    closures: P, B and M that were shown, of closures_spoken; false_closures: where none is spoken.
     """
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples = read_speech(clip)
@@ -71,9 +72,9 @@ def timed_figures(advance: Callable[[int, int], None]) -> list[dict[str, object]
         spoken = read_phonemes(labels)
     cases = defects(spoken)
     rows = []
-    for number, (name, sent) in enumerate(cases.items()):
+    for number, (name, variants) in enumerate(cases.items()):
         advance(number, len(cases))
-        scores = [_scored(samples, spoken, each) for each in sent]
+        scores = [_score_shown(samples, spoken, each) for each in variants]
         rows.append(
             {
                 "defect": name,
@@ -88,36 +89,39 @@ def timed_figures(advance: Callable[[int, int], None]) -> list[dict[str, object]
 
 
 def defects(spoken: Sequence[PhonemeEvent]) -> dict[str, list[Sent]]:
-    """Return what is sent beside a sound with phonemes `spoken`, by what is wrong with it.
+    """Return what is sent beside a sound with phonemes `spoken`, by the defect's name.
 
-    Several entries are several draws of the same defect.
+    Several entries of one defect are several random draws.
     """
     text = (resources.files("lipservo.clips") / _CLIP_TEXT).read_text("utf-8").strip()
     visemes: UnitKind = "viseme"
     rng = np.random.default_rng(0)
-    other = [*spoken[len(spoken) // 2 :], *spoken[: len(spoken) // 2]]
+    rotated = [*spoken[len(spoken) // 2 :], *spoken[: len(spoken) // 2]]
     return {
         "nothing beside the sound": [Sent()],
         "true times": [Sent(events=spoken)],
-        "200 ms late": [Sent(visemes, _at(spoken, lambda s: s + 0.2))],
-        "100 ms early": [Sent(visemes, _at(spoken, lambda s: s - 0.1))],
+        "200 ms late": [Sent(visemes, _move(spoken, lambda s: s + 0.2))],
+        "100 ms early": [Sent(visemes, _move(spoken, lambda s: s - 0.1))],
         "jitter of 40 ms": [
-            Sent(visemes, _at(spoken, lambda s: s + rng.normal(0.0, 0.04))) for _ in range(_DRAWS)
+            Sent(visemes, _move(spoken, lambda s: s + rng.normal(0.0, 0.04))) for _ in range(_DRAWS)
         ],
         "0.3 s late": [Sent(events=spoken, late_s=0.3, message_s=0.0)],
         "0.3 s late, by the half second": [Sent(events=spoken, late_s=0.3)],
-        "3 % slow": [Sent(events=_at(spoken, lambda s: 1.03 * s))],
-        "of another sentence": [Sent(events=_one_after_the_other(other))],
+        "3 % slow": [Sent(events=_move(spoken, lambda s: 1.03 * s))],
+        "of another sentence": [Sent(events=_one_after_the_other(rotated))],
         "lead-in of 0.5 s": [Sent(events=spoken, lead_in_s=0.5)],
         "true text": [Sent("text", text=text)],
         "another text": [Sent("text", text=_OTHER_TEXT)],
     }
 
 
-def _at(
+def _move(
     events: Sequence[PhonemeEvent], moved: Callable[[float], float]
 ) -> tuple[PhonemeEvent, ...]:
-    """The events at other times, in order, without ends: a unit lasts until the next one."""
+    """Return the events with beginnings moved by `move`, kept in order, and without ends.
+
+    A unit without an end lasts until the next one.
+    """
     starts_s = np.maximum.accumulate([max(0.0, moved(event.start_s)) for event in events])
     return tuple(
         replace(event, start_s=float(start_s), end_s=None)
@@ -136,8 +140,11 @@ def _one_after_the_other(events: Sequence[PhonemeEvent]) -> tuple[PhonemeEvent, 
 
 
 @dataclass(frozen=True, slots=True)
-class _Scored:
-    """Right frames of speech, and from 1.5 s on; P B M that were closed; closures where none is."""
+class _ShownScore:
+    """right, right_settled: share of speech frames with the right viseme, and that from 1.5 s on.
+
+    n_closures: P, B and M that were shown; n_false: closures shown where none is spoken.
+    """
 
     right: float
     right_settled: float
@@ -145,15 +152,18 @@ class _Scored:
     n_false: int
 
 
-def _scored(samples: Array32, spoken: Sequence[PhonemeEvent], sent: Sent) -> _Scored:
-    """Return how right the phonemes are that the clip shows, with `sent` beside its sound."""
-    n_led = round(sent.lead_in_s / BLOCK_S)
+def _score_shown(samples: Array32, spoken: Sequence[PhonemeEvent], sent: Sent) -> _ShownScore:
+    """Play the clip with `sent` beside its sound; return how right the phonemes shown are.
+
+    samples: (n,), the clip at 16 kHz. spoken: its true phonemes.
+    """
+    n_lead_in = round(sent.lead_in_s / BLOCK_S)
     sound = np.concatenate((np.zeros(round(sent.lead_in_s * SAMPLE_RATE_HZ), np.float32), samples))
     n_frames = round(len(samples) / SAMPLE_RATE_HZ / BLOCK_S)
-    shown, truth = _shown(sound, sent)[n_led : n_led + n_frames], _labels(spoken, n_frames)
-    whole, late, first = Score(), Score(), round(_SETTLED_S / BLOCK_S)
-    whole.add(shown, truth)
-    late.add(shown[first:], truth[first:])
+    shown, truth = (_play(sound, sent)[n_lead_in : n_lead_in + n_frames], _labels(spoken, n_frames))
+    score, settled_score, first_settled = Score(), Score(), round(_SETTLED_S / BLOCK_S)
+    score.add(shown, truth)
+    settled_score.add(shown[first_settled:], truth[first_settled:])
     closed = np.isin(shown, [PHONEME_INDEX[phoneme] for phoneme in BILABIALS])
     hits = [
         closed[max(0, round(each.start_s / BLOCK_S) - SLACK_FRAMES) :][
@@ -162,16 +172,19 @@ def _scored(samples: Array32, spoken: Sequence[PhonemeEvent], sent: Sent) -> _Sc
         for each in spoken
         if each.phoneme in BILABIALS
     ]
-    right, right_late = (each.figures()["viseme_speech"] for each in (whole, late))
-    n_false = whole.bilabials.n_reported - whole.bilabials.n_true
-    return _Scored(right, right_late, int(np.count_nonzero(hits)), n_false)
+    right, right_settled = (each.figures()["viseme_speech"] for each in (score, settled_score))
+    n_false = score.bilabials.n_reported - score.bilabials.n_true
+    return _ShownScore(right, right_settled, int(np.count_nonzero(hits)), n_false)
 
 
-def _shown(sound: Array32, sent: Sent) -> Labels:
-    """Play a sound as an agent's stream; return the phoneme number shown for each 10 ms."""
+def _play(sound: Array32, sent: Sent) -> Labels:
+    """Play a sound as an agent's stream on a virtual clock; return the phoneme that is shown.
+
+    Result: (n_frames,), the phoneme's number for each 10 ms of the sound.
+    """
     recognizer = make_recognizer()
     delay = Delay(recognizer.latency_s, MotionOptions().style.lookahead_s)
-    n_late = round(delay.synthesis_s / BLOCK_S)
+    n_delay = round(delay.synthesis_s / BLOCK_S)
     playout, timeline = Playout(), PhonemeTimeline()
     source = SpokenPhonemes(playout, recognizer)
     stream = PlayoutStream("agent", SAMPLE_RATE_HZ, playout.output_rate_hz)
@@ -180,7 +193,7 @@ def _shown(sound: Array32, sent: Sent) -> Labels:
     n_frames = round(len(sound) / SAMPLE_RATE_HZ / BLOCK_S)
     shown = np.full(n_frames, PHONEME_INDEX[SILENCE])
     n_sent, began_s = 0, None
-    for tick in range(n_frames + n_late + round(_TAIL_S / BLOCK_S)):
+    for tick in range(n_frames + n_delay + round(_TAIL_S / BLOCK_S)):
         now_s = tick * BLOCK_S
         while messages and messages[0][0] <= now_s:
             spoken = messages.pop(0)[1]
@@ -196,31 +209,31 @@ def _shown(sound: Array32, sent: Sent) -> Labels:
         if began_s is None and (found := playout.stream_at(max(0.0, now_s - 2 * BLOCK_S))):
             began_s = now_s - 2 * BLOCK_S - found[1]
         if began_s is not None:
-            frame = tick - n_late - round(began_s / BLOCK_S)
-            event = timeline.event_at(now_s - n_late * BLOCK_S + BLOCK_S / 2)
+            frame = tick - n_delay - round(began_s / BLOCK_S)
+            event = timeline.event_at(now_s - n_delay * BLOCK_S + BLOCK_S / 2)
             if 0 <= frame < n_frames and event is not None:
                 shown[frame] = PHONEME_INDEX[event.phoneme]
     return shown
 
 
 def _messages(sent: Sent) -> list[tuple[float, SpokenText]]:
-    """Return when each message is sent, s, and the units in it, in order."""
+    """Return when each message is sent, s from the sound's beginning, and its units; in order."""
     if sent.text:
         return [(0.0, SpokenText("text", (SpokenUnit(sent.text),), SAMPLE_RATE_HZ))]
     if sent.late_s is None:
-        return [(0.0, _spoken_text(sent.kind, sent.events))] if sent.events else []
+        return [(0.0, _as_units(sent.kind, sent.events))] if sent.events else []
     messages: dict[float, list[PhonemeEvent]] = {}
     for event in sent.events:
-        step_s = sent.message_s
-        begins_s = step_s * int(event.start_s / step_s) if step_s else event.start_s
+        message_s = sent.message_s
+        begins_s = message_s * int(event.start_s / message_s) if message_s else event.start_s
         messages.setdefault(begins_s, []).append(event)
     return [
-        (begins_s + sent.late_s, _spoken_text(sent.kind, events))
+        (begins_s + sent.late_s, _as_units(sent.kind, events))
         for begins_s, events in messages.items()
     ]
 
 
-def _spoken_text(kind: UnitKind, events: Sequence[PhonemeEvent]) -> SpokenText:
+def _as_units(kind: UnitKind, events: Sequence[PhonemeEvent]) -> SpokenText:
     def sample(time_s: float | None) -> int | None:
         return None if time_s is None else round(time_s * SAMPLE_RATE_HZ)
 
@@ -231,6 +244,6 @@ def _spoken_text(kind: UnitKind, events: Sequence[PhonemeEvent]) -> SpokenText:
 def _labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
     labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
     for event in events:
-        end = n_frames if event.end_s is None else round(event.end_s / BLOCK_S)
-        labels[round(event.start_s / BLOCK_S) : end] = PHONEME_INDEX[event.phoneme]
+        end_frame = n_frames if event.end_s is None else round(event.end_s / BLOCK_S)
+        labels[round(event.start_s / BLOCK_S) : end_frame] = PHONEME_INDEX[event.phoneme]
     return labels

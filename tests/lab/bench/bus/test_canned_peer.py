@@ -37,7 +37,10 @@ def line(port):
 
 
 def asked(ask, n_answers=1):
-    """A busy computer may be late, again and again; the answer that came whole."""
+    """Call `ask` until its answer is whole, at most 30 s: a busy computer may be late; return it.
+
+    n_answers: number of parts of a whole answer.
+    """
     give_up_s = time.monotonic() + 30.0
     while time.monotonic() < give_up_s:
         found = ask()

@@ -23,7 +23,7 @@ def test_by_hand_the_same_registers_are_written():
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(bench, "CannedI2c", Kept)
             tick = stack.enter_context(bench._bus_tick(*bench._pca9685()))
-            loop = bench._loop(bench._pca9685_by_hand())
+            loop = bench._loop_by_hand(bench._pca9685_by_hand())
         tick(7)
         loop(7)
         ours, by_hand = (

@@ -29,7 +29,10 @@ def places():
 
 @pytest.fixture(scope="module")
 def told():
-    """What dynamixel-sdk makes of them: currents, positions, voltages, temperatures."""
+    """Read the canned servos by dynamixel-sdk at each instant; leave out lost answers.
+
+    Each reading: currents, positions, voltages, temperatures, a list of each.
+    """
     with canned_peer(20) as port:
         client, found = OthersTick(SdkClient(port, 20)), []
         for n in range(N_MOMENTS):

@@ -14,7 +14,7 @@ NAMED, MISNAMED = FaultCount(1, 1, 0), FaultCount(1, 0, 1)
 
 
 def outcome(task, seed):
-    """Every robot is refused; one slip in four is laid to another servo."""
+    """Return a task's outcome: every robot is refused, one fault in four named wrongly."""
     if task is every_robot.own_robot:
         return OwnRobot(seed, None, "weak", {"slipped": NAMED, "slipped, measured": NAMED})
     if task is every_robot.elastic_robot:

@@ -17,7 +17,10 @@ ALWAYS = np.ones(100, np.bool_)
 
 
 def ticks(n=2_000, away=(), over=()):
-    """20 s at 100 Hz from monotonic 100 s. away: (from, to) in s; over: the same, and seconds."""
+    """Return n ticks at 100 Hz from monotonic 100 s, in which the network listens.
+
+    away: (from, to) in s, when it does not; over: (from, to, seconds that targets are late).
+    """
     time_s = 100.0 + np.arange(n) / 100.0
     is_network, over_s = np.ones(n, np.bool_), np.zeros(n)
     for begin_s, end_s in away:

@@ -22,7 +22,10 @@ CASE = FreezeCase("dynamixel", Frozen.STARTING, 0.0)
 
 
 def judged(answer, *records):
-    """The outcome of an answer at 10 s ago. records: (seconds after the answer, torque)."""
+    """Return the outcome of a freeze that was answered 10 s ago, by a log of two servos.
+
+    records: (seconds after the answer, torque of each servo from then on).
+    """
     answered_s = time.monotonic() - 10.0
     log = [Moment(answered_s + at_s, on) for at_s, on in records]
     device = SimpleNamespace(

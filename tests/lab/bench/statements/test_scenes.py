@@ -28,7 +28,7 @@ def test_each_value_of_an_object_is_one_statement_by_its_path():
 def test_all_that_a_face_says_from_start_to_stop_is_judged(bus):
     with heard_face(bus) as face:
         face.begin_face("daemon", "--listen", "none")
-        assert face.until_driven()
+        assert face.wait_until_driven()
         face.command("status")
         assert face.command("stop", "--limp") == 0
         face.wait(0.5)

@@ -11,7 +11,10 @@ from places import short_folder
 
 
 def served(answers):
-    """A control socket whose connections are answered in turn, None: hung up; and what it got."""
+    """Serve a control socket; return its path, and a list that grows by what it receives.
+
+    answers: for each connection, the messages that it gets before it is closed.
+    """
     path = short_folder() / "face.sock"
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     listener.bind(str(path))

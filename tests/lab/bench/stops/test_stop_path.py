@@ -49,7 +49,7 @@ def described():
 
 @pytest.fixture
 def program(tmp_path):
-    """PROGRAM as a module of a package of ours below another root."""
+    """Return the text PROGRAM as a loaded module, in a package `lipservo` below `tmp_path`."""
     (tmp_path / "lipservo").mkdir()
     path = tmp_path / "lipservo" / "small_program.py"
     path.write_text(PROGRAM)
@@ -61,7 +61,7 @@ def program(tmp_path):
 
 @pytest.fixture
 def traced(tmp_path):
-    """A tracer that is on in this thread and those that it starts, and the walks it has found."""
+    """Trace this thread and those that it starts; yield the tracer and the walks that it finds."""
     walks = []
     tracer = StopTracer(str(tmp_path), walks.append, lambda _walk: None)
     tracer.is_on = True

@@ -12,7 +12,10 @@ RATE_HZ = 8_000
 
 
 def speak(speaker, duration_s):
-    """What the live loop does, 100 times a second: (when, sound time the recogniser hears)."""
+    """Play silence as the live loop does, 100 times a second; return times of each turn, (n, 2) s.
+
+    Monotonic time, and the sound time that the recogniser has then.
+    """
     clock, playout = OwnPlaybackClock(LEAD_S), Playout(speaker)
     clock.begin(100.0)
     speaker.write(np.zeros(round(LEAD_S * RATE_HZ), np.float32))
