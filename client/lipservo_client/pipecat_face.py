@@ -543,7 +543,7 @@ def _unplayed_rest(sound: _Waiting) -> frames.TTSAudioRawFrame:
     """
     frame_bytes = 2 * sound.frame.num_channels
     n_played = 0 if sound.speech is None else sound.speech.n_played
-    n_rest = min(sound.n - n_played, len(sound.frame.audio) // frame_bytes)
-    rest = replace(sound.frame, audio=sound.frame.audio[-n_rest * frame_bytes :])
+    n_heard = max(len(sound.frame.audio) // frame_bytes - (sound.n - n_played), 0)
+    rest = replace(sound.frame, audio=sound.frame.audio[n_heard * frame_bytes :])
     rest.interruptible = sound.frame.interruptible
     return rest
