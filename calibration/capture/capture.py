@@ -111,14 +111,18 @@ def plan_around(
     rules: Sequence[CouplingRule] = (),
     seed: int | None = 0,
 ) -> PosePlan:
-    """Return a plan of the given poses, each joint reached from a side drawn by `seed`.
+    """Return a plan of the given poses, each joint moved to its goal from below or above at random.
+
+    The last step from either side shows the joint's backlash.
 
     Parameters
     ----------
     goals_deg : Array
-        (n, n_servos) degrees.
-    joints,rules : Sequence[JointRange]
-        Joint limits and coupling rules that the plan keeps.
+        (n, n_servos) degrees; clipped to the limits and rules.
+    joints : Sequence[JointRange]
+        Limits of the joints.
+    rules : Sequence[CouplingRule]
+        Rules between joints (`prevent:` of the YAML).
     seed : int | None
         Seed of the random sides; None: all from below.
 
@@ -176,8 +180,8 @@ def plan_of_poses(
 
     Parameters
     ----------
-    joints,rules : Sequence[JointRange]
-        Joint limits and coupling rules that the plan keeps.
+    joints, rules : Sequence[JointRange], Sequence[CouplingRule]
+        Limits of the joints, and rules between them; goals are clipped to both.
     goals_deg : Array
         (n, n_servos) degrees.
     side : Array

@@ -290,7 +290,8 @@ class DotsFolder:
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
         """Read `dots.csv`. tell: called with a line for each picture with touching or hidden dots.
 
-        Raises CalibrationError for a `dots.csv` that lacks a column, a number or a single scale.
+        Raises CalibrationError for a `dots.csv` that lacks a column, has a cell that is no number,
+        or rows that differ in mm_per_px.
         """
         self._folder, self._tell = folder, tell
         self._names = read_names(folder / NAMES_FILE)
@@ -298,11 +299,11 @@ class DotsFolder:
         self._reported: set[str] = set()
 
     def readings(self, pose: int | None = None) -> list[Reading]:
-        """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in one pose.
+        """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot.
 
-        pose: None: of all pictures. The origin is the mean of the dots in `dots.csv`. Raises
-        CalibrationError for an unusable picture or one of another size, and, for all pictures, if
-        there is none.
+        pose: the number of the pose whose picture is read; None reads all pictures. The origin is
+        the mean of the dots in `dots.csv`. Raises CalibrationError for a picture that is unusable
+        or differs in size from the first, and, if pose is None, for a folder without pictures.
         """
         return [
             each

@@ -313,11 +313,11 @@ def _lost_points(capture: Capture) -> Iterator[Finding]:
 
 
 def _same_points(capture: Capture) -> Iterator[Finding]:
-    """Yield a refusal for two markers at one position in every pose: one dot with two names."""
+    """Yield a refusal for two markers at one position in all poses that show both: one dot."""
     names = capture.marker_names
     for a, b in combinations(range(len(names)), 2):
         apart_mm = np.linalg.norm(capture.markers_mm[:, a] - capture.markers_mm[:, b], axis=1)
-        if np.nanmax(apart_mm, initial=0.0) < _SAME_DOT_MM:
+        if np.isfinite(apart_mm).any() and np.nanmax(apart_mm) < _SAME_DOT_MM:
             text = f"markers {names[a]!r} and {names[b]!r} are the same point in every pose"
             yield Finding("", f"{text}; name them anew in the tracker and capture again")
 

@@ -84,9 +84,10 @@ def markers_of_face(rest_mm: Array, servos: MouthServos) -> Callable[[Array], Ar
 
 
 def guessed_joints(servos: MouthServos, family: RobotFamily | None = None) -> Sequence[str]:
-    """Return the joints whose motion neither name nor word defines, so that it is guessed.
+    """Return the joints whose motion is guessed.
 
-    Empty for the family OWN, which knows its joints by name.
+    These are joints of which neither the name nor `positive` of the YAML says what they move. None
+    in the family OWN, whose joints have fixed names.
     """
     if (family or family_of(servos)) is RobotFamily.OWN:
         return ()

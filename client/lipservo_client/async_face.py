@@ -318,7 +318,10 @@ class AsyncFace:
         return self
 
     async def __aexit__(self, *exc: object) -> None:
-        """Disconnect. Streams that were ended are played to their end; others are cut off."""
+        """Disconnect; whoever still waits for a stream gets FaceError.
+
+        The face plays streams whose end it was sent to their end, and cuts off the others.
+        """
         if self._reconnecting is not None:
             self._reconnecting.cancel()
             await asyncio.gather(self._reconnecting, return_exceptions=True)

@@ -411,9 +411,10 @@ def _is_spoken(node: _Node) -> bool:
 
 
 def _label(value: object, kind: Kind, place: str) -> str | None:
-    """Return a unit's label, from text or an object with text; None for one that is not spoken.
+    """Return the name of a phoneme, viseme or word; None where it is not spoken (punctuation).
 
-    Raises VendorError, which names `place`, for a value of another type.
+    value: text, an object that has the text, or the number of a viseme. Raises VendorError, which
+    names `place`, for a value of another type.
     """
     if isinstance(value, dict):  # Azure's, on its WebSocket
         node = {_key(key): each for key, each in value.items()}

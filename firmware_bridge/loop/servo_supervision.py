@@ -172,10 +172,10 @@ class ServoSupervision:
         self._tracking.suspend_until(index, time_s + _CATCH_UP_S)
 
     def mark_all_waiting(self, time_s: float, why: str = "") -> None:
-        """Mark all as not driven, when the port is lost or all torque was switched off.
+        """Mark every servo as waiting, not driven: the port is lost, or all torque is switched off.
 
-        why: the reason, for people. Servos that a person switched off have to confirm again; failed
-        servos stay failed.
+        why: the reason, for people. Servos that a person switched off must once more confirm that
+        their torque is off; failed servos stay failed.
         """
         for index in range(len(self.states)):
             self._fire(index, ServoEvent.ALL_OFF, time_s, why)

@@ -193,7 +193,10 @@ class SingleServos:
                 return ""
 
     def note(self, order: Order, time_s: float) -> None:
-        """Store an accepted order for the ticks. A restart is sent at once, or raises PortError."""
+        """Store an accepted order, which the next ticks of the control loop carry out.
+
+        Only the restart of a servo is sent at once; raises PortError where that fails.
+        """
         match order:
             case ServoOrder():
                 self._switch(self._index[order.name], order.switch, time_s)

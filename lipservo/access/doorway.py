@@ -47,9 +47,10 @@ class Doorway:
         self._n_of_peer: Counter[str] = Counter()
 
     def enter(self, connection: asyncio.WriteTransport) -> None:
-        """Count a connection as waiting, unless it does already; if there are too many, abort one.
+        """Count a connection as waiting for its request, and abort it when its patience is over.
 
-        It is the oldest of the peer that has the most, or of this peer if it exceeds its share.
+        If too many connections wait, the oldest of the peer with most of them is aborted at once;
+        if this peer has more than its share, its own oldest.
         """
         if connection in self._waiting:
             return

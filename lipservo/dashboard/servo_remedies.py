@@ -99,7 +99,8 @@ def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[d
 def _heat_test(status: Mapping[str, Any]) -> Callable[[str], bool]:
     """Return a function from a servo's name to whether that servo reports its temperature.
 
-    True where the status does not say. For a face with several buses that of the servo's bus.
+    If the face has several buses, the capabilities of the servo's own bus decide. True where the
+    status does not say.
     """
     capabilities: Mapping[str, Any] = status.get("capabilities") or {}
     bus_of = dict(zip(status.get("servos") or (), capabilities.get("bus_of") or (), strict=False))

@@ -416,21 +416,24 @@ class ModelledLine:
 
 
 def model_line(model: StateModel, cepstra: Array, events: Sequence[PhonemeEvent]) -> ModelledLine:
-    """Return the motion of a line by the method of Edge, Hilton and Jackson, steps 2 to 6.
+    """Return the motion of a line by Edge, Hilton and Jackson's method (this module's docstring).
+
+    The cheapest path through the model's states is searched for the line's sound and phones; the
+    motion is the likeliest trajectory along that path.
 
     Parameters
     ----------
     model : StateModel
         States, and stored units (pieces of the recordings).
     cepstra : Array
-        (n, m) at the model's frame rate, normalised like the model's.
+        (n_frames, n_cepstra) at the model's frame rate, normalised like the model's.
     events : Sequence[PhonemeEvent]
         Phones of the line.
 
     Returns
     -------
     ModelledLine
-        Motion (n, p), and its path through the states.
+        Motion (n_frames, n_components of the face model), and its path through the states.
     """
     duration_s = len(cepstra) / model.frame_rate_hz
     joined = joined_phones(events, duration_s)

@@ -482,7 +482,10 @@ class _WordGraph:
         self._lay_out(self._words.part(first, end), _final_silence(end, end_state))
 
     def _lay_out(self, *parts: _Words) -> None:
-        """Make `parts`, joined, the graph's words; `window` will cut its window out anew."""
+        """Replace the words of the graph by `parts`, concatenated, and drop the cached window.
+
+        The next call of `window` computes the window again.
+        """
         self._words = _Words(
             *(
                 np.concatenate([getattr(part, name) for part in parts], axis=-1)

@@ -107,10 +107,10 @@ def _statements(
 
 
 def _restarts(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str, Any], list[str]]:
-    """Play restarts of Feetech servos; return the top speed after them over the soft start's bound.
+    """Simulate every n-th restart of Feetech servos, n = `every`; return figures and lines of text.
 
-    `restart_over_bound`: the largest ratio of speed to bound. The lines of text name the
-    restarts whose ratio exceeds `MOST_OVER`.
+    `restart_over_bound`: the highest speed after a restart, divided by the speed that the soft
+    start allows. The lines name the restarts in which this ratio exceeds `MOST_OVER`.
     """
     chosen = list(restarts())[::every]
     over = _play_each(over_bound, chosen, progress, chunksize=4)

@@ -144,9 +144,10 @@ def _inverted(tables: Tables) -> list[str]:
 
 
 def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tables:
-    """Return all answers of some raters as tables.
+    """Return the answers of some raters about clips as the arrays of `Tables`.
 
-    raters: by name. Raises KeyError or similar for answers to items that the study does not have.
+    raters: by name. key: which method and sentence a clip shows. Checks without clips are left
+    out. Raises KeyError or IndexError for answers that do not belong to this study.
     """
     names = tuple(raters)
     sentences = tuple(sorted({clip.sentence for clip in key.clips.values()}))

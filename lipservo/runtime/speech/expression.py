@@ -120,7 +120,7 @@ class ExpressionServo:
 
 
 def expression_servos(face: FaceSettings) -> list[ExpressionServo]:
-    """Return the expression servos of a face, in the YAML's order."""
+    """Return the servos that show a part of an expression (`expression:` in their YAML entry)."""
     return [
         ExpressionServo(
             index,

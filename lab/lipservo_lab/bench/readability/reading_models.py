@@ -64,10 +64,11 @@ def given_models(folder: Path, parts: Sequence[Part]) -> ModelOf:
 
 
 def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) -> ModelOf:
-    """Return a function from a part to a model trained on the part's training sentences.
+    """Return a function that trains a model on the training sentences of a split (`Part`).
 
-    Each call trains. track: shows progress while all sentences are recognised, once for all
-    trainings. tell: called with texts of what training is doing.
+    Each call trains a model. Training also needs what the recogniser hears of the corpus: it runs
+    over all sentences once, at the first call, and track shows its progress. tell: called with
+    lines that say what training is doing.
     """
     teacher = ModelTeacher(corpus, DEFAULT_WEIGHTS, track, tell)
     return lambda part: teacher(corpus.keep(set(part.train)))

@@ -338,9 +338,10 @@ def _launch(case: SignalCase, command: Command, robot: RobotAtPort) -> subproces
 def _wait_for_moment(
     case: SignalCase, command: Command, robot: RobotAtPort, process: subprocess.Popen[bytes]
 ) -> None:
-    """Watch the servos until the case's signal is due; unplug or deafen them before, if it says so.
+    """Watch the servos until the signal of `case` is due.
 
-    Raises RuntimeError when the moment does not come.
+    In a case UNPLUGGED the adapter is unplugged just before, in a case DEAF the first servo stops
+    answering. Raises RuntimeError when the moment does not come.
     """
     if case.moment is Moment.STARTING:
         robot.look(case.delay_s)

@@ -40,9 +40,11 @@ class Part:
 
 
 def read_parts(folder: Path, corpus: Corpus) -> list[Part]:
-    """Return the parts of a corpus's `splits.json`: five folds of `random`, and the new words.
+    """Return the splits into training and test sentences that a corpus's `splits.json` names.
 
-    Raises CorpusError for a missing or damaged file, and one that names none of the sentences.
+    They are the five folds of its entry `random`, and its splits `new_words`, whose test sentences
+    have words that training lacks. Raises CorpusError for a missing or damaged file, and one that
+    names none of the sentences.
     """
     return held_out_parts(
         folder, corpus, "random", lambda content: content["folds"], instead="--model needs none"

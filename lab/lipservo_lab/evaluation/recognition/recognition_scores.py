@@ -126,9 +126,10 @@ class Score:
     )
 
     def add(self, hypothesis: Labels, reference: Labels) -> None:
-        """Add one utterance.
+        """Add one utterance to the counts.
 
-        hypothesis, reference: phoneme indices (n,) in `PHONEMES`, recognised and spoken.
+        hypothesis, reference: (n_frames,), the phoneme recognised and the one spoken in each frame
+        of 10 ms, as indices into `PHONEMES`.
         """
         is_speech = reference != _SILENCE_INDEX
         is_right = hypothesis == reference

@@ -227,10 +227,12 @@ def fit_soft_expectation(
 def _inputs_and_faces(
     utterance: Utterance, motion: Array, copies: HeardCopies, table: Array32
 ) -> tuple[Array32, Array]:
-    """Return a sentence's inputs (n, n_windows k) and faces (n, n_components), of all copies.
+    """Return training pairs of a sentence: inputs (n, n_windows * k), motion (n, n_components).
 
-    motion: recorded faces (n_frames, n_components). table: (n_phonemes, k), of `looks`. Frames are
-    from 0.3 s before the first spoken frame to 0.3 s after the last; none without speech.
+    motion: as recorded (n_frames, n_components). copies: what recognisers make of the sentence in
+    several voices; each gives pairs, most of them of every second frame. table: (n_phonemes, k),
+    each phoneme's features (`looks`). Frames lie between 0.3 s before the first spoken frame and
+    0.3 s after the last; without speech there are none.
     """
     spoken = np.flatnonzero(speech_frames(utterance))
     if not len(spoken):
