@@ -15,6 +15,7 @@ from calibration.calibration import (
     check_servo_models,
 )
 from calibration.capture.capture import Capture, capture_poses, plan_poses
+from calibration.capture.sanity import check_capture
 from calibration.closure import CLOSED_GAP_MM
 from calibration.files.calibration_file import load_calibration, parse_calibration, save_calibration
 from calibration.files.calibration_text import calibration_text
@@ -91,6 +92,14 @@ def test_one_dot_under_two_names_is_refused(capture, one, other):
     markers_mm[:, MARKERS_47.names.index(one)] = markers_mm[:, MARKERS_47.names.index(other)]
     with pytest.raises(CalibrationError, match=f"'{other}' and '{one}' are the same point in eve"):
         fit_measured(MODEL, dataclasses.replace(capture, markers_mm=markers_mm), MOUTH)
+
+
+def test_two_dots_that_no_pose_shows_together_are_not_called_one(capture):
+    one, other = (MARKERS_47.names.index(f"outer_lip_{n}") for n in (84, 314))
+    markers_mm = capture.markers_mm.copy()
+    markers_mm[::2, one] = markers_mm[1::2, other] = np.nan
+    checked = check_capture(dataclasses.replace(capture, markers_mm=markers_mm), MODEL)
+    assert any("outer_lip_84" in warning for warning in checked.warnings)
 
 
 def test_a_mouth_that_never_opens_or_has_no_width_is_refused(capture):
