@@ -260,7 +260,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
         nothing,
     ),
     (r"says  [a-z0-9 ]+  +\S.*  +(?:from the start of .*|a few are normal; .*)", nothing),
-    (r"says  [a-z0-9 ]+  +\S.*  +(?:of sound|moved the mouth|the most memory used)", nothing),
+    (r"says  [a-z0-9 ]+  +\S.*  +(?:of sound.*|moved the mouth|the most memory used)", nothing),
     (r"says  seconds +[\d.]+ +the whole run took", nothing),
     (r"says sound +[\d.]+ s", nothing),
     # `calibrate neutral`.

@@ -34,9 +34,9 @@ def wired(path):
 
 
 def test_hobby_servos_are_wired_on_the_page_and_written_with_narrow_limits(wired, path):
-    wired.wire("jaw=0:opens")
-    wired.wire("lip=1:raises")
-    wired.wire("lip")  # taken back
+    wired.change_wiring("jaw=0:opens")
+    wired.change_wiring("lip=1:raises")
+    wired.change_wiring("lip")  # taken back
 
     wired.write_face()
 
@@ -52,7 +52,7 @@ def test_hobby_servos_are_wired_on_the_page_and_written_with_narrow_limits(wired
 )
 def test_what_cannot_be_wired_is_refused_in_one_line(wired, channel, why):
     with pytest.raises(FaceError, match=why) as refused:
-        wired.wire(channel)
+        wired.change_wiring(channel)
 
     assert refused.value.code == "refused"
 
@@ -65,7 +65,7 @@ def test_a_face_without_servos_is_not_written(wired, path):
 
 
 def test_a_face_that_is_there_is_gone_on_with_and_never_written_over(wired, path):
-    wired.wire("jaw=0:opens")
+    wired.change_wiring("jaw=0:opens")
     wired.write_face()
     before = path.read_bytes()
 
@@ -73,7 +73,7 @@ def test_a_face_that_is_there_is_gone_on_with_and_never_written_over(wired, path
 
     assert list(again.state()["face"]["servos"]) == ["jaw"]
     again.choose_port(None, "maestro", simulated=False)
-    again.wire("lip=0:raises")
+    again.change_wiring("lip=0:raises")
     with pytest.raises(FaceError, match="exists"):
         again.write_face()
     assert path.read_bytes() == before
