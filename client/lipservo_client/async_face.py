@@ -318,10 +318,7 @@ class AsyncFace:
         return self
 
     async def __aexit__(self, *exc: object) -> None:
-        """Disconnect; whoever still waits for a stream gets FaceError.
-
-        The face plays streams whose end it was sent to their end, and cuts off the others.
-        """
+        """Disconnect; waits for streams raise FaceError. Ended streams play on, others do not."""
         if self._reconnecting is not None:
             self._reconnecting.cancel()
             await asyncio.gather(self._reconnecting, return_exceptions=True)
