@@ -15,14 +15,6 @@ _NEUTRAL_VOWEL = "AH"
 
 
 @dataclass(frozen=True, slots=True)
-class IpaRow:
-    """The phones for one IPA symbol, in order; `reason`: why, empty if the sound is that phone."""
-
-    phones: tuple[str, ...]
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
 class InventoryPhones:
     """Phones for an IPA phoneme, none for a mark alone; `is_guess`: a letter is not in ipa.yaml."""
 
@@ -31,15 +23,11 @@ class InventoryPhones:
 
 
 @cache
-def ipa_table() -> MappingProxyType[str, IpaRow]:
-    """Return the row of every IPA symbol of ipa.yaml, in the file's order."""
+def ipa_table() -> MappingProxyType[str, tuple[str, ...]]:
+    """Return the phones of the inventory for every IPA symbol of ipa.yaml, in the file's order."""
     text = files("lipsync").joinpath("ipa.yaml").read_text("utf-8")
-    return MappingProxyType(
-        {
-            symbol: IpaRow(tuple(row[0].split()), row[1] if len(row) > 1 else "")
-            for symbol, row in yaml.safe_load(text).items()
-        }
-    )
+    rows: dict[str, list[str]] = yaml.safe_load(text)
+    return MappingProxyType({symbol: tuple(row[0].split()) for symbol, row in rows.items()})
 
 
 @lru_cache(maxsize=1024)
@@ -60,9 +48,9 @@ def phones_of_ipa(phoneme: str) -> InventoryPhones:
     index = 0
     while index < len(symbols):
         for length in range(min(longest, len(symbols) - index), 0, -1):
-            row = table.get(symbols[index : index + length])
-            if row is not None:
-                phones += row.phones
+            found = table.get(symbols[index : index + length])
+            if found is not None:
+                phones += found
                 break
         else:
             length, is_guess = 1, True
@@ -85,5 +73,5 @@ def _without_marks(phoneme: str) -> str:
 def _phones_of_similar(letter: str) -> tuple[str, ...]:
     """Return the phones of the plain letter in a letter's Unicode name, else the neutral vowel."""
     words = unicodedata.name(letter, "").split(" WITH ")[0].split()
-    row = ipa_table().get(words[-1].lower()) if words else None
-    return row.phones if row is not None else (_NEUTRAL_VOWEL,)
+    found = ipa_table().get(words[-1].lower()) if words else None
+    return found or (_NEUTRAL_VOWEL,)
