@@ -44,7 +44,7 @@ _LOOK_EVERY_S: Final = 0.2
 _SILENT_S: Final = 0.45
 #: The pulse that a controller sends may differ so much from its goal: it may be on its way there.
 _NEAR_US: Final = 100.0
-#: A smaller "pulse" is none: a Maestro reports the voltage of a channel that is an input that way.
+#: A smaller "pulse" does not count as torque: so a Maestro reports the voltage of an input.
 _NO_PULSE_US: Final = 256.0
 #: Wrong first pulses after which a channel counts as wrong; a single one may be a lost packet.
 _FAILURES: Final = 2
@@ -281,7 +281,7 @@ class PulseBus:
         )
 
     def feedback(self) -> Feedback:
-        """Return unknown positions; while servos start or catch up, also `ready` and `sent_deg`.
+        """Return unknown positions; unless all servos run steadily, also `ready` and `sent_deg`.
 
         ready: servos whose turn to start has come. sent_deg: the joint angle of each one's pulse.
         """
@@ -338,7 +338,8 @@ class PulseBus:
         """Start a servo's pulses, with the last pulse it had, .25 s or more after the servo before.
 
         Return "" if its start is accepted, which may lie ahead, else why it may not start. A servo
-        without a known last pulse starts at neutral. Then it moves slowly until it has caught up.
+        without a known last pulse starts at neutral if it may jump, else it is refused. Then it
+        moves slowly until it has caught up.
         """
         if why := self.obstacle(index):
             return why
@@ -522,15 +523,16 @@ class PulseBus:
     def _look(self, now_s: float) -> None:
         """Query the pulse of the next servo in turn; act where it is not as it should be.
 
-        A servo that should have a pulse and has none is marked as not started; one that should have
-        none is sent 0 again. now_s: monotonic.
+        A servo that should have a pulse and has none is marked as not started; if one that is
+        not started has a pulse, all are sent again: 0, or its own where it was left on. now_s:
+        monotonic.
         """
         on = self._held & (self._on_s <= now_s)
         self._next = index = (self._next + 1) % len(on)
         sending_us = self._ask(index)
         if not on[index]:
             if sending_us > 0.0 and not self._held[index] and self._has_sent:
-                self._send()  # the packet that ended its pulses was lost
+                self._send()  # a packet was lost, or its pulses were left on
                 self._ask(index)
         elif sending_us == 0.0:
             self._held[index] = self._is_steady = False

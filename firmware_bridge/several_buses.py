@@ -26,8 +26,9 @@ from firmware_bridge.known_torque import SILENT_S, KnownTorque, Torque
 #: Share of a tick that the loop may wait for buses, and the least wait where ticks are short.
 _SHARE: Final = 0.5
 _LEAST_WAIT_S: Final = 0.005
-#: Longest waits outside of ticks: for torque off on all buses, for positions, for a port to open,
-#: for the end. A job that takes longer goes on in its thread; the next call takes its result.
+#: Longest waits of single calls: for torque off on all buses, for positions, for a port to open,
+#: for the end. A job that takes longer goes on in its thread. A later `reopen` or `read` takes its
+#: result, a later `disable_all` begins anew.
 _OFF_S: Final = 0.1
 _READ_S: Final = 0.5
 _OPEN_S: Final = 0.1

@@ -110,7 +110,8 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
     def _hold(self, line: Line, index: int) -> bool:
         """Set full limits and the present position as the goal; return whether reads confirm both.
 
-        False, too, for a servo that never answered. Goals are sent to the servo afterwards.
+        False, too, for a servo that never answered or may not be driven. Only if True is it sent
+        goals afterwards.
         """
         if self._identities[index] is None:
             return False

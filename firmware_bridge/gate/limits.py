@@ -359,8 +359,8 @@ class Limiter:
     def hold_back(self, ready: NDArray[np.bool_] | None) -> None:
         """Keep joints that are not ready at their last goal; once ready, each catches up slowly.
 
-        Not ready are hobby servos that wait for their turn to start. So the rules between joints
-        use the position that each was really sent to, not its target.
+        Not ready are hobby servos that have not started: off, or waiting for their
+        turn. So the rules between joints use the position that each was really sent to.
 
         Parameters
         ----------

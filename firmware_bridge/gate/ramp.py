@@ -100,7 +100,7 @@ class EaseToNeutral:
     def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
         """Begin at `start_deg`, (n_joints,) degrees, at monotonic `start_s`.
 
-        It takes .5 s, or as long as the slowest joint needs at its top speed.
+        It takes .5 s, or so long that no joint exceeds its top speed.
         """
         speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
         needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))

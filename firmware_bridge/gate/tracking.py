@@ -164,7 +164,7 @@ class _Travel:
     """
 
     def __init__(self, n: int) -> None:
-        # Rows of two: goals, encoders. Arrays are made once and changed in place.
+        # Rows of two: goals, encoders. Made once and changed in place; `still` is replaced.
         self.travelled_deg = np.zeros((2, n))
         self.still = np.zeros(n, dtype=np.bool_)
         self._goal_deg, self._made_deg = self.travelled_deg
@@ -186,7 +186,7 @@ class _Travel:
 
         goals_deg, places_deg: (n_servos,), goals and positions. seen_s: the tick's monotonic time,
         less all that ticks lasted beyond .05 s each. heard: (n_servos,), True for servos that
-        answered; None: all did. Arrays are changed in place, and only every 50 ms or so, to save
+        answered; None: all did. The arrays are computed anew only every 50 ms or so, to save
         time in every tick.
         """
         elapsed_s = seen_s - self._time_s

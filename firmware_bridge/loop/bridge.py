@@ -290,7 +290,8 @@ class Bridge:
 
         The report has the goals wanted and sent, the age of the targets, whether torque is on, and
         which limits changed a goal. time_s: the tick's planned time, monotonic. late: how many
-        ticks were missed before it. Trouble of port or servos is handled here, not raised.
+        ticks were missed before it. A port that fails is handled here; a ServoError of the bus, as
+        when the guard of a PCA9685's OE pin has died, is raised.
         """
         self._tick_s = time_s
         port, targets, servos = self._port, self._targets, self._servos

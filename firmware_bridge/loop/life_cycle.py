@@ -370,8 +370,9 @@ class LifeCycle:
     def _obey_stop(self, request: StopRequest) -> None:
         """Carry out a person's stop: tell the supervisor process of it, then stop the servos.
 
-        The supervisor keeps the stop if this process dies. A freeze of a face that is limp, or on
-        its way to limp, changes nothing and is not reported.
+        The supervisor keeps the stop if this process dies. A freeze for which
+        the table has no row, as after a stop that made the face limp, changes nothing and is not
+        reported.
         """
         level, before = request.level, self._request
         _LOG.info("stop requested: %s, by %s", level.value, request.requested_by)
@@ -405,7 +406,7 @@ class LifeCycle:
         self._bridge.await_start()
 
     def _described(self) -> dict[str, object]:
-        """Return the face's status for clients, as JSON: with the last stop and its stop report."""
+        """Return the face's status for clients, with the last stop and its stop report."""
         stopped, report = self._request, self._stop_report
         return {
             **self._links.status(),
@@ -451,7 +452,7 @@ class LifeCycle:
         return ""
 
     def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
-        """Carry out the orders to servos and face that clients sent, and log each.
+        """Carry out the orders that clients sent; log starts and orders to servos.
 
         Servos switched off or on are reported to the supervisor, for a restarted bridge. time_s:
         the tick's. is_stopped_now: whether a stop came in this tick; then starts are refused.
@@ -473,8 +474,8 @@ class LifeCycle:
     def _port_due_s(self, time_s: float) -> float:
         """Return the monotonic time at which a stop gives up waiting for a lost port.
 
-        30 s after the loss was noticed, for a stop by a signal or the program's end; infinity for a
-        stop through the control socket, which waits without limit, and while no port is lost.
+        30 s after the first tick in which the port is lost, the face is being let go, and the
+        process ends (state LEAVING: by a signal, or the program's end); infinity otherwise.
         """
         is_lost = not self._bridge.plugged and self._bridge.state is FaceState.LETTING_GO
         if not is_lost or self._state is not LifeState.LEAVING:

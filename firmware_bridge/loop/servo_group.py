@@ -91,8 +91,9 @@ class HeatDerating:
 #: So often positions are read before a start until every servo has answered: one lost packet is no
 #: reason to fail.
 _READS = 5
-#: So often switching a servo's torque on is tried before a start fails. It takes some ten exchanges
-#: of packets; with a fifth of all packets lost in either direction one attempt in seven succeeds.
+#: So often a check of a servo, or switching its torque on, is tried before a start fails. It
+#: takes some ten exchanges of packets; with a fifth of all packets lost in either direction one
+#: attempt in seven succeeds.
 _REQUESTED = 60
 #: A shaft at top speed that is to stop gets a goal so far ahead of it, in time: it stops there
 #: without turning back.
@@ -292,7 +293,7 @@ class ServoGroup:
                 self.supervision.note_attempt(index, "was stopped before its turn", time_s)
 
     def _start_here(self, index: int) -> None:
-        """Set the limiter's last goal of servo `index`, just switched on, to its position.
+        """Set the limiter's last goal of servo `index`, known to hold, to its position.
 
         For a servo that reports no position, to the angle that the bus sent last; if the bus does
         not report that either, the limiter's last goal stays.

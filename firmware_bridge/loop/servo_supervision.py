@@ -223,14 +223,15 @@ class ServoSupervision:
         servo that was enabled just now; None: no servo was.
         """
         if self._all_normal(health):
+            self._n_silent.fill(0)
             return None
         # Silent is who has not answered for half a second and in three ticks: after a late tick a
         # single lost answer lasts half a second.
         self._n_silent = np.where(health.silent_s >= SILENT_S, self._n_silent + 1, 0)
-        n = len(self.states)
-        # Begin with the servo after the one that packets were sent to last.
-        for k in range(n):
-            index = (self._next + k) % n
+        # Begin with the servo after the one that packets were sent to last, or with one that a
+        # person has just switched off.
+        for k in range(len(self.states)):
+            index = (self._next + k) % len(self.states)
             event, why = self._seen(index, health, time_s, port)
             if event is None:
                 if why:

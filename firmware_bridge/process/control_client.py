@@ -350,9 +350,9 @@ def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
 
 
 def _listens(path: Path) -> bool:
-    """Return whether a process listens at the socket `path`.
+    """Return whether a process that we may reach listens at the socket `path`.
 
-    If none does, the socket file is removed, provided that it belongs to this user and that no
+    A socket that refuses connections is removed if it is this user's (any user's for root) and no
     other process locks its folder.
     """
     if knock(path) == 0:

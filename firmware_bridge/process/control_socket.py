@@ -30,7 +30,8 @@ LONGEST_WORD: Final = 2048
 #: Requests the descriptor of the shared memory in which the face writes what it does now.
 WATCH_WORD: Final = "watch"
 STATUS_WORD: Final = "status"
-#: Clients connected at a time; a further one takes the place of the oldest that waits for no stop.
+#: Clients connected at a time; a further one takes the place of the oldest
+#: that waits for no stop, or, if all wait for one, of the oldest.
 _MOST_CLIENTS: Final = 16
 _ACCEPTED_AT_ONCE: Final = 4
 #: Clients that connect while no process serves wait here.

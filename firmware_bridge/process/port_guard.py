@@ -78,7 +78,7 @@ def let_go(face: str, settings: "BusSettings", servos: Mapping[int, str]) -> Non
     """Switch torque off at the port of a dead face, and log what its servos confirm; blocks.
 
     A port that is gone is waited for up to 30 s. If another program still has the port 2 s after
-    the face died, nothing is sent. face: its name. settings: of the bus, with its port. servos: the
+    this call, nothing is sent. face: its name. settings: of the bus, with its port. servos: the
     servos' names, by address.
     """
     kind = bus_kind(settings.kind)

@@ -57,7 +57,7 @@ _LOG: Final = logging.getLogger(__name__)
 _END_S: Final = 5.0
 #: How long any end waits for servos that are silent.
 _SERVO_TIMEOUT_S: Final = 3.0
-#: The same for a face that was never driven: it has switched no torque on.
+#: How long a lost port is waited for while no bridge of this supervisor has ever been ready.
 _START_TIMEOUT_S: Final = 2.0
 #: Longer than any recovery that succeeds takes; after that systemd may restart the service.
 _RECOVERY_S: Final = 60.0
@@ -496,7 +496,7 @@ class Supervisor:
             report = self._report_of(release)
             _LOG.log(report.log_level, "%s", report.line())
             unconfirmed = ExitStatus.UNCONFIRMED if report.unconfirmed else ExitStatus.ENDED_WELL
-            # The exit status says what servos confirmed, unless the bridge failed otherwise.
+            # After a stop the exit status says what servos confirmed, else how the bridge ended.
             is_own = self._holds(Requested.STOP) or self._bridge_status == ExitStatus.UNCONFIRMED
             self._conclude(report, unconfirmed if is_own else self._bridge_status)
             self._fire(SupervisorEvent.RELEASED)
@@ -513,8 +513,9 @@ class Supervisor:
     def _give_up_s(self) -> float:
         """Return the monotonic time until which a lost port is waited for; infinity: for ever.
 
-        2 s for a face that was never driven; 30 s after a signal (none after the third), or for a
-        bridge that gave up; no limit for a face that recovers or was stopped by its control socket.
+        2 s if no bridge of this supervisor was ever ready; 30 s after a signal (none after the
+        third), or for a bridge that gave up; no limit for a face that recovers or was stopped by
+        its control socket.
         """
         if self._n_ready == 0:
             return self._release_s + _START_TIMEOUT_S

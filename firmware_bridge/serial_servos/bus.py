@@ -165,7 +165,7 @@ class SerialBus(ABC, Generic[_Line]):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Switch all torque off if this bus has switched any on, and close the port.
+        """Switch all torque off unless this bus has confirmed that it is off, and close the port.
 
         Torque off cannot be sent over a lost port: that port is closed, and no error is raised.
         """
@@ -196,7 +196,7 @@ class SerialBus(ABC, Generic[_Line]):
     def _begin(self, line: _Line) -> None:
         """Use the open `line` from now on, with the answer deadline that the slowest servo needs.
 
-        Every servo's torque becomes unknown, and its count of unanswered reads 0.
+        Every servo's torque becomes unknown, and no read counts it as silent.
         """
         self._line = line
         self.torque.forget()

@@ -12,7 +12,7 @@ from firmware_bridge.serial_servos.mounting import MountedServo, Mounting
 SOFT_DEG_S: Final = 60.0
 SOFT_STRENGTH: Final = 0.3
 #: The servo's own speed limit is this much above the joint's, so that rounding does not make it
-#: fall behind; a joint is thus never more than a twentieth faster than its setting.
+#: fall behind; a joint is thus at most a twentieth faster than its setting, but for rounding.
 SPEED_MARGIN: Final = 1.05
 #: How often a write is tried, and a read within a tick, where time is short.
 WRITE_TRIES, TRIES = 3, 2
@@ -191,7 +191,8 @@ class SerialRelease(ABC, Generic[_Line]):
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
         """Send torque off at every baud rate; return `addresses` and the ids that answer, sorted.
 
-        All servos of a chain have one rate: the scan for ids ends at the first rate with answers.
+        All servos of a chain have one rate: the scan ends at the first rate at which ids are known.
+        These are ids that answer, and for Dynamixels also `addresses`.
         """
         line, found = self._line, set(addresses)
         for rate in self._rates:

@@ -107,6 +107,15 @@ def test_nobody_gets_torque_whom_the_gate_refuses():
     assert servos.supervision.reasons[1] == "electrical shock"
 
 
+def test_answers_lost_one_by_one_after_late_ticks_accuse_no_servo():
+    servos = SupervisedServos()
+    for n in range(6):
+        servos.values["silent_s"][1] = 0.6
+        assert servos.look(float(n)) == ServoState.DRIVEN
+        servos.values["silent_s"][1] = 0.0
+        servos.look(n + 0.1, n + 0.2)
+
+
 def test_a_silent_servo_gets_no_goals_until_it_answers():
     servos = SupervisedServos()
     servos.values["silent_s"][1] = 0.6
