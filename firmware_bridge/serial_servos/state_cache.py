@@ -35,9 +35,9 @@ class ServoStateCache:
     high: the servo's own limits in pulses; hottest: its temperature limit, degC; room_degc: how far
     its temperature is below that; heard_s: when the servo answered last; enabled: this bus tried to
     switch torque on, or kept it on, and has not confirmed its own torque off since; tripped: the
-    bus watchdog stopped the servo; hardware: bits of its hardware error; torque: what is known of it. `health` and the bus's
-    feedback return these arrays without a copy, in every tick: so arrays are replaced, by `set_one`
-    for one servo, and never written into.
+    bus watchdog stopped the servo; hardware: bits of its hardware error; torque: what is known of
+    it. `health` and the bus's feedback return these arrays without a copy, in every tick: so arrays
+    are replaced, by `set_one` for one servo, and never written into.
     """
 
     def __init__(
