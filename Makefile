@@ -74,7 +74,7 @@ agents: $(AGENTS)/.installed
 	$(AGENTS)/bin/python -m pytest --durations 5 -m "not campaign" tests/client tests/examples/test_realtime_sdk.py tests/lab/bench/agents
 
 campaign: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest --durations 15 -m campaign
+	$(BIN)/python -m pytest --timeout 0 --durations 15 -m campaign
 	$(BIN)/lipservo bench faults
 	$(BIN)/lipservo bench faults --stops
 	$(BIN)/lipservo bench faults --signals
@@ -114,5 +114,5 @@ $(VENV)/.installed-mutants: $(VENV)/.installed-dev
 $(AGENTS)/.installed: pyproject.toml client/pyproject.toml lab/pyproject.toml
 	$(PYTHON) -m venv $(AGENTS)
 	$(AGENTS)/bin/python -m pip install --quiet --disable-pip-version-check --editable './client[pipecat,livekit,wyoming]' \
-		--editable . --editable ./lab openai hypothesis pytest
+		--editable . --editable ./lab openai hypothesis pytest pytest-timeout
 	touch $@

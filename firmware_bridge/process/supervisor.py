@@ -57,7 +57,7 @@ _LOG: Final = logging.getLogger(__name__)
 _END_S: Final = 5.0
 #: How long any end waits for servos that are silent.
 _SERVO_TIMEOUT_S: Final = 3.0
-#: How long a lost port is waited for while no bridge of this supervisor has ever been ready.
+#: How long a lost port is waited for where no bridge can have switched torque on: none has served.
 _START_TIMEOUT_S: Final = 2.0
 #: Longer than any recovery that succeeds takes; after that systemd may restart the service.
 _RECOVERY_S: Final = 60.0
@@ -410,7 +410,8 @@ class Supervisor:
         face that is not stopped does nothing.
         """
         is_obeyed = not is_stopped_now and self._fire(SupervisorEvent.START)
-        then = "" if is_obeyed else ": not obeyed, a stop came with it"
+        why_not = "a stop came with it" if is_stopped_now else self._refusal(order)
+        then = "" if is_obeyed else f": not obeyed, {why_not}"
         _LOG.info("start requested by %s%s", order.requested_by, then)
 
     def _index_of(self, name: str) -> int:
@@ -513,12 +514,13 @@ class Supervisor:
     def _give_up_s(self) -> float:
         """Return the monotonic time until which a lost port is waited for; infinity: for ever.
 
-        2 s if no bridge of this supervisor was ever ready; 30 s after a signal (none after the
-        third), or for a bridge that gave up; no limit for a face that recovers or was stopped by
-        its control socket.
+        2 s if the first bridge ended before it served, 30 s if it served but was never ready, so
+        that some servos may hold; 30 s after a signal (none after the third), or for a bridge that
+        gave up; no limit for a face that recovers or was stopped by its control socket.
         """
         if self._n_ready == 0:
-            return self._release_s + _START_TIMEOUT_S
+            may_hold = self._bridge.child.has_beaten
+            return self._release_s + (PORT_WAIT_S if may_hold else _START_TIMEOUT_S)
         if not self._holds(Requested.STOP):
             is_over = self._phase is Phase.GIVING_UP
             return self._release_s + PORT_WAIT_S if is_over else float("inf")

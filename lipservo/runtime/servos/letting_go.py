@@ -367,7 +367,7 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outc
     if unkilled:
         outcome.problem = f"processes {unkilled} cannot be killed; switch the servos' power off"
     if ports:
-        outcome.port = sorted(ports)[-1]
+        outcome.port = ",".join(sorted(ports))
         _merge_into(outcome, _release_all(face.name, {each: each for each in sorted(ports)}, {}))
     return outcome
 

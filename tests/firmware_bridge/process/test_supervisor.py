@@ -251,6 +251,18 @@ def test_of_a_start_and_a_stop_that_come_at_once_the_stop_is_obeyed(stopped_face
         client.close()
 
 
+def test_of_two_starts_that_come_at_once_the_log_says_why_one_is_not_obeyed(stopped_face, caplog):
+    caplog.set_level("INFO")
+    clients = [stopped_face.ask_to_stop("start") for _ in range(2)]
+    stopped_face.play(0.1)
+
+    assert len(stopped_face.bridge.starts) == 2
+    _, not_obeyed = [each for each in caplog.messages if "start requested" in each]
+    assert not_obeyed.endswith("not obeyed, the face is being started already")
+    for client in clients:
+        client.close()
+
+
 def test_a_stop_while_a_stopped_face_starts_lets_go_and_waits_again(stopped_face):
     face = stopped_face
     face.bridge.beats = False

@@ -28,8 +28,8 @@ def test_a_bridge_that_fails_at_its_first_start_ends_the_face(starting_face, sta
     face.play()
     face.bridge.status = status
     if unplugged:
-        assert face.play(1.5) is None, "it may come back"
-    report = face.play(5.0)
+        assert face.play(25.0) is None, "its servos may hold, and the port come back"
+    report = face.play(10.0)
 
     assert face.exit_status == 1
     assert bool(report.unconfirmed) == unplugged
