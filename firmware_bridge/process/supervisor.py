@@ -370,8 +370,8 @@ class Supervisor:
                 if isinstance(order, StartFace):
                     self._obey_start(order, is_stopped_now=request is not None)
                 elif isinstance(order, ServoOrder):
-                    is_on = order.switch is ServoSwitch.ON
-                    self._hold_switched(self._index_of(order.name), on=is_on)
+                    index = self._servo_names.index(order.name)
+                    self._hold_switched(index, on=order.switch is ServoSwitch.ON)
             if request is None:
                 return
 
@@ -413,9 +413,6 @@ class Supervisor:
         why_not = "a stop came with it" if is_stopped_now else self._refusal(order)
         then = "" if is_obeyed else f": not obeyed, {why_not}"
         _LOG.info("start requested by %s%s", order.requested_by, then)
-
-    def _index_of(self, name: str) -> int:
-        return self._servo_names.index(name)
 
     def _watch_speech(self, ended: int | None, now_s: float) -> None:
         """Note the end of the speech process, kill it if it hangs, or start it when due.

@@ -64,8 +64,7 @@ class AvCamera:
         wanted: number or path of a device, `lavfi:GRAPH` or a video file; mode: picture format,
         None: the default; clock, sleep: of the monotonic time, in seconds.
         """
-        for library in ("ai_edge_litert", "av"):
-            check_extra(library, "recording a camera")
+        check_extra("ai_edge_litert", "recording a camera")
         self._wanted, self._mode = wanted, mode or CameraMode()
         self._clock, self._sleep = clock, sleep
         self._replaces_camera = wanted.startswith(GENERATED) or Path(wanted).is_file()

@@ -22,7 +22,6 @@ _SOUND_S: Final = 3600.0
 _FAILS_S: Final = 240.0
 _STOPS_S: Final = 15.0
 _DRIVEN_S: Final = 30.0
-_LOG_END: Final = 500
 
 
 def play_starts(cases: Sequence[tuple[int, str]]) -> list[str]:
@@ -68,11 +67,7 @@ def _fail_stop_and_start(face: RunningFace, share: ProcessorShare, number: int, 
     robot.look_until(lambda: bool(robot.torque.all()), _DRIVEN_S)
     if robot.torque.all() and _look_until_servo(face, name, "driven", _STOPS_S):
         return ""
-    status = face.status()
-    return (
-        f"{case}: not driven: accepted {start_answer.get('accepted')}, {status.get('state')!r}, "
-        f"{status.get('servos')}, {status.get('troubles')}; log: {robot.last_output[-_LOG_END:]}"
-    )
+    return f"{case}: not driven: {start_answer}, {face.status()}; log: {robot.last_output}"
 
 
 def _look_until_servo(face: RunningFace, name: str, state: str, timeout_s: float) -> bool:
