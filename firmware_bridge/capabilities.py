@@ -111,7 +111,7 @@ SERIAL_SERVOS: Final = BusCapabilities(
 #: What happens to a face with several buses when one of them is lost; printed at its start.
 ONE_LOST: Final = (
     "the port of one bus is lost: the servos of all others are let go at once; the face comes back "
-    "when every port is back; frozen servos go on holding"
+    "when every port is back; frozen serial servos go on holding"
 )
 
 

@@ -369,6 +369,8 @@ class PulseBus:
         """Continue a servo's pulses if the controller still sends them; return whether it does."""
         self._check_open()
         sending_us = self._ask(index)
+        if sending_us == 0.0:  # the next write must not send it again
+            self._held[index] = self._left_on[index] = self._is_steady = False
         if not sending_us > 0.0:
             return False
         self._last_us[index] = sending_us
@@ -457,6 +459,11 @@ class PulseBus:
         the controller is queried.
         """
         self._goal_us = np.where(which & self._pulsed, self._last_us, self._goal_us)
+        # What was wrong with a channel may have been mended: its next start finds out.
+        self._n_failed[which] = 0
+        self._wrong = [
+            "" if is_off else why for is_off, why in zip(which, self._wrong, strict=True)
+        ]
         self._is_steady = False
         self._held &= ~which
         self._left_on &= ~which

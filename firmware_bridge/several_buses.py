@@ -468,7 +468,9 @@ class SeveralBuses:
     def reopen(self) -> None:
         """Open every lost port again. Raises PortError until all are open."""
         for each in self._opened():
-            if each.lost is not None:
+            if each.lost is None:  # what is known of its torque must not grow old
+                each.hand(_LOOK, partial(BusThread.look, each))
+            else:
                 each.ask(_REOPEN, each.bus.reopen, _OPEN_S)
                 each.is_behind = False
         self._check()

@@ -92,10 +92,8 @@ class PointLayout:
 
     @cached_property
     def lips(self) -> tuple[int, ...]:
-        """Indices of all points in groups whose name has the word `lip`, such as `inner_lip`."""
-        return tuple(
-            i for name, _ in self.groups if "lip" in name.split("_") for i in self.group(name)
-        )
+        """Indices of all points in groups with `lip` in their name, such as `inner_lip`, `lips`."""
+        return tuple(i for name, _ in self.groups if "lip" in name for i in self.group(name))
 
     @cached_property
     def upper_lip(self) -> int:

@@ -485,23 +485,27 @@ def take_poses(
     poses: list[CapturedPose],
     kept: KeptPoses = NOT_KEPT,
     pressing: Collection[int] = (),
+    left_out: set[int] | None = None,
 ) -> list[CapturedPose]:
     """Return `poses` and those of the plan missing from `poses`, which the robot moves to now.
 
     The robot is at neutral afterwards. kept: the file to which each new pose is added. pressing:
     rows of poses that close the lips farther and farther; once a servo is strained in one of these,
-    the remaining ones are left out.
+    the remaining ones are left out. left_out: rows that earlier calls have left out for that; those
+    of this call are added.
     """
     poses = list(poses)
     done = {pose.index for pose in poses}
-    skipped: set[int] = set()
+    skipped = set() if left_out is None else left_out
+    if skipped & set(pressing):  # strained before: no farther
+        skipped.update(pressing)
     try:
         for index in range(len(plan)):
             if index not in done and index not in skipped:
                 poses.append(take_pose(plan, index, robot))
                 kept.add(poses[-1], plan, marker_names)
                 if index in pressing and robot.strained() is not None:
-                    skipped = set(pressing)
+                    skipped.update(pressing)
             robot.progress(len(poses))
     finally:
         robot.move(np.zeros(len(plan.servo_names)))

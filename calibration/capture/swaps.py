@@ -231,6 +231,8 @@ def retake_swaps(
         The poses, in their order.
     """
     seen = gather(plan, marker_names, poses)
+    if not len(seen):
+        return poses
     rows = seen.rows
     usual_mm = straight_lines(seen).expected_mm if expected_mm is None else expected_mm[list(rows)]
     found = swapped_in_poses(seen, usual_mm)

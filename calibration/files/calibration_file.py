@@ -351,8 +351,8 @@ def _parse_closing(closing: Place) -> Closing:
 def _parse_origin(file: Place, servos: list[Place]) -> Origin:
     """Return how, when and from which servos the calibration was made.
 
-    servos: the mapping of each servo. Servo models and memories are () if no servo has any;
-    CalibrationError if only some have them.
+    servos: the mapping of each servo. Servo models and memories are () if no servo has any; a
+    servo without a model has "". CalibrationError if only some have memories.
     """
     has_models = any(servo.has("model") for servo in servos)
     has_memories = any(servo.has("memory") for servo in servos)
@@ -361,7 +361,9 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
     return _parse_record(
         file,
         Origin,
-        servo_models=tuple(s.at("model").text() for s in servos) if has_models else (),
+        servo_models=tuple(s.at("model").text() if s.has("model") else "" for s in servos)
+        if has_models
+        else (),
         servo_memories=tuple(ServoMemory(*(m.at(key).whole() for key in keys)) for m in memories),
     )
 

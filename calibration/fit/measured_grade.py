@@ -131,7 +131,7 @@ def graded(
     Raises
     ------
     CalibrationError
-        Lips were captured in fewer than half of the poses.
+        Lips were captured in fewer than half of the poses, or never both.
     """
     rows = np.array(seen.rows, dtype=np.int64)
     if len(seen) < len(poses) // 2:
@@ -152,11 +152,21 @@ def graded(
     # Mean square distance of each pose's lips, without the tracker's noise in three axes.
     each_mm2 = np.full(len(lips_mm2), np.nan)
     each_mm2[lips_seen] = np.nanmean(lips_mm2[lips_seen], axis=1) - 3 * poses.noise_mm**2
-    open_mm = gap_heights_mm(seen_mm, features.gaps).mean(axis=1) - poses.own_gap_mm
-    target_open_mm = gap_heights_mm(targets_mm, features.gaps).mean(axis=1) - poses.own_gap_mm
+    target_gaps_mm = gap_heights_mm(targets_mm, features.gaps)
+    target_open_mm = target_gaps_mm.mean(axis=1) - poses.own_gap_mm
+    # By the gaps that are seen: closed lips may hide dots.
+    beyond_mm = np.ma.masked_invalid(gap_heights_mm(seen_mm, features.gaps) - target_gaps_mm)
+    open_mm = target_open_mm + np.ma.filled(beyond_mm.mean(axis=1), np.nan)
+    if not np.isfinite(open_mm).any():
+        raise CalibrationError("no pose shows dots of both lips; capture them again")
     gaps = gap_figures(poses.wanted_open_mm[rows], open_mm, human_mm, shares)
     is_closed = (human_mm <= CLOSED_GAP_MM) & np.isfinite(open_mm)
     apart_mm = 0.0 if calibration.closing is None else calibration.closing.apart_mm
+    closed_gap_mm = calibration.errors.closed_gap_mm
+    if is_closed.any():
+        closed_gap_mm = apart_mm + float(np.mean(open_mm[is_closed]))
+    else:
+        remarks += ("no closed pose shows both lips: how far they stay apart is an estimate",)
     # Ten poses are few. So the error is that of the map over all held-out frames, by the learnt
     # face, plus what the poses show beyond the learnt face's prediction for them (the difference
     # estimator: Cochran, Sampling Techniques, 1977, 9.2A).
@@ -165,7 +175,7 @@ def graded(
         n_poses=len(seen),
         lip_rms_mm=_weighted_rms(calibration.errors.lip_rms_mm**2 + beyond_mm2, shares),
         gap_rms_mm=_weighted_rms((open_mm - target_open_mm) ** 2, shares),
-        closed_gap_mm=apart_mm + (float(np.mean(open_mm[is_closed])) if is_closed.any() else 0.0),
+        closed_gap_mm=closed_gap_mm,
         gap_slope=0.0 if gaps.slope is None else gaps.slope,
         small_gaps_kept=gaps.small_kept,
     )

@@ -14,7 +14,7 @@ import numpy as np
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
-from calibration.calibration import CouplingRule
+from calibration.calibration import CalibrationError, CouplingRule
 from calibration.capture.capture import (
     NOT_KEPT,
     Capture,
@@ -226,17 +226,20 @@ class Procedure:
         a capture with faults.
         """
         poses: list[CapturedPose] = []
+        left_out: set[int] = set()
 
         def take(plan: PosePlan, pressing: Sequence[int] = ()) -> Capture:
             # Capture what `poses`, or the file, lacks of the plan; return all of it.
             earlier = poses if kept.path is None else kept.read(plan, marker_names)
-            poses[:] = take_poses(plan, marker_names, robot, earlier, kept, pressing)
+            poses[:] = take_poses(plan, marker_names, robot, earlier, kept, pressing, left_out)
             poses[:] = retake_swaps(plan, marker_names, robot, poses, kept, report)
             return gather(plan, marker_names, poses)
 
         plan = self.range_plan()
         # First neutral alone: wrong axes or units show before the robot moves on.
-        take(plan_rows(plan, [0]))
+        first = take(plan_rows(plan, [0]))
+        if not len(first):
+            raise CalibrationError(f"{first.stalled[0]}; free that joint and check its torque")
         check_frame(marker_names, poses[0].markers_mm, self.model, accept=self.accept)
         captured = take(plan)
         # Joints that may be dead are captured alone, a few times at most, until that is clear.

@@ -181,7 +181,7 @@ class AsyncSpeech:
             case "finished" | "interrupted" if not self.is_over:
                 self._end_of_play.set_result(played_of(event))
                 self._progressed.set()
-            case "error":
+            case "error" if event.get("code") != "bad_text":  # the sound is played all the same
                 self.fail(error_of(event))
 
     def fail(self, error: FaceError) -> None:
@@ -318,7 +318,7 @@ class AsyncFace:
         return self
 
     async def __aexit__(self, *exc: object) -> None:
-        """Disconnect; waits for streams raise FaceError. Ended streams play on, others do not."""
+        """Disconnect. Ended streams play on, unless another is open; waits raise FaceError."""
         if self._reconnecting is not None:
             self._reconnecting.cancel()
             await asyncio.gather(self._reconnecting, return_exceptions=True)

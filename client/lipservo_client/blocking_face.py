@@ -89,7 +89,7 @@ class Face:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Disconnect. Streams that were ended are played to their end; others are cut off."""
+        """Disconnect. Ended streams are played on, unless another is open or paused."""
         try:
             self.wait_for(self._face.__aexit__())
         finally:

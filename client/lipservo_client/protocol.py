@@ -49,8 +49,9 @@ def error_of(event: Event) -> FaceError:
 Unit = str | tuple[str, int | None] | tuple[str, int | None, int | None]
 #: What is said: a text, or units of a kind.
 SpeechUnits = str | tuple[Literal["words", "phonemes", "visemes"], Sequence[Unit]]
-#: A face takes so many in a message, and a text so long.
+#: A face takes so many in a message, a label and a text so long.
 _UNITS_AT_ONCE: Final = 1_000
+_CHARACTERS_OF_LABEL: Final = 100
 _CHARACTERS_AT_ONCE: Final = 10_000
 
 
@@ -66,7 +67,8 @@ def unit_messages(units: SpeechUnits) -> Iterator[dict[str, Any]]:
 
 
 def _unit(unit: Unit) -> dict[str, object]:
-    given = (unit,) if isinstance(unit, str) else unit
+    label, *place = (unit,) if isinstance(unit, str) else unit
+    given = (label[:_CHARACTERS_OF_LABEL], *place)
     named = zip(("label", "start_sample", "end_sample"), given, strict=False)
     return {name: value for name, value in named if value is not None}
 

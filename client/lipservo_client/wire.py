@@ -41,7 +41,7 @@ class Wire:
         await self.send_message(json.dumps({"type": kind, **given}))
 
     async def close(self) -> None:
-        """Disconnect; streams whose end was sent are played to their end."""
+        """Disconnect; ended streams are played on, unless another is open or paused."""
         await self._socket.close()
         await self._reading
 
@@ -108,6 +108,7 @@ async def _open(url: str, token: str | None, patience_s: float) -> ClientConnect
             url,
             additional_headers=headers,
             compression=None,
+            proxy=None,  # a proxy would get the token, and reaches no face on this computer
             open_timeout=patience_s,
             ping_interval=_PING_S,
             ping_timeout=_PONG_S,

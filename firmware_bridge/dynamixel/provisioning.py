@@ -30,7 +30,9 @@ from firmware_bridge.serial_servos.serial_transport import SameAdapter
 __all__ = ["chain_is_complete"]
 
 #: Baud rates worth trying, the likely ones first.
-SCANNED_RATES: Final = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)
+SCANNED_RATES: Final = (
+    57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000, 115_200, 9_600,
+)  # fmt: skip
 #: A new servo answers here, whatever rate the chain has.
 _FACTORY_RATE: Final = 57_600
 #: How much longer to wait for the answer to a write of EEPROM. Not in the manual; generous.
@@ -175,7 +177,10 @@ plan_chain, plan_alone, set_up = _CHAIN.plan_chain, _CHAIN.plan_alone, _CHAIN.se
 
 #: Values that a servo of no face yet needs before it is moved for the first time. LeRobot sets
 #: a homing offset and drives servos in mode 4; lipservo uses neither.
-_PLAIN = {"drive_mode": 0, "operating_mode": 3, "homing_offset": 0, "startup_configuration": 0}
+_PLAIN = {
+    "drive_mode": 0, "operating_mode": 3, "homing_offset": 0, "startup_configuration": 0,
+    "min_position_limit": 0, "max_position_limit": 4095,
+}  # fmt: skip
 
 
 #: Whether `clear_foreign_settings` also moves the middle of the range, by the homing offset.
@@ -206,9 +211,9 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
     """Return, by id, registers set by another program that must be reset before a servo is moved.
 
-    They are drive mode, operating mode, homing offset, startup configuration; {} if all have their
-    factory values. found: model name by id. Raises PortError, and ServoError for a servo that falls
-    silent.
+    They are drive mode, operating mode, homing offset, startup configuration and position limits;
+    {} if all have their factory values. found: model name by id. Raises PortError, and ServoError
+    for a servo that falls silent.
     """
     with unhurried_line(port, rate) as line:
         held = {

@@ -165,8 +165,8 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
     """Return, by id, registers set by another program that must be reset before a servo is moved.
 
-    They are operating mode and position counts over many turns; {} if none is set. found: model
-    name by id. Raises PortError, and ServoError for a servo that falls silent.
+    They are operating mode, position counts over many turns and position limits; {} if none is set.
+    found: model name by id. Raises PortError, and ServoError for a servo that falls silent.
     """
     differing = {}
     with unhurried_line(port, rate) as line:
@@ -174,6 +174,8 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
             held = read_eeprom(line, servo_id, servo_models()[name])
             if "operating_mode" in held:
                 plain = {"operating_mode": 0, "phase": held["phase"] & ~MULTI_TURN}
+                highest = servo_models()[name].n_positions - 1
+                plain |= {"min_position_limit": 0, "max_position_limit": highest}
                 differing[servo_id] = differences(held, plain)
     return {servo_id: each for servo_id, each in differing.items() if each}
 

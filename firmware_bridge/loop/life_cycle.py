@@ -157,7 +157,7 @@ class LifeCycle:
         self._state = LifeState.NOT_STARTED
         self._request = stopped
         self._level = StopLevel.SOFT if stopped is None else stopped.level
-        self._n_signals = 0
+        self._n_signals = self._n_obeyed = 0
         self._give_up_s = float("inf")
         self._previous_handlers: PreviousHandlers = {}
         self._stop_report: StopReport | None = None
@@ -353,7 +353,10 @@ class LifeCycle:
         self._log.look(time_s)
 
     def _obey_signal(self) -> None:
-        if self._n_signals and self._fire(LifeEvent.SIGNAL):
+        if self._n_signals == self._n_obeyed:  # a freeze after the last signal stays
+            return
+        self._n_obeyed = self._n_signals
+        if self._fire(LifeEvent.SIGNAL):
             _LOG.info("stopping: %s", signal.Signals(self.signal_number or 0).name)
 
     def _poll_control(self) -> bool:
@@ -446,6 +449,8 @@ class LifeCycle:
             return str(error)
         if self._request is not None:
             return f"stopped meanwhile by {self._request.requested_by}"
+        if self.stopping:
+            return "stopped meanwhile by a signal"
         self._stop_report = None
         if self._links.lifeline is not None:
             self._links.lifeline.tell(Started())

@@ -84,6 +84,7 @@ LIFE_TABLE: Final = StateTable[LifeState, LifeEvent, LifeGuard, LifeAction](
         Row((_S.FROZEN_LAST,), _E.STOP, _S.LEAVING, (_A.STOP,)),
         Row((_S.FROZEN_LAST,), _E.STOP_AND_END, _S.LEAVING, (_A.STOP,)),
         Row(_LIVES_ON, _E.SIGNAL, _S.LEAVING, (_A.STOP_SOFTLY,)),
+        Row((_S.LEAVING,), _E.SIGNAL, None, (_A.STOP_SOFTLY,)),
         # The end of a program undoes no person's freeze.
         Row((_S.FROZEN,), _E.PROGRAM_END, _S.FROZEN_LAST),
         Row((_S.STARTING, _S.RUNNING), _E.PROGRAM_END, _S.LEAVING, (_A.STOP,)),

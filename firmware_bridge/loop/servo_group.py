@@ -73,7 +73,7 @@ class HeatDerating:
                 return self._scale
             # The effort's mean square: a first-order low-pass with a time constant of 60 s.
             share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
-            effort = feedback.effort
+            effort = np.nan_to_num(feedback.effort)  # NaN: its bus has not reported yet
             if self._has_load is not None:
                 effort = np.where(self._has_load, effort, 0.0)
             self._duty += share * (effort * effort - self._duty)
@@ -160,7 +160,7 @@ class ServoGroup:
 
     def try_all_again(self, time_s: float) -> None:
         """Allow torque again to servos that were given up, since a person starts the face."""
-        for index in list(self.gate.given_up):
+        for index in self._not_off(list(self.gate.given_up)):
             self.switch_on(index, time_s)
 
     def reopen(self) -> None:

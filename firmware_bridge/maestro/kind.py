@@ -1,5 +1,6 @@
 """The kind of bus `maestro`: hobby servos on a Pololu Maestro."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -105,14 +106,19 @@ class MaestroKind(BusKind):
         transport = _opener(str(settings.port))()
         try:
             maestro = Maestro(transport, settings)
+            earlier = maestro.read_errors() or 0  # `check` clears them
             maestro.check(str(settings.port))
             yield Finding(Severity.GOOD, f"a Maestro answers at {settings.port}")
             for joint in wiring.joints:
                 pulse_us = maestro.position_us(joint.servo_id)
+                what = f"servo {joint.name!r} (channel {joint.servo_id})"
+                if math.isnan(pulse_us):
+                    what += ": no answer to what it is sent"
+                    yield Finding(Severity.BAD, what, "check the USB cable; run it again")
+                    continue
                 sends = f"is sent {pulse_us:.0f} us" if pulse_us else "gets no pulses"
-                what = f"servo {joint.name!r} (channel {joint.servo_id}) {sends}"
-                yield Finding(Severity.GOOD, what)
-            for words in describe_errors(maestro.errors & ~TIMEOUT_ERROR):
+                yield Finding(Severity.GOOD, f"{what} {sends}")
+            for words in describe_errors((earlier | maestro.errors) & ~TIMEOUT_ERROR):
                 remedy = "asked for and cleared; run it again"
                 yield Finding(Severity.WARNING, f"it tells of a {words}", remedy)
             timeout_s = settings.serial_timeout_s

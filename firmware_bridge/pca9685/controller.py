@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 from firmware_bridge.bus import Array, any_set
@@ -114,16 +115,20 @@ class Pca9685:
     def sending(self, index: int) -> float:
         """Return the pulse in us that the channel of servo `index` makes, read from its registers.
 
-        0: none, also while the chip is not set up to run. The guard of the OE pin, if any, gets its
+        0: none, also while the chip sleeps. The guard of the OE pin, if any, gets its
         last heartbeat again. Raises PortError, and ServoError when the guard is dead or hangs.
         """
         chip = self._opened
         if self._guard is not None:
             self._beat(self._guard, passes=self._guard.passes)
-        if chip.read(Register.MODE1)[0] != RUNNING:
+        mode, first = chip.read(Register.MODE1)[0], channel_register(self._channels[index])
+        if mode & Mode1.SLEEP:
             return 0.0
-        counts = counts_of(chip.read(channel_register(self._channels[index]), 4))
-        return counts * self._timing.count_us
+        if self._is_set_up and mode == RUNNING:
+            return counts_of(chip.read(first, 4)) * self._timing.count_us
+        # Set up by another program or with other settings: auto-increment may be off.
+        counts = counts_of(b"".join(chip.read(first + n) for n in range(4)))
+        return counts * replace(self._timing, prescale=chip.read(Register.PRE_SCALE)[0]).count_us
 
     def remarks(self) -> Sequence[str]:
         """Return remarks for the log: a warning where no guard holds the OE pin, else none."""

@@ -1,6 +1,7 @@
 """Checks for `lipservo doctor` of a PCA9685's bus, chip, pulses, rate and OE pin, with remedies."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from firmware_bridge.bus_kinds import Finding, Severity, Wiring
 from firmware_bridge.errors import PortError
@@ -86,7 +87,9 @@ def _channel(chip: I2cChip, wiring: Wiring, index: int) -> Finding:
     # Registers are read one by one, since auto-increment may be off.
     first = channel_register(servo.channel)
     counts = counts_of(b"".join(chip.read(first + n) for n in range(4)))
-    now = f"{counts * timing.count_us:.0f} us" if counts else "no pulses"
+    real = replace(timing, prescale=chip.read(Register.PRE_SCALE)[0])
+    sleeps = chip.read(Register.MODE1)[0] & Mode1.SLEEP
+    now = f"{counts * real.count_us:.0f} us" if counts and not sleeps else "no pulses"
     step = f"{timing.resolution_deg(servo.us_per_deg):.2f} deg a step"
     return Finding(
         Severity.GOOD,

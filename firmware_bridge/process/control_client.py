@@ -54,7 +54,8 @@ def running_faces() -> list[RunningFace]:
     Sockets of this user on which no process listens are removed.
     """
     found = []
-    for folder in searched_folders():
+    # As the kernel lists the sockets: without links.
+    for folder in dict.fromkeys(each.resolve() for each in searched_folders()):
         for path in sorted(folder.glob(f"*{SOCKET_SUFFIX}")):
             named = read_socket_name(path)
             if named is not None and _listens(path):

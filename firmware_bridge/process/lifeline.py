@@ -120,6 +120,15 @@ class Lifeline:
         self._unsent.append(json.dumps([type(message).__name__, *values]).encode())
         self._flush()
 
+    def is_cut(self) -> bool:
+        """Return whether the supervisor has closed its end, or died; sends nothing."""
+        try:
+            return not self._end.recv(1, socket.MSG_PEEK)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+
     def close(self) -> None:
         """Close the child's end of the connection."""
         self._end.close()

@@ -274,6 +274,7 @@ class Supervisor:
                 status = self._bridge_status
                 self._start_error = self._start_error or f"could not be started (status {status})"
                 self._request = StopRequest(StopLevel.LIMP, "a start that failed")
+                self._record.stop(self._request)
             case SupervisorAction.TELL_READY:
                 self._n_ready += 1
                 self._start_error = ""

@@ -41,6 +41,10 @@ class Utterance(Protocol):
         """Whether all of the text or file was read or synthesised: no further stream follows."""
 
     @property
+    def is_cut_short(self) -> bool:
+        """Whether it was cut off or failed, so that some of it is never spoken."""
+
+    @property
     def n_streams(self) -> int:
         """Number of streams into which it was divided so far."""
 

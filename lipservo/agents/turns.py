@@ -150,8 +150,8 @@ class OwnSpeech:
 
     owner: the client's outbox; request_id: `id` of its command. stream_id: the name of all its
     streams in the playout. spoken: None until the first is synthesised or read. began_s: start of
-    its first sample on the playout's timeline, None before. heard_s: seconds played; n_ended:
-    streams played.
+    its first sample on the playout's timeline, None before; from_s: of the stream that plays now.
+    heard_s: seconds played; n_ended: streams played.
     """
 
     owner: Outbox
@@ -159,6 +159,7 @@ class OwnSpeech:
     stream_id: str
     spoken: Utterance | None = None
     began_s: float | None = None
+    from_s: float | None = None
     heard_s: float = 0.0
     n_ended: int = 0
     is_dropped: bool = False
@@ -175,14 +176,18 @@ class OwnSpeech:
 
         At the first start the client gets `started`.
         """
-        if event.kind == "started" and self.began_s is None:
-            self.began_s = event.position_s
-            self.tell("started")
+        if event.kind == "started":
+            self.from_s = event.position_s
+            if self.began_s is None:
+                self.began_s = event.position_s
+                self.tell("started")
         elif event.kind in ("interrupted", "cleared"):
             self.is_dropped = True
         elif event.kind == "finished":
             self.n_ended += 1
-        self.heard_s = 0.0 if self.began_s is None else event.position_s - self.began_s
+        if event.kind in ("finished", "interrupted") and self.from_s is not None:
+            self.heard_s += event.position_s - self.from_s
+            self.from_s = None
 
     def tell(self, kind: str) -> None:
         """Send the client `kind` (`started`, `finished`, `dropped`), seconds played and in all."""
@@ -361,7 +366,8 @@ class OpenStreams:
             for item in self._own_items.values():
                 item.is_dropped = item.is_dropped or item.spoken is not None
         for item in [each for each in self._own_items.values() if each.is_over]:
-            item.tell("dropped" if item.is_dropped else "finished")
+            is_cut = item.is_dropped or (item.spoken is not None and item.spoken.is_cut_short)
+            item.tell("dropped" if is_cut else "finished")
             del self._own_items[item.stream_id]
         if not self._playing:
             self._paused = None

@@ -18,7 +18,7 @@ from calibration.capture.dots import (
     is_dots_folder,
 )
 from calibration.capture.face_mesh import PROTRUSION_IS_GUESSED, CameraTracker, MeshFolder, one_face
-from calibration.capture.marker_files import Reading, read_capture
+from calibration.capture.marker_files import Reading, read_capture, read_readings
 from calibration.capture.trackers import FileTracker, ReadPose, Tracker
 from firmware_bridge.clock import Clock, MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
@@ -154,7 +154,15 @@ def tracker_source(
         if not folder.is_dir() and folder.suffix.lower() not in (".csv", ".json"):
             raise CalibrationError(f"--tracker {source} must be a .csv or .json file, or a folder")
         names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
-        yield lambda face: FileTracker(folder, names, face.hold, say, axes=axes, kept=kept)
+
+        def reader(face: HeldFace) -> Tracker:
+            # All files are read at every look: longer than servos may go without goals.
+            def read(_pose: int) -> list[Reading]:
+                return face.hold_while(lambda: read_readings(folder, axes))
+
+            return FileTracker(folder, names, face.hold, say, axes=axes, kept=kept, read=read)
+
+        yield reader
 
 
 def calibrate_seen(

@@ -49,7 +49,7 @@ _MOST_WAITING: Final = 8
 #: Between two statuses while a face is started.
 _POLL_S: Final = 0.1
 #: States of a face during a start; any other state means that the start has ended.
-_STARTING_STATES: Final = ("the bridge starts", "driven")
+_STARTING_STATES: Final = ("the bridge starts", "the bridge starts again", "starting", "driven")
 STATUS_EVERY_S: Final = 0.5
 #: A status older than this is no longer shown as one.
 STATUS_OLD_S: Final = 1.0
@@ -234,7 +234,7 @@ class FaceLink:
             with contextlib.suppress(FaceError):
                 status = await self._answer_to(_get_status, self._start_pool)
                 states = set(dict(status.get("servos") or {}).values())
-                if status.get("state") not in _STARTING_STATES or states == {"driven"}:
+                if status.get("state") not in _STARTING_STATES or states - {"off"} == {"driven"}:
                     break
         facts = {name: status.get(name) for name in ("state", "servos", "troubles")}
         return {"accepted": answer.get("accepted"), **facts}

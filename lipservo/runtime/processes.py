@@ -91,7 +91,7 @@ def run_bridge_process(
             from lipservo.runtime.supervised_trace import SupervisedTrace
 
             trace = stack.enter_context(SupervisedTrace(face, notes, live))
-        if inherited.lifeline.closed:
+        if inherited.lifeline.is_cut():
             return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
         drive_options = DriveOptions(
             rate_hz=face.rate_hz,

@@ -99,7 +99,8 @@ class SpeechItem:
     pieces: a generator; each `next` does a bounded piece of work and yields the stream it belongs
     to. streams: those not yet spoken, at first the first one alone. ahead_s: the work pauses while
     more seconds of sound than this wait to be spoken. duration_s: of all chunks where known
-    beforehand (a file), else of the streams made so far (a text).
+    beforehand (a file), else of the streams made so far (a text). is_cut_short: it was cut off, or
+    its synthesis or decoding failed, so that some of it is never spoken.
     """
 
     pieces: Generator[PlayoutStream, None, None]
@@ -107,6 +108,7 @@ class SpeechItem:
     ahead_s: float
     duration_s: float
     is_whole: bool = field(default=False, init=False)
+    is_cut_short: bool = field(default=False, init=False)
     n_streams: int = field(default=1, init=False)
 
     @property
@@ -354,6 +356,7 @@ class SpeechQueue:
                     self._changed.wait(_POLL_S)
                     continue
                 is_cut = self._closed or item.is_dropped
+            item.is_cut_short = item.is_cut_short or is_cut
             if is_cut or not self._do_next_piece(item):
                 self._finish(item)
 
@@ -363,9 +366,11 @@ class SpeechQueue:
             stream = next(item.pieces, None)
         except UserError as error:
             _LOG.error("%s; only the part before it is spoken", error)
+            item.is_cut_short = True
             return False
         except Exception as error:  # ends this item; the others are still spoken
             _LOG.error("%s: %s; only the part before it is spoken", type(error).__name__, error)
+            item.is_cut_short = True
             return False
         if stream is not None and stream is not item.streams[-1]:
             item.streams.append(stream)

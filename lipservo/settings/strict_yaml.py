@@ -30,6 +30,7 @@ _EXPECTED_KIND = {
     "float_type": "a number",
     "finite_number": "a finite number",
     "string_type": "text",
+    "tuple_type": "a list: put it in [ ]",
     "mapping_type": "settings of its own (`key: value` lines)",
     "dict_type": "settings of its own (`key: value` lines)",
     "model_type": "settings of its own (`key: value` lines)",

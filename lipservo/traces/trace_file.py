@@ -34,6 +34,7 @@ _VERSION_KEY = "lipservo_trace"
 _QUEUE_LENGTH = 12_000
 #: More than a day at 200 Hz, unpacked; a small file may unpack to any size.
 _MOST_BYTES = 8_000_000_000
+_GZIP = b"\x1f\x8b"
 
 
 class TraceError(UserError):
@@ -283,12 +284,14 @@ def _make_trace(
 
 
 def _read_lines(path: Path) -> list[bytes]:
-    """Return the file's non-empty lines, unpacked; of a `.gz` file cut short, those that remain.
+    """Return the file's non-empty lines, unpacked; of a packed file cut short, those that remain.
 
-    At most 8 GB of a `.gz` file are unpacked. Raises TraceError.
+    At most 8 GB are unpacked. Raises TraceError.
     """
     try:
-        if path.suffix != ".gz":
+        with path.open("rb") as start:
+            is_packed = start.read(2) == _GZIP
+        if not is_packed:
             return [line for line in path.read_bytes().split(b"\n") if line]
         unpacked = bytearray()
         with gzip.open(path) as file:

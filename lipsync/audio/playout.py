@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,6 +145,8 @@ class Playout:
             maxlen=_MOST_ON_WAY
         )
         self._is_paused = False
+        #: Streams heard to their end; whoever still holds one may be making what follows it.
+        self._heard_whole: WeakSet[PlayoutStream] = WeakSet()
         self._known_phonemes = KnownPhonemes()
         self._started_words: deque[StartedWords] = deque(maxlen=_MOST_STARTED)
         self._words_stream: PlayingStream | None = None
@@ -480,6 +483,9 @@ class Playout:
 
     def _interrupt(self) -> bool:
         """Drop all streams and silence the loudspeaker; return whether any stream was queued."""
+        for stream in list(self._heard_whole):
+            stream.drop()
+        self._heard_whole.clear()
         if not self._playing:
             return False
         cut_s = self._silence_loudspeaker()
@@ -573,6 +579,7 @@ class Playout:
             if not playing.is_heard(position_s):
                 return
             self.events.append(PlayoutEvent("finished", name, position_s, n_played))
+            self._heard_whole.add(playing.stream)
             self._playing.popleft()
             self._is_paused = self._is_paused and bool(self._playing)
             self._listen_from_s = position_s + _ECHO_S

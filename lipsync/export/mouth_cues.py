@@ -11,6 +11,7 @@ neighbour.
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -25,6 +26,8 @@ Shape = Literal["A", "B", "C", "D", "E", "F", "G", "H", "X"]
 #: G teeth on the lower lip; H tongue raised, for a long L; X at rest.
 SHAPES: tuple[Shape, ...] = ("A", "B", "C", "D", "E", "F", "G", "H", "X")
 CLOSED_SHAPES: tuple[Shape, ...] = ("A", "X")
+#: Characters that XML 1.0 cannot hold.
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 #: Rhubarb's times are whole hundredths of a second.
 CENTISECOND_S = 0.01
 
@@ -103,7 +106,7 @@ def cues_xml(cues: Sequence[MouthCue], sound_name: str, duration_s: float) -> st
     )
     return (
         '<?xml version="1.0" encoding="utf-8"?>\n<rhubarbResult>\n  <metadata>\n'
-        f"    <soundFile>{escape(sound_name)}</soundFile>\n"
+        f"    <soundFile>{escape(_NOT_XML.sub('?', sound_name))}</soundFile>\n"
         f"    <duration>{_truncated(duration_s)}</duration>\n"
         f"  </metadata>\n  <mouthCues>\n{rows}  </mouthCues>\n</rhubarbResult>\n"
     )

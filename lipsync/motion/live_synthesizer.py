@@ -152,12 +152,12 @@ class ExpectedMotion:
         self._timeline.apply(update)
         self._track = track_of(self._timeline.events)
         posteriors = update.posteriors
-        if posteriors is None:
-            return
+        is_heard = posteriors is not None and self._posteriors.push(posteriors)
         # Recognised phonemes move the mouth without back-off: where training did not have a pair of
-        # them the recogniser may be mistaken (docs/decisions/motion.md).
-        self._expectation = self._without_back_off
-        if self._posteriors.push(posteriors) or self._has_warned:
+        # them the recogniser may be mistaken (docs/decisions/motion.md). Known ones move it with,
+        # whatever was heard before.
+        self._expectation = self._without_back_off if is_heard else self._with_back_off
+        if posteriors is None or is_heard or self._has_warned:
             return
         self._has_warned = True
         _LOG.warning(

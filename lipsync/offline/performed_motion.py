@@ -5,6 +5,7 @@ The process that plays a face loads this module, so it needs NumPy only.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -57,6 +58,10 @@ class StoredMotion:
             return self._interpolated(self._faces, at_s)
         end = self._faces[0 if at_s < 0.0 else -1].astype(np.float64)
         return _ease(end, otherwise, outside_s)
+
+    def is_over(self, at_s: float) -> bool:
+        """Return whether the easing after the last face is complete, but for a tick."""
+        return at_s >= self._last_s + EASING_S - 1.5 / RATE_HZ
 
     def expression_at(self, at_s: float) -> Expression:
         """Return the stored expression `at_s` seconds after the beginning of the performance.
@@ -131,12 +136,13 @@ class PerformedMotion:
         if performed is None:
             # It may have been dropped in the middle: the mouth goes on from there.
             since_s = time_s - self._newest_s
-            face = frame.coefficients
-            return Frame(time_s, _ease(self._face, face, since_s)) if since_s >= 0.0 else frame
+            if since_s < 0.0:
+                return frame
+            return replace(frame, coefficients=_ease(self._face, frame.coefficients, since_s))
         motion, at_s = performed
         face = motion.face_at(at_s, frame.coefficients)
         if time_s >= self._newest_s:
-            self._newest_s, self._face = time_s, face
+            self._newest_s, self._face = (-math.inf if motion.is_over(at_s) else time_s), face
         return Frame(time_s, face, motion.expression_at(at_s))
 
     def window_after(self, frame: Frame) -> FaceWindow:

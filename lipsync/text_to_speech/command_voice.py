@@ -172,7 +172,8 @@ def _read_outputs(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
     rate is not allowed, or the file of times is larger than 1 MB.
     """
     try:
-        samples, sample_rate_hz = soundfile.read(wav, dtype="int16", always_2d=True)
+        # Read as integers, a file of floats would not be scaled, and so be silent.
+        samples, sample_rate_hz = soundfile.read(wav, dtype="float32", always_2d=True)
     except (soundfile.LibsndfileError, RuntimeError, OSError) as error:
         raise SynthesisError(
             f"the voice's command wrote no sound to {_WAV} or its standard output ({error})"
@@ -185,7 +186,8 @@ def _read_outputs(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
     file_bytes = words.read_bytes()[: _LARGEST_WORDS_BYTES + 1] if words.is_file() else b""
     if len(file_bytes) > _LARGEST_WORDS_BYTES:
         raise SynthesisError(f"the voice's command wrote more than 1 MB to {_WORDS}")
-    mono = np.rint(samples.mean(axis=1)).astype(np.int16)
+    scaled = np.rint(np.nan_to_num(samples.mean(axis=1)) * _FULL_SCALE)
+    mono = np.clip(scaled, -_FULL_SCALE, _FULL_SCALE - 1.0).astype(np.int16)
     return {
         "sample_rate_hz": int(sample_rate_hz),
         "words": file_bytes.decode("utf-8", "replace"),

@@ -216,17 +216,20 @@ def _as_sentence(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipRepo
         seconds=round(seconds, 2),
         shift_ms=round(1e3 * part.curve.best_s),
         corrected_ms=round(1e3 * shift_s),
-        gap_r=round(part.curve.at(shift_s), 3),
+        gap_r=round(gap_r := part.curve.at(shift_s), 3),
         notes=tuple(_notes(take, clip, shift_s)),
     )
-    reason = _unusable(part, clip, labels)
+    reason = _unusable(clip, labels, gap_r)
     if reason is not None:
         return None, replace(report, left_out=reason)
     return Sentence(part.name, clip, labels), report
 
 
-def _unusable(part: _Part, clip: SteadyClip, labels: ClipLabels) -> str | None:
-    """Return why a part cannot be learned from (short, no speech, other lips); None: it can."""
+def _unusable(clip: SteadyClip, labels: ClipLabels, gap_r: float) -> str | None:
+    """Return why a part cannot be learned from (short, no speech, other lips); None: it can.
+
+    gap_r: how its lip gap correlates with that expected of its sound, shifted as it will be.
+    """
     if len(clip.points) < _LEAST_PICTURES:
         return f"only {len(clip.points)} pictures have sound; film longer"
     spoken_s = sum(
@@ -234,10 +237,9 @@ def _unusable(part: _Part, clip: SteadyClip, labels: ClipLabels) -> str | None:
     )
     if spoken_s < _LEAST_SPEECH_S:
         return f"only {spoken_s:.1f} s of speech here"
-    best = float(part.curve.correlations.max())
-    if best < _LEAST_GAP_R:
+    if gap_r < _LEAST_GAP_R:
         return (
-            f"the lips do not follow the sound (r = {best:.2f} at best): it is somebody else's "
+            f"the lips do not follow the sound (r = {gap_r:.2f}): it is somebody else's "
             "voice, or the mouth is hidden"
         )
     return None

@@ -234,7 +234,7 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
         return
     for servo_id, changes in foreign.items():
         MESSAGES.print(f"id {servo_id}: {'; '.join(map(str, changes))}")
-    question = "Another program has set these up. Write what they should be"
+    question = "Set up for another face, or by another program. Write what they should be"
     if not typer.confirm(question, default=True, err=True):
         raise UserError("nothing was written; with these settings the servos cannot be moved")
     tools.clear_foreign_settings(port, rate, found, foreign)

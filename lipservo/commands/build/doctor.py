@@ -187,9 +187,9 @@ def _make_report(
     from lipservo.health.hardware_report import about_face, as_text, examined, scrubbed, secrets_of
     from lipsync.output_file import check_output, written_whole
 
-    text_file = file.with_suffix(".txt")
     if file.suffix != ".json":
         raise UserError(f"{file}: name the report like {file.stem or 'report'}.json")
+    text_file = file.with_suffix(".txt")
     if move is not None and move not in settings.servos:
         raise UserError(f"this face has no joint {move!r}; it has {', '.join(settings.servos)}")
     joint = move or next(iter(settings.servos))

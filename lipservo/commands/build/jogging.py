@@ -206,9 +206,11 @@ def _note_ranges(settings: "FaceSettings", config: str, port: str | None, names:
     from lipservo.runtime.servos.limp_servos import LimpServos, TurnedRange
     from lipservo.terminal.keys import PressedKeys
 
-    if not settings.capabilities.place:
+    known = list(settings.servos)
+    silent = [n for n in names if not settings.capabilities.of(known.index(n)).place]
+    if silent:
         raise UserError(
-            f"servos on a {settings.bus.kind} bus cannot say where they stand: find their limits "
+            f"{', '.join(silent)} cannot say where they stand: find their limits "
             "with `lipservo jog JOINT`, or on the page Servos of `lipservo jog --dashboard`"
         )
     settings = settings.at_port(port_of(port, settings.servo_port))

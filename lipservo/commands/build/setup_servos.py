@@ -80,6 +80,8 @@ def setup_servos(
     settings, _ = load_settings(config)
     if bus is not None:
         settings = settings.of_bus(bus)
+    if port is not None and not settings.buses:
+        settings = settings.at_port(port)
     keeps_settings = settings.capabilities.set_up or settings.bus_kind.at_port
     tools = settings.bus_kind.workshop() if keeps_settings else None
     servos = settings.servos if tools is None else tools.servos_by_joint(settings.wiring)

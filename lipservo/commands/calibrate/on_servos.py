@@ -304,6 +304,7 @@ def touch(
     is detected by --tracker; without it by the servos' current, or by your eye if the servos do not
     measure current; with --sim pty by markers computed from the simulated servos.
     """
+    from calibration.calibration import CalibrationError
     from calibration.files.calibration_file import load_calibration, save_calibration
 
     before = load_calibration(file)
@@ -328,7 +329,11 @@ def touch(
             new, later_mm = touch_by_eye(at_port, before, read_key)
         else:
             new, later_mm = touch_by_current(at_port, before)
-    save_calibration(new, file)
+    # Trims may have been set while the lips closed.
+    present = load_calibration(file)
+    if present.origin != before.origin or present.servo_names != before.servo_names:
+        raise CalibrationError(f"{file}: was replaced while the lips closed; run touch again")
+    save_calibration(replace(present, closure=new.closure), file)
     if as_json:
         print_json({"calibration": str(file), "contact_later_mm": later_mm})
         return

@@ -65,7 +65,7 @@ def export(
     channel: Channel = "",
     shapes: Annotated[
         ShapeSource,
-        typer.Option(help="Shapes of rhubarb. motion: as the robot's; rules: by its own rules."),
+        typer.Option(help="Shapes of rhubarb. motion: by the motion; rules: by its own rules."),
     ] = "motion",
     rate_hz: Annotated[
         float, typer.Option(min=10.0, max=200.0, help="Frames per second of arkit and ovr.")
@@ -77,7 +77,7 @@ def export(
 ) -> None:
     """Convert speech to mouth shapes, blendshapes or visemes for an avatar.
 
-    Recognition and motion are those of `lipservo replay`, so that avatar and robot show the same.
+    Recognition and motion are those of `lipservo replay`, larger and rounder (`stage: 1`).
     Times count from the first sample of the sound.
     """
     from lipservo.commands.run.exported_speech import Exported, exported_text

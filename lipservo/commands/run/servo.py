@@ -69,6 +69,10 @@ def _wait_for(face: RunningFace, name: str, switch: ServoSwitch, n_before: int) 
         state = dict(status.get("servos") or {}).get(name, "unknown")
         if switch is ServoSwitch.ON and status.get("stopped") is not None:
             return {"state": state, "then": f"servo {name} comes on when the face is started"}
+        report = status.get("stop_report") or {}
+        released = (*report.get("confirmed", ()), *report.get("released", ()))
+        if switch is ServoSwitch.OFF and state == "unknown" and name in released:
+            return {"state": "off", "then": f"servo {name} stays off when the face is started"}
         is_due = switch is ServoSwitch.REBOOT and _n_reboots(status, name) <= n_before
         if state in _DONE[switch] and not is_due:
             return {"state": state}

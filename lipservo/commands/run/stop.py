@@ -188,15 +188,21 @@ def limp(
     Without --port and --config: for all running faces. The command also works if the program that
     uses the port is dead or hangs. Exit status 1 unless every servo has confirmed.
     """
-    settings = None
+    settings, refused = None, None
     if config is not None:
         from lipservo.runtime.servos.assembly import load_settings
 
-        settings = load_settings(config)[0]
-        port = port or settings.servo_port
-        if port is None:
-            raise UserError(f"{config}: names no port; add --port PORT")
-        settings = settings.at_port(port)
+        try:
+            settings = load_settings(config)[0]
+        except UserError as error:  # no reason to leave torque on
+            if port is None:
+                raise
+            refused = UserError(f"{error}\nwithout that file all servos found at {port} are let go")
+        else:
+            port = port or settings.servo_port
+            if port is None:
+                raise UserError(f"{config}: names no port; add --port PORT")
+            settings = settings.at_port(port)
     if unless_held and port is not None:
         held_by = [pid for each in ports_in(port) for pid in holders_of(each)]
         if held_by:
@@ -210,6 +216,8 @@ def limp(
     if not outcomes:
         raise UserError("no face runs; give --port PORT to let go of the servos there")
     _print_outcomes(outcomes, as_json=as_json)
+    if refused is not None:
+        raise refused
 
 
 def _status_of(face: RunningFace) -> dict[str, Any]:

@@ -56,6 +56,13 @@ JsonObject = dict[str, Any]
 Stamp = tuple[int, int] | None
 
 
+def _needed(options: Mapping[str, Any], name: str, step: str) -> Any:
+    """Return option `name` of a step. Raises FaceError where it is missing."""
+    if options.get(name) is None:
+        raise FaceError("refused", f"{step} needs `{name}`")
+    return options[name]
+
+
 class FirstHour:
     """The state of one new face's setup. path: the face's YAML, which need not exist yet."""
 
@@ -204,12 +211,14 @@ class FirstHour:
             if step in ("find", "nudge"):
                 self._check_port()
                 if step == "nudge":
-                    servo_id = options["id"]
+                    servo_id = _needed(options, "id", step)
                     request |= {"rate": self._bus()["rate"], "model": self._model_of(servo_id)}
             else:
                 settings, trouble = self._read_settings()
                 if settings is None:
                     raise FaceError("not_available", trouble or "no face yet; name its servos")
+                if step == "measure":
+                    _needed(options, "tracker", step)
                 request |= {
                     "config": str(self.path),
                     "port": self._port or settings.servo_port,

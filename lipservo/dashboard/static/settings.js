@@ -91,6 +91,7 @@ class FaceSettings extends HTMLElement {
     const output = line.querySelector("output");
     const row = { line, input, atStart, touchedMs: -Infinity };
     row.show = (value) => {
+      row.value = Number(value); // the slider rounds it to its steps
       input.value = value;
       output.textContent = `${Number(value).toFixed(step < 1 ? 2 : 0)}${unit ? `\u202f${unit}` : ""}`;
     };
@@ -125,7 +126,7 @@ class FaceSettings extends HTMLElement {
 
   /** Set all values and write them into the face's YAML. */
   async keep() {
-    const values = Object.fromEntries([...this.rows].map(([name, row]) => [name, Number(row.input.value)]));
+    const values = Object.fromEntries([...this.rows].map(([name, row]) => [name, row.value]));
     this.isSaving = this.save.disabled = true;
     try {
       await patchJson("/api/settings", { values, save: true });

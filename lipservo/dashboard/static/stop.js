@@ -112,7 +112,9 @@ export function confirmed({ report, atMs }) {
   if (isLimp({ report })) return ["good", `Stopped. ${capital(confirmedWords({ report, atMs }))}.`];
   const loose = looseWords(report);
   if (isReleased({ report })) {
-    return ["warn", `Stopped. ${capital(report.released_words)}; no servo can confirm it. Keep your hands away.`];
+    const n = report.confirmed?.length ?? 0;
+    const who = n ? `only ${n} of ${n + report.released.length} servos can` : "no servo can";
+    return ["warn", `Stopped. ${capital(report.released_words)}; ${who} confirm it. Keep your hands away.`];
   }
   if (!loose) return ["warn", "Stopped. No servo has confirmed that it is limp: keep your hands away."];
   return ["bad", `Stopped, but NOT confirmed to be limp: ${loose}. Keep your hands away. ${SUPPLY} \`lipservo limp\`.`];
@@ -130,6 +132,7 @@ export function confirmedWords({ report, atMs }) {
 /** Whether every servo has confirmed that it is limp. word: {report}, or null. Pure. */
 export function isLimp(word) {
   if (word === null || Object.keys(word.report.unconfirmed ?? {}).length) return false;
+  if (word.report.released?.length) return false;
   return Boolean(word.report.dry_run || word.report.confirmed?.length);
 }
 

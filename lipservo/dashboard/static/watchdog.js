@@ -90,7 +90,7 @@ export function headWords({ frame, ageMs, phase, status, word, lastState, refusa
 /** [words, tone] of a face that has stopped or ended. word: what its servos confirmed, may be null. */
 function stopWords(state, word) {
   if (word === null) return [`${state}, not confirmed`, "warn"];
-  if (!isLimp(word) && isReleased(word)) return [`${state}: ${word.report.released_words}`, "warn"];
+  if (isReleased(word)) return [`${state}: ${word.report.released_words}`, "warn"];
   return isLimp(word) ? [`${state}: limp`, "quiet"] : [`${state}: NOT confirmed limp`, "bad"];
 }
 

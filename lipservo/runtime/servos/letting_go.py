@@ -114,6 +114,11 @@ class Outcome:
 
     def _line(self) -> str:
         """Return name and result in one line, without `not_kept`."""
+        unconfirmed = named_by_reason(self.unconfirmed)
+        confirmed = f"confirmed by {len(self.confirmed)} servos"
+        confirmed += f", NOT by {unconfirmed}" if unconfirmed else ""
+        if self.problem and (self.confirmed or self.unconfirmed):
+            return f"{self.name}: {self.problem}; else {confirmed}"
         if words := self.problem or (_DRY_RUN if self.dry_run else ""):
             return f"{self.name}: {words}"
         if self.holds or self.limp or self.unknown:
@@ -125,8 +130,7 @@ class Outcome:
             note = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
             waits = "; it waits: `lipservo start`" if self.waits else ""
             return f"{self.name}: {'at rest and ' if self.at_rest else ''}limp{note}{waits}"
-        unconfirmed = named_by_reason(self.unconfirmed)
-        return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by {unconfirmed}"
+        return f"{self.name}: {confirmed}"
 
     def _held_words(self) -> str:
         """Return which servos of a frozen face hold, which are limp, and which may be either."""
@@ -369,6 +373,9 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outc
     if ports:
         outcome.port = ",".join(sorted(ports))
         _merge_into(outcome, _release_all(face.name, {each: each for each in sorted(ports)}, {}))
+    else:
+        killed = "was killed, and none of its ports was found: `lipservo limp --port PORT`"
+        outcome.problem = "; ".join(filter(None, (outcome.problem, killed)))
     return outcome
 
 
@@ -379,4 +386,5 @@ def _merge_into(outcome: Outcome, released: Outcome, bus: str = "") -> None:
     outcome.unconfirmed |= {prefix + each: why for each, why in released.unconfirmed.items()}
     outcome.released += [prefix + each for each in released.released]
     outcome.released_words = outcome.released_words or released.released_words
-    outcome.problem = "; ".join(filter(None, (outcome.problem, released.problem)))
+    problem = f"{bus}: {released.problem}" if bus and released.problem else released.problem
+    outcome.problem = "; ".join(filter(None, (outcome.problem, problem)))

@@ -221,7 +221,9 @@ class SpeechBoard:
             is_speech=heard is not None and heard.at(sound_s).is_speech,
             arousal=0.0 if expression is None else expression.arousal,
             coefficients=self._rest if is_cut_off else self._rounded(frame, speech),
-            expression=expression_values(replace(shown, lip_tuck=frame.expression.lip_tuck)),
+            expression=expression_values(
+                replace(shown, lip_tuck=None if is_cut_off else frame.expression.lip_tuck)
+            ),
         )
         self._shown_until_s = max(self._shown_until_s, sound_s)
 

@@ -22,6 +22,7 @@ from firmware_bridge.process.control_client import (
     watch,
 )
 from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.port_holders import holders_of_socket
 from firmware_bridge.process.runtime_folder import ControlError, runtime_folder, socket_path
 from firmware_bridge.stopping import StopLevel, StopRequest
 
@@ -319,3 +320,13 @@ def test_the_group_of_a_service_may_stop_it_and_a_stranger_may_not(tmp_path, gro
                 assert answer == "PermissionError"
             else:
                 assert answer["confirmed"] == expected
+
+
+def test_a_face_under_a_linked_folder_is_found_as_the_kernel_lists_it(monkeypatch, own_folder):
+    (own_folder / "real").mkdir()
+    (own_folder / "linked").symlink_to(own_folder / "real")
+    monkeypatch.setenv("LIPSERVO_RUNTIME", str(own_folder / "linked" / "run"))
+    with ControlSocket(socket_path("linda")):
+        (face,) = [each for each in running_faces() if each.name == "linda"]
+
+        assert holders_of_socket(face.path) == [os.getpid()]

@@ -140,3 +140,14 @@ def test_a_reason_of_any_length_arrives_cut_off():
     assert watch.read() == [Failed(1, "ü" * 400)]
     line.close()
     watch.close()
+
+
+def test_a_child_sees_before_its_first_beat_that_its_supervisor_has_died():
+    end, watch = lifeline_pair()
+    line = Lifeline(end)
+    assert not line.is_cut()
+
+    watch.close()
+
+    assert line.is_cut()
+    line.close()

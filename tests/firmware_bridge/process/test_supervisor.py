@@ -421,3 +421,26 @@ def test_speech_that_dies_goes_on_where_its_sound_is_and_one_that_hangs_is_kille
 
     assert face.speech.signals == [signal.SIGKILL]
     assert face.bridge.signals == []
+
+
+def test_a_stop_after_a_start_that_failed_is_kept_like_any_other(tmp_path):
+    """The start had forgotten the stop before it."""
+    path = tmp_path / "stops" / "face.json"
+    face = SupervisedFace(tmp_path / "face.sock", StopRecord(path))
+    with face.control:
+        face.play()
+        face.bridge.said += [Ready(), Stopped(StopLevel.SOFT, requested_by="a test")]
+        face.play()
+        face.bridge.status = 0
+        face.play(1.0)
+        assert "accepted" in order(face, "start")
+        assert StopRecord(path).stopped is None
+        face.bridge.said.append(NotStarted("'jaw' (id 1) does not answer"))
+        face.bridge.status = 1
+        face.play(1.0)
+        assert "accepted" in order(face, "soft")
+        face.n_signals = 1
+        face.play(1.0)
+        face.supervisor._record.close()
+
+    assert StopRecord(path).stopped is not None

@@ -1,12 +1,15 @@
 """`servo` as a person types it, beside a face that plays in this process."""
 
 import json
+from pathlib import Path
 
 import pytest
 from places import short_folder
 from playing_face import invoke, playing, status
 
 from firmware_bridge.loop.servo_group import ServoGroup
+from firmware_bridge.process.control_client import RunningFace
+from firmware_bridge.stopping import ServoSwitch
 from lipservo.commands.run import servo
 from lipsync.errors import UserError
 
@@ -72,3 +75,20 @@ def test_a_restart_that_the_face_has_not_counted_is_not_told_as_done(monkeypatch
 
     assert done.exit_code == 1
     assert "servo jaw has not restarted" in done.stderr
+
+
+def test_a_servo_of_a_stopped_face_that_is_switched_off_is_said_to_stay_off(monkeypatch):
+    """No bridge runs: what is known of it is in the report of the stop."""
+    told = {
+        "state": "stopped",
+        "stopped": "soft",
+        "servos": {},
+        "stop_report": {"confirmed": ["jaw"]},
+    }
+    face = RunningFace("tim", 7, Path("/none/tim-7.sock"))
+    monkeypatch.setattr(servo, "ask", lambda *_: told)
+
+    assert servo._wait_for(face, "jaw", ServoSwitch.OFF, 0) == {
+        "state": "off",
+        "then": "servo jaw stays off when the face is started",
+    }

@@ -57,6 +57,18 @@ def test_what_cannot_be_wired_is_refused_in_one_line(wired, channel, why):
     assert refused.value.code == "refused"
 
 
+@pytest.mark.parametrize(("step", "lacks"), [("nudge", "id"), ("measure", "tracker")])
+def test_a_step_without_what_it_needs_is_refused_in_one_line(wired, monkeypatch, step, lacks):
+    monkeypatch.setattr(FirstHour, "_check_port", lambda _hour: None)
+    wired.change_wiring("jaw=0:opens")
+    wired.write_face()
+
+    with pytest.raises(FaceError, match=f"{step} needs `{lacks}`") as refused:
+        wired.start(step)
+
+    assert refused.value.code == "refused"
+
+
 def test_a_face_without_servos_is_not_written(wired, path):
     with pytest.raises(FaceError, match="no servos given"):
         wired.write_face()

@@ -14,6 +14,13 @@ RELEASED = {
     },
     "atMs": None,
 }  # fmt: skip
+#: Of a face of two buses: one confirms, hobby servos at the other cannot.
+BOTH = {
+    "report": {
+        "confirmed": ["yaw"], "at_rest": True, "released": ["jaw"], "released_words": "pulses off",
+    },
+    "atMs": None,
+}  # fmt: skip
 TORQUE = {"servosGone": False, "torqueOn": True, "state": "driven"}
 GONE = {"servosGone": True, "torqueOn": False, "state": None}
 
@@ -54,6 +61,7 @@ def test_what_the_page_shows(module_page, status, frame, age_ms, word, word_ms, 
         (STOPPED, GONE, "stopped", WORD, ["stopped: limp", "quiet"]),
         (STOPPED, GONE, "stopped", None, ["stopped, not confirmed", "warn"]),
         (STOPPED, GONE, "stopped", RELEASED, ["stopped: pulses off", "warn"]),
+        (STOPPED, GONE, "stopped", BOTH, ["stopped: pulses off", "warn"]),
         (DRIVEN, GONE, "moving", None, ["servo side gone", "bad"]),
         (UNPLUGGED, TORQUE, "moving", None, ["port gone: look at the plug", "bad"]),
     ],
@@ -80,6 +88,11 @@ LOOSE = {"jaw": "is deaf", "lip_left": "is deaf", "lids": "hot"}
             "Stopped. At rest and limp, confirmed by 1 servo.",
         ),
         ({"confirmed": ["jaw", "lids"]}, "good", "Stopped. Limp, confirmed by 2 servos."),
+        (
+            BOTH["report"],
+            "warn",
+            "Stopped. Pulses off; only 1 of 2 servos can confirm it. Keep your hands away.",
+        ),
         ({"dry_run": True}, "good", "Stopped. Dry run, no torque was switched on."),
         (
             {"confirmed": []},

@@ -340,7 +340,7 @@ def test_a_stop_passes_a_busy_loop_a_full_pool_and_a_slow_upload(tmp_path, monke
 
 def test_a_start_is_sent_and_waited_for_until_the_face_is_driven():
     path = short_folder() / "tom.sock"
-    words, states = [], ["the bridge starts", "the bridge starts", "driven"]
+    words, states = [], ["the bridge starts again", "starting", "driven"]
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
         listener.bind(str(path))
         listener.listen()

@@ -1,11 +1,17 @@
 """What commands and pages say of servos that cannot confirm that they were let go."""
 
+from pathlib import Path
+
+import pytest
 from hobby_bus import PULSES, WORDS
 
 from firmware_bridge.capabilities import IN_MEMORY, mixed_capabilities
+from firmware_bridge.process.control_client import RunningFace
+from firmware_bridge.stopping import StopLevel
 from lipservo.commands.run.status_words import state_words
 from lipservo.dashboard.servo_remedies import listed_servos
-from lipservo.runtime.servos.letting_go import Outcome
+from lipservo.runtime.servos import letting_go
+from lipservo.runtime.servos.letting_go import Outcome, _merge_into, stop_faces
 
 REPORT = {
     "complete": True, "at_rest": True, "dry_run": False, "confirmed": [], "unconfirmed": {},
@@ -62,3 +68,34 @@ def test_a_stop_of_two_buses_says_what_was_confirmed_and_what_cannot_be():
     assert f"{WORDS}; limp, confirmed by 1 servos;" in state_words(
         {**STATUS, "stop_report": report}
     )
+
+
+def test_the_problem_of_one_bus_is_said_of_it_alone_beside_what_servos_of_the_other_confirmed():
+    outcome = Outcome("face")
+    _merge_into(outcome, Outcome("a", problem="no servo answers there"), "lips")
+    left = {"id 2": "does not answer"}
+    _merge_into(outcome, Outcome("b", confirmed=["id 1"], unconfirmed=left), "neck")
+
+    assert outcome.text() == (
+        "face: lips: no servo answers there; else confirmed by 1 servos, "
+        "NOT by neck id 2: does not answer"
+    )
+
+
+@pytest.mark.parametrize("unkilled", [[], [7]])
+def test_a_hung_face_none_of_whose_ports_is_found_is_not_called_limp(monkeypatch, unkilled):
+    def hang(*_given, **_named):
+        raise TimeoutError
+
+    for name, found in {
+        "stop_and_wait": hang, "send_stop": lambda *_a, **_k: None,
+        "holders_of_socket": lambda _path: [7], "with_children": list,
+        "is_ours": lambda _pid: True, "ports_held_by": lambda _pid: [],
+        "end_hung": lambda _pids: unkilled,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(letting_go, name, found)
+
+    (outcome,) = stop_faces([RunningFace("tim", 7, Path("/none/tim-7.sock"))], StopLevel.LIMP)
+
+    assert not outcome.is_confirmed
+    assert outcome.text().endswith("none of its ports was found: `lipservo limp --port PORT`")
