@@ -288,6 +288,9 @@ class ServoBus(Protocol):
         Reads its model, settings and position; changes nothing.
         """
 
+    def forgive(self, index: int) -> None:
+        """Forget what was wrong with servo `index`, since a person has it tried again."""
+
     def enable_torque(self, index: int) -> str:
         """Switch one servo's torque on; return why it stays off, or "" if the servo confirmed.
 

@@ -77,9 +77,8 @@ class BusCapabilities:
 
     def stop_table(self) -> Mapping[str, str]:
         """Return by kind of stop, such as `stop --limp`, its effect on the servos, in words."""
-        let_go = f"{self.released_words}, " + (
-            "confirmed by each servo" if self.confirmed_limp else "which no servo confirms"
-        )
+        confirmed = "confirmed by each servo" if self.confirmed_limp else "which no servo confirms"
+        let_go = f"{self.released_words}, {confirmed}"
         where = "where they stand" if self.place else "at the goal sent last"
         if self.in_memory:
             alone = "nothing: they exist in memory only"

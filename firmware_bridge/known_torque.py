@@ -77,10 +77,7 @@ class KnownTorque:
             May be written meanwhile by another thread.
         """
         self.at_s[indices], self.sent_us[indices] = part.at_s, part.sent_us
-        states = self.states.copy()
-        states[indices] = part.states
-        states.flags.writeable = False
-        self.states = states
+        self._put(indices, part.states)
 
     @property
     def any_on(self) -> bool | None:
@@ -112,10 +109,13 @@ class KnownTorque:
 
     def _set(self, index: int, state: int) -> None:
         if self.states.item(index) != state:
-            states = self.states.copy()
-            states[index] = state
-            states.flags.writeable = False
-            self.states = states
+            self._put(index, state)
+
+    def _put(self, at: int | NDArray[np.intp], found: int | NDArray[np.int8]) -> None:
+        states = self.states.copy()
+        states[at] = found
+        states.flags.writeable = False
+        self.states = states
 
 
 class _KnowsTorque(Protocol):

@@ -334,6 +334,10 @@ class PulseBus:
             )
         return self._wrong[index]
 
+    def forgive(self, index: int) -> None:
+        """Forget what was wrong with the channel of servo `index`: its next start finds out."""
+        self._wrong[index], self._n_failed[index] = "", 0
+
     def enable_torque(self, index: int) -> str:
         """Start a servo's pulses, with the last pulse it had, .25 s or more after the servo before.
 
@@ -459,11 +463,6 @@ class PulseBus:
         the controller is queried.
         """
         self._goal_us = np.where(which & self._pulsed, self._last_us, self._goal_us)
-        # What was wrong with a channel may have been mended: its next start finds out.
-        self._n_failed[which] = 0
-        self._wrong = [
-            "" if is_off else why for is_off, why in zip(which, self._wrong, strict=True)
-        ]
         self._is_steady = False
         self._held &= ~which
         self._left_on &= ~which

@@ -47,6 +47,7 @@ _FEEDBACK: Final = ("feedback", _ALL)
 _LOOK: Final = ("look after", _ALL)
 _OFF: Final = ("disable all", _ALL)
 _WIDEN: Final = ("widen", _ALL)
+_FORGIVE: Final = "forgive"  # of one servo
 _REOPEN: Final = ("reopen", _ALL)
 _LEAVE: Final = ("leave", _ALL)
 
@@ -58,7 +59,7 @@ class BusThread:
     concerns, -1 for all. A job replaces a waiting one with its key. at: the indices of the bus's
     servos in the face. lost: why the bus's port is gone; None: it is not. is_behind: whether the
     bus was waited for in vain, and has not caught up since. feedback, health: the last report, and
-    its time; None: none yet.
+    its time; None: none yet. thread: ends after `leave`; one that hangs, with the process.
     """
 
     def __init__(self, name: str, bus: ServoBus, at: NDArray[np.intp], clock: Clock) -> None:
@@ -78,8 +79,8 @@ class BusThread:
         self._since_s = 0.0
         self._n_offs = 0
         self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
-        self._thread.start()
+        self.thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
+        self.thread.start()
 
     def hand(self, key: _Key, job: Callable[[], Any]) -> None:
         """Queue a job for the thread; it replaces a job with the same key that has not begun.
@@ -152,13 +153,16 @@ class BusThread:
     def let_go(self) -> None:
         """Drop all waiting jobs, and so make torque off for the whole bus the next job.
 
+        What a person had forgiven is kept, to be done after it: a start begins with torque off.
         The answer of the job that runs now is thrown away: it may have switched torque on before.
         """
         with self._changed:
+            forgiven = {key: job for key, job in self._jobs.items() if key[0] == _FORGIVE}
             self._jobs.clear()
             self._answers.clear()
             self._n_offs += 1
             self._put(_OFF, self.bus.disable_all)
+            self._jobs |= forgiven
 
     def was_let_go(self, index: int) -> bool:
         """Return whether the last torque off for the whole bus included its servo `index`."""
@@ -188,10 +192,6 @@ class BusThread:
             self.lost = None
             self._jobs.clear()
             self._put(_LEAVE, partial(self.bus.__exit__, None, None, None))
-
-    def join(self, wait_s: float) -> None:
-        """Wait up to `wait_s` for the thread's end; a thread that hangs ends with the process."""
-        self._thread.join(wait_s)
 
     def _put(self, key: _Key, job: Callable[[], Any]) -> None:
         if self.lost is None or key == _REOPEN:
@@ -223,21 +223,18 @@ class BusThread:
         key = _WRITE
         while key != _LEAVE:
             key, job, n_offs = self._next()
-            lost: PortError | None = None
+            answer: Any = None
             error: Exception | None = None
-            answer = None
             try:
                 answer = job()
-            except PortError as gone:
-                lost = gone
-            except Exception as other:  # raised by the next `wait`
-                error = other
+            except Exception as raised:
+                error = raised
             with self._changed:
                 self._running = None
-                if lost is not None:
-                    self.lose(lost)
+                if isinstance(error, PortError):
+                    self.lose(error)
                 elif error is not None:
-                    self._error = error
+                    self._error = error  # raised by the next `wait`
                 else:
                     if key == _REOPEN:
                         self.lost = None
@@ -412,6 +409,11 @@ class SeveralBuses:
         answer = each.ask(("obstacle", n), partial(each.bus.obstacle, n), self._wait_s)
         return _BUSY if answer is None else str(answer)
 
+    def forgive(self, index: int) -> None:
+        """Forget what was wrong with servo `index`, since a person has it tried again."""
+        each, n = self._on(index)
+        each.hand((_FORGIVE, n), partial(each.bus.forgive, n))
+
     def enable_torque(self, index: int) -> str:
         """Switch one servo's torque on; return "", why it may not, or that its bus is busy.
 
@@ -432,7 +434,8 @@ class SeveralBuses:
     def disable_torque(self, index: int) -> bool:
         """Switch one servo's torque off; return True once its bus has done it, until then False."""
         each, n = self._on(index)
-        if each.was_let_go(n):
+        # Believed only while the servo is known to be off: it may have come on by itself since.
+        if each.was_let_go(n) and each.bus.torque.states.item(n) == Torque.OFF:
             return True
         wait_s = 0.0 if each.is_behind else self._wait_s  # a tick asks again
         return bool(each.ask(("disable", n), partial(each.bus.disable_torque, n), wait_s))
@@ -501,7 +504,7 @@ class SeveralBuses:
             each.leave()
         until_s = time.monotonic() + _END_S
         for each in threads:
-            each.join(max(0.0, until_s - time.monotonic()))
+            each.thread.join(max(0.0, until_s - time.monotonic()))
 
     def _ask_all(self, key: _Key, ask: Callable[[BusThread], None]) -> None:
         """Hand every bus the job `ask`; wait up to half a tick for buses that are not behind."""

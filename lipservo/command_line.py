@@ -116,8 +116,7 @@ def _with_default_devices(arguments: list[str]) -> list[str]:
     Options of typer need a value.
     """
     completed: list[str] = []
-    following = [*arguments[1:], "-"]
-    for argument, after in zip(arguments, following, strict=True):
+    for argument, after in zip(arguments, [*arguments[1:], "-"], strict=True):
         completed.append(argument)
         if argument in ("--mic", "--play") and after.startswith("-"):
             completed.append("default")

@@ -48,7 +48,7 @@ class SimulatedFace:
         self._process = process
         self._messages = process.stderr
         self._lines: list[str] = []
-        self._trace = folder / "trace.jsonl"
+        self._folder, self._trace = folder, folder / "trace.jsonl"
         self._reader = threading.Thread(target=self._read_messages, daemon=True)
         self.url = ""
         self._has_ended = threading.Event()
@@ -99,12 +99,11 @@ class SimulatedFace:
 
         NaN where a servo has not answered or cannot report its position.
         """
-        from firmware_bridge.process.control_client import running_faces, watch
+        from firmware_bridge.process.control_client import watch
         from lipservo.runtime.status.live_board import LiveBoard
 
-        # One face: the fixture's LIPSERVO_RUNTIME hides those that run outside the test.
-        (face,) = running_faces()
-        with LiveBoard.watch(watch(face.path)) as board:
+        (path,) = self._folder.glob("*.sock")  # another fixture may have set LIPSERVO_RUNTIME
+        with LiveBoard.watch(watch(path)) as board:
             _, newest = board.servos_since(0)[-1]
             return dict(zip(board.layout.servos, newest["encoder_deg"].tolist(), strict=True))
 

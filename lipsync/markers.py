@@ -87,8 +87,7 @@ class PointLayout:
 
     def group(self, name: str) -> tuple[int, ...]:
         """Return the indices of the points of group `name`, in its order; empty: no such group."""
-        numbers = dict(self.groups).get(name, ())
-        return tuple(self.landmarks.index(n) for n in numbers)
+        return tuple(self.landmarks.index(n) for n in dict(self.groups).get(name, ()))
 
     @cached_property
     def lips(self) -> tuple[int, ...]:

@@ -35,9 +35,8 @@ class PhonemeTimeline:
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """Return the event that includes `time_s`, or None where no event does."""
         index = bisect_right(self._events, time_s, key=_start_s) - 1
-        if index < 0 or _end_s(self._events[index]) <= time_s:
-            return None
-        return self._events[index]
+        is_within = index >= 0 and time_s < _end_s(self._events[index])
+        return self._events[index] if is_within else None
 
     def events_after(self, time_s: float) -> tuple[PhonemeEvent, ...]:
         """Return the events that start later than `time_s`, in order."""

@@ -445,19 +445,16 @@ def capture_poses(
     measure: Measure,
     *,
     keep: Path | None = None,
-    arrived: Arrived = lambda *_: None,
-    progress: Callable[[int], None] = lambda _: None,
 ) -> Capture:
     """Move through the plan, measure every pose, and leave the robot at its neutral.
 
     move, measure: as in `Robot`. keep: file to which each pose is written at once, one line a pose,
-    so that an interrupted capture can be resumed from it; None: nothing is written. arrived is
-    called with a pose's row and reached angles before it is measured; progress is called with the
-    number of poses done. Raises CalibrationError for a `keep` of another plan.
+    so that an interrupted capture can be resumed from it; None: nothing is written. Raises
+    CalibrationError for a `keep` of another plan.
     """
     kept = KeptPoses(keep)
     poses = kept.read(plan, marker_names)
-    robot = Robot(move, measure, arrived, progress)
+    robot = Robot(move, measure)
     return gather(plan, marker_names, take_poses(plan, marker_names, robot, poses, kept))
 
 
@@ -521,6 +518,21 @@ def take_pose(plan: PosePlan, index: int, robot: Robot) -> CapturedPose:
     return CapturedPose(index, np.round(reached_deg, 4), np.round(robot.measure(), 4))
 
 
+def stalled_joint(plan: PosePlan, index: int, reached_deg: Array) -> str | None:
+    """Return a line on the joint that stalled on its way to row `index`; None if none did.
+
+    reached_deg: (n_servos,) degrees, by the encoders.
+    """
+    missed_deg = np.abs(reached_deg - plan.goals_deg[index])
+    if missed_deg.max() <= STALL_DEG:
+        return None
+    joint = int(missed_deg.argmax())
+    return (
+        f"pose {index + 1}: {plan.servo_names[joint]} stopped at {reached_deg[joint]:.1f} of "
+        f"{plan.goals_deg[index, joint]:.1f} deg"
+    )
+
+
 def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPose]) -> Capture:
     """Return `poses` of the plan as one capture, without those in which a joint stalled.
 
@@ -529,15 +541,11 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
     stalled: list[str] = []
     good: list[CapturedPose] = []
     for pose in sorted(poses, key=lambda p: p.index):
-        missed_deg = np.abs(pose.reached_deg - plan.goals_deg[pose.index])
-        if missed_deg.max() <= STALL_DEG:
+        stall = stalled_joint(plan, pose.index, pose.reached_deg)
+        if stall is None:
             good.append(pose)
-            continue
-        joint = int(missed_deg.argmax())
-        stalled.append(
-            f"pose {pose.index + 1}: {plan.servo_names[joint]} stopped at "
-            f"{pose.reached_deg[joint]:.1f} of {plan.goals_deg[pose.index, joint]:.1f} deg"
-        )
+        else:
+            stalled.append(stall)
     rows = [pose.index for pose in good]
     return Capture(
         servo_names=plan.servo_names,

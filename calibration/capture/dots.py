@@ -130,8 +130,7 @@ def find_dots(picture: Path, *, least_area_px: int = 12) -> FoundDots:
     for label in range(1, n_spots):  # the first is what is not of that colour
         left, top, width, height, area_px = (int(value) for value in stats[label])
         if area_px >= least_area_px:
-            inside = labels[top : top + height, left : left + width] == label
-            rows, columns = np.nonzero(inside)
+            rows, columns = np.nonzero(labels[top : top + height, left : left + width] == label)
             places = np.column_stack((columns + left, rows + top)).astype(np.float64)
             spots.append(_measure_spot(places))
     return _select_dots(spots, pixels.shape[:2])
@@ -165,8 +164,7 @@ def _select_dots(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
             n_merged += 1
         elif spot.is_round and _SMALLEST <= size_ratio <= _LARGEST:
             middles_px.append(spot.pixels.mean(axis=0))
-    places = np.array(middles_px, dtype=np.float64).reshape(-1, 2)
-    return FoundDots(places, size_px, n_merged)
+    return FoundDots(np.array(middles_px, dtype=np.float64).reshape(-1, 2), size_px, n_merged)
 
 
 def _usual_size(spots: list[_Spot]) -> tuple[float, float]:

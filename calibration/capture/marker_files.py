@@ -146,12 +146,9 @@ def _c3d_texts(group: Mapping[str, Any], name: str) -> list[str]:
 
     A list of more than 255 texts goes on under `name` with 2, 3 ... added.
     """
-    parts = (group[each]["value"] for n in range(1, 10) if (each := _nth_name(name, n)) in group)
+    names = (name, *(f"{name}{n}" for n in range(2, 10)))
+    parts = (group[each]["value"] for each in names if each in group)
     return [str(text).strip() for part in parts for text in part]
-
-
-def _nth_name(name: str, n: int) -> str:
-    return name if n == 1 else f"{name}{n}"
 
 
 def _axes_matrix(axes: str) -> Array:

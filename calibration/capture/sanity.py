@@ -209,11 +209,6 @@ _LOWER = ("outer_lip_17", "inner_lip_14")
 _RIGHT, _LEFT = "outer_lip_61", "outer_lip_291"
 
 
-def least_poses_to_fit(n_servos: int) -> int:
-    """Return the fewest poses of a fit: 1.5 for each parameter of a line over n_servos joints."""
-    return round(1.5 * (n_servos + 1))
-
-
 @dataclass(frozen=True, slots=True)
 class CheckedCapture:
     """A capture without its wrong readings, and warnings about it.
@@ -280,7 +275,8 @@ def _warnings_of(findings: Iterable[Finding], *, accept: bool = False) -> tuple[
 
 
 def _too_few(capture: Capture) -> Iterator[Finding]:
-    least = least_poses_to_fit(len(capture.servo_names))
+    # 1.5 for each parameter of a line over all joints.
+    least = round(1.5 * (len(capture.servo_names) + 1))
     if len(capture) < least:
         why = f"; left out: {capture.stalled[0]}" if capture.stalled else ""
         few = f"{len(capture)} poses are too few for {len(capture.servo_names)} servos"
@@ -289,8 +285,7 @@ def _too_few(capture: Capture) -> Iterator[Finding]:
 
 def _never_moved(capture: Capture) -> Iterator[Finding]:
     for joint in np.flatnonzero(np.ptp(capture.goals_deg, axis=0) < _LEAST_RANGE_DEG):
-        name = capture.servo_names[joint]
-        never = f"the captured poses never move servo {name!r}"
+        never = f"the captured poses never move servo {capture.servo_names[joint]!r}"
         yield Finding("", f"{never}; were markers recorded for all poses?")
 
 
@@ -379,8 +374,8 @@ def _faulty_joints(record: _Record) -> Iterator[Finding]:
             remarks.append((dead, True))
         elif word and _is_reversed(capture, lines, joint, _known_word(name, word)):
             turned = (
-                f"is reversed: a positive angle should {_without_s(word)}, and does the opposite; "
-                "change its `sign` in the face YAML"
+                f"is reversed: a positive angle should {word.removesuffix('s')}, and does the "
+                "opposite; change its `sign` in the face YAML"
             )
             remarks.append((turned, True))
         elif joint_signal(lines, joint) < WEAK:
@@ -487,8 +482,3 @@ def _known_word(name: str, word: str) -> str:
         return word
     motion = joint_motion(name, word)
     return word if motion is None else _WORDS[motion.channel][0 if motion.sign > 0 else 1]
-
-
-def _without_s(word: str) -> str:
-    """Return the verb `word` without its s, for messages: `opens` to `open`."""
-    return word[:-1] if word.endswith("s") else word

@@ -145,8 +145,7 @@ def in_head_frame(capture: Capture, lines: StraightLines) -> tuple[Capture, tupl
         return capture, ()
     # What the lines leave unexplained: the nose's shift as one piece, and the scatter of its
     # markers, which gives the shift that noise alone would cause.
-    nose_shift_mm = _median_of_points(off_mm)[nose_seen][:, 0]
-    rms_mm = float(np.sqrt(np.mean(np.sum(nose_shift_mm**2, axis=1))))
+    rms_mm = _nose_shift_mm(capture.markers_mm - lines.expected_mm, nose)
     scatter_mm = (off_mm - _median_of_points(off_mm))[nose_seen]
     noise_mm = 1.4826 * float(np.median(np.abs(scatter_mm))) * np.sqrt(3.0 / len(nose)) * 1.5
     if rms_mm < max(_LEAST_SHIFT_MM, _NOISE_TIMES * noise_mm):

@@ -113,8 +113,7 @@ def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
     differences = standardised(robot_mm) - standardised(human_mm)
     size_mm = np.median(np.abs(robot_mm - np.median(robot_mm, axis=0)), axis=0)
     names = [capture.marker_names[i] for i in known]
-    found = list(_exchanged_pairs(names, differences * size_mm, robot_mm))
-    return found or _swapped_lips(capture)
+    return list(_exchanged_pairs(names, differences * size_mm, robot_mm)) or _swapped_lips(capture)
 
 
 def _swapped_lips(capture: Capture) -> list[Swap]:
@@ -135,7 +134,7 @@ def _swapped_lips(capture: Capture) -> list[Swap]:
     return found
 
 
-def swapped_in_poses(capture: Capture, expected_mm: Array | None = None) -> list[Swap]:
+def swapped_in_poses(capture: Capture, expected_mm: Array) -> list[Swap]:
     """Return the pairs of markers whose names were exchanged in single poses.
 
     Parameters
@@ -150,8 +149,6 @@ def swapped_in_poses(capture: Capture, expected_mm: Array | None = None) -> list
     list[Swap]
         Pairs, each with its pose.
     """
-    if expected_mm is None:
-        expected_mm = straight_lines(capture).expected_mm
     names, found = capture.marker_names, []
     for pose, (seen_mm, wanted_mm) in enumerate(zip(capture.markers_mm, expected_mm, strict=True)):
         filled_mm = np.where(np.isfinite(seen_mm), seen_mm, wanted_mm)

@@ -226,10 +226,7 @@ class FileTracker:
         if not self._path.exists() or self._is_in_mid_line():
             return {}
         try:
-            if self._read is not None:
-                readings = self._read(pose)
-            else:
-                readings = read_readings(self._path, self._axes)
+            readings = self._read(pose) if self._read else read_readings(self._path, self._axes)
         except CalibrationError:
             if self._path.suffix.lower() == ".csv":
                 raise
@@ -242,8 +239,7 @@ class FileTracker:
 
     def _is_in_mid_line(self) -> bool:
         """Return whether the file is CSV and its last line is still being written."""
-        is_csv = self._path.suffix.lower() == ".csv"
-        return is_csv and not self._path.read_bytes().endswith(b"\n")
+        return self._path.suffix.lower() == ".csv" and not self._path.read_bytes().endswith(b"\n")
 
 
 @dataclass(slots=True)

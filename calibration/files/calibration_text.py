@@ -184,15 +184,13 @@ def _closure_lines(closure: Closure | None) -> list[str]:
     if closure is None:
         return []
     lines = ["closure:  # how far the lips are apart, by the joints, so that they meet"]
-    for field in fields(closure):
-        if not field.init:
-            continue
-        value = getattr(closure, field.name)
+    for name in (field.name for field in fields(closure) if field.init):
+        value = getattr(closure, name)
         if np.ndim(value) == 2:
-            lines += [f"  {field.name}: ", *(f"  - {_yaml_list(row, _six)}" for row in value)]
+            lines += [f"  {name}: ", *(f"  - {_yaml_list(row, _six)}" for row in value)]
         else:
             text = _yaml_list(value, _six) if np.ndim(value) else _six(value)
-            lines.append(f"  {field.name}: {text}")
+            lines.append(f"  {name}: {text}")
     return lines
 
 

@@ -172,8 +172,7 @@ def fit_jaw(
     (joint,) = servos.joints
     sweep_deg = np.linspace(joint.min_deg, _USED_SHARE * joint.max_deg, _SWEEP)
     swept_mm = face.markers_mm(sweep_deg[:, None])[:, on_jaw]
-    closed_mm = face.markers_mm(np.zeros((1, 1)))[0, on_jaw]
-    robot_blend = jaw_blend(closed_mm, swept_mm[-1])
+    robot_blend = jaw_blend(face.markers_mm(np.zeros((1, 1)))[0, on_jaw], swept_mm[-1])
     alphas = steady_alphas(robot_blend, sweep_deg, swept_mm)
     speaker_blend = speakers_jaw(model)
 

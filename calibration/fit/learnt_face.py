@@ -44,8 +44,7 @@ def fit_calibration(
     servos = MouthServos(tuple(joints), face_checksum, rules=tuple(rules))
     fitted, held_out = split_frames(model, seed, max_animphos)
     try:
-        neutral_mm = model.markers_mm(model.rest[None])[0]
-        face = simulated_face(neutral_mm, servos.names)
+        face = simulated_face(model.markers_mm(model.rest[None])[0], servos.names)
     except ValueError as error:
         raise CalibrationError(str(error)) from error
     names = correspond(MARKERS_47.names)

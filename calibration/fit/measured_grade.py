@@ -51,6 +51,10 @@ _TOUCH_MM = 1.0
 #: A reading this far from where it should be, and so many times as far as its pose's other lips,
 #: is none.
 _FAR_MM, _FAR_TIMES = 8.0, 5.0
+_CLOSED_UNSEEN = (
+    "no closed pose shows dots of both lips: how far closed lips stay apart is estimated, not "
+    "measured"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +169,8 @@ def graded(
     closed_gap_mm = calibration.errors.closed_gap_mm
     if is_closed.any():
         closed_gap_mm = apart_mm + float(np.mean(open_mm[is_closed]))
-    else:
-        remarks += ("no closed pose shows both lips: how far they stay apart is an estimate",)
+    elif (poses.human_gap_mm <= CLOSED_GAP_MM).any():
+        remarks += (_CLOSED_UNSEEN,)
     # Ten poses are few. So the error is that of the map over all held-out frames, by the learnt
     # face, plus what the poses show beyond the learnt face's prediction for them (the difference
     # estimator: Cochran, Sampling Techniques, 1977, 9.2A).
@@ -211,9 +215,7 @@ def too_bad(calibration: Calibration) -> str | None:
         return f"only {max(slope, 0.0):.0%} of an opening is made{how}"
     if closed_mm > _TOUCH_MM and closing is not None and not closing.closes:
         return f"the mouth {closing.description}"
-    if closed_mm > _TOUCH_MM:
-        return f"closed lips stay {closed_mm:.1f} mm apart{how}"
-    return None
+    return f"closed lips stay {closed_mm:.1f} mm apart{how}" if closed_mm > _TOUCH_MM else None
 
 
 def _choose_frames(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
@@ -309,8 +311,7 @@ def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
 
     Raises CalibrationError for a plan of another map, or one without wanted markers.
     """
-    servo_names = calibration.servo_names
-    plan = read_plan(path, servo_names)
+    plan = read_plan(path, calibration.servo_names)
     rows = list(csv_rows(path, ("pose",)))
     columns = rows[0][1] if rows else {}
     names = tuple(name.removesuffix(_FIRST) for name in columns if name.endswith(_FIRST))

@@ -28,6 +28,7 @@ from calibration.capture.capture import (
     plan_of_poses,
     plan_poses,
     plan_rows,
+    stalled_joint,
     take_poses,
     usual_poses,
 )
@@ -227,19 +228,28 @@ class Procedure:
         """
         poses: list[CapturedPose] = []
         left_out: set[int] = set()
+        # Rows are taken in order: one that the file lacks before its last was left out.
+        last_kept = max(kept.markers_mm(), default=-1)
 
-        def take(plan: PosePlan, pressing: Sequence[int] = ()) -> Capture:
+        def take(plan: PosePlan, pressing: Sequence[int] = (), on: Robot = robot) -> Capture:
             # Capture what `poses`, or the file, lacks of the plan; return all of it.
             earlier = poses if kept.path is None else kept.read(plan, marker_names)
-            poses[:] = take_poses(plan, marker_names, robot, earlier, kept, pressing, left_out)
+            done = {pose.index for pose in earlier}
+            left_out.update(row for row in pressing if row < last_kept and row not in done)
+            poses[:] = take_poses(plan, marker_names, on, earlier, kept, pressing, left_out)
             poses[:] = retake_swaps(plan, marker_names, robot, poses, kept, report)
             return gather(plan, marker_names, poses)
 
         plan = self.range_plan()
+
+        def stands(row: int, reached_deg: Array) -> None:
+            # Before the pose is recorded or kept: the next run would go on with it.
+            if (stall := stalled_joint(plan, row, reached_deg)) is not None:
+                raise CalibrationError(f"{stall}; free that joint and check its torque")
+            robot.arrived(row, reached_deg)
+
         # First neutral alone: wrong axes or units show before the robot moves on.
-        first = take(plan_rows(plan, [0]))
-        if not len(first):
-            raise CalibrationError(f"{first.stalled[0]}; free that joint and check its torque")
+        take(plan_rows(plan, [0]), on=replace(robot, arrived=stands))
         check_frame(marker_names, poses[0].markers_mm, self.model, accept=self.accept)
         captured = take(plan)
         # Joints that may be dead are captured alone, a few times at most, until that is clear.
@@ -322,8 +332,7 @@ def take_grade(
     numbered = replace(robot, arrived=lambda row, deg: robot.arrived(kept.first + row, deg))
     poses = take_poses(plan, marker_names, numbered, earlier, kept)
     poses = retake_swaps(plan, marker_names, numbered, poses, kept, expected_mm=wanted.targets_mm)
-    seen = gather(plan, marker_names, poses)
-    calibration, remarks = graded(fit.calibration, wanted, seen)
+    calibration, remarks = graded(fit.calibration, wanted, gather(plan, marker_names, poses))
     return replace(fit, calibration=calibration, warnings=(*fit.warnings, *remarks))
 
 

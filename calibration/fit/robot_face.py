@@ -302,8 +302,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     centre_mm = np.nanmean(capture.markers_mm, axis=0)
     seen_mm = capture.markers_mm - centre_mm
     apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
-    is_open = lips_are_open(capture)
-    fit = _FaceFit(poses, apart_mm2, is_open)
+    fit = _FaceFit(poses, apart_mm2, lips_are_open(capture))
     known = np.isfinite(seen_mm)
     filled = fit.fill_lost_points(seen_mm, known)
     assert fit.hyperparameters is not None
@@ -423,9 +422,7 @@ def _without_contact(
     # Without ladders the poses with the narrowest gaps are taken for contact at first.
     if contact is None:
         contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_CONTACT_SHARE)
-    if contact.sum() < _LEAST_IN_CONTACT:
-        return None
-    if not np.isfinite(seen_gaps_mm).any(axis=0).all():
+    if contact.sum() < _LEAST_IN_CONTACT or not np.isfinite(seen_gaps_mm).any(axis=0).all():
         return None
     # In turns: predict the lips of poses in contact, sort the poses by it, estimate the gaps anew.
     closed_mm = first_closed_mm(seen_gaps_mm, contact)

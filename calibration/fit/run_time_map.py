@@ -157,8 +157,7 @@ def fit_run_time_map(
     mean_input = np.average(inputs, axis=0, weights=counts)
     inputs, weighted = inputs - mean_input, (inputs - mean_input) * counts[:, None]
     ridge_strength = _RIDGE if not len(centres) else _RIDGE_WITH_CENTRES
-    metric = _angle_metric(poses_deg, markers_of, shape_features)
-    sizes, directions = np.linalg.eigh(metric)
+    sizes, directions = np.linalg.eigh(_angle_metric(poses_deg, markers_of, shape_features))
     # Angles in the coordinates of the metric's principal directions.
     outputs = poses_deg @ directions
     mean_output = np.average(outputs, axis=0, weights=counts)

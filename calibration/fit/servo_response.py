@@ -167,8 +167,7 @@ def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None
 def _chirp_index(frequency_hz: float, rate_hz: float) -> int:
     """Return the index of the sample of `chirp_deg` at which its sine reaches frequency_hz."""
     low, high = _CHIRP_HZ
-    share = (frequency_hz - low) / (high - low)
-    return round((_PAUSE_S + share * _CHIRP_S) * rate_hz)
+    return round((_PAUSE_S + (frequency_hz - low) / (high - low) * _CHIRP_S) * rate_hz)
 
 
 def _bandwidth_hz(chirp: Array, seen: Array, rate_hz: float) -> float:

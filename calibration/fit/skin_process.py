@@ -344,8 +344,7 @@ class _NegativeLogLikelihood:
         that the backlashes of one robot are alike. Names with d_ are derivatives of the cost
         (Rasmussen and Williams, equation 5.9).
         """
-        n_servos = self._poses.goals_deg.shape[1]
-        hyperparameters = _hyperparameters_of(parameters, n_servos)
+        hyperparameters = _hyperparameters_of(parameters, self._poses.goals_deg.shape[1])
         x = self._poses.inputs(hyperparameters.backlash_deg)
         eig = _KroneckerEigen(
             hyperparameters.pose_covariance(x, x),

@@ -111,8 +111,7 @@ def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
     for motion, named_motion in zip(motions, by_name, strict=True):
         kind = _kind_of(motion, motions, kinds_taken)
         kinds_taken.append(kind)
-        sign = 1 if motion is None else motion.sign
-        pulls.append(Pull(kind, sign, named_motion is None))
+        pulls.append(Pull(kind, 1 if motion is None else motion.sign, named_motion is None))
     return tuple(pulls)
 
 

@@ -79,10 +79,6 @@ class _Horn:
     spares: tuple[int, ...] = ()
 
 
-def _mirrored(direction: tuple[float, float, float]) -> tuple[float, float, float]:
-    return (-direction[0], *direction[1:])
-
-
 _HORNS: Mapping[str, _Horn] = MappingProxyType(
     {
         "upper_lip_left": _Horn(269, (0.0, 1.0, 0.0), _LOWER_LIP),
@@ -91,7 +87,7 @@ _HORNS: Mapping[str, _Horn] = MappingProxyType(
         "lower_lip_right": _Horn(181, (0.0, -1.0, 0.0), _UPPER_LIP),
         "corner_left_out": _Horn(291, _CORNER_OUT),
         "corner_left_up": _Horn(291, (0.0, 1.0, 0.0)),
-        "corner_right_out": _Horn(61, _mirrored(_CORNER_OUT)),
+        "corner_right_out": _Horn(61, (-_CORNER_OUT[0], *_CORNER_OUT[1:])),
         "corner_right_up": _Horn(61, (0.0, 1.0, 0.0)),
     }
 )
@@ -165,8 +161,7 @@ def marker_positions_mm(face: SimulatedFace, positions_deg: Array) -> Array:
         (n, 47, 3) mm.
     """
     angles_rad = np.deg2rad(positions_deg)
-    travel_mm = HORN_ARM_MM * np.sin(angles_rad)
-    skin_mm = face.neutral_mm + np.tensordot(travel_mm, face.pulls, axes=1)
+    skin_mm = face.neutral_mm + np.tensordot(HORN_ARM_MM * np.sin(angles_rad), face.pulls, axes=1)
     if JAW not in face.servo_names:
         return np.asarray(skin_mm)
     opening_rad = angles_rad[:, face.servo_names.index(JAW), None]

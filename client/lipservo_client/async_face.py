@@ -51,9 +51,9 @@ class AsyncSpeech:
 
     def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
         """Prepare a stream. stream: its id. start: fields of the message that will start it."""
-        self._face = face
         self._start = start
-        self._is_complete = False
+        #: Whether the end of the stream was sent.
+        self.is_complete = False
         self._error: FaceError | None = None
         loop = asyncio.get_running_loop()
         self._ready: asyncio.Future[float] = loop.create_future()
@@ -71,11 +71,6 @@ class AsyncSpeech:
     def is_over(self) -> bool:
         """Whether the stream was played to its end, or cut off by this or another client."""
         return self._end_of_play.done()
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether the end of the stream was sent."""
-        return self._is_complete
 
     @property
     def was_heard(self) -> bool:
@@ -128,8 +123,8 @@ class AsyncSpeech:
 
     async def end(self) -> None:
         """Send the end of the stream, once; the face plays what was written to its end."""
-        if not self._is_complete:
-            self._is_complete = True
+        if not self.is_complete:
+            self.is_complete = True
             await self._send_unsent()
             await self._wire.send("end")
 
@@ -149,9 +144,8 @@ class AsyncSpeech:
         Over: played or cut off. Raises FaceError if the connection is lost, or nothing was played
         for `STILL_S` seconds.
         """
-        loop = asyncio.get_running_loop()
         while not self._end_of_play.done():
-            await asyncio.wait([self._end_of_play], timeout=self._patience_s(loop.time()))
+            await asyncio.wait([self._end_of_play], timeout=self._patience_s())
         return self._end_of_play.result()
 
     async def __aenter__(self) -> Self:
@@ -166,7 +160,7 @@ class AsyncSpeech:
             if kind is None:
                 await self.end()
             elif not self.is_over:
-                self._is_complete = True
+                self.is_complete = True
                 await self._wire.send("interrupt")
 
     def hear(self, event: Event) -> None:
@@ -190,8 +184,7 @@ class AsyncSpeech:
         If the stream has not started yet, starting it raises the error.
         """
         if not self._ready.done():
-            self._ready.set_exception(error)
-            self._ready.exception()  # or asyncio logs it if nobody waits
+            _set_answer(self._ready, error)
             if not self.is_over:  # it never began: `interrupt` must not wait for its end
                 self._end_of_play.set_result(Played(finished=False, played_s=0.0))
         else:
@@ -201,8 +194,7 @@ class AsyncSpeech:
         """End the stream with the error of a lost connection, which waiting calls raise."""
         self.fail(error)
         if not self.is_over:
-            self._end_of_play.set_exception(error)
-            self._end_of_play.exception()  # or asyncio logs it if nobody waits
+            _set_answer(self._end_of_play, error)
             self._progressed.set()
 
     @property
@@ -212,15 +204,14 @@ class AsyncSpeech:
 
     async def _has_room(self) -> bool:
         """Wait until at most 30 s are unplayed; return True, or False if the stream is over."""
-        loop = asyncio.get_running_loop()
         while not self.is_over and self.n_sent - self.n_played > _AHEAD_S * self.rate_hz:
             self._progressed.clear()
-            await _wait_at_most(self._progressed, self._patience_s(loop.time()))
+            await _wait_at_most(self._progressed, self._patience_s())
         return not self.is_over
 
-    def _patience_s(self, now_s: float) -> float:
+    def _patience_s(self) -> float:
         """Return the seconds left to wait for progress. Raises FaceError if none are left."""
-        still_s = self._progress_s + STILL_S - now_s
+        still_s = self._progress_s + STILL_S - asyncio.get_running_loop().time()
         if still_s <= 0.0:
             still = f"nothing of {self.stream} was heard for {STILL_S:g} s"
             raise FaceError("not_answering", still)

@@ -75,9 +75,12 @@ class LiveKitFace(AudioOutput):
     async def __aexit__(self, *exc: object) -> None:
         """Disconnect; segments that are not over end as interrupted."""
         await self._face.__aexit__()
-        for task in self._face_tasks:
+        tasks = list(self._face_tasks)
+        if tasks:  # they end by themselves, and report
+            await asyncio.wait(tasks, timeout=1.0)
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(*self._face_tasks, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     async def capture_frame(self, frame: rtc.AudioFrame) -> None:
         """Send a frame of sound to the face, waiting while 30 s are unplayed.

@@ -17,7 +17,7 @@ from pipecat.processors.frame_processor import FrameCallback, FrameDirection, Fr
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
 from lipservo_client.heard import SpokenWords
-from lipservo_client.protocol import Event, FaceError, Played, error_of, mono_pcm
+from lipservo_client.protocol import FaceError, Played, error_of, mono_pcm
 
 #: Texts that are kept until their stream begins; of more, the oldest are dropped.
 _MOST_UNSENT_TEXTS: Final = 64
@@ -146,8 +146,7 @@ class _Waiting:
     def _heard_text(self, speech: AsyncSpeech) -> str:
         if self.piece is None:
             return ""
-        is_complete = speech.is_complete
-        return self.words.part(self.piece, speech.n_played, is_complete=is_complete)
+        return self.words.part(self.piece, speech.n_played, is_complete=speech.is_complete)
 
 
 class PipecatFace(_FaceProcessor):
@@ -425,20 +424,17 @@ class PipecatFace(_FaceProcessor):
         await self._push_heard_frames()
 
     async def _follow_events(self) -> None:
-        async for event in self._face.events():
-            await self._handle_face_event(event)
-
-    async def _handle_face_event(self, event: Event) -> None:
         """Push frames whose sound was played; broadcast the bot's speaking, and report a loss."""
-        if event["type"] == "disconnected":
-            self._has_loudspeaker = True  # the next may have one
-            await self._push_face_error(error_of(event))
-        if self._speech is not None and event.get("stream") == self._speech.stream:
-            if event["type"] == "started":
-                await self._broadcast_speaking(True)
-            elif event["type"] == "position" and self._is_speaking:
-                await self.broadcast_frame(frames.BotSpeakingFrame)
-        await self._push_heard_frames()
+        async for event in self._face.events():
+            if event["type"] == "disconnected":
+                self._has_loudspeaker = True  # the next may have one
+                await self._push_face_error(error_of(event))
+            if self._speech is not None and event.get("stream") == self._speech.stream:
+                if event["type"] == "started":
+                    await self._broadcast_speaking(True)
+                elif event["type"] == "position" and self._is_speaking:
+                    await self.broadcast_frame(frames.BotSpeakingFrame)
+            await self._push_heard_frames()
 
     async def _poll_positions(self) -> None:
         while True:

@@ -406,8 +406,7 @@ def _first_value(node: _Node, keys: str) -> object:
 
 
 def _is_spoken(node: _Node) -> bool:
-    boundary = str(node.get("boundarytype", node.get("type"))).lower()
-    return not boundary.startswith(_UNSAID)
+    return not str(node.get("boundarytype", node.get("type"))).lower().startswith(_UNSAID)
 
 
 def _label(value: object, kind: Kind, place: str) -> str | None:

@@ -149,5 +149,4 @@ async def serve_wyoming(host: str, port: int, url: str, token: str | None) -> No
 
 def _service_info() -> Info:
     about = "Sound and lips of a robot face"
-    program = SndProgram("lipservo", _ABOUT, True, about, None, snd_format=_FORMAT)
-    return Info(snd=[program])
+    return Info(snd=[SndProgram("lipservo", _ABOUT, True, about, None, snd_format=_FORMAT)])

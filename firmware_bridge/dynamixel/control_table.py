@@ -157,13 +157,10 @@ def _model(name: str, raw: Mapping[str, Any]) -> ServoModel:
     raw may leave out registers (`absent`), and replaces the shared ranges and defaults by its own.
     """
     tables = _tables()
-    registers = {}
-    for each in tables["registers"]:
-        if each in raw.get("absent", ()):
-            continue
-        shared = register(each)
-        low, high = raw["ranges"].get(each, (shared.low, shared.high))
-        registers[each] = replace(shared, low=low, high=high)
+    present = [each for each in tables["registers"] if each not in raw.get("absent", ())]
+    registers = {each: register(each) for each in present}
+    for each, (low, high) in raw["ranges"].items():
+        registers[each] = replace(registers[each], low=low, high=high)
     power = raw["at_nominal_voltage"]
     return ServoModel(
         name=name,

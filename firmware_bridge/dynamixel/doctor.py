@@ -49,12 +49,6 @@ def measured_latency_s(line: Line, servo_id: int) -> float | None:
     return max(0.0, statistics.median(elapsed_s)) if elapsed_s else None
 
 
-def without_fast_read(line: Line, ids: Sequence[int]) -> list[int]:
-    """Return which of these ids, all of which answer a ping, do not answer Fast Sync Read."""
-    spans = [SpanRead((each,), 0, 2, fast=True) for each in ids]
-    return [span.ids[0] for span in spans if not any(line.sync_read(span) for _ in range(_TRIES))]
-
-
 _UDEV: Final = "install the udev rule (docs/hardware.md), or `echo 1` into its latency_timer"
 #: Of the stall torque: proposed where nothing bounds a servo; the shipped faces' jaws have it.
 _GENTLE_SHARE: Final = 0.3
@@ -93,8 +87,7 @@ def examine(
     line.baud_rate = wanted_rate
     if not at_rate:
         tried = ", ".join(f"{rate:,}" for rate in dict.fromkeys([wanted_rate, *SCANNED_RATES]))
-        other = other_kind_at(line.transport, "dynamixel")
-        if other:
+        if other := other_kind_at(line.transport, "dynamixel"):
             yield Finding(Severity.BAD, other)
             return
         yield Finding(
@@ -174,8 +167,12 @@ def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> 
 
 
 def _fast_read(line: Line, ids: Sequence[int]) -> Iterator[Finding]:
-    """Yield a warning that names those of `ids` that do not answer Fast Sync Read, if any."""
-    deaf = without_fast_read(line, ids)
+    """Yield a warning that names those of `ids` that do not answer Fast Sync Read, if any.
+
+    All of them answer a ping.
+    """
+    spans = [SpanRead((each,), 0, 2, fast=True) for each in ids]
+    deaf = [span.ids[0] for span in spans if not any(line.sync_read(span) for _ in range(_TRIES))]
     if deaf:
         named = "all servos" if len(deaf) == len(ids) else f"ids {', '.join(map(str, deaf))}"
         yield Finding(

@@ -36,15 +36,11 @@ class Watchdogs:
     def __init__(self, ids: Sequence[int], timeout_s: float) -> None:
         """Set for how long servos go on without receiving a packet: `timeout_s`; 0 = for ever."""
         self._ids = tuple(ids)
-        self._setting = min(_LONGEST, int(np.ceil(timeout_s / WATCHDOG_UNIT_S - 1e-9)))
-        self._trips_after_s = self._setting * WATCHDOG_UNIT_S if self._setting else float("inf")
+        #: The value that register `bus_watchdog` must have while torque is on; 0 = no watchdog.
+        self.setting = min(_LONGEST, int(np.ceil(timeout_s / WATCHDOG_UNIT_S - 1e-9)))
+        self._trips_after_s = self.setting * WATCHDOG_UNIT_S if self.setting else float("inf")
         self._spoke_s = 0.0
         self._lapsed = False
-
-    @property
-    def setting(self) -> int:
-        """The value that register `bus_watchdog` must have while torque is on; 0 = no watchdog."""
-        return self._setting
 
     def start(self, line: Line, servo_id: int) -> bool:
         """Clear and start one servo's watchdog; return whether a read shows the new setting.
@@ -53,9 +49,9 @@ class Watchdogs:
         nothing to stop a face whose computer has died.
         """
         cleared = write_verified(line, servo_id, _ADDRESS, b"\0")
-        if not (cleared and self._setting):
+        if not (cleared and self.setting):
             return cleared
-        return write_verified(line, servo_id, _ADDRESS, bytes((self._setting,)))
+        return write_verified(line, servo_id, _ADDRESS, bytes((self.setting,)))
 
     def spoke(self, now_s: float) -> None:
         """Note a packet sent at `now_s`, and whether the pause before may have tripped watchdogs.
@@ -71,7 +67,7 @@ class Watchdogs:
         self.spoke(line.transport.clock.now())
         if self._lapsed:
             self._lapsed = False
-            for value in (b"\0", bytes((self._setting,))):
+            for value in (b"\0", bytes((self.setting,))):
                 line.tell(codec.sync_write(_ADDRESS, 1, [(each, value) for each in self._ids]))
 
 

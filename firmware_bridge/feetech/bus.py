@@ -163,9 +163,11 @@ class FeetechBus(SerialBus[Line]):
                 return
         else:
             cache.set_goals(pulses, taken, GOAL_OUT_OF_RANGE)
-        # A servo whose goals were withheld gets goals at most `reach` from the last one sent to it.
+        # A servo whose goals were withheld gets goals at most `reach` from the last one sent to it;
+        # a step at least, or a slow joint would never arrive.
         self._behind = (self._behind | torque.doubted) & (torque.doubted | torque.driven)
         reach = np.trunc(self._top_pulses_s * min(self._sent_s - since_s, self._period_s))
+        reach = np.maximum(reach, 1.0)
         near = np.clip(cache.goals, self._sent - reach, self._sent + reach)
         goals = np.where(self._behind, near, cache.goals)
         self._behind &= torque.doubted | (goals != cache.goals)

@@ -74,6 +74,7 @@ class PresentState:
         high_byte = EMPTY_SIZE - (0 if dialect.byte_order == "little" else 1)
         self._high_bytes = slice(high_byte, None, self._step)
         self._seen = b""
+        self._heard = np.zeros(n, dtype=np.bool_)  # by this read; `enable` asks for places alone
         self._all_heard = False
 
     @property
@@ -124,17 +125,18 @@ class PresentState:
             ages_s = cache.ages([status.servo_id for status in found], now_s)
             cache.count_silent(ages_s)
         pulses: Array = self._places()
+        if ages_s is not cache.no_age_s:  # of a silent one what `enable` or `keep` found is newer
+            pulses = np.where(ages_s > 0.0, cache.pulses, pulses)
         # The load has 10 bits, in 0.1 % of the stall torque; bit 10 is its direction.
         self.cache.effort = np.asarray((self._loads & 0x3FF) * 1e-3, np.float64)
         self._take_conditions()
         if not self._all_heard:  # values of servos that have never answered are unknown
-            ever = np.isfinite(cache.pulses)
-            ever[np.flatnonzero(ages_s == 0.0)] = True
+            self._heard |= ages_s == 0.0
+            ever = self._heard
             self._all_heard = bool(ever.all())
             self.cache.voltage_v = np.where(ever, cache.voltage_v, np.nan)
             self.cache.temperature_degc = np.where(ever, cache.temperature_degc, np.nan)
             self.cache.room_degc = np.where(ever, cache.room_degc, ROOM_DEGC)
-            pulses = np.where(ever, pulses, np.nan)
         self.cache.pulses = pulses
         return ages_s
 

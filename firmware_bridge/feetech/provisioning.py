@@ -129,6 +129,8 @@ scan, find_servos = _CHAIN.scan, _CHAIN.find_servos
 plan_chain, plan_alone, set_up = _CHAIN.plan_chain, _CHAIN.plan_alone, _CHAIN.set_up
 
 
+#: New servos may have position limits so close to the ends, such as 20 and 1003 of 0 to 1023.
+_FACTORY_MARGIN: Final = 20
 #: Whether `clear_foreign_settings` also moves the middle of the range: here it does not.
 CLEARS_MIDDLE: Final = False
 
@@ -172,11 +174,13 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
     with unhurried_line(port, rate) as line:
         for servo_id, name in found.items():
             held = read_eeprom(line, servo_id, servo_models()[name])
+            highest, plain = servo_models()[name].n_positions - 1, {}
+            low, high = held["min_position_limit"], held["max_position_limit"]
+            if low > _FACTORY_MARGIN or high < highest - _FACTORY_MARGIN:
+                plain = {"min_position_limit": 0, "max_position_limit": highest}
             if "operating_mode" in held:
-                plain = {"operating_mode": 0, "phase": held["phase"] & ~MULTI_TURN}
-                highest = servo_models()[name].n_positions - 1
-                plain |= {"min_position_limit": 0, "max_position_limit": highest}
-                differing[servo_id] = differences(held, plain)
+                plain |= {"operating_mode": 0, "phase": held["phase"] & ~MULTI_TURN}
+            differing[servo_id] = differences(held, plain)
     return {servo_id: each for servo_id, each in differing.items() if each}
 
 

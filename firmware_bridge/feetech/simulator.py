@@ -44,7 +44,6 @@ _PING: Final = 0x01
 _TABLE_SIZE: Final = 96
 #: Written to torque_enable: the present position becomes the middle of the range.
 _MIDDLE: Final = 128
-_FOREVER: Final = float("inf")
 #: How long a restart takes; our assumption.
 _BOOT_S: Final = 0.2
 #: Steps a second, and a second squared, of one unit of goal_speed and acceleration.
@@ -318,7 +317,7 @@ class SimulatedChain:
     @property
     def next_delivery_s(self) -> float:
         """The time at which the next bytes reach the computer; infinity: none are under way."""
-        return min((reply.end_s for reply in self._replies), default=_FOREVER)
+        return min((reply.end_s for reply in self._replies), default=float("inf"))
 
     def advance(self, now_s: float) -> None:
         """Simulate all servos and due faults up to `now_s`."""
@@ -420,18 +419,16 @@ class SimulatedChain:
                 start_s = self._wire_until_s
                 for servo in addressed:
                     self._say(servo, servo.read(*parameters[:2]), start_s, byte_s)
-                if (
-                    not addressed
-                ):  # those behind a silent one wait for as long as it would have spoken
+                # Those behind a silent one wait for as long as it would have spoken.
+                if not addressed:
                     self._wire_until_s += (6 + parameters[1]) * byte_s
         elif instruction == Instruction.WRITE and parameters:
             for servo in listening if packet_id == BROADCAST_ID else own:
                 answers = servo["response_status_level"] and packet_id != BROADCAST_ID
-                servo_id = packet_id
                 servo.write(parameters[0], parameters[1:])
                 self._log(servo)
                 if answers:
-                    self._say(servo, b"", end_s, byte_s, servo_id)
+                    self._say(servo, b"", end_s, byte_s, packet_id)
         elif instruction == Instruction.READ and len(parameters) == 2:
             for servo in own:
                 self._say(servo, servo.read(*parameters), end_s, byte_s)

@@ -269,6 +269,7 @@ class Limiter:
         self._waits = self._no_joint.copy()
         self._catches_up = self._no_joint.copy()
         self._any_late = False
+        self._limp = self._no_joint
 
     @property
     def sent_deg(self) -> Array:
@@ -324,6 +325,7 @@ class Limiter:
         """
         if positions_deg.shape != self._sent_deg.shape or not np.isfinite(positions_deg).all():
             raise ValueError(f"start {positions_deg} is not one finite angle for each joint")
+        self._limp = self._no_joint
         self._sent_deg = positions_deg.copy()
         self._sent_at_s = time_s
         self._acceleration.rest_at(positions_deg)
@@ -340,6 +342,7 @@ class Limiter:
         positions_deg : Array
             (n_joints,) degrees, NaN = not known.
         """
+        self._limp = joints
         known = joints & np.isfinite(positions_deg)
         self._sent_deg = np.where(known, positions_deg, self._sent_deg)
         for index in np.flatnonzero(known).tolist():
@@ -352,6 +355,8 @@ class Limiter:
         """
         if not np.isfinite(position_deg):
             raise ValueError(f"start position {position_deg} is not finite")
+        self._limp = self._limp.copy()
+        self._limp[index] = False
         self._sent_deg = self._sent_deg.copy()
         self._sent_deg[index] = position_deg
         self._acceleration.rest_one(index, position_deg)
@@ -423,7 +428,13 @@ class Limiter:
         low_deg = np.maximum(least_deg, before_deg - step_deg)
         high_deg = np.minimum(most_deg, before_deg + step_deg)
         reached_deg = clip(reached_deg, low_deg, high_deg)
-        sent_deg = self._prevention.cut(before_deg, reached_deg)
+        # A limp joint takes no goal: the rules count with where it stands.
+        limp, self._limp = self._limp, no_joint
+        if any_set(limp):
+            cut_deg = self._prevention.cut(before_deg, np.where(limp, before_deg, reached_deg))
+            sent_deg = np.where(limp, reached_deg, cut_deg)
+        else:
+            sent_deg = self._prevention.cut(before_deg, reached_deg)
         if sent_deg is not reached_deg:
             sent_deg = clip(sent_deg, least_deg, most_deg)
         self._acceleration.sent(before_deg, sent_deg, elapsed_s)

@@ -193,11 +193,7 @@ class _Travel:
         if elapsed_s < _SAMPLE_S:
             return
         self._time_s = seen_s
-        moved_deg, dragged_deg, travelled_deg = (
-            self._moved_deg,
-            self._dragged_deg,
-            self.travelled_deg,
-        )
+        moved_deg, dragged_deg = self._moved_deg, self._dragged_deg
         moved_deg[0], moved_deg[1] = goals_deg, places_deg
         moved_deg -= self._places_deg
         if heard is not None:
@@ -208,7 +204,7 @@ class _Travel:
         np.maximum(dragged_deg, self._less_slack_deg, out=dragged_deg)
         moved_deg -= dragged_deg
         self._places_deg += moved_deg
-        travelled_deg += np.abs(moved_deg, out=moved_deg)
-        travelled_deg *= math.exp(-elapsed_s / _MEMORY_S)
+        self.travelled_deg += np.abs(moved_deg, out=moved_deg)
+        self.travelled_deg *= math.exp(-elapsed_s / _MEMORY_S)
         self.still = self._goal_deg > _ENOUGH_TRAVEL_DEG
         self.still &= self._made_deg < _TRAVEL_SHARE * self._goal_deg

@@ -200,7 +200,8 @@ class LifeCycle:
     def ticks(self) -> Iterator[tuple[float, int]]:
         """Yield (time, ticks missed before it) on the grid, until the face is limp after a stop."""
         for time_s, late in self._grid:
-            self._do_tick_duties(time_s)
+            self._obey_orders(time_s, is_stopped_now=self._hear())
+            self._log.look(time_s)
             if self._bridge.state is FaceState.ENDED:
                 self._fire(LifeEvent.LIMP)
             elif time_s >= self._port_due_s(time_s):
@@ -337,20 +338,8 @@ class LifeCycle:
 
     def _may_continue(self) -> bool:
         """Act on stops while the face is started; return whether the start may go on."""
-        if self._links.lifeline is not None:
-            self._links.lifeline.beat()
-        self._obey_signal()
-        self._poll_control()
+        self._hear()
         return self._state is LifeState.STARTING
-
-    def _do_tick_duties(self, time_s: float) -> None:
-        """Send a heartbeat, carry out stops and orders, and log changes, before each tick."""
-        if self._links.lifeline is not None:
-            self._links.lifeline.beat()
-        self._obey_signal()
-        is_stopped_now = self._poll_control()
-        self._obey_orders(time_s, is_stopped_now=is_stopped_now)
-        self._log.look(time_s)
 
     def _obey_signal(self) -> None:
         if self._n_signals == self._n_obeyed:  # a freeze after the last signal stays
@@ -359,9 +348,15 @@ class LifeCycle:
         if self._fire(LifeEvent.SIGNAL):
             _LOG.info("stopping: %s", signal.Signals(self.signal_number or 0).name)
 
-    def _poll_control(self) -> bool:
-        """Act on a requested stop, and only then answer clients; return whether one came."""
-        control = self._links.control
+    def _hear(self) -> bool:
+        """Send a heartbeat and act on signals; return whether a client requested a stop.
+
+        The stop is carried out first, and only then clients are answered.
+        """
+        control, lifeline = self._links.control, self._links.lifeline
+        if lifeline is not None:
+            lifeline.beat()
+        self._obey_signal()
         if control is None:
             return False
         request = control.poll()

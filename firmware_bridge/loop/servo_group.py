@@ -160,6 +160,8 @@ class ServoGroup:
 
     def try_all_again(self, time_s: float) -> None:
         """Allow torque again to servos that were given up, since a person starts the face."""
+        for index in self._not_off(range(len(self._joints))):
+            self._bus.forgive(index)
         for index in self._not_off(list(self.gate.given_up)):
             self.switch_on(index, time_s)
 
@@ -206,9 +208,12 @@ class ServoGroup:
         Servos that a person switched off are not checked; may_continue: False ends the checks.
         """
         indices_on = self._not_off(indices)
-        self._refuse(
-            [(i, _stop_is_repeated(self.gate.obstacle, i)) for i in indices_on if may_continue()]
-        )
+        found = [
+            (i, _stop_is_repeated(self.gate.obstacle, i, may_continue))
+            for i in indices_on
+            if may_continue()
+        ]
+        self._refuse(found, may_continue)
 
     def enable(
         self, indices: Sequence[int], time_s: float, may_continue: Callable[[], bool]
@@ -222,11 +227,11 @@ class ServoGroup:
         for index in self._not_off(indices):
             if not may_continue():
                 return
-            why_not = _stop_is_repeated(self.gate.enable, index)
+            why_not = _stop_is_repeated(self.gate.enable, index, may_continue)
             self.supervision.note_attempt(index, why_not, time_s)
             found.append((index, why_not))
         self._note_ready()
-        self._refuse(found)
+        self._refuse(found, may_continue)
 
     def keep_holding(self, time_s: float) -> None:
         """Hold the servos of a frozen face that still have torque at their present positions.
@@ -236,13 +241,14 @@ class ServoGroup:
         watchdog that tripped protects nothing until it is set again.
         """
         self._to_keep.clear()
-        here_deg = self._bus.read().start_deg(self._bus.capabilities)
-        self.limiter.start_from(here_deg, time_s)
         for index in self._not_off(range(len(self._joints))):
             why_not = "" if self.gate.keep(index) else "lost its torque; not again"
             self.supervision.note_attempt(index, why_not, time_s)
             if why_not:
                 self._to_keep.append(index)
+        # After `keep`, whose place of a servo counts even where this read misses it.
+        here_deg = self._bus.read().start_deg(self._bus.capabilities)
+        self.limiter.start_from(here_deg, time_s)
 
     def hold_position(self, time_s: float) -> None:
         """Set the goals sent last, for a freeze, to where each servo can stop.
@@ -265,6 +271,11 @@ class ServoGroup:
         A servo that was silent at the freeze is stopped where it is once it answers. One servo of
         `_to_keep`, whose torque was not confirmed, is tried again; if limp, it stays limp.
         """
+        # One that was silent and holds after all is looked after again.
+        held = (self.supervision.states == ServoState.WAITING) & (self.torque.states == _ON)
+        for index in self._not_off(np.flatnonzero(held).tolist()):
+            if index not in self._to_keep:
+                self._to_keep.append(index)
         if self._to_keep:
             index = self._to_keep.popleft()
             if self.gate.keep(index):
@@ -380,6 +391,7 @@ class ServoGroup:
 
         Returns False if the servo was neither switched off nor given up. time_s: now.
         """
+        self._bus.forgive(index)
         self.gate.switch_on(index)
         return self.supervision.switch_on(index, time_s)
 
@@ -429,21 +441,25 @@ class ServoGroup:
     def _not_off(self, indices: Sequence[int]) -> list[int]:
         return [index for index in indices if index not in self.gate.switched_off]
 
-    def _refuse(self, found: Sequence[tuple[int, str]]) -> None:
+    def _refuse(self, found: Sequence[tuple[int, str]], may_continue: Callable[[], bool]) -> None:
+        """Raise ServoError for servos that refuse, all torque off; not where a stop has come."""
         lines = [f"{named(self._joints[i])} {why}" for i, why in found if why]
-        if lines:
+        if lines and may_continue():
             self.disable_all()
             raise ServoError("\n".join([*lines, "`lipservo doctor` examines every servo"]))
 
 
-def _stop_is_repeated(ask: Callable[[int], str], index: int) -> str:
+def _stop_is_repeated(
+    ask: Callable[[int], str], index: int, may_continue: Callable[[], bool]
+) -> str:
     """Call `ask(index)` up to 60 times until it returns ""; return "", or its last refusal.
 
-    Repeated, since a lost packet is no reason for a start to fail.
+    Repeated, since a lost packet is no reason for a start to fail. may_continue: called between;
+    False ends it. The tries may take seconds, in which the supervisor waits for a heartbeat.
     """
     refusal = ""
     for _ in range(_REQUESTED):
         refusal = ask(index)
-        if not refusal:
+        if not refusal or not may_continue():
             break
     return refusal

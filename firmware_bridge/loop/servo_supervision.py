@@ -121,6 +121,7 @@ class ServoSupervision:
         self._any_critical = bool(self._critical.any())
         self._until_s = np.zeros(n)
         self._n_silent = np.zeros(n, dtype=np.int64)  # ticks in a row
+        self._hot = np.zeros(n, dtype=np.bool_)  # until they have cooled down
         self._failures: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
         self._next = 0
         for index, why in (given_up or {}).items():
@@ -293,7 +294,9 @@ class ServoSupervision:
             return ServoEvent.SILENT, why
         if errors:
             return ServoEvent.ERROR, describe_errors(errors)
-        return ServoEvent.READY, self.reasons[i]
+        # Also one that left COOLING otherwise: all were switched off, or it was restarted.
+        self._hot[i] &= health.room_degc[i] < _ROOM_TO_WORK_DEGC
+        return (None, "too hot") if self._hot[i] else (ServoEvent.READY, self.reasons[i])
 
     def _seen_driven(self, i: int, health: Health) -> tuple[ServoEvent | None, str]:
         """Return (event, reason) that readings of driven servo `i` cause; (None, ""): it is well.
@@ -338,11 +341,11 @@ class ServoSupervision:
         row = SERVO_TABLE.find(ServoState(int(self.states[i])), event, holds)
         if row is None:
             return False
+        self._hot[i] |= event is ServoEvent.HOT
         if row.then is not None:
             self.states[i] = row.then
             self._until_s[i] = time_s + _REST_S.get(row.then, 0.0)
-            off_words = _OFF_WORDS.get(row.then)
-            self._set_reason(i, why if off_words is None else off_words)
+            self._set_reason(i, _OFF_WORDS.get(row.then, why))
         for action in row.do:
             self._do(action, i, time_s, port)
         return True

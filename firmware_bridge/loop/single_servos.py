@@ -32,7 +32,6 @@ _BEYOND_DEG_S: Final = 5.0
 
 _SAME_US: Final = 0.01
 _SAME_DEG: Final = 1e-6
-_NOT_ARMED: Final = "jogging is not armed: say `jog arm` first"
 
 
 class Jog:
@@ -225,12 +224,10 @@ class SingleServos:
     def _switch_refusal(self, index: int, switch: ServoSwitch, state: FaceState) -> str:
         """Return why a servo must not be switched off, on or restarted now; empty: it may."""
         joint, gate = self._joints[index], self._servos.gate
-        if switch is ServoSwitch.OFF:
-            if joint.critical:
-                return f"{named(joint)} is critical: the face cannot go on without it; stop it"
-            return ""
-        if switch is ServoSwitch.ON:
-            return ""  # of a stopped face: it is done at the start
+        if switch is ServoSwitch.OFF and joint.critical:
+            return f"{named(joint)} is critical: the face cannot go on without it; stop it"
+        if switch is not ServoSwitch.REBOOT:
+            return ""  # switched on while the face is stopped: it is done at the start
         if gate.forbidden or state in (FaceState.LETTING_GO, FaceState.ENDED):
             return f"the face is {gate.forbidden or state.value}: start it again"
         if self._servos.supervision.states[index] == ServoState.DRIVEN:
@@ -248,7 +245,7 @@ class SingleServos:
         Refused are jogs that were not armed, goals out of range, and servos that are not driven.
         """
         if not self._jog.is_armed:
-            return _NOT_ARMED
+            return "jogging is not armed: say `jog arm` first"
         index, supervision = self._index[order.name], self._servos.supervision
         joint = self._joints[index]
         if isinstance(order, JogTo):

@@ -32,8 +32,6 @@ ANSWER: Final = struct.Struct("<HH")
 _TERMINALS: Final = Path("/dev/pts")
 #: How long to wait for a simulator's answer.
 _ANSWER_S: Final = 1.0
-#: A transfer that fails is run once more: the lines of the bus may have been disturbed.
-_TRIES: Final = 2
 _OFD_LOCK: Final = struct.Struct("hhqqi4x")
 #: Address, flags, and the bytes to write or how many to read.
 Message = tuple[int, int, bytes | bytearray | int]
@@ -91,16 +89,14 @@ class I2cChip:
 
         Raises PortGone with the cause and the remedy.
         """
-        for tries_left in reversed(range(_TRIES)):
-            try:
-                return self._transfers.transfer(messages)
-            except OSError as error:
-                if tries_left == 0:
-                    why = _GONE.get(error.errno or 0, error.strerror or str(error))
-                    raise PortGone(
-                        f"{self.name}: {why}; check power, SDA and SCL of the board"
-                    ) from error
-        raise AssertionError  # not reached
+        # The lines of the bus may have been disturbed.
+        with contextlib.suppress(OSError):
+            return self._transfers.transfer(messages)
+        try:
+            return self._transfers.transfer(messages)
+        except OSError as error:
+            why = _GONE.get(error.errno or 0, error.strerror or str(error))
+            raise PortGone(f"{self.name}: {why}; check power, SDA and SCL of the board") from error
 
 
 class DeviceTransfers:

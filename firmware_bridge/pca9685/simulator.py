@@ -215,7 +215,7 @@ class SimulatedPca9685:
             self._cycle_s += CYCLE * self.count_us * 1e-6
         self._is_blocked = self._oe_is_high()
         if self._is_blocked:
-            self._cut(range(N_CHANNELS))
+            self._cut()
 
     def _suffers(self, kind: str) -> bool:
         return any(each.kind == kind and each.is_on(self._now_s) for each in self._faults)
@@ -229,7 +229,7 @@ class SimulatedPca9685:
 
     def brown_out(self) -> None:
         """Simulate a failure of the supply: cut the present pulses, and reset all registers."""
-        self._cut(range(N_CHANNELS))
+        self._cut()
         self._reset()
 
     @property
@@ -301,7 +301,7 @@ class SimulatedPca9685:
         if mode & Mode1.SLEEP and not was & Mode1.SLEEP:
             has_pulses = any(self._counts(channel) for channel in range(N_CHANNELS))
             self._awaits_restart = self._awaits_restart or has_pulses
-            self._cut(range(N_CHANNELS))
+            self._cut()
             self._cycle_s = None
         elif was & Mode1.SLEEP and not mode & Mode1.SLEEP:
             self._cycle_s = self._now_s + OSCILLATOR_S
@@ -333,8 +333,7 @@ class SimulatedPca9685:
         if self._awaits_restart or self._is_blocked:
             return
         for channel in range(N_CHANNELS):
-            counts = self._counts(channel)
-            if counts:
+            if counts := self._counts(channel):
                 # LEDn_ON: how many counts after the cycle's start the pulse begins
                 first = Register.LED0_ON_L + 4 * channel
                 on = self.registers[first] | (self.registers[first + 1] & 0x0F) << 8
@@ -345,11 +344,10 @@ class SimulatedPca9685:
         if (servo := self.servos.get(pulse.channel)) is not None and pulse.start_s <= self._now_s:
             servo.pulse(pulse)
 
-    def _cut(self, channels: Sequence[int]) -> None:
-        """End the pulses of these channels that are under way now, and log the shortened ones."""
-        for channel in channels:
-            pulse = self._under_way.get(channel)
-            if pulse is None or pulse.start_s + pulse.width_us * 1e-6 <= self._now_s:
+    def _cut(self) -> None:
+        """End the pulses that are under way now, and log the shortened ones."""
+        for channel, pulse in list(self._under_way.items()):
+            if pulse.start_s + pulse.width_us * 1e-6 <= self._now_s:
                 continue
             del self._under_way[channel]
             # A pulse that would begin later in the cycle is dropped.

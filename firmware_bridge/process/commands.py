@@ -33,7 +33,6 @@ from firmware_bridge.stopping import (
 _FURTHEST_FIRST: Final = (StopLevel.LIMP, StopLevel.SOFT, StopLevel.FREEZE)
 #: Orders that wait for the next tick; more than as many clients as may be connected can send.
 _MOST_ORDERS: Final = 64
-_NO_DRIVER: Final = "no bridge drives the servos just now; ask again"
 
 
 class CommandError(ValueError):
@@ -115,10 +114,9 @@ class CommandQueue:
 
         Limp goes further than soft, soft further than freeze. `ends` is True if any request has it.
         """
-        if not self._stops:
+        requests = [self._stops.pop(level) for level in _FURTHEST_FIRST if level in self._stops]
+        if not requests:
             return None
-        taken = [self._stops.pop(level, None) for level in _FURTHEST_FIRST]
-        requests = [each for each in taken if each is not None]
         return replace(requests[0], ends=any(each.ends for each in requests))
 
     def take_changes(self) -> dict[str, float]:
@@ -150,7 +148,7 @@ class CommandQueue:
 
 
 def _no_driver(_order: Order) -> str:
-    return _NO_DRIVER
+    return "no bridge drives the servos just now; ask again"
 
 
 #: The first words of the commands.

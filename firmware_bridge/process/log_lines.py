@@ -52,7 +52,16 @@ def one_line(text: str) -> str:
     return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), line)
 
 
-class LogLines(logging.Handler):
+class _LocklessHandler(logging.Handler):
+    """A handler that takes no lock of the handlers, which may be held for a whole write."""
+
+    def handle(self, record: logging.LogRecord) -> bool:
+        """Emit a record and return True, so that a hung write blocks no other thread."""
+        self.emit(record)
+        return True
+
+
+class LogLines(_LocklessHandler):
     """A handler that passes records to another one, each as one line, by a thread; never waits.
 
     Use it as a context manager. A record that comes too fast or finds the queue full is dropped and
@@ -78,14 +87,6 @@ class LogLines(logging.Handler):
         self._n_lost, self._lost_until_s = 0, 0.0
         self._busy = False
         threading.Thread(target=self._write_all, name="log", daemon=True).start()
-
-    def handle(self, record: logging.LogRecord) -> bool:
-        """Queue a record; return True.
-
-        Takes no lock of the handlers, which may be held for a whole write.
-        """
-        self.emit(record)
-        return True
 
     def emit(self, record: logging.LogRecord) -> None:
         """Queue a record's text as one line, formatted now: its arguments may change afterwards.
@@ -191,7 +192,7 @@ def write_stderr(text: str) -> None:
         data = data[os.write(_STDERR, data) :]
 
 
-class LogWriter(logging.Handler):
+class LogWriter(_LocklessHandler):
     """A handler that writes records to journald where stderr leads there, otherwise as lines.
 
     Parameters
@@ -222,11 +223,6 @@ class LogWriter(logging.Handler):
         self._start = start
         self._write = write
         self._as_json = as_json
-
-    def handle(self, record: logging.LogRecord) -> bool:
-        """Write a record and return True; takes no lock, so that a hung write blocks no thread."""
-        self.emit(record)
-        return True
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record with its traceback; an OSError, as of a closed terminal, is ignored."""

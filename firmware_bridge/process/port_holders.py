@@ -13,10 +13,6 @@ from pathlib import Path
 from typing import Final
 
 _PROC: Final = Path("/proc")
-_OF_PROGRAM: Final = "lipservo"
-#: As `lipservo daemon` starts the process that owns the port.
-_BRIDGE_COMMAND: Final = "bridge-process"
-_CONTROL_OPTION: Final = "--control"
 #: Ends what hangs: nobody here handles it, and the unit tells systemd that it is a person's stop,
 #: after which nothing is started again.
 END_OF_HUNG: Final = getattr(signal, "SIGUSR2", signal.SIGTERM)  # Windows has no SIGUSR2
@@ -57,7 +53,7 @@ def is_ours(pid: int) -> bool:
         command = (_PROC / str(pid) / "cmdline").read_bytes()
     except OSError:
         return False
-    return os.geteuid() in (0, owner) and _OF_PROGRAM in command.decode("utf-8", "replace")
+    return os.geteuid() in (0, owner) and "lipservo" in command.decode("utf-8", "replace")
 
 
 def supervisor_of(pid: int) -> int | None:
@@ -72,7 +68,8 @@ def supervisor_of(pid: int) -> int | None:
         return None
     try:
         words = (_PROC / str(pid) / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
-        fd = words[words.index(_CONTROL_OPTION) + 1] if _BRIDGE_COMMAND in words else ""
+        # As `lipservo daemon` starts the process that owns the port.
+        fd = words[words.index("--control") + 1] if "bridge-process" in words else ""
         control = os.readlink(_PROC / str(pid) / "fd" / fd) if fd.isdigit() else ""
     except (OSError, ValueError, IndexError):
         return None

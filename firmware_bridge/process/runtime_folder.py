@@ -144,16 +144,12 @@ def _may_look_into(folder: Path) -> bool:
     return is_folder and os.access(folder, os.R_OK | os.X_OK)
 
 
-#: A folder is held by others for as long as a socket is made in it.
-_FOLDER_PATIENCE_S: Final = 1.0
-
-
 @contextlib.contextmanager
-def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterator[None]:
+def held_folder(folder: Path, patience_s: float = 1.0) -> Iterator[None]:
     """Lock a folder inside the `with` block: no other process makes or removes a socket in it.
 
     Raises ControlError where the folder cannot be opened, or other processes lock it for longer
-    than `patience_s`.
+    than `patience_s`: others hold it for as long as a socket is made in it.
     """
     import fcntl
 

@@ -23,7 +23,6 @@ from typing import Any, Final
 from firmware_bridge.stopping import StopLevel, StopRequest
 
 _LOG: Final = logging.getLogger(__name__)
-_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 _CUT_OFF: Final = (
     "the power was cut in the run before this one, and a stop may have been lost; "
     "`start_after_power_cut: true` in the face's YAML drives it all the same"
@@ -78,10 +77,9 @@ class StopRecord:
         self._tried = self._state
         if path is not None:
             self._keep(is_running=True)
-            writer = threading.Thread(
+            threading.Thread(
                 target=self._write_all, args=(path,), name="stop record", daemon=True
-            )
-            writer.start()
+            ).start()
 
     def stop(self, request: StopRequest | None) -> None:
         """Record that a person stopped the face; None: a person started it again."""
@@ -161,7 +159,7 @@ class StopRecord:
 
 def _boot_id() -> str:
     try:
-        return _BOOT_ID.read_text().strip()
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
         return ""
 

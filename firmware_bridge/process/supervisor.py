@@ -258,7 +258,7 @@ class Supervisor:
                 self._start_bridge()
             case SupervisorAction.START_ANEW:
                 self._request = self._stop_report = None
-                self._start_error = ""
+                self._port_error = self._start_error = ""
                 self._failed.clear()
                 self._record.stop(None)
                 self._start_bridge()
@@ -516,6 +516,8 @@ class Supervisor:
         that some servos may hold; 30 s after a signal (none after the third), or for a bridge that
         gave up; no limit for a face that recovers or was stopped by its control socket.
         """
+        if self._n_signals > 2:
+            return self._signal_s
         if self._n_ready == 0:
             may_hold = self._bridge.child.has_beaten
             return self._release_s + (PORT_WAIT_S if may_hold else _START_TIMEOUT_S)
@@ -524,7 +526,7 @@ class Supervisor:
             return self._release_s + PORT_WAIT_S if is_over else float("inf")
         # Without a signal `_signal_s` is infinite: whoever stopped the face through its socket can
         # query it there, and signal.
-        return self._signal_s + (PORT_WAIT_S if self._n_signals <= 2 else 0.0)
+        return self._signal_s + PORT_WAIT_S
 
     def _report_of(self, release: FaceRelease) -> StopReport:
         let_go = {name: self._servos.can[name] for name in release.let_go}

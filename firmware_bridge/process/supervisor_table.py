@@ -68,16 +68,6 @@ _P, _E, _A = Phase, SupervisorEvent, SupervisorAction
 _ALIVE: Final = (_P.STARTING, _P.RETURNING, _P.RUNNING)
 _DOWN: Final = (_P.RELEASING, _P.GIVING_UP)
 _FAILURES: Final = (_E.FAILED, _E.HOPELESS)
-_OUT: Final = (_E.RELEASED, _E.PORT_STUCK)
-_END_ROWS: Final = tuple(
-    row
-    for event in (*_OUT, _E.ENDED_WELL)
-    for states in ((_ALIVE if event is _E.ENDED_WELL else _DOWN),)
-    for row in (
-        Row(states, event, _P.OVER, (_A.TELL_END,), when=Requested.END),
-        Row(states, event, _P.STOPPED, (_A.TELL_STOPPED,), when=Requested.STOP),
-    )
-)
 SUPERVISOR_TABLE: Final = StateTable[Phase, SupervisorEvent, Requested, SupervisorAction](
     (
         # A stop of an earlier process holds: its servos are let go before anything else.
@@ -94,10 +84,15 @@ SUPERVISOR_TABLE: Final = StateTable[Phase, SupervisorEvent, Requested, Supervis
         Row((_P.STARTING,), _E.FAILED, _P.GIVING_UP, (_A.LET_GO,), when=Requested.FIRST),
         Row((_P.STARTING, _P.RUNNING), _E.FAILED, _P.RELEASING, (_A.LET_GO,)),
         Row((_P.STARTING, _P.RUNNING), _E.HOPELESS, _P.GIVING_UP, (_A.LET_GO,)),
-        *_END_ROWS,
+        Row(_ALIVE, _E.ENDED_WELL, _P.OVER, (_A.TELL_END,), when=Requested.END),
+        Row(_ALIVE, _E.ENDED_WELL, _P.STOPPED, (_A.TELL_STOPPED,), when=Requested.STOP),
         Row(_ALIVE, _E.ENDED_WELL, _P.OVER, (_A.TELL_END,)),
+        Row(_DOWN, _E.RELEASED, _P.OVER, (_A.TELL_END,), when=Requested.END),
+        Row(_DOWN, _E.RELEASED, _P.STOPPED, (_A.TELL_STOPPED,), when=Requested.STOP),
         Row((_P.RELEASING,), _E.RELEASED, _P.WAITING, (_A.DROP_RELEASE,)),
         Row((_P.GIVING_UP,), _E.RELEASED, _P.OVER, (_A.TELL_END,)),
+        Row(_DOWN, _E.PORT_STUCK, _P.OVER, (_A.TELL_END,), when=Requested.END),
+        Row(_DOWN, _E.PORT_STUCK, _P.STOPPED, (_A.TELL_STOPPED,), when=Requested.STOP),
         Row(_DOWN, _E.PORT_STUCK, _P.OVER, (_A.TELL_END,)),
         Row(_ALIVE, _E.FREEZE, None, (_A.KILL_BRIDGE,)),
         Row(_ALIVE, _E.STOP, None, (_A.KILL_BRIDGE,)),

@@ -111,8 +111,7 @@ class TorqueRelease:
 
     def _ask(self, port: PortRelease, address: int) -> None:
         """Poll one servo, and store whether it confirmed torque off. Raises PortError."""
-        why = port.ask(address)
-        if why:
+        if why := port.ask(address):
             self.unconfirmed[address] = why
         else:
             del self.unconfirmed[address]

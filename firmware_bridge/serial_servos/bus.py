@@ -91,6 +91,9 @@ class SerialBus(ABC, Generic[_Line]):
         """
         return self._torque.obstacle(self.line, index)
 
+    def forgive(self, _index: int) -> None:
+        """Do nothing: what is wrong with such a servo is read from it each time."""
+
     def enable_torque(self, index: int) -> str:
         """Switch one servo's torque on without motion; return why it stays off, "" if confirmed.
 

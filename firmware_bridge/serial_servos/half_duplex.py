@@ -221,8 +221,7 @@ class HalfDuplex(ABC):
         time on the wire and the learnt latency.
         """
         transport, clock = self.transport, self._clock
-        if self.extra_wait_s > extra_wait_s:
-            extra_wait_s = self.extra_wait_s
+        extra_wait_s = max(extra_wait_s, self.extra_wait_s)
         transport.discard_input()
         # due_s: the reply's last byte, if servos answer at once. wire_end_s: the latest without
         # latency of adapter and computer.

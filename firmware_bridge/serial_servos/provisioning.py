@@ -204,8 +204,7 @@ class ChainSetup:
         for each in dict.fromkeys((own_id, servo_id)):
             if self.shares_id(line, each):
                 raise ServoError(f"two servos answer to id {each}: {_alone(name)}")
-        other = self._other_model(servo, number)
-        if other:
+        if other := self._other_model(servo, number):
             raise ServoError(other[0])
         return self._plan(line, servo, servo_id, rate, baud_rate)
 

@@ -42,13 +42,8 @@ class PyserialTransport:
         self._handle = handle
         self._lock = lock
         self._port = port
-        self._clock = clock
+        self.clock = clock
         self._baud_rate = baud_rate
-
-    @property
-    def clock(self) -> Clock:
-        """The computer's clock."""
-        return self._clock
 
     @property
     def baud_rate(self) -> int:
@@ -75,8 +70,8 @@ class PyserialTransport:
 
     def read(self, deadline_s: float) -> bytes:
         """Return the bytes that come until `deadline_s`; b"": none came."""
-        while not (data := self.discard_input()) and self._clock.now() < deadline_s:
-            self._clock.sleep_until(min(deadline_s, self._clock.now() + _LOOKS_EACH_S))
+        while not (data := self.discard_input()) and self.clock.now() < deadline_s:
+            self.clock.sleep_until(min(deadline_s, self.clock.now() + _LOOKS_EACH_S))
         return data
 
     def discard_input(self) -> bytes:
@@ -127,9 +122,9 @@ class SerialTransport(PyserialTransport):
         silent servo costs no more time than intended. Raises PortGone.
         """
         try:
-            left_ms = (deadline_s - self._clock.now()) * 1e3
+            left_ms = (deadline_s - self.clock.now()) * 1e3
             if not self._poll.poll(max(0, int(left_ms))):
-                self._clock.sleep_until(deadline_s)
+                self.clock.sleep_until(deadline_s)
                 if not self._poll.poll(0):
                     return b""
             data = os.read(self._fd, _CHUNK)

@@ -152,8 +152,7 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
         found = kind.identify(line, servo, tries=TRIES)
         if found is None:
             return "does not answer; check its power and cable", 0
-        wrong = kind.mismatches(servo, found)
-        if wrong:
+        if wrong := kind.mismatches(servo, found):
             return "; ".join(wrong), 0
         self.take_identity(index, found, line.transport.clock.now())
         line.return_delay_s = float(cache.return_delay_s.max())

@@ -169,6 +169,9 @@ class SimulatedBus:
             f"{self._min_deg[index]:g}..{self._max_deg[index]:g} deg by hand"
         )
 
+    def forgive(self, _index: int) -> None:
+        """Do nothing: what is wrong with such a servo is read from it each time."""
+
     def enable_torque(self, index: int) -> str:
         """Switch a servo's torque on, to hold its position; return "", or why it stays off.
 
@@ -184,9 +187,7 @@ class SimulatedBus:
     def keep_torque(self, index: int) -> bool:
         """Keep a servo's torque on at its present position; return whether it was and stays on."""
         self._move()
-        if not self._torque_on[index]:
-            return False
-        return not self.enable_torque(index)
+        return bool(self._torque_on[index]) and not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
         """Switch one servo's torque off; return True."""

@@ -268,8 +268,7 @@ class SimulatedChain:
         if instruction in _GROUP_WRITES:
             blocks = _GROUP_WRITES[instruction](parameters)
             for servo in listening:
-                block = blocks.get(servo.servo_id)
-                if block is not None:
+                if (block := blocks.get(servo.servo_id)) is not None:
                     servo.write(block)
         elif instruction in _GROUP_READS:
             take_apart, fast = _GROUP_READS[instruction]

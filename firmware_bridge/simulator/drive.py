@@ -166,9 +166,8 @@ class Drive:
         self.index = index
         self.motors = motors
         self.table = RegisterMemory(model)
-        self.watchdog_timeout_s = (
-            math.inf
-        )  # silence after which the watchdog trips; infinity while off
+        #: The silence after which the watchdog trips; infinity while it is off.
+        self.watchdog_timeout_s = math.inf
         self._memory = self.table.bytes
         self._model = model
         self._turn = model.n_positions
@@ -293,10 +292,9 @@ class Drive:
         The manual states gains of mode 3 alone, so the other modes have the same. It does not say
         what becomes of the goal; here it is the present position, as after a restart.
         """
-        defaults = self._model.defaults
-        for name in defaults:
+        for name, value in self._model.defaults.items():
             if name.endswith("_gain"):
-                self.table[name] = defaults[name]
+                self.table[name] = value
         self.table["profile_velocity"] = self.table["profile_acceleration"] = 0
         self.reset_goals()
 

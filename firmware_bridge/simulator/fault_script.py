@@ -5,6 +5,7 @@ docs/simulator.md has an example and the table of kinds.
 
 import math
 from collections.abc import Mapping
+from itertools import accumulate
 from typing import Any, Final
 
 import yaml
@@ -88,11 +89,8 @@ def _load(text: str) -> object:
 
 def _bracket_depth(text: str) -> int:
     """Return the greatest depth of open brackets in a text; brackets in quotes count, too."""
-    depth = deepest = 0
-    for character in text:
-        depth += (character in "[{") - (character in "]}")
-        deepest = max(deepest, depth)
-    return deepest
+    depths = accumulate((each in "[{") - (each in "]}") for each in text)
+    return max(depths, default=0)
 
 
 class _Reader:

@@ -60,23 +60,16 @@ class Profile:
         speed: pulses/s. With a timed profile the motion takes the time T of the register velocity,
         and speeds up and slows down for t each: distance = speed t / 2 + top speed (T - t).
         """
+        acceleration = self.acceleration * ACCELERATION_UNIT or UNBOUNDED  # 0: no bound
         if not self.velocity:
-            return Course(UNBOUNDED, self._bound, STEP)
+            return Course(UNBOUNDED, UNBOUNDED if self.timed else acceleration, STEP)
         if self.timed:
             return self._timed_course(distance, speed)
         top_speed = self.velocity * VELOCITY_UNIT
         if not self.acceleration:
-            return Course(top_speed, UNBOUNDED, RECTANGLE)
-        acceleration = self.acceleration * ACCELERATION_UNIT
+            return Course(top_speed, acceleration, RECTANGLE)
         reached = math.sqrt(acceleration * distance)
         return Course(top_speed, acceleration, TRIANGLE if reached <= top_speed else TRAPEZOID)
-
-    @property
-    def _bound(self) -> float:
-        """The acceleration bound without a profile velocity, in pulses/s^2; none if timed."""
-        if self.timed or not self.acceleration:
-            return UNBOUNDED
-        return self.acceleration * ACCELERATION_UNIT
 
     def _timed_course(self, distance: float, speed: float) -> Course:
         """Return `course` of a timed profile, whose velocity and acceleration are times in ms.
@@ -281,12 +274,9 @@ class Motors:
         self._grid_s = end_s
 
     def _at_rest(self) -> bool:
-        arrived = (self.goal == self.trajectory) | ~self.torque_on
-        if not arrived.all():
-            return False
-        on = self.torque_on
         strained = (np.abs(self.trajectory - self.position) >= _AT_REST_PULSES) | self.jammed
-        return not (on & (strained | (self.load != 0.0))).any()
+        moves = strained | (self.load != 0.0) | (self.goal != self.trajectory)
+        return not (self.torque_on & moves).any()
 
     def _step(self) -> None:
         """Advance all motors by 5 ms: trajectory, speed, position, effort, voltage and heat.

@@ -365,13 +365,11 @@ class PtyHost:
             data = os.read(self._master, _CHUNK)
         except OSError:
             return
-        rate = _baud_rate(self._slave)
-        if rate:
+        if rate := _baud_rate(self._slave):
             self._chain.receive(data, now_s, rate)
 
     def _deliver(self, now_s: float) -> None:
-        data = self._chain.deliver(now_s)
-        if data:
+        if data := self._chain.deliver(now_s):
             # A client that does not read loses bytes, as from a full receive buffer.
             with contextlib.suppress(BlockingIOError, OSError):
                 os.write(self._master, data)

@@ -224,8 +224,7 @@ class SimulatedServo:
         pieces = self._table.pieces(address, data, locked=self.torque_on)
         if isinstance(pieces, StatusError):
             return pieces
-        error = self._refusal_of_all(pieces)
-        if error:
+        if error := self._refusal_of_all(pieces):
             return error
         for entry, value in pieces:
             self._set(entry.name, value)
@@ -239,8 +238,7 @@ class SimulatedServo:
         Besides errors of single registers: a lower position limit above the upper one.
         """
         for entry, value in pieces:
-            error = self._refusal_of_one(entry, value)
-            if error:
+            if error := self._refusal_of_one(entry, value):
                 return error
         values = {entry.name: value for entry, value in pieces}
         if "min_position_limit" in values or "max_position_limit" in values:
@@ -350,11 +348,8 @@ class SimulatedServo:
     def _factory_settings(self, keep: Mapping[str, int] | None = None) -> None:
         """Set all registers to the model's defaults; keep: values of registers that differ."""
         self._memory[:] = bytes(len(self._memory))
-        for name, value in self.model.defaults.items():
-            self._table[name] = value
-        self["model_number"] = self.model.model_number
-        self["firmware_version"] = 52
-        for name, value in (keep or {}).items():
+        identity = {"model_number": self.model.model_number, "firmware_version": 52}
+        for name, value in {**self.model.defaults, **identity, **(keep or {})}.items():
             self._table[name] = value
 
     def power_up(self, now_s: float) -> None:

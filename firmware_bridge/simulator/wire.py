@@ -1,7 +1,7 @@
 """The half-duplex wire of a simulated chain: timing, collisions, loss and delivery of packets."""
 
 import random
-from bisect import insort
+from bisect import bisect_right, insort
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
@@ -79,9 +79,7 @@ class Wire:
 
     def deliver(self, now_s: float) -> bytes:
         """Return and remove the bytes that have reached the computer by `now_s`; b"": none."""
-        n = 0
-        while n < len(self._out) and self._out[n].deliver_s <= now_s:
-            n += 1
+        n = bisect_right(self._out, now_s, key=lambda reply: reply.deliver_s)
         arrived = b"".join(reply.data for reply in self._out[:n])
         del self._out[:n]
         return arrived

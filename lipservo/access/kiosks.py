@@ -200,8 +200,7 @@ def _ask_kiosk(kiosk: Kiosk, request: KioskRequest) -> Answer:
     body = None if request.body is None else json.dumps(request.body)
     try:
         with closing(_open_connection(split, context, request.patience_s)) as connection:
-            path = f"{split.path}{request.path}"
-            connection.request(request.method, path, body, headers)
+            connection.request(request.method, split.path + request.path, body, headers)
             response = connection.getresponse()
             content = response.read(_MOST_BYTES + 1)
     except KioskError:

@@ -266,8 +266,7 @@ class AgentServer:
                 await session.hear(message)
             except Exception as error:
                 # A fault of ours: this client gets an error, and the others go on.
-                kind = type(error).__name__
-                _LOG.error("voice agents: a message failed: %s: %s", kind, error)
+                _LOG.error("voice agents: a message failed: %s: %s", type(error).__name__, error)
                 outbox.error("internal", "the message failed; see the face's log")
             await asyncio.sleep(rate.wait_s(time.monotonic()))
 

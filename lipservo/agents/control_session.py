@@ -216,7 +216,7 @@ class ControlSession:
         except BaseException:
             self._streams.forget(speech)
             raise
-        speech.spoken = spoken
+        self._streams.keep(speech, spoken)
         length = {"duration_s": round(spoken.duration_s, 3), "is_whole": spoken.is_whole}
         return {"stream": speech.stream_id, **length}
 

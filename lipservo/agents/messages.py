@@ -436,25 +436,21 @@ class PcmDecoder:
     def __init__(self, sample_format: Literal["s16le", "f32le"]) -> None:
         self._format = sample_format
         self._width = _WIDTH[sample_format]
-        self._partial_sample = b""
-
-    @property
-    def n_left_bytes(self) -> int:
-        """Number of bytes kept of a sample that is incomplete so far."""
-        return len(self._partial_sample)
+        #: The bytes kept of a sample that is incomplete so far.
+        self.partial_sample = b""
 
     def n_samples(self, data: bytes) -> int:
         """Return how many samples `decode(data)` would return; change nothing."""
-        return (len(self._partial_sample) + len(data)) // self._width
+        return (len(self.partial_sample) + len(data)) // self._width
 
     def decode(self, data: bytes) -> Samples:
         """Return the whole samples in `data`, after any bytes kept before: (n,) float32 in [-1, 1].
 
         NaN becomes 0, and values outside the range are clipped.
         """
-        data = self._partial_sample + data
+        data = self.partial_sample + data
         n_bytes = len(data) // self._width * self._width
-        data, self._partial_sample = data[:n_bytes], data[n_bytes:]
+        data, self.partial_sample = data[:n_bytes], data[n_bytes:]
         if self._format == "s16le":
             return np.frombuffer(data, dtype="<i2").astype(np.float32) / np.float32(_FULL_SCALE)
         given = np.frombuffer(data, dtype="<f4").astype(np.float32)

@@ -192,7 +192,7 @@ class StreamSession:
             raise MessageError("no_stream", "`end` without a stream; send `start` first")
         self._open_stream = None
         stream.speech.end()
-        if n_bytes := stream.decoder.n_left_bytes:
+        if n_bytes := len(stream.decoder.partial_sample):
             cut = f"the last {n_bytes} bytes were dropped: they are only part of a sample"
             raise MessageError("bad_audio", cut)
 
@@ -271,7 +271,7 @@ class StreamSession:
         now_s = time.monotonic()
         for stream in self._streams.playing:
             if stream.owner is self._outbox and parsed.stream in (None, stream.stream_id):
-                if not stream.is_played_by_client:
+                if stream.start.playback != "client":
                     plays = "the face plays this stream itself and knows its position"
                     raise MessageError("bad_message", f"position: {plays}")
                 n_samples = round(parsed.played_s * stream.rate_hz)

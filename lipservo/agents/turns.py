@@ -33,6 +33,8 @@ _LOST_S: Final = 1.0
 _PAUSE_S: Final = 0.05
 #: The samples of less than a block, which a stream's waiting time leaves out.
 _BLOCK_S: Final = 0.01
+#: A sender with more than this unplayed may wait until some of it was played.
+_WAITS_S: Final = 1.0
 _LATER: Final = "try again, or set access: {queue: true} in the face's YAML"
 
 
@@ -62,11 +64,6 @@ class AgentStream:
     def rate_hz(self) -> int:
         """The sample rate of the client's audio, in Hz."""
         return self.speech.sample_rate_hz
-
-    @property
-    def is_played_by_client(self) -> bool:
-        """Whether the client's loudspeaker plays the sound, not the face's."""
-        return self.start.playback == "client"
 
     def mark(self, name: str) -> None:
         """Request an event `name` for when all audio so far is played; MessageError if 64 wait."""
@@ -185,7 +182,7 @@ class OwnSpeech:
             self.is_dropped = True
         elif event.kind == "finished":
             self.n_ended += 1
-        if event.kind in ("finished", "interrupted") and self.from_s is not None:
+        if event.kind in ("finished", "interrupted", "cleared") and self.from_s is not None:
             self.heard_s += event.position_s - self.from_s
             self.from_s = None
 
@@ -240,8 +237,7 @@ class OpenStreams:
             self._playout.output_rate_hz,
             played_elsewhere=start.playback == "client",
         )
-        decoder = PcmDecoder(start.format)
-        stream = AgentStream(owner, stream_id, start, speech, decoder, now_s)
+        stream = AgentStream(owner, stream_id, start, speech, PcmDecoder(start.format), now_s)
         self._waiting.append(stream)
         self._start_next()
         return stream
@@ -270,6 +266,8 @@ class OpenStreams:
             self._playout.requests.append(PlayoutRequest("interrupt"))
             self._own_playing.clear()
             self._paused = None
+        for item in () if others else self._own_items.values():
+            item.is_dropped = item.is_dropped or item.spoken is None
         for each in streams:
             each.ended_by = "interrupt"
         if not streams and not n_dropped:
@@ -319,6 +317,12 @@ class OpenStreams:
         item = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
         self._own_items[item.stream_id] = item
         return item
+
+    def keep(self, own: OwnSpeech, spoken: Utterance) -> None:
+        """Store what was synthesised or read of `own`; drop it if it was interrupted before."""
+        own.spoken = spoken
+        if own.is_dropped:
+            self._playout.requests.append(PlayoutRequest("clear", name=own.stream_id))
 
     def forget(self, own: OwnSpeech) -> None:
         """Unregister `own`, a `say` or `play` that failed before it was spoken."""
@@ -376,8 +380,9 @@ class OpenStreams:
     def end_stalled(self, now_s: float) -> None:
         """End streams without audio for `stalled_s`; interrupt a client that has paused as long."""
         for stream in self._open_streams():
-            silent_s = now_s - stream.fed_s
-            if not stream.speech.ended and silent_s > self._settings.stalled_s:
+            if stream.speech.waiting_s > _WAITS_S:
+                stream.fed_s = now_s
+            if not stream.speech.ended and now_s - stream.fed_s > self._settings.stalled_s:
                 stalled = f"no audio for {self._settings.stalled_s:g} s: the stream was ended"
                 stream.owner.error("stalled", stalled, stream=stream.stream_id)
                 stream.speech.end()
@@ -398,8 +403,7 @@ class OpenStreams:
         """
         for stream in self.playing:
             if owner is None or stream.owner is owner:
-                name = stream.speech.name
-                n_played = _retried(partial(self._playout.n_played, name))
+                n_played = _retried(partial(self._playout.n_played, stream.speech.name))
                 stream.tell_position(n_played or 0)
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float) -> None:

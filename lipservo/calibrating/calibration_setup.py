@@ -114,8 +114,7 @@ class CalibrationSetup:
 
     @property
     def _mouth_buses(self) -> list[BusCapabilities]:
-        alone = self.settings.alone.values()
-        return [one.capabilities for one in alone if one.mouth_servos]
+        return [one.capabilities for one in self.settings.alone.values() if one.mouth_servos]
 
     def _visible_word(self, positive: str) -> str:
         """Return `positive`, what a positive angle does; empty if the tracker cannot see that."""

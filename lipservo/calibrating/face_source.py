@@ -69,8 +69,7 @@ def is_mesh_folder(folder: Path, mesh: MeshOptions) -> bool:
         return False
     if any(path.suffix.lower() == ".c3d" for path in folder.iterdir()):
         return False
-    has_options = mesh.landmarker_given or mesh.eye_distance_mm is not None
-    return has_options or holds_pictures(folder)
+    return mesh.landmarker_given or mesh.eye_distance_mm is not None or holds_pictures(folder)
 
 
 def is_seen_from_the_front(source: Path, mesh: MeshOptions) -> bool:

@@ -152,8 +152,7 @@ def pose_lines(before: Calibration, after: Calibration) -> list[str]:
                 f"{name}: limits {now[0]:.1f}..{now[1]:.1f} deg, were {was[0]:g}..{was[1]:g}"
             )
     if CLOSED in after.hand_poses:
-        rest_deg = after.positions_deg(after.rest)
-        off_deg = rest_deg - after.hand_poses[CLOSED]
+        off_deg = after.positions_deg(after.rest) - after.hand_poses[CLOSED]
         worst = int(np.abs(off_deg).argmax())
         lines.append(
             f"the map's closed mouth is {abs(off_deg[worst]):.1f} deg from yours at most, at "

@@ -155,8 +155,7 @@ def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibrati
     Backlash stays as it was, since it comes from the markers. Raises CalibrationError for a
     calibration of another face or model, or of servos that were set up anew since.
     """
-    names = setup.servos.names
-    check_calibration(calibration, setup.model, names, setup.settings.checksum)
+    check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
     if setup.settings.capabilities.in_memory:
         held = _on_simulated_wire(setup)
     else:

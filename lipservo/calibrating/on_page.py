@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -25,14 +24,10 @@ class PageWatch:
     def __init__(self, page: PageLine, setup: CalibrationSetup) -> None:
         self._page = page
         self._names = setup.servos.names
-        self._setup = setup
+        self._estimated_poses = setup.for_machine().estimated_poses
         self._chirps_s = CHIRPS_S * len(self._names) if setup.lags and setup.has_place else 0.0
         self._began_s = time.monotonic()
         self.watch = Watch(self.progress, self.arrived, self.seen)
-
-    @cached_property
-    def _estimated_poses(self) -> int:
-        return self._setup.for_machine().estimated_poses
 
     def progress(self, what: str, done: int, total: int) -> None:
         """Send the page how many of the `total` poses or chirps (`what`) are done; minutes left."""

@@ -139,9 +139,7 @@ def _summary_text(calibration: Calibration) -> str:
 
 
 def _small_openings_text(small_gaps_kept: float | None) -> str:
-    if small_gaps_kept is None:
-        return ""
-    return f", {small_gaps_kept:.0%} of small openings stay open"
+    return "" if small_gaps_kept is None else f", {small_gaps_kept:.0%} of small openings stay open"
 
 
 def _reach_lines(calibration: Calibration) -> list[str]:

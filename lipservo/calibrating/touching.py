@@ -5,7 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calibration.calibration import Calibration, CalibrationError, check_servo_memories
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    check_calibration,
+    check_servo_memories,
+)
 from calibration.capture.capture import (
     CapturedPose,
     PosePlan,
@@ -18,7 +23,6 @@ from calibration.capture.trackers import FileTracker, Tracker
 from calibration.fit.touch import touch_plan, touched_by_current, touched_by_eye, touched_by_markers
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, progress_bar
 from lipservo.calibrating.measured_calibration import strained_servo
-from lipservo.calibrating.plan_poses import check_face
 from lipservo.runtime.servos.assembly import servo_memories
 from lipservo.runtime.servos.held_face import HeldFace
 from lipservo.terminal.output import MESSAGES
@@ -119,7 +123,8 @@ def _checked_touch_plan(setup: CalibrationSetup, calibration: Calibration) -> Po
     Raises CalibrationError if the calibration is of another face or has no contact of lips, or if
     its servos were set up anew since.
     """
-    check_face(setup, calibration, "the calibration")
+    names, checksum = setup.servos.names, setup.settings.checksum
+    check_calibration(calibration, setup.model, names, checksum)
     if not setup.settings.capabilities.in_memory:
         check_servo_memories(calibration, servo_memories(setup.settings))
     return touch_plan(calibration, setup.model, setup.servos)

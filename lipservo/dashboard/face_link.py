@@ -83,21 +83,20 @@ class FaceLink:
         find: Callable[[], Path],
         token: str | None = None,
         control_path: Path | None = None,
-        clock: Callable[[], float] = time.monotonic,
         let_go: Callable[[], NothingDrivenError] | None = None,
     ) -> None:
         """Create the link; nothing is connected yet.
 
         find: returns the path of the face's control socket; called in a thread, may raise
         UserError, ControlError. token: for the face's agent server; None: the token is found if the
-        face runs on this computer. control_path: the control socket, if it is known. clock:
-        monotonic seconds. let_go: ends a face that accepts no stop, and returns what its servos
-        confirmed; called in a thread; None: only the face itself can switch its servos off.
+        face runs on this computer. control_path: the control socket, if it is known. let_go:
+        ends a face that accepts no stop, and returns what its servos confirmed; called in a thread;
+        None: only the face itself can switch its servos off.
         """
         self._find = find
         self._let_go = let_go
         self._token = token
-        self._clock = clock
+        self._clock = time.monotonic
         self.control_path = control_path
         self.status: dict[str, Any] | None = None
         self._n_waiting = 0
@@ -106,7 +105,7 @@ class FaceLink:
         self._start_pool = ThreadPoolExecutor(2, thread_name_prefix="dashboard start")
         self._command_pool = ThreadPoolExecutor(2, thread_name_prefix="dashboard command")
         self._status_pool = ThreadPoolExecutor(1, thread_name_prefix="dashboard status")
-        self._started_s = clock()
+        self._started_s = self._clock()
         self._status_at_s = float("-inf")
         self._board_tried_at_s = float("-inf")
         self._reader: BoardReader | None = None

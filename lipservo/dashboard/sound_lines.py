@@ -85,7 +85,7 @@ class SoundLines:
                         lines.append(
                             {"name": name, "n_bytes": info.st_size, "changed_s": info.st_mtime}
                         )
-        return sorted(lines, key=_line_name)[:_MOST_LISTED]
+        return sorted(lines, key=lambda line: str(line["name"]))[:_MOST_LISTED]
 
     def existing_path(self, name: str) -> Path:
         """Return the path of the sound file or performance `name`.
@@ -134,10 +134,6 @@ def check_sound(path: Path, name: str) -> None:
     except UserError as error:
         why = str(error).replace(str(path), name).replace(path.name, name)
         raise FaceError("not_sound", " ".join(why.split())) from error
-
-
-def _line_name(line: dict[str, Any]) -> str:
-    return str(line["name"])
 
 
 class Uploads:

@@ -106,7 +106,9 @@ def write_film(
     with written_whole(out) as partial, _film_errors(out, av.FFmpegError):
         # FFmpeg's name of the container format.
         kind = {"mkv": "matroska"}.get(out.suffix.lower()[1:], out.suffix.lower()[1:])
-        with open_film(str(partial), "w", format=kind, options=_format_options(kind)) as file:
+        # MP4 and MOV get their index at the front.
+        options = {} if kind == "matroska" else {"movflags": "faststart"}
+        with open_film(str(partial), "w", format=kind, options=options) as file:
             video = file.add_stream(
                 "libx264", rate=rate_hz, options={"crf": _QUALITY, "preset": "veryfast"}
             )
@@ -179,11 +181,6 @@ class _SoundTrack:
     def end(self) -> None:
         """Flush the encoder into the film, after the last samples."""
         self._file.mux(self._stream.encode(None))
-
-
-def _format_options(kind: str) -> dict[str, str]:
-    """Return the options of the container format; MP4 and MOV get their index at the front."""
-    return {} if kind == "matroska" else {"movflags": "faststart"}
 
 
 def _resampled_pieces(sound: Path, checked: CheckedSound) -> Iterator[Samples]:

@@ -105,8 +105,7 @@ def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: i
     times_s = _times_s(end_s, rate_hz)
 
     def interpolated(values: Array) -> Array:
-        columns = [np.interp(times_s, run.sound_s, column) for column in values.T]
-        return np.stack(columns, axis=1)
+        return np.stack([np.interp(times_s, run.sound_s, each) for each in values.T], axis=1)
 
     frames = tuple(map(Frame, times_s.tolist(), interpolated(run.coefficients)))
     return FilmedMotion(frames, sound, run.servos, interpolated(run.sent_deg))

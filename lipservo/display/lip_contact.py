@@ -117,8 +117,7 @@ def _motion_with_rim(own_px: Array, rim: Indices, reach_px: float, side: Array) 
     share[(share < 0.02) | (from_rim @ side < 0.0)] = 0.0
     share[rim] = 1.0
     rows = np.flatnonzero(share)
-    shape = (len(own_px), len(rim))
-    return sparse.csr_array((share[rows], (rows, nearest[rows])), shape=shape)
+    return sparse.csr_array((share[rows], (rows, nearest[rows])), (len(own_px), len(rim)))
 
 
 class Unfolding:

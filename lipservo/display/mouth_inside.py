@@ -275,8 +275,7 @@ def _placed_sprite(
     # The matrix takes pixels of the sprite, drawn three times as large, to pixels of the view.
     linear = turn[:2, :2] / _FINE
     half = (_FINE - 1) / 2.0
-    offset = corner[:2] - linear @ (half, half) - low
-    matrix = np.column_stack([linear, offset])
+    matrix = np.column_stack([linear, corner[:2] - linear @ (half, half) - low])
     pixels = cv2.warpAffine(sprite.pixels, matrix, shape[::-1], flags=cv2.INTER_LINEAR)
     return np.asarray(pixels, dtype=np.float32)
 

@@ -126,10 +126,8 @@ class PhotoDisplay:
         moves = np.asarray(~is_still[self._mesh.triangles].all(axis=1))
         moves[self._mesh.skin] |= not is_still[self._eyes].all()
         moved_background = np.flatnonzero(moves[: self._mesh.skin.start])
-        maps = self._still
-        if len(moved_background):  # smooth and wide: a coarse map will do, of all there is
-            maps = self._coarse_map(moved_px)
-        maps = maps.copy()
+        # The background is smooth and wide: a coarse map will do, of all there is.
+        maps = self._coarse_map(moved_px) if len(moved_background) else self._still.copy()
         skin = self._mesh.triangles[self._mesh.skin][moves[self._mesh.skin]]
         fine = np.vstack([self._mesh.triangles[self.warp.eye_fans], skin])
         self._fill(maps, moved_px - self.corner_px, rest, fine)

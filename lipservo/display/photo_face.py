@@ -235,8 +235,7 @@ def _fitted_head(
     """
     surface = head_surface(mean)
     # The back of the head stays; between it and the landmarks the surface bends like a shell.
-    fixed = np.flatnonzero(mean.behind > 2.0)
-    given_vertices = np.concatenate([numbers, fixed])
+    given_vertices = np.concatenate([numbers, np.flatnonzero(mean.behind > 2.0)])
     moves_mm = np.zeros((len(given_vertices), 3))
     moves_mm[: len(numbers)] = own_mm - mean.vertices_mm[numbers]
     places = mean.vertices_mm + spread(surface.stiffness, given_vertices, moves_mm)

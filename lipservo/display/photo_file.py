@@ -105,8 +105,7 @@ def tracked(picture: Picture, tracker: FaceTracker, name: str) -> Landmarks:
         )
     if len(faces) > 1:
         raise PhotoError(f"{name}: {len(faces)} faces are found; cut the picture to one of them")
-    middles = faces[0] - (0.5, 0.5, 0.0)  # a tracker counts from a pixel's corner
-    return dict(enumerate(middles))
+    return dict(enumerate(faces[0] - (0.5, 0.5, 0.0)))  # a tracker counts from a pixel's corner
 
 
 def read_landmarks(path: Path, share: float) -> Landmarks:

@@ -205,8 +205,7 @@ def _loop(loops: list[Indices], start: Indices) -> Indices:
     """Return the loop of vertices through start[0], from it on in the direction of start[1]."""
     first, then = start.tolist()
     (loop,) = (each for each in loops if first in each)
-    position = int(np.flatnonzero(loop == first)[0])
-    turned = np.roll(loop, -position)
+    turned = np.roll(loop, -int(np.flatnonzero(loop == first)[0]))
     if int(np.flatnonzero(turned == then)[0]) < len(turned) / 2:
         return turned
     return np.concatenate([turned[:1], turned[:0:-1]])
@@ -229,5 +228,4 @@ def _band_triangles(inner: Indices, outer: Indices) -> Indices:
 def _smoothed_along_rim(moves: Array) -> Array:
     """Return the rim's moves (n, 2), averaged over neighbours, so that rings do not cross."""
     shifts = range(-RIM_NEIGHBOURS, RIM_NEIGHBOURS + 1)
-    shifted = [np.roll(moves, shift, axis=0) for shift in shifts]
-    return np.asarray(np.mean(shifted, axis=0))
+    return np.asarray(np.mean([np.roll(moves, shift, axis=0) for shift in shifts], axis=0))

@@ -281,10 +281,8 @@ def _ring(one: Array, other: Array) -> Array:
 
 def _curve(points: Array, *, closed: bool = True) -> Array:
     """Return points on a Catmull-Rom curve through `points`, (n, 2) -> (m, 2)."""
-    if closed:
-        padded = np.vstack([points[-1:], points, points[:2]])
-    else:
-        padded = np.vstack([points[:1], points, points[-1:]])
+    before, after = (points[-1:], points[:2]) if closed else (points[:1], points[-1:])
+    padded = np.vstack([before, points, after])
     u = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None]
     pieces = []
     for point_before, start, end, point_after in zip(

@@ -177,7 +177,9 @@ def _read_lines(
             for key in _QUANTITIES:
                 of_servo.values[key].append(record[key][index])
             for key in _COUNTS:
-                of_servo.counts[key] += rises[name, key]
+                # A limp servo may be without supply: its silence is no fault.
+                if key != "unanswered" or record["torque_on"][index] > 0:
+                    of_servo.counts[key] += rises[name, key]
     return n_good, n_bad
 
 

@@ -5,6 +5,7 @@ once and the face goes on. `lipservo health` reads the files (`health_history`).
 of the user's or the service's state, where a person's stop is kept too.
 """
 
+import contextlib
 import errno
 import json
 import logging
@@ -88,8 +89,7 @@ def places_searched(environment: Mapping[str, str]) -> str:
     own = _state_folder(environment)
     if environment.get("LIPSERVO_STATE"):
         return f"{own}/health"
-    places = [own, SERVICE_STATE]
-    return " and ".join(f"{each}/health" for each in places if each is not None)
+    return " and ".join(f"{each}/health" for each in (own, SERVICE_STATE) if each is not None)
 
 
 def _state_folder(environment: Mapping[str, str]) -> Path | None:
@@ -124,10 +124,8 @@ class HealthLog:
 
     def offer(self, now: tuple[ServoHealth, ...]) -> None:
         """Queue one reading of all servos, `now`; drop it when the disk is a minute behind."""
-        try:
+        with contextlib.suppress(queue.Full):
             self._queue.put_nowait((self._wall_s(), now))
-        except queue.Full:
-            return
 
     def close(self) -> None:
         """Write the queued readings and end the thread; wait at most about two seconds."""

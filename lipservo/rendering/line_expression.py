@@ -92,9 +92,12 @@ def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
     list[VoiceFrame]
         One for each 10 ms.
     """
+    n_block = round(SAMPLE_RATE_HZ * CUE_PERIOD_S)
     tracker = VoiceTracker()
     for _ in range(2):  # the first time only to learn what is usual in this line
-        frames = [tracker.feed(block) for block in _blocks_of_10_ms(samples)]
+        frames = [
+            tracker.feed(samples[at : at + n_block]) for at in range(0, len(samples), n_block)
+        ]
     return frames
 
 
@@ -119,9 +122,3 @@ def silent_s(events: Sequence[PhonemeEvent], n_frames: int) -> Iterator[float]:
         else:
             # As long as a hearer needs to take a silence for an end.
             yield _PAUSE_S + (time_s - end_s if np.isfinite(end_s) else time_s)
-
-
-def _blocks_of_10_ms(samples: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
-    n_block = round(SAMPLE_RATE_HZ * CUE_PERIOD_S)
-    for start in range(0, len(samples), n_block):
-        yield samples[start : start + n_block]

@@ -57,8 +57,8 @@ class SpokenSound:
         """Return the phonemes in order. Raises SoundError, PronunciationError."""
         if self.labels is not None and self.labels.phones:
             return list(self.labels.phones)
-        recognizer = self._recognizer()
-        return list(settled_events(FileSource(self.path, channel=self.channel), recognizer))
+        source = FileSource(self.path, channel=self.channel)
+        return list(settled_events(source, self._recognizer()))
 
     def _recognizer(self) -> FallbackRecognizer:
         """Return a new recogniser that follows words or text, if any. Raises PronunciationError."""

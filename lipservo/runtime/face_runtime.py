@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from functools import partial
 
 from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.errors import BusError
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.process.logs import LOG_JSON
 from firmware_bridge.process.operating_system import ServiceNotice
-from firmware_bridge.stopping import StopReport
+from firmware_bridge.stopping import StopLevel, StopReport
 from lipservo.runtime.face_speech import FaceSpeech
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest
@@ -87,7 +88,9 @@ def run_face(
             requested.rate_hz,
             dry_run=request.dry_run,
             quiet=request.quiet,
-            control=requested.control(run.commands, run.describe, board, waits=endless),
+            control=requested.control(
+                run.commands, run.describe, board, waits=endless and not request.dry_run
+            ),
         )
         with ExitStack() as stack:
             driven = stack.enter_context(driven_face(requested.settings, clock, channel, options))
@@ -106,12 +109,18 @@ def run_face(
 
                 serving = voice_agents(listener, speech.side, requested)
                 run.note_agents_url(stack.enter_context(serving))
-            life.start()
-            run.notice.ready()
-            zero_s = street.start(clock.now())
-            playout = source if isinstance(source, Playout) and not endless else None
-            end = _RunEnd(zero_s + length_s + delay.total_s, playout)
-            play(street, life, is_over=end.is_over, tally=tally, observers=observers)
+            zero_s = math.inf  # while nothing was heard
+            try:
+                life.start()
+                run.notice.ready()
+                zero_s = street.start(clock.now())
+                playout = source if isinstance(source, Playout) and not endless else None
+                end = _RunEnd(zero_s + length_s + delay.total_s, playout)
+                play(street, life, is_over=end.is_over, tally=tally, observers=observers)
+            except (ImmediateStop, BusError):
+                # Now: agents, trace and view end before the life cycle, and may take seconds.
+                driven.bridge.stop(StopLevel.LIMP)
+                raise
         heard_s = max(0.0, min(length_s, clock.now() - zero_s))
         status = run.status(driven.bridge)
     elapsed_s = time.perf_counter() - began_s
@@ -224,13 +233,11 @@ class _Run:
         if request.avatars.is_any:
             from lipservo.runtime.avatar_stream import avatar_stream
 
-            watching = avatar_stream(request.avatars, request.model)
-            observers.append(stack.enter_context(watching))
+            observers.append(stack.enter_context(avatar_stream(request.avatars, request.model)))
         if live and not os.environ.get(LOG_JSON):
             from lipservo.terminal.view import TerminalView
 
-            status = partial(self.status, bridge)
-            view = TerminalView(MESSAGES, status, face.joints, face.model)
+            view = TerminalView(MESSAGES, partial(self.status, bridge), face.joints, face.model)
             observers.append(stack.enter_context(view))
         return observers
 

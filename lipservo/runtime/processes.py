@@ -185,8 +185,7 @@ def run_speech_process(
             side.begin(zero_s if request.voice is None else clock.now())
         inherited.lifeline.tell(Began(zero_s))
         listener = None if agents is None else socket.socket(fileno=agents)
-        serving = voice_agents(listener, side, requested)
-        url = stack.enter_context(serving)
+        url = stack.enter_context(voice_agents(listener, side, requested))
         n_servo_ticks = 0
         settings: dict[str, float] = {}
         status_due_s = float("-inf")

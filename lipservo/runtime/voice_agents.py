@@ -116,8 +116,7 @@ class _AgentSpeech:
         """
         self._check_room("text")
         speaker = self._speaker.changed(given.language, given.voice, given.rate_wpm, given.pitch)
-        item = spoken_text(given.text, self._playout, speaker, name)
-        return self._queued(item, "text")
+        return self._queued(spoken_text(given.text, self._playout, speaker, name), "text")
 
     def play(self, given: Play, name: str) -> SpeechItem:
         """Queue a sound file or performance below the allowed folder, and return its speech.

@@ -10,9 +10,9 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     Field,
     StringConstraints,
-    field_validator,
     model_validator,
 )
 
@@ -71,6 +71,9 @@ class SoundSettings(Strict):
     channel: Annotated[str, AfterValidator(checked_channel)] = MIX
 
 
+#: YAML has lists where settings are tuples.
+FROM_LIST: Final = BeforeValidator(lambda given: tuple(given) if isinstance(given, list) else given)
+
 #: As browsers send it: lower case, no path, no port where it is the scheme's own.
 _ORIGIN: Final = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
 _MOST_ORIGINS: Final = 16
@@ -96,13 +99,8 @@ class AccessSettings(Strict):
     otherwise it is refused.
     """
 
-    origins: Annotated[tuple[Origin, ...], Field(max_length=_MOST_ORIGINS)] = ()
+    origins: Annotated[tuple[Origin, ...], Field(max_length=_MOST_ORIGINS), FROM_LIST] = ()
     queue: bool = False
-
-    @field_validator("origins", mode="before")
-    @classmethod
-    def _list_to_tuple(cls, origins: object) -> object:
-        return tuple(origins) if isinstance(origins, list) else origins
 
 
 class AvatarSettings(Strict):

@@ -31,6 +31,7 @@ from firmware_bridge.capabilities import BusCapabilities, mixed_capabilities
 from firmware_bridge.joints import Joint
 from firmware_bridge.port_names import BUS_NAME, named_ports, ports_text
 from lipservo.settings.sections import (
+    FROM_LIST,
     AccessSettings,
     AvatarSettings,
     CalibrationName,
@@ -104,7 +105,7 @@ class FaceSettings(Strict):
     #: Several of them, in place of `bus`; each servo then says its own.
     buses: Mapping[BusName, BusSettings] = {}
     calibration: CalibrationName | None = None
-    prevent: tuple[PreventSettings, ...] = ()
+    prevent: Annotated[tuple[PreventSettings, ...], FROM_LIST] = ()
     stale: StaleSettings = StaleSettings()
     tracking: TrackingSettings = TrackingSettings()
     motion: MotionSettings = MotionSettings()
@@ -134,17 +135,11 @@ class FaceSettings(Strict):
         # Its class is made anew in every process.
         return FaceSettings.model_validate, (self.model_dump(),)
 
-    @field_validator("prevent", mode="before")
-    @classmethod
-    def _list_to_tuple(cls, rules: object) -> object:
-        return tuple(rules) if isinstance(rules, list) else rules
-
     @model_validator(mode="after")
     def _check_rules(self) -> Self:
         """Raise ValueError if a rule of `prevent` names an unknown joint or forbids neutral."""
-        known = set(self.servos)
         for n, rule in enumerate(self.prevent):
-            unknown = sorted(set(rule.joints) - known)
+            unknown = sorted(set(rule.joints) - set(self.servos))
             if unknown:
                 raise ValueError(f"prevent.{n} names {unknown[0]!r}, but no joint has this name")
             if rule.above < 0.0:

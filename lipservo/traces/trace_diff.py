@@ -327,8 +327,7 @@ def _worst_ticks(a: Trace, both: Overlay, apart_deg: Array, n_worst: int) -> tup
     At most `n_worst`, none without a difference. The lip distance in `both` decides; where it is
     equal, the servos' absolute difference, `apart_deg` (n, n_servos).
     """
-    badness = both.lips_mm + 1e-3 * apart_deg.max(axis=1)
-    remaining = badness.copy()
+    remaining = both.lips_mm + 1e-3 * apart_deg.max(axis=1)
     found: list[Moment] = []
     while len(found) < n_worst and remaining.max() > 0.0:
         tick = int(np.argmax(remaining))

@@ -294,12 +294,9 @@ def _read_lines(path: Path) -> list[bytes]:
         if not is_packed:
             return [line for line in path.read_bytes().split(b"\n") if line]
         unpacked = bytearray()
-        with gzip.open(path) as file:
-            try:
-                while len(unpacked) < _MOST_BYTES and (chunk := file.read1(1 << 20)):
-                    unpacked += chunk
-            except EOFError:
-                pass
+        with gzip.open(path) as file, suppress(EOFError):
+            while len(unpacked) < _MOST_BYTES and (chunk := file.read1(1 << 20)):
+                unpacked += chunk
     except OSError as error:
         raise TraceError(f"{path}: cannot be read: {error.strerror or error}") from error
     except zlib.error as error:

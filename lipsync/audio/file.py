@@ -265,7 +265,7 @@ def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
     channel.
     """
     n_frames, has_sound = 0, False
-    levels = _Levels()
+    levels = Levels()
     with open_sound(path) as sound:
         index = channel_index(channel, sound.channels, str(path))
         for chunk in _finite_chunks(path, sound):
@@ -279,7 +279,7 @@ def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
         rate_hz = int(sound.samplerate)
         duration_s = n_frames / float(rate_hz)
         _refuse_empty(path, duration_s, has_sound)
-        mix, remark = levels.mix("FLOAT" in sound.subtype or sound.subtype == "DOUBLE")
+        mix, remark = levels.mix(sound.subtype)
         if index is not None:
             mix = replace(mix, channel=index)
         remarks = [_cut_warning(path, sound, n_frames), remark and f"{path}: {remark}"]
@@ -295,7 +295,7 @@ def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
 
 
 @dataclass(slots=True)
-class _Levels:
+class Levels:
     """Levels of a sound read so far. energy: of each channel; mean_energy: of their average."""
 
     peak: float = 0.0
@@ -311,11 +311,14 @@ class _Levels:
         self.energy = self.energy + (whole**2).sum(axis=0)
         self.mean_energy += float((whole.mean(axis=1) ** 2).sum())
 
-    def mix(self, is_float: bool) -> tuple[Mix, str]:
-        """Return how the samples become mono, and a line on what is odd about them, or ""."""
+    def mix(self, subtype: str) -> tuple[Mix, str]:
+        """Return how the samples become mono, and a line on what is odd about them, or "".
+
+        subtype: of the file's samples, as libsndfile names it.
+        """
         remarks: list[str] = []
         channel, gain = None, 1.0
-        if is_float and self.peak > _MOST_OVERDRIVEN:
+        if subtype in ("FLOAT", "DOUBLE") and self.peak > _MOST_OVERDRIVEN:
             bits = next((each for each in (16, 24) if self.peak <= 2 ** (each - 1)), 32)
             gain = 2.0 ** (1 - bits)
             remarks.append(
@@ -492,7 +495,7 @@ def _seek_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
     """Move the position of `sound` so that the next sample decoded is number `frame`."""
     try:
         if sound.format in _SEEKS_EXACTLY and sound.seekable():
-            sound.seek(frame)
+            sound.seek(min(frame, sound.frames))  # a restarted process may begin after the end
             return
         n_chunk = round(CHUNK_S * sound.samplerate)
         with quiet_decoder(is_mp3=sound.format in MP3):

@@ -209,8 +209,7 @@ class MicrophoneSource:
             self._push_samples(lost)
         self._push_samples(capture.convert(arrival.samples))
         self._until_s = arrival.called_s
-        sound_s = capture.sound_s(arrival.first_sample)
-        self._captured = (arrival.captured_s, sound_s)
+        self._captured = (arrival.captured_s, capture.sound_s(arrival.first_sample))
 
     def _add_rest(self, capture: "_Capture") -> None:
         """Add the last samples that the resampler of `capture`, a lost device, has held back."""

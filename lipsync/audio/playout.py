@@ -306,7 +306,7 @@ class Playout:
             elif request.kind == "interrupt":
                 is_cut = self._interrupt() or is_cut
             elif request.kind == "clear":
-                self._drop_uncommitted()
+                self._drop_uncommitted(request.name)
             elif request.kind == "pause":
                 is_cut = self._pause() or is_cut
             elif request.kind == "resume":
@@ -421,8 +421,7 @@ class Playout:
 
         playing: the stream whose block begins at timeline position `start_s`.
         """
-        is_new_stream = playing is not self._words_stream
-        if is_new_stream:
+        if playing is not self._words_stream:
             self._cancel_words()
             self._words_stream = playing
         started_words = playing.stream.started_words
@@ -483,9 +482,7 @@ class Playout:
 
     def _interrupt(self) -> bool:
         """Drop all streams and silence the loudspeaker; return whether any stream was queued."""
-        for stream in list(self._heard_whole):
-            stream.drop()
-        self._heard_whole.clear()
+        self._drop_what_follows()
         if not self._playing:
             return False
         cut_s = self._silence_loudspeaker()
@@ -547,16 +544,26 @@ class Playout:
             name, n_played = playing.stream.name, playing.n_played(self._position_s)
             self.events.append(PlayoutEvent(kind, name, self._position_s, n_played))
 
-    def _drop_uncommitted(self) -> None:
-        """Drop all speech that is not committed yet; committed speech is still heard."""
+    def _drop_what_follows(self) -> None:
+        """Drop speech of which a part was heard to its end, and the rest is still being made."""
+        for stream in list(self._heard_whole):
+            stream.drop()
+        self._heard_whole.clear()
+
+    def _drop_uncommitted(self, name: str) -> None:
+        """Drop speech that is not committed yet; committed speech is still heard.
+
+        name: of its streams; "": all speech, with what follows parts that were heard to their end.
+        """
+        if not name:
+            self._drop_what_follows()
         for playing in self._playing:
-            if playing.stream.is_over:
+            stream, at_s = playing.stream, self._position_s
+            if stream.is_over or name not in ("", stream.name):
                 continue
-            playing.stream.drop()
-            n_played = playing.n_played(self._position_s)
-            n_dropped = playing.stream.n_received - playing.n_taken
-            name = playing.stream.name
-            self.events.append(PlayoutEvent("cleared", name, self._position_s, n_played, n_dropped))
+            stream.drop()
+            n_played, n_dropped = playing.n_played(at_s), stream.n_received - playing.n_taken
+            self.events.append(PlayoutEvent("cleared", stream.name, at_s, n_played, n_dropped))
 
     def _report_progress(self) -> None:
         """Append events for the starts, marks and ends of streams that the position has passed."""

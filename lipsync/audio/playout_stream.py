@@ -357,13 +357,15 @@ class PlayoutRequest:
 
     say: queue a new stream behind those that wait, or right after `after`, of which it is the next
     part: it is dropped if `after` was. interrupt: silence at once, and everything that was not
-    heard is dropped. clear: what is not yet on its way to the loudspeaker is dropped. pause:
-    silence at once, and what was not heard is kept until resume.
+    heard is dropped. clear: what is not yet on its way to the loudspeaker is dropped, of the
+    streams called `name` alone, or of all. pause: silence at once, and what was not heard is kept
+    until resume.
     """
 
     kind: Literal["say", "interrupt", "clear", "pause", "resume"]
     stream: PlayoutStream | None = None
     after: PlayoutStream | None = None
+    name: str = ""
 
 
 #: Known phonemes are remembered so long after their end: a recogniser does not reach farther back.

@@ -92,8 +92,7 @@ def context_at(
             phonemes.append(track.phonemes[i + 1] if known else UNKNOWN)
         # Beyond the first end that is not known nothing is known: fill up and stop.
         if not known:
-            missing = at + 2 - i
-            times_s.extend([math.nan] * missing)
+            times_s.extend([math.nan] * (at + 2 - i))
             phonemes.extend([UNKNOWN] * (SLOTS - len(phonemes)))
             break
     return phonemes, times_s
@@ -466,9 +465,8 @@ def expectation_of(arrays: dict[str, Array]) -> Expectation:
     slots, windows = (
         Stack(*(arrays[f"{family}_{name}"] for name in _STACK)) for family in ("slots", "windows")
     )
-    back_off = None
-    if "diphones" in arrays:
-        back_off = BackOff(arrays["centres"], arrays["diphones"] > 0.0)
+    has_back_off = "diphones" in arrays
+    back_off = BackOff(arrays["centres"], arrays["diphones"] > 0.0) if has_back_off else None
     return Expectation(arrays["slot_tables"], slots, arrays["window_tables"], windows, back_off)
 
 

@@ -76,8 +76,7 @@ def track_lines(track: WeightTrack) -> Iterator[str]:
     yield json.dumps(header) + "\n"
     for time_s, values in zip(track.times_s, track.values, strict=True):
         rounded = [round(float(value), _DECIMALS) for value in values]
-        row = {"time_s": round(float(time_s), 6), "values": rounded}
-        yield json.dumps(row) + "\n"
+        yield json.dumps({"time_s": round(float(time_s), 6), "values": rounded}) + "\n"
 
 
 def track_csv(track: WeightTrack) -> Iterator[str]:

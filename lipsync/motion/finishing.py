@@ -446,9 +446,8 @@ class FinishedSynthesizer:
         closures.
         """
         frame = self._inner.frame_at(time_s)
-        offset = None
-        if self._unit_motion is not None:
-            offset = self._unit_motion.at(time_s, self._inner.track)
+        units = self._unit_motion
+        offset = None if units is None else units.at(time_s, self._inner.track)
         # The plans of this tick; None for a time too long ago.
         finish = self._ticks.at(time_s, self._decide_tick)
         if finish is not None and finish.is_still:
@@ -542,8 +541,7 @@ class FinishedSynthesizer:
         last: the plans of the tick before.
         """
         track, begin_s, until_s = self._inner.track, time_s - TICK_S, time_s + self._known_s
-        context = context_at(track, time_s, until_s)
-        rest = plan_rest(last.rest, *context, begin_s, self._known_s)
+        rest = plan_rest(last.rest, *context_at(track, time_s, until_s), begin_s, self._known_s)
         plans = last.bilabial, last.labiodental, last.rounding
         if is_reached(rest, begin_s) and not any(
             plan.goal or plan.at(begin_s)[0] for plan in plans

@@ -295,8 +295,7 @@ def _advance(before: _Step | None, now: Candidates, follows: Follows) -> _Step |
     follows: whether the second state may follow the first, T of equation (3).
     """
     if before is None:
-        start = np.zeros(len(now.states), dtype=np.int64)
-        return _Step(now.states, now.distances, start)
+        return _Step(now.states, now.distances, np.zeros(len(now.states), dtype=np.int64))
     allowed = follows[before.states[:, None], now.states]
     costs = np.where(allowed, before.costs[:, None], np.inf)
     back = costs.argmin(axis=0)
@@ -436,13 +435,11 @@ def model_line(model: StateModel, cepstra: Array, events: Sequence[PhonemeEvent]
         Motion (n_frames, n_components of the face model), and its path through the states.
     """
     duration_s = len(cepstra) / model.frame_rate_hz
-    joined = joined_phones(events, duration_s)
-    spans = unit_spans(joined, len(cepstra), model.frame_rate_hz)
+    spans = unit_spans(joined_phones(events, duration_s), len(cepstra), model.frame_rate_hz)
     search = _UnitSearch(model, cepstra, spans)
     path = cheapest_path(len(cepstra), search.candidates, model.follows, search.widen)
     precisions = np.asarray(np.linalg.inv(model.covariances[path.states]), dtype=np.float64)
-    motion = likeliest_trajectory(model.means[path.states], precisions)
-    return ModelledLine(motion, path)
+    return ModelledLine(likeliest_trajectory(model.means[path.states], precisions), path)
 
 
 @dataclass(slots=True)

@@ -67,9 +67,7 @@ def save_offline_model(model: OfflineModel, path: Path) -> None:
 
 def _narrow(name: str, values: NDArray[Any]) -> NDArray[Any]:
     """Return an array in the smaller type in which a file stores the field `name`."""
-    if values.dtype == np.bool_:
-        return values
-    return values.astype(_AS.get(name, np.float32))
+    return values if values.dtype == np.bool_ else values.astype(_AS.get(name, np.float32))
 
 
 def is_offline_model(head: bytes) -> bool:

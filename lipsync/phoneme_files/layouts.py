@@ -117,8 +117,7 @@ def _tiers_of_rows(layout: Layout, rows: list[tuple[int, dict[str, str]]]) -> tu
         if start_s < 0 or (end_s or start_s) < start_s:
             raise LabelError(f"line {number}: {start_s:g} to {end_s or 0:g} s cannot be; fix it")
         name = f"{row['speaker']} - {row['tier']}" if has_speakers else row.get("tier", layout.name)
-        unit = TimedUnit(row["label"].strip(' \t"'), start_s, end_s)
-        tiers.setdefault(name, []).append(unit)
+        tiers.setdefault(name, []).append(TimedUnit(row["label"].strip(' \t"'), start_s, end_s))
     return tuple(
         Tier(name, layout.kind or kind_of(name), tuple(units), layout.alphabet)
         for name, units in tiers.items()

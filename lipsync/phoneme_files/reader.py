@@ -125,7 +125,7 @@ def _choose_tier(tiers: Sequence[Tier], wanted: str) -> Tier:
     A single tier of unknown kind is of words or phonemes if `wanted` says `words` or `phones`.
     Raises LabelError where no tier or several remain.
     """
-    names = ", ".join(tier.name for tier in tiers)[:200] or "none"
+    names = ", ".join(tier.name for tier in tiers)[:200]
     by_name = {tier.name: tier for tier in tiers if not wanted or tier.name == wanted}
     if len(tiers) == 1 and not tiers[0].kind and wanted in ("words", "phones"):
         return replace(tiers[0], kind="word" if wanted == "words" else "phoneme")
@@ -135,6 +135,10 @@ def _choose_tier(tiers: Sequence[Tier], wanted: str) -> Tier:
             return of_kind[0]
         if of_kind:
             break
+    if not tiers:
+        raise LabelError("the file has no tier of intervals; save labels with a start and an end")
+    if wanted and not by_name:
+        raise LabelError(f"the file has no tier {shown(wanted)}, but {names}; give --tier NAME")
     raise LabelError(f"the file has several tiers: {names}; choose one with --tier NAME")
 
 

@@ -246,8 +246,7 @@ def _late_posteriors(weights: NetworkWeights, samples: NDArray[np.float32]) -> N
     Row k is of the 10 ms frame that begins at k * 10 ms, without the head's delay.
     """
     n_frames, delay = max(1, -(-len(samples) // HOP)), weights.delays[-1]
-    posteriors = recording_posteriors(weights, samples, n_frames + delay)
-    return posteriors[delay:, -1]
+    return recording_posteriors(weights, samples, n_frames + delay)[delay:, -1]
 
 
 @cache

@@ -227,8 +227,7 @@ class Trial:
         while self._waiting and n_fed < _TRIED_IN_A_STEP and now_s < began_s + _TRIED_FOR_S:
             n = _AT_ONCE if self.level.pace.may_hurry and len(self._waiting) >= _AT_ONCE else 1
             n_fed += n
-            chunk = list(islice(self._waiting, n))
-            now_s = _feed_and_time(self.level, chunk, timer_s, now_s)
+            now_s = _feed_and_time(self.level, list(islice(self._waiting, n)), timer_s, now_s)
             for _ in range(n):
                 self._waiting.popleft()
         self.level.updates()
@@ -578,8 +577,7 @@ class FallbackRecognizer:
         self._switched_s = now_s
         self._try_at_s = now_s + self._wait_s
         away_s = now_s - self._best_left_s
-        is_best = self._current == self._usable[0]
-        duration = f" after {away_s:.1f} s" if is_best else ""
+        duration = f" after {away_s:.1f} s" if self._current == self._usable[0] else ""
         _LOG.info("recogniser %s is back%s", level.name, duration)
 
 

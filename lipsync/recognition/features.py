@@ -93,8 +93,7 @@ class LogMelStream:
         if len(samples) > 0:
             previous = np.concatenate(([self._last_sample], samples[:-1]))
             self._last_sample = samples[-1]
-            emphasised = samples - _PRE_EMPHASIS * previous
-            self._waiting = np.concatenate((self._waiting, emphasised))
+            self._waiting = np.concatenate((self._waiting, samples - _PRE_EMPHASIS * previous))
         n_frames = (len(self._waiting) - WINDOW) // HOP + 1
         if n_frames <= 0:
             return np.zeros((0, N_BANDS), np.float32)

@@ -127,8 +127,7 @@ class _StreamingLayer:
         """Return the layer's outputs (n, n_out) for the next frames (n, n_in)."""
         # One row of three inputs side by side for each frame, then one product for all.
         n, dilation = len(frames), self._layer.dilation
-        in_order = np.roll(self._past, -1 - self._newest, axis=0)
-        past_and_new = np.concatenate((in_order, frames))
+        past_and_new = np.concatenate((np.roll(self._past, -1 - self._newest, axis=0), frames))
         taps = [past_and_new[1 + tap * dilation :][:n] for tap in range(_TAPS)]
         product = _product(np.concatenate(taps, axis=1), self._layer.kernel)
         output: Array32 = product + self._layer.bias

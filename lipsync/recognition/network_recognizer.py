@@ -94,8 +94,7 @@ class NetworkRecognizer:
     @property
     def moved_by(self) -> MovedBy:
         """`text` if the phonemes now final were found in a given text, `sound` if recognised."""
-        is_text = bool(self._in_text) and self._in_text[0] != OUTSIDE_TEXT
-        return "text" if is_text else "sound"
+        return "text" if self._in_text and self._in_text[0] != OUTSIDE_TEXT else "sound"
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:

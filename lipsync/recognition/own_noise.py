@@ -158,9 +158,8 @@ class OwnNoise:
         previous = excess if self._excess is None else self._excess
         self._excess = previous + _SMOOTHING * (excess - previous)
         self._n_explained = self._n_explained + 1 if self._excess < _EXPLAINED_AWAKE else 0
-        if is_awake:
-            return self._n_explained >= _AWAKE_FRAMES
-        return self._excess < _EXPLAINED_AT_REST
+        is_explained_at_rest = self._excess < _EXPLAINED_AT_REST
+        return self._n_explained >= _AWAKE_FRAMES if is_awake else is_explained_at_rest
 
     def learn(self, n_ago: int) -> None:
         """Learn servo noise from the frame `n_ago` frames before the last, free of speech.

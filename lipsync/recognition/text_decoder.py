@@ -257,9 +257,7 @@ class TextDecoder:
         """
         settings = self._settings
         window = self._words.window(self.place) if is_final else front.window
-        scores = front.scores
-        if window is not front.window:
-            scores = window.scores_from(front)
+        scores = front.scores if window is front.window else window.scores_from(front)
         row = self._recent[frame % len(self._recent), self._heads[age - self._delays[0]]]
         # What each state is entered with: from the state before it; silence before a word from any
         # word's end; a word's first state from such an end, or from the silence before the word.
@@ -496,8 +494,7 @@ class _WordGraph:
 
     def labels_around(self, place: int) -> tuple[tuple[str, ...], int]:
         """Return the labels of up to 14 words around word number `place`, and that one's index."""
-        labels = self._labels_from(self._first_word)
-        return tuple(labels[:_WINDOW]), place - self._first_word
+        return tuple(self._labels_from(self._first_word)[:_WINDOW]), place - self._first_word
 
     def _labels_from(self, number: int) -> list[str]:
         return self._labels[number - int(self._words.words[0]) :]

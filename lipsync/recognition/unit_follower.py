@@ -216,8 +216,7 @@ class UnitFollower:
         settings = self._settings
         if heard.frames_per_s != _FRAMES_PER_S or settings.delay not in heard.delays:
             return
-        head = heard.delays.index(settings.delay)
-        log_classes = log_class_posteriors(heard.values[:, head])
+        log_classes = log_class_posteriors(heard.values[:, heard.delays.index(settings.delay)])
         log_classes -= log_classes.max(axis=1, keepdims=True)
         np.maximum(log_classes, np.float32(settings.lowest), out=log_classes)
         first_frame = heard.first_frame - settings.delay
@@ -254,8 +253,7 @@ class UnitFollower:
             found += self._shifted_units(now_s, until_s, offset / _FRAMES_PER_S)
         if found and found[0][0] <= from_s:
             # A unit that began before `from_s` keeps its start.
-            began_s = max(self._start_s, found[0][2][0].start_s)
-            found[0] = (began_s, *found[0][1:])
+            found[0] = (max(self._start_s, found[0][2][0].start_s), *found[0][1:])
         return _merge_stretches(found, self._start_s, min(until_s, self.end_s))
 
     def _stretches_along(self, path: Sequence[tuple[int, int]]) -> list[Stretch]:

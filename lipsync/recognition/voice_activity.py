@@ -92,10 +92,9 @@ class VoiceActivityDetector:
         """Add the next frame's level in dB; return whether it counts as speech."""
         self._follow_floor(frame_db)
         above_floor_db = CLOSE_ABOVE_FLOOR_DB if self._is_open else OPEN_ABOVE_FLOOR_DB
-        if frame_db >= max(QUIETEST_SPEECH_DB, self.floor_db + above_floor_db):
-            self._n_loud, self._n_quiet = self._n_loud + 1, 0
-        else:
-            self._n_loud, self._n_quiet = 0, self._n_quiet + 1
+        is_loud = frame_db >= max(QUIETEST_SPEECH_DB, self.floor_db + above_floor_db)
+        self._n_loud = self._n_loud + 1 if is_loud else 0
+        self._n_quiet = 0 if is_loud else self._n_quiet + 1
         if self._is_open:
             self._is_open = self._n_quiet < round(HANG_OVER_S * FRAMES_PER_S)
         else:

@@ -19,7 +19,8 @@ import numpy as np
 import soundfile
 from lipservo_client.vendors import TimedUnit
 
-from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
+from lipsync.audio.file import Levels, open_sound
+from lipsync.audio.source import SoundError
 from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.phoneme_files.reader import labels_in
 from lipsync.spoken_text import SpokenText, SpokenTextError, SpokenUnit
@@ -168,26 +169,24 @@ def _run_command(request: Request) -> tuple[dict[str, object], bytes]:
 def _read_outputs(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
     """Return the command's sample rate and words, and its sound, mono int16, as bytes.
 
-    words: the file of times, which may be missing. Raises SynthesisError if there is no sound, its
-    rate is not allowed, or the file of times is larger than 1 MB.
+    words: the file of times, which may be missing. Raises SynthesisError if there is no sound, or
+    none that is allowed, or the file of times is larger than 1 MB.
     """
     try:
-        # Read as integers, a file of floats would not be scaled, and so be silent.
-        samples, sample_rate_hz = soundfile.read(wav, dtype="float32", always_2d=True)
-    except (soundfile.LibsndfileError, RuntimeError, OSError) as error:
+        with open_sound(wav) as sound:
+            sample_rate_hz, subtype = sound.samplerate, sound.subtype
+            samples = sound.read(dtype="float32", always_2d=True)
+    except (SoundError, soundfile.LibsndfileError, RuntimeError, OSError) as error:
         raise SynthesisError(
             f"the voice's command wrote no sound to {_WAV} or its standard output ({error})"
         ) from None
-    if not LOWEST_RATE_HZ <= sample_rate_hz <= HIGHEST_RATE_HZ:
-        raise SynthesisError(
-            f"the voice's command wrote sound at {sample_rate_hz} Hz; {LOWEST_RATE_HZ} to "
-            f"{HIGHEST_RATE_HZ} Hz are allowed"
-        )
     file_bytes = words.read_bytes()[: _LARGEST_WORDS_BYTES + 1] if words.is_file() else b""
     if len(file_bytes) > _LARGEST_WORDS_BYTES:
         raise SynthesisError(f"the voice's command wrote more than 1 MB to {_WORDS}")
-    scaled = np.rint(np.nan_to_num(samples.mean(axis=1)) * _FULL_SCALE)
-    mono = np.clip(scaled, -_FULL_SCALE, _FULL_SCALE - 1.0).astype(np.int16)
+    levels = Levels()
+    levels.add(samples := np.nan_to_num(samples, posinf=1.0, neginf=-1.0))
+    mix, _ = levels.mix(subtype)
+    mono = np.rint(mix.mono(samples) * (_FULL_SCALE - 1.0)).astype(np.int16)
     return {
         "sample_rate_hz": int(sample_rate_hz),
         "words": file_bytes.decode("utf-8", "replace"),

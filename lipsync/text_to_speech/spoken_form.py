@@ -40,7 +40,9 @@ _MARKUP: Final = _rules(
     ),
     (r"(?<=\w)[ \t]*<break\b[^>]*>[ \t]*(?=\w)", "; "),
     (r"</?[A-Za-z][\w:-]*(?:\s[^<>]*)?/?>", " "),
-    (r"\$\$.*?\$\$|\\\[.*?\\\]|\\\(.*?\\\)|\$[^$\n]*[\\^_{}=][^$\n]*\$", " "),
+    # Formulas; between two prices there is none.
+    (r"\$\$.*?\$\$|\\\[.*?\\\]|\\\(.*?\\\)|\$(?!\s)[^$\n]*[\\^_{}=][^$\n]*(?<!\s)\$(?!\d)", " "),
+    (r"(?<=\d)\*(?=\d)", "\u00d7"),
     (r"【[^】]*】", " "),
     (r"^\[\^[^\]]+\]:.*?$", " "),
     (r"^(\s*(?:[-*+]|\d+[.)])\s+)\[[ xX]\]\s", r"\1"),
@@ -64,16 +66,26 @@ _LINKS: Final = _rules(
 )
 #: A number of two digits, or a year.
 _FEW: Final = r"\d{1,2}|1\d{3}|20\d\d"
+#: A number with a decimal point or commas, or of two digits.
+_SOME: Final = r"\d[\d,]*\.\d+|\d{1,3}(?:,\d{3})+|\d{1,2}"
+_UNIT: Final = "(?:dollars?|euros?|pounds?|cents?)"
 #: How figures are read out in English.
 _ENGLISH: Final = _rules(
     (r"\b(\d{4})-(0[1-9]|1[0-2])-([0-2]\d|3[01])\b", lambda m: _date(m[1], m[2], m[3])),
     (
-        r"([$€£])\s?(\d[\d,]*)(?:\.(\d\d)(?!\d)|(\.\d+))?(\s(?:thousand|million|billion|trillion))?",
+        r"([$€£])\s?(\d[\d,]*)(?:\.(\d\d)(?!\d)|(\.\d+))?"
+        r"(\s(?:thousand|million|billion|trillion)\b|[kKmMbBtT]\b|(?:mn|bn|tn)\b)?",
         lambda m: _money(m),
     ),
     (r"\b([01]?\d|2[0-3]):([0-5]\d)(?!\d|:\d)(?:\s?([AaPp])\.?[Mm]\b\.?)?", lambda m: _clock(m)),
     (r"\b(\d{1,2})\s?([AaPp])\.?[Mm]\b", lambda m: f"{m[1]} {m[2].upper()} M"),
-    (rf"(?<![\d.-])({_FEW})\s?[-\u2013]\s?({_FEW})(?![\d-]|\.\d)", r"\1 to \2"),
+    (rf"(?<=[\ds])\s?[-\u2013]\s?(?=\d[\d.,]*(?: {_UNIT})?\s?=\s?-?\d)", " minus "),
+    (
+        rf"\b({_UNIT})(?:[-\u2013](?=\d)|\s[-\u2013]\s(?=\d[\d.,]*(?: \w+)? {_UNIT}))",
+        r"\1 to ",
+    ),
+    (rf"(?<![\d.,-])({_SOME})-({_SOME})(?![\d-]|[.,]\d|\s?=\s?-?\d)", r"\1 to \2"),
+    (rf"(?<![\d.-])({_FEW})\s?[-\u2013]\s?({_FEW})(?![\d-]|\.\d|\s?=\s?-?\d)", r"\1 to \2"),
     (r"(?<=\d)\s?\u2013\s?(?=\d)", " to "),
     (r"(?<=\d)-(?=\d)", " "),
     (r"(?<![\d/])1/2(?![\d/])", "a half"),
@@ -103,6 +115,8 @@ _MONTHS: Final = (
     *("October", "November", "December"),
 )
 _CURRENCY: Final = {"$": "dollar", "€": "euro", "£": "pound"}
+#: By the first letter of what follows an amount.
+_SCALE: Final = {"k": "thousand", "m": "million", "b": "billion", "t": "trillion"}
 #: Symbols that voices read out; all others in the categories below are pictures, left out.
 _READ_OUT: Final = "°"
 _PICTURES: Final = ("So", "Sk", "Cf", "Co")
@@ -200,7 +214,8 @@ def _money(found: re.Match[str]) -> str:
     unit = _CURRENCY[sign]
     number = whole.rstrip(",") + (long_fraction or "")
     if scale:
-        return f"{number}{'.' + cents if cents else ''}{scale} {unit}s"
+        word = scale.strip() if len(scale) > 2 else _SCALE[scale[0].lower()]
+        return f"{number}{'.' + cents if cents else ''} {word} {unit}s"
     plural = "" if number == "1" else "s"
     comma = "," if whole.endswith(",") else ""
     cents_in_words = f" {int(cents)} cent{'s' * (cents != '01')}" if cents and int(cents) else ""

@@ -219,8 +219,7 @@ def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequ
     """
     if len(set(handles)) != len(handles):
         raise ValueError("the same vertex is a handle twice")
-    fixed = np.setdiff1d(anchors, handles)
-    constrained = np.concatenate([handles, fixed]).astype(np.int64)
+    constrained = np.concatenate([handles, np.setdiff1d(anchors, handles)]).astype(np.int64)
     return spread(stiffness, constrained, np.eye(len(constrained), len(handles)))
 
 
@@ -346,8 +345,7 @@ class HeadSurface:
     def anchors(self) -> Indices:
         """Numbers of the vertices of upper face, eyes and back of the head, which do not move."""
         above = self.places_mm[:, 1] > _UPPER_FACE_MM
-        behind = self.places_mm[:, 2] < _BACK_MM
-        return np.flatnonzero(above | behind)
+        return np.flatnonzero(above | (self.places_mm[:, 2] < _BACK_MM))
 
     @cached_property
     def stiffness(self) -> sparse.csr_array:
@@ -364,9 +362,7 @@ class HeadSurface:
         (loop,) = (each for each in self.loops if first in each)
         start = loop.index(first)
         rotated = loop[start:] + loop[:start]
-        if rotated.index(then) < len(rotated) / 2:
-            return rotated
-        return [first, *rotated[:0:-1]]
+        return rotated if rotated.index(then) < len(rotated) / 2 else [first, *rotated[:0:-1]]
 
 
 def head_surface(mean: MeanFace) -> HeadSurface:

@@ -254,8 +254,7 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, mouth: Array | None
         skin = replace(skin, places_mm=at_zero_mm)
     eyes = eyeballs(surface, mean.irises_mm)
     components = tuple(f"c{k}" for k in range(face.n_components))
-    mouth_morphs = dict(zip(components, skin.targets_mm, strict=True))
-    morphs = mouth_morphs | expression_morphs(surface, eyes)
+    morphs = dict(zip(components, skin.targets_mm, strict=True)) | expression_morphs(surface, eyes)
     lips = np.array(surface.loop_from(*INNER_LIP[:2]))
     parts = (
         Part("skin", skin.places_mm, surface.triangles, surface.colours, morphs),

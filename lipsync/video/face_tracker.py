@@ -117,8 +117,7 @@ class LitertTracker:
         """Return up to three faces, the surest first, each with the square its lengths refer to."""
         height, width = picture.shape[:2]
         square = FaceBox(width / 2, height / 2, float(max(width, height)), 0.0)
-        network_input = cut_out(picture, square, DETECTOR_PIXELS) * 2 - 1
-        outputs = self._detector.run(network_input)
+        outputs = self._detector.run(cut_out(picture, square, DETECTOR_PIXELS) * 2 - 1)
         regressors = next(output for output in outputs if output.shape[-1] == 16)
         scores = next(output for output in outputs if output.shape[-1] == 1)
         faces = detections(regressors[0].astype(float), scores[0, :, 0].astype(float))

@@ -3,13 +3,15 @@
 import asyncio
 import subprocess
 import sys
+import threading
 
 import pytest
-from lipservo_client.protocol import FaceError, Played
+from lipservo_client.protocol import FaceError, Played, unit_messages
 from places import ROOT
 from voice_agents.served_face import DELAY_MS, ServedFace, tone
 
 import lipservo
+from lipsync.spoken_text import LONGEST_LABEL
 
 
 @pytest.fixture
@@ -103,3 +105,52 @@ def test_a_client_needs_nothing_but_websockets():
     )
 
     assert done.stdout == "\n\n"
+
+
+def test_a_text_that_the_face_cannot_use_does_not_end_the_speech(served):
+    async def talk():
+        async with lipservo.connect_async(served.url) as face, face.stream() as speech:
+            events = face.events()
+            await speech.tell("a", language="qq")
+            await speech.write(tone(0.1))
+            async for event in events:
+                if event["type"] == "error":
+                    break
+            await speech.write(tone(0.1))
+            return event["code"], await speech.wait()
+
+    assert asyncio.run(talk()) == ("bad_text", Played(finished=True, played_s=0.2))
+
+
+def test_a_label_longer_than_a_face_takes_is_cut_short():
+    url = "https://example.org/" + "a" * 200
+    (message,) = unit_messages(("words", [url, (url, 0, 9)]))
+
+    label = url[:LONGEST_LABEL]
+    timed = {"label": label, "start_sample": 0, "end_sample": 9}
+    assert message == {"type": "words", "units": [{"label": label}, timed]}
+
+
+def test_a_text_that_is_dropped_before_its_command_is_answered_is_not_waited_for_in_vain():
+    synthesises, synthesised = threading.Event(), threading.Event()
+
+    def say(given, name):
+        synthesises.set()
+        assert synthesised.wait(60.0)
+        return face._say(given, name)
+
+    async def talk():
+        async with lipservo.connect_async(face.url) as client:
+            said = asyncio.ensure_future(client.say("good day", wait=True))
+            await asyncio.to_thread(synthesises.wait, 60.0)
+            await client.interrupt()
+            while face.server._streams._own_items:
+                await asyncio.sleep(0.002)
+            synthesised.set()
+            return await asyncio.wait_for(said, 60.0)
+
+    with ServedFace(say=say) as face:
+        answer = asyncio.run(talk())
+
+    assert (answer["finished"], answer["played_s"]) == (False, 0.0)
+    assert not face.sound.played().any()

@@ -192,3 +192,12 @@ def test_a_face_that_ends_is_told_to_who_waits(served):
         ending.join(60.0)
 
     assert getattr(end, "code", "") in ("shutting_down", "disconnected") or end.dropped_s > 0.0
+
+
+def test_a_proxy_for_the_web_is_not_asked_for_a_face(served, monkeypatch):
+    """It would get the token, and there is none here: who asked it would find no face."""
+    for name in ("no_proxy", "NO_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")
+    with lipservo.connect(served.url) as face:
+        assert face.status()["state"] == "driven"

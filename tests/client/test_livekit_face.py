@@ -193,6 +193,21 @@ def test_a_face_that_goes_while_it_speaks_ends_the_segment():
     until(lambda: face.playout.is_over)
 
 
+def test_a_segment_that_is_spoken_while_the_face_is_left_ends_as_interrupted():
+    async def talk(face):
+        told = []
+        async with LiveKitFace(face.url) as output:
+            output.on("playback_finished", told.append)
+            await captured(output, 20.0)
+            output.flush()
+            while not face.sound.played().any():
+                await asyncio.sleep(0.002)
+        return told
+
+    with ServedFace() as face:
+        assert [each.interrupted for each in asyncio.run(talk(face))] == [True]
+
+
 def worded_frames(n_words, timed_words=()):
     pcm = sound(n_words)
     size = 2 * RATE_HZ // 50

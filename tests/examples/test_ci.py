@@ -30,6 +30,13 @@ def test_the_workflow_is_one_of_github_and_each_step_runs_or_uses_something():
     assert all(("run" in step) != ("uses" in step) for step in WORKFLOW["jobs"]["face"]["steps"])
 
 
+@pytest.mark.parametrize("place", ["docs/simulator.md", "examples/ci/Dockerfile"])
+def test_a_container_is_started_so_that_its_token_is_printed(place):
+    """The token is printed only on a terminal."""
+    (line,) = re.findall(r"docker run [^`\n]*", (ROOT / place).read_text())
+    assert "-it" in line.split()
+
+
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """An empty environment with the wheels of this checkout, and where they lie."""

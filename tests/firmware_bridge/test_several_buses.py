@@ -17,7 +17,7 @@ from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.several_buses import SeveralBuses
 from firmware_bridge.simulator.bus import SimulatedBus
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import ServoOrder, ServoSwitch, StopLevel
 
 RATE_HZ = 50.0
 #: Of the buses: a computer that is busy may be late by a part of it.
@@ -139,6 +139,23 @@ def test_every_servo_goes_to_its_goal_on_its_own_bus(face):
     assert face.bridge.troubles == ()
     np.testing.assert_allclose(face.lips.history[-1].positions_deg, GOAL_DEG[LIPS], atol=0.1)
     np.testing.assert_allclose(face.neck.history[-1].positions_deg, GOAL_DEG[NECK], atol=0.1)
+
+
+def test_a_bus_that_says_nothing_yet_in_the_first_ticks_is_not_taken_for_hot():
+    clock, channel = ManualClock(), MemoryTargetChannel()
+    lips, neck = (FaultyBus([JOINTS[n] for n in at], clock, IN_MEMORY) for at in (LIPS, NECK))
+    bus = SeveralBuses({"lips": lips, "neck": neck}, BUS_OF, clock, SLOW_HZ)
+    bridge = Bridge(bus, JOINTS, channel, BridgeSettings(RATE_HZ))
+    face = SimpleNamespace(clock=clock, channel=channel, bridge=bridge)
+    with bus:
+        bridge.start()
+        neck.may_go.clear()
+        drive(face, 5)
+        neck.may_go.set()
+        drive(face, 300)
+
+        assert bridge.as_dict()["rejected_total"] == 0
+        np.testing.assert_allclose(neck.history[-1].positions_deg, GOAL_DEG[NECK], atol=0.1)
 
 
 def test_places_are_those_of_the_servos_that_know_them(face):
@@ -326,6 +343,33 @@ def test_a_servo_that_was_let_go_and_holds_again_does_not_count_as_let_go(face):
     assert face.neck.is_held == [True, False]
     assert face.bus.disable_torque(1)
     assert face.neck.is_held == [False, False]
+
+
+def test_a_servo_that_comes_on_by_itself_after_it_was_let_go_is_let_go_again(face):
+    face.bridge.start()
+    assert face.bus.disable_all().all()
+    SimulatedBus.enable_torque(face.neck, 0)
+    assert face.neck.is_held == [True, False]
+    assert face.bus.disable_torque(1)
+    assert face.neck.is_held == [False, False]
+
+
+def test_a_servo_that_a_person_tries_again_is_forgiven_even_if_all_are_let_go_before(face):
+    forgiven = []
+    face.neck.forgive = forgiven.append
+    face.bridge.start()
+    drive(face, 20)
+    face.bridge.obey(ServoOrder("pitch", ServoSwitch.OFF), face.clock.now())
+    drive_until(face, lambda: servos(face)["pitch"] == "off")
+    face.bridge.obey(ServoOrder("pitch", ServoSwitch.ON), face.clock.now())
+    drive_until(face, lambda: all_driven(face))
+    assert forgiven == [1]
+    face.neck.may_go.clear()
+    drive(face, 3)
+    face.bus.forgive(3)
+    face.bus.disable_all()
+    face.neck.may_go.set()
+    drive_until(face, lambda: forgiven == [1, 1])
 
 
 def test_a_bus_that_hangs_for_good_counts_as_lost(face):

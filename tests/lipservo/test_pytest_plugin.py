@@ -76,3 +76,17 @@ def test_servos_at_a_port_are_simulated_and_the_port_is_left_alone(alone):
     alone.makepyfile(SPEAKS.replace("N_SERVOS", "1"))
 
     alone.runpytest_subprocess().assert_outcomes(passed=1)
+
+
+BOTH = """
+def test_both(shared_simulated_face, simulated_face):
+    own = simulated_face.encoders_deg()
+    simulated_face.end()
+    assert shared_simulated_face.encoders_deg().keys() == own.keys()
+"""
+
+
+def test_the_encoders_of_a_shared_face_are_its_own_beside_another_face(alone):
+    alone.makepyfile(BOTH)
+
+    alone.runpytest_subprocess().assert_outcomes(passed=1)

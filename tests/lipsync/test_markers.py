@@ -80,3 +80,9 @@ def test_a_file_that_is_no_layout_is_refused(tmp_path, content, said):
         path.write_text(content)
     with pytest.raises(LayoutError, match=said):
         find_layout(str(path))
+
+
+@pytest.mark.parametrize("group", ["lips", "lips_outer", "upperlip", "inner_lip"])
+def test_a_group_with_lip_anywhere_in_its_name_is_lips(group):
+    layout = layout_of(GOOD | {"groups": {"skin": [1, 2], group: [13, 14]}})
+    assert layout.lips == (2, 3)

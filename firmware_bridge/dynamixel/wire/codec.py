@@ -188,13 +188,10 @@ def split_fast_status(frame: bytes, size: int) -> list[Status]:
     """
     # A block: error, id, data, CRC. declared: bytes of the whole frame by its length field.
     step = size + 4
-    ends = range(8 + step, len(frame) + 1, step)
     declared = int.from_bytes(frame[5:7], "little") + 7
     whole = len(frame) >= declared and _crc_holds(frame[:declared])
     statuses = []
-    for end in ends:
-        if end > declared:
-            break
+    for end in range(8 + step, min(len(frame), declared) + 1, step):
         block = frame[end - step : end]
         if whole or _crc_holds(frame[:end]):
             statuses.append(Status(block[1], block[0], block[2:-2]))
@@ -205,8 +202,6 @@ def _crc_holds(frame: bytes) -> bool:
     return crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little")
 
 
-#: Parameters of the fast replies are positional and not stuffed.
-_UNSTUFFED_ID: Final = BROADCAST_ID
 #: An int: looking a member up in its enumeration costs as much as comparing three.
 _STATUS: Final = int(Instruction.STATUS)
 
@@ -247,7 +242,7 @@ class FrameParser:
         while True:
             start = buffer.find(HEADER, at)
             if start < 0:  # only the last bytes are kept, if they may begin a header
-                kept = _header_begun(buffer, at)
+                kept = next((n for n in (3, 2, 1) if buffer.endswith(HEADER[:n], at)), 0)
                 at = len(buffer) - kept
                 break
             at = start
@@ -296,18 +291,10 @@ class FrameParser:
 
 def _frame(raw: bytes) -> Frame:
     packet_id, instruction, parameters = raw[4], raw[7], raw[8:-2]
-    fast_reply = packet_id == _UNSTUFFED_ID and instruction == _STATUS
-    if not fast_reply:
+    # Parameters of the fast replies, which have the broadcast id, are positional and not stuffed.
+    if packet_id != BROADCAST_ID or instruction != _STATUS:
         parameters = unstuff(parameters)
     return Frame(packet_id, instruction, parameters, raw)
-
-
-def _header_begun(buffer: bytes, at: int) -> int:
-    """Return how many of the last bytes, from `at` on, may begin a header: 0 to 3."""
-    for n in (3, 2, 1):
-        if len(buffer) - at >= n and buffer.endswith(HEADER[:n]):
-            return n
-    return 0
 
 
 #: Where the first servo's block begins in a common frame.

@@ -144,9 +144,8 @@ class SpanGroup:
         silent_now = [each for each in cut_off[:1] if each in missing] if first_only else missing
         most = _ABSENT_AFTER if answered else _SUSPECT_AFTER
         for servo_id in silent_now:
-            self._silent[servo_id] = max(
-                self._silent[servo_id], min(self._silent[servo_id] + 1, most)
-            )
+            if self._silent[servo_id] < most:
+                self._silent[servo_id] += 1
             changed |= self._silent[servo_id] >= _SUSPECT_AFTER
         if span.fast and cut_off and answered:
             changed = True

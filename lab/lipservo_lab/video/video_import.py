@@ -37,7 +37,7 @@ from lipsync.video.video_file import VideoError, video_duration_s
 
 #: A clip with fewer pictures is not used.
 _LEAST_PICTURES = 10
-#: With a lower correlation at every shift the sound is not of these lips.
+#: With a lower correlation, at the shift that is applied, the sound is not of these lips.
 _LEAST_GAP_R = 0.2
 _LEAST_SPEECH_S = 0.3
 

@@ -187,7 +187,7 @@ def _calibrate_by_eye(request: Request, page: "PageLine") -> None:
 def _calibrate_measured(request: Request, page: "PageLine") -> None:
     """Move the servos through poses, measure markers, and save the calibration fitted to them."""
     from lipservo.calibrating.face_source import calibrate_seen
-    from lipservo.commands.calibrate.making import mesh_options, save_so_far
+    from lipservo.commands.calibrate.making import mesh_options, resumable_poses, save_so_far
 
     setup, tracker = _calibration_setup(request, page), request["tracker"]
     mesh = mesh_options(None, request.get("eye_distance_mm"), request.get("camera") or "0")
@@ -196,7 +196,8 @@ def _calibrate_measured(request: Request, page: "PageLine") -> None:
     def save(so_far: "CalibrationResult") -> None:
         save_so_far(setup, so_far, Path(request["output"]))
 
-    _save_calibration(setup, calibrate_seen(setup, source, "x y z", mesh, save), request, page)
+    with resumable_poses(Path(request["output"]), setup.keep):
+        _save_calibration(setup, calibrate_seen(setup, source, "x y z", mesh, save), request, page)
 
 
 def _calibrate_drawn(request: Request, page: "PageLine") -> None:

@@ -249,9 +249,8 @@ def _move_question(joint: str) -> str:
 
 def _wants_steps(joint: str, *, yes: bool) -> bool:
     """Return whether the user agrees to steps of `joint`; False with `yes` or without terminal."""
-    if yes or not sys.stdin.isatty():
-        return False
-    return typer.confirm(_move_question(joint), default=False, err=True)
+    can_ask = not yes and sys.stdin.isatty()
+    return can_ask and typer.confirm(_move_question(joint), default=False, err=True)
 
 
 def _require_consent(question: str, *, yes: bool) -> None:

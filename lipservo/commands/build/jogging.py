@@ -210,7 +210,7 @@ def _note_ranges(settings: "FaceSettings", config: str, port: str | None, names:
     silent = [n for n in names if not settings.capabilities.of(known.index(n)).place]
     if silent:
         raise UserError(
-            f"{', '.join(silent)} cannot say where they stand: find their limits "
+            f"{', '.join(silent)}: these servos cannot say where they stand: find their limits "
             "with `lipservo jog JOINT`, or on the page Servos of `lipservo jog --dashboard`"
         )
     settings = settings.at_port(port_of(port, settings.servo_port))
@@ -240,8 +240,7 @@ def _note_ranges(settings: "FaceSettings", config: str, port: str | None, names:
             MESSAGES.print(
                 "Turn each joint to both of its ends. w: write the limits; r: begin anew; q: end"
             )
-            turned = TurnedRange(servos.names)
-            _show_positions(servos, turned, keys, signals, config)
+            _show_positions(servos, TurnedRange(servos.names), keys, signals, config)
         except StopRequested as stop:
             status = 128 + stop.number
             complain(f"stopped by {stop}; torque stays off")

@@ -137,8 +137,7 @@ def _set_up_servos(work: _Work, signals: "DeferredSignals", *, ask: bool) -> Non
     if work.plans:
         return
     for servo in servos:
-        name = servo.joint.name
-        question = f"Connect the servo of {name!r} alone, then press Enter"
+        question = f"Connect the servo of {servo.joint.name!r} alone, then press Enter"
         typer.prompt(question, "", show_default=False, err=True)
         with tools.unhurried_line(work.port, work.baud_rate) as line:
             found = tools.find_servos(line, [servo.joint.servo_id], work.baud_rate)

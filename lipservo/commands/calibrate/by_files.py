@@ -125,8 +125,7 @@ def fit(
     if check_plan is not None:
         if check_plan.resolve() == output.resolve():
             raise typer.BadParameter("--check-plan and -o are the same file; choose two names")
-        inputs = [plan, markers]
-        check_output(check_plan, replaces=is_plan, kind="plan of poses", inputs=inputs)
+        check_output(check_plan, replaces=is_plan, kind="plan of poses", inputs=[plan, markers])
     setup = load_setup(config, model, ranges, quiet=quiet or as_json, lags=lags, accept=accept)
     if plan is None or markers is None:
         from lipservo.calibrating.measured_calibration import fit_simulated_face

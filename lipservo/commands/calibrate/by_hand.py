@@ -86,8 +86,14 @@ def by_hand(
     if status:
         raise typer.Exit(ExitStatus.UNCONFIRMED if is_unconfirmed else status)
     # Trims may have been set while fingers were busy.
-    after = with_hand_poses(load_calibration(file), setup.servos, made_deg, TOUCH_CURRENT_MA)
-    save_calibration(after, file)
+    try:
+        after = with_hand_poses(load_calibration(file), setup.servos, made_deg, TOUCH_CURRENT_MA)
+        save_calibration(after, file)
+    except UserError as error:
+        if not is_unconfirmed:
+            raise
+        complain(str(error))
+        raise typer.Exit(ExitStatus.UNCONFIRMED) from error
     if as_json:
         poses = {
             name: dict(zip(after.servo_names, deg.tolist(), strict=True))

@@ -323,8 +323,7 @@ def finish(
     if plots is not None:
         from lipservo.calibrating.shown_calibration import draw_coverage
 
-        picture = draw_coverage(plots, setup.model, calibration, fit)
-        MESSAGES.print(f"plots drawn: {picture}")
+        MESSAGES.print(f"plots drawn: {draw_coverage(plots, setup.model, calibration, fit)}")
     next_step = None
     if check_plan is not None:
         from lipservo.calibrating.plan_poses import write_check_poses

@@ -132,8 +132,7 @@ def guided(
     from lipservo.calibrating.guided_calibration import calibrate_by_keys
 
     with resumable_setup(setup, output, keep, port, sim, config) as (at_port, save):
-        result = calibrate_by_keys(at_port, save)
-        finish(setup, result, output, as_json=as_json)
+        finish(setup, calibrate_by_keys(at_port, save), output, as_json=as_json)
 
 
 def practise(

@@ -79,8 +79,7 @@ def show(
         from lipservo.terminal.pictures import check_folder
 
         check_folder(plots, [PICTURE])
-        picture = draw_reach(plots, calibration)
-        MESSAGES.print(f"plots drawn: {picture}")
+        MESSAGES.print(f"plots drawn: {draw_reach(plots, calibration)}")
     if as_json:
         print_json({"calibration": str(file), **shown_values(calibration, rules)})
         return

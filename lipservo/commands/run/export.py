@@ -77,8 +77,9 @@ def export(
 ) -> None:
     """Convert speech to mouth shapes, blendshapes or visemes for an avatar.
 
-    Recognition and motion are those of `lipservo replay`, larger and rounder (`stage: 1`).
-    Times count from the first sample of the sound.
+    Recognition and motion are those of `lipservo replay`, but larger and with rounder lips
+    (`stage: 1`) unless the face's YAML says otherwise. Times count from the first sample of the
+    sound.
     """
     from lipservo.commands.run.exported_speech import Exported, exported_text
     from lipsync.output_file import check_output, written_whole

@@ -80,8 +80,7 @@ def exported_text(
     file; None: the shipped one. Raises UserError.
     """
     heard = spoken_sound(request.sound, request.phonemes, chosen, config, model, ON_STAGE)
-    channel = request.channel or heard.channel
-    spoken = replace(heard, text=request.text, channel=channel)
+    spoken = replace(heard, text=request.text, channel=request.channel or heard.channel)
     duration_s = spoken.duration_s
     if request.file_format == "rhubarb":
         is_motion = request.shapes == "motion"

@@ -195,8 +195,7 @@ def daemon(
 
             raise typer.Exit(supervise(request, listener))
         source = stack.enter_context(entered_sound(request))
-        clock = MonotonicClock()
-        outcome = run_face(request, source, clock, endless=True, listener=listener)
+        outcome = run_face(request, source, MonotonicClock(), endless=True, listener=listener)
     # A service manager counts anything but 0 as a failure, and stops a daemon by a signal.
     finish(request, replace(outcome, signal_number=None))
 
@@ -289,8 +288,7 @@ def _chosen_sound(
 
 def labelled_sound(sound: Path, labels: LabelFile, text: str = "") -> Sound:
     """Return a sound file with its labels. Raises RequestError for a text beside them."""
-    known = str(labels.path), labels.tier, labels.alphabet
-    return Sound("file", str(sound), "", *known, text)
+    return Sound("file", str(sound), "", str(labels.path), labels.tier, labels.alphabet, text)
 
 
 def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:

@@ -59,8 +59,7 @@ def ask_faces(
         if "error" in answer:
             complain(f"{answer['name']}: {answer['error']}")
         elif not as_json:
-            answer_line = f"{answer['name']}: {line(answer)}"
-            sys.stdout.write(f"{answer_line}\n")
+            sys.stdout.write(f"{answer['name']}: {line(answer)}\n")
     if any("error" in answer for answer in answers):
         raise typer.Exit(1)
 

@@ -20,7 +20,6 @@ from lipservo.runtime.run_request import (
 )
 from lipservo.terminal.output import RESULTS, print_json
 from lipsync.errors import UserError
-from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.text_to_speech.synthesis import FASTEST_WPM, HIGHEST_PITCH, SLOWEST_WPM
 
 if TYPE_CHECKING:
@@ -92,7 +91,9 @@ def say(
         raise typer.BadParameter("give --mute or --output, not both")
     labels = options.label_file(from_file, tier, alphabet)
     if labels is not None and text is None and through is None:
-        sound = replace(_text_in(labels), channel=channel)
+        from lipsync.phoneme_files.reader import sound_beside
+
+        sound = replace(labelled_sound(sound_beside(labels.path), labels), channel=channel)
     elif from_file is not None or text is None:
         raise typer.BadParameter("give a text or --from FILE, not both; --through needs a text")
     else:
@@ -112,13 +113,6 @@ def say(
         avatars=avatars_of(config, osc, live_link),
     )
     run_once(request, sim)
-
-
-def _text_in(labels: LabelFile) -> Sound:
-    """Return the sound file next to `labels`, with these. Raises LabelError."""
-    from lipsync.phoneme_files.reader import sound_beside
-
-    return labelled_sound(sound_beside(labels.path), labels)
 
 
 def speak_through(

@@ -78,7 +78,7 @@ def stop(
 
     A face that is frozen is let go where it is. A daemon then waits for `lipservo start`; a
     `lipservo run` ends. The command also works if the speech process is dead. Exit status 1 unless
-    every servo has confirmed.
+    every servo has confirmed; hobby servos cannot: 0 then means pulses off.
     """
     if limp and freeze:
         raise UserError("--limp and --freeze: give one of them")
@@ -186,23 +186,23 @@ def limp(
     """Switch torque off: ask the running face to do so, then do it directly at its port.
 
     Without --port and --config: for all running faces. The command also works if the program that
-    uses the port is dead or hangs. Exit status 1 unless every servo has confirmed.
+    uses the port is dead or hangs. Exit status 1 unless every servo has confirmed; hobby servos
+    cannot: 0 then means pulses off.
     """
     settings, refused = None, None
     if config is not None:
         from lipservo.runtime.servos.assembly import load_settings
 
         try:
-            settings = load_settings(config)[0]
+            given = load_settings(config)[0]
+            port = port or given.servo_port
+            if port is None:
+                raise UserError(f"{config}: names no port; add --port PORT")
+            settings = given.at_port(port)
         except UserError as error:  # no reason to leave torque on
             if port is None:
                 raise
             refused = UserError(f"{error}\nwithout that file all servos found at {port} are let go")
-        else:
-            port = port or settings.servo_port
-            if port is None:
-                raise UserError(f"{config}: names no port; add --port PORT")
-            settings = settings.at_port(port)
     if unless_held and port is not None:
         held_by = [pid for each in ports_in(port) for pid in holders_of(each)]
         if held_by:
@@ -215,9 +215,11 @@ def limp(
             outcomes.append(release(port, settings))
     if not outcomes:
         raise UserError("no face runs; give --port PORT to let go of the servos there")
-    _print_outcomes(outcomes, as_json=as_json)
-    if refused is not None:
-        raise refused
+    try:
+        _print_outcomes(outcomes, as_json=as_json)
+    finally:
+        if refused is not None:
+            raise refused
 
 
 def _status_of(face: RunningFace) -> dict[str, Any]:

@@ -186,8 +186,7 @@ def _moment_table(found: Difference) -> Table:
     """Return a table of the times at which two traces differ most."""
     table = Table(title="worst moments", title_justify="left", box=None)
     for header in ("sound s", "phoneme", "lips mm", "gap mm", "servo", "off deg"):
-        left = header in ("phoneme", "servo")
-        table.add_column(header, justify="left" if left else "right")
+        table.add_column(header, justify="left" if header in ("phoneme", "servo") else "right")
     for moment in found.worst:
         here, there = moment.phonemes
         table.add_row(

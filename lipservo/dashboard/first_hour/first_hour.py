@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -135,7 +136,7 @@ class FirstHour:
                 "simulated": self._simulated is not None,
                 "found": self._found,
                 "named": {str(each): _joint_values(joint) for each, joint in self._named.items()},
-                "wired": [_wired_values(each) for each in self._wired],
+                "wired": list(map(asdict, self._wired)),
                 "moved": sorted(self._nudged),
                 "face": None if settings is None else self._face_values(settings),
                 "ends": self._ends,
@@ -530,12 +531,7 @@ def _refused_errors() -> Iterator[None]:
 
 
 def _joint_values(joint: FoundJoint) -> JsonObject:
-    names = ("name", "positive", "part", "sign")
-    return {name: getattr(joint, name) for name in names}
-
-
-def _wired_values(joint: WiredJoint) -> JsonObject:
-    return {"name": joint.name, "channel": joint.channel, "positive": joint.positive}
+    return {name: getattr(joint, name) for name in ("name", "positive", "part", "sign")}
 
 
 def _servo_values(servo: ServoSettings) -> JsonObject:

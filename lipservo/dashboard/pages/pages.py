@@ -49,12 +49,9 @@ _TWIN_PRELOAD: Final = f'''<link rel="preload" href="{HEAD_PATH}" as="fetch" cro
 import {{ beginPicture }} from "lipservo-twin";
 beginPicture("{HEAD_PATH}");
 </script>'''
-_SERVOS_SCRIPTS: Final = ("servo_table.js", "jog.js")
 _FIRST_HOUR_SCRIPTS: Final = ("first_hour/first_hour.js", "live/robot_view.js", "live/say_box.js")
-_LINES_SCRIPTS: Final = ("lines.js",)
 #: The command that starts a face which can play sound files.
 COMMAND: Final = "lipservo daemon --config FACE --play --sounds FOLDER --dashboard"
-_SETTINGS_SCRIPTS: Final = ("settings.js", "live/robot_view.js")
 
 
 def build_pages(link: FaceLink, new_config: Path | None = None) -> None:
@@ -66,10 +63,10 @@ def build_pages(link: FaceLink, new_config: Path | None = None) -> None:
     _add_page(link, new_config, "/", _LIVE_SCRIPTS, _live)
     _add_page(link, new_config, "/show", SHOW_SCRIPTS, _show)
     _add_page(link, new_config, "/kiosk", KIOSK_SCRIPTS, _kiosk)
-    _add_page(link, new_config, "/servos", _SERVOS_SCRIPTS, _servos)
+    _add_page(link, new_config, "/servos", ("servo_table.js", "jog.js"), _servos)
     _add_page(link, new_config, "/calibrate", (), _calibrate)
-    _add_page(link, new_config, "/lines", _LINES_SCRIPTS, _lines)
-    _add_page(link, new_config, "/settings", _SETTINGS_SCRIPTS, _settings)
+    _add_page(link, new_config, "/lines", ("lines.js",), _lines)
+    _add_page(link, new_config, "/settings", ("settings.js", "live/robot_view.js"), _settings)
     if new_config is not None:
         _add_page(link, new_config, FIRST_HOUR, _FIRST_HOUR_SCRIPTS, _first_hour)
 
@@ -105,8 +102,7 @@ async def _first_hour(_status: Status, _config: str | None) -> None:
 
 
 async def _calibrate(_status: Status, config: str | None) -> None:
-    values_or_trouble = await asyncio.to_thread(read_calibration, config)
-    calibrate_page(config, *values_or_trouble)
+    calibrate_page(config, *await asyncio.to_thread(read_calibration, config))
 
 
 async def _live(_status: Status, _config: str | None) -> None:

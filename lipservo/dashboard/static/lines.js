@@ -45,8 +45,11 @@ class FaceLines extends HTMLElement {
     try {
       files = filesOf(await getJson("/api/lines"));
     } catch (error) {
+      this.isAway = true;
       return this.say("bad", error.message);
     }
+    if (this.isAway) this.say("", "");
+    this.isAway = false;
     const told = JSON.stringify(files);
     if (told === this.told) return undefined;
     this.told = told;
@@ -66,7 +69,7 @@ class FaceLines extends HTMLElement {
       '<button type="button" class="act danger delete">Delete</button></span>';
     const on = (name, act) => item.querySelector(name).addEventListener("click", act);
     on(".play", () => this.call(`It plays ${file.name}.`, () => postJson("/api/play", { file: file.name }, { patienceMs: 20000 })));
-    on(".hush", () => this.call("It is silent.", () => postJson("/api/interrupt")));
+    on(".hush", () => this.call("What it says by itself is dropped; an agent that speaks goes on, until STOP.", () => postJson("/api/interrupt")));
     on(".delete", (event) => this.confirm(event.target, file.name));
     return item;
   }

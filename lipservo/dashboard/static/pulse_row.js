@@ -135,12 +135,15 @@ function held(button, act) {
     clearInterval(timer);
     timer = null;
   };
-  button.addEventListener("pointerdown", () => {
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
     act();
     end();
-    timer = setInterval(act, REPEAT_MS);
+    // A row that was drawn anew hears no end of the press.
+    timer = setInterval(() => (button.isConnected && !button.closest("[inert]") ? act() : end()), REPEAT_MS);
+    for (const over of ["pointerup", "pointercancel", "blur", "contextmenu"]) window.addEventListener(over, end, { once: true });
   });
-  for (const over of ["pointerup", "pointerleave", "pointercancel"]) button.addEventListener(over, end);
+  button.addEventListener("pointerleave", end);
   button.addEventListener("click", (event) => event.detail === 0 && act());
 }
 

@@ -80,9 +80,9 @@ def face_routes(link: FaceLink) -> APIRouter:
 
     @routes.post("/interrupt")
     async def interrupt() -> JsonObject:
-        """Silence now: what the face says or plays is dropped."""
+        """Drop what the face says or plays by itself; an agent that speaks goes on."""
         await link.interrupt()
-        return {"silent": True}
+        return {"accepted": "interrupt"}
 
     @routes.post("/look-at")
     async def look_at(body: LookBody) -> JsonObject:

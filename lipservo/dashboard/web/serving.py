@@ -126,8 +126,7 @@ def serve(
 
     token, model, code, hour: as for `make_app`. Raises ModelError.
     """
-    app = make_app(link, token, model, code, hour)
-    server_of(app, on_ready).run([listener])
+    server_of(make_app(link, token, model, code, hour), on_ready).run([listener])
 
 
 def server_of(

@@ -48,8 +48,7 @@ def drive_by_hand(
             bridge, life = driven.bridge, driven.life
             life.start()
             start_deg = driven.bus.read().start_deg(driven.bus.capabilities)
-            neutral_deg = np.zeros_like(start_deg)
-            ramp = Ramp.at_speed(start_deg, neutral_deg, clock.now(), SPEED_DEG_S)
+            ramp = Ramp.at_speed(start_deg, np.zeros_like(start_deg), clock.now(), SPEED_DEG_S)
             for time_s, late in life.ticks():
                 if not life.stopping and not act(bridge, time_s):
                     life.stop()

@@ -241,22 +241,7 @@ class HeldFace:
 
     def hold_while(self, ask: Callable[[], Answer]) -> Answer:
         """Hold the pose while `ask` runs in a thread; return its result or raise its error."""
-        answers: list[Answer] = []
-        errors: list[BaseException] = []
-
-        def run_ask() -> None:
-            try:
-                answers.append(ask())
-            except BaseException as error:
-                errors.append(error)
-
-        thread = threading.Thread(target=run_ask, daemon=True)
-        thread.start()
-        while thread.is_alive():
-            self._tick()
-        if errors:
-            raise errors[0]
-        return answers[0]
+        return self.work(lambda _: ask())
 
     def work(self, job: Callable[[Here], Answer]) -> Answer:
         """Hold the pose while `job` runs in a thread; return its result or raise its error.

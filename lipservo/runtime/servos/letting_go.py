@@ -373,9 +373,8 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outc
     if ports:
         outcome.port = ",".join(sorted(ports))
         _merge_into(outcome, _release_all(face.name, {each: each for each in sorted(ports)}, {}))
-    else:
-        killed = "was killed, and none of its ports was found: `lipservo limp --port PORT`"
-        outcome.problem = "; ".join(filter(None, (outcome.problem, killed)))
+    elif not unkilled:
+        outcome.problem = "was killed, and none of its ports was found: `lipservo limp --port PORT`"
     return outcome
 
 

@@ -313,8 +313,7 @@ def check_wiring(text: str, file_name: str) -> FaceSettings:
 
 def _quoted(text: str) -> str:
     """Return `text` as a YAML scalar, quoted unless it is plain words or a path."""
-    is_plain = re.fullmatch(_PLAIN, text) and isinstance(yaml.safe_load(text), str)
-    if is_plain:
+    if re.fullmatch(_PLAIN, text) and isinstance(yaml.safe_load(text), str):
         return text
     return yaml.safe_dump(text, default_style='"', width=math.inf).rstrip("\n")
 

@@ -151,7 +151,6 @@ class ExpressionClaims:
         self._corner_indices = _indices(self._corners)
         self._most_steps_deg = np.array([servo.max_speed_deg_s * period_s for servo in self._head])
         self._shown_deg = np.zeros(len(self._head))
-        self.has_servos = bool(servos)
 
     def claims(self, expression: Expression, layer: Layer) -> list[Claim]:
         """Return goals for neck, eyes, lids, brows as `layer`'s claim; [] without such servos."""
@@ -234,9 +233,8 @@ class PerformedExpression:
             # The amount scales the motion of a performance, but a blink always closes the lids.
             if value is not None:
                 self._stored[name] = value if name.startswith("lid") else self._amount * value
-            goal = float(value is not None)
             # The share moves linearly to 1 or 0; the smooth step has speed 0 at both ends.
-            share = toward(self._shares[name], goal, CUE_PERIOD_S / fade_s)
+            share = toward(self._shares[name], float(value is not None), CUE_PERIOD_S / fade_s)
             self._shares[name] = share
             if share > 0.0:
                 live_value = getattr(live, name) or 0.0
@@ -272,11 +270,16 @@ class ExpressionLayer:
         self._source = source
         self._rest_after_s = rest_after_s
         self._claims = ExpressionClaims(servos, CUE_PERIOD_S)
+        #: Whether the face has servos for an expression; without them only displays show it.
+        self.moves_servos = bool(servos)
         self.requests = requests
         self._performed = PerformedExpression()
         self._n_steps = 0
         self._silent_s = 0.0
-        self._arousal = self._valence = 0.0
+        #: The arousal of the voice shown now plus the one that was set: -1 to 1.
+        self.arousal = 0.0
+        #: The valence that was set, as far as it has not faded: -1 to 1. No voice changes it.
+        self.valence = 0.0
         self._is_speaking = False
         #: The expression that is shown now.
         self.expression: Expression = NO_EXPRESSION
@@ -289,24 +292,9 @@ class ExpressionLayer:
         return self._silent_s > _IDLE_AFTER_S and self._source.is_resting
 
     @property
-    def moves_servos(self) -> bool:
-        """Whether the face has servos for an expression; without them only displays show it."""
-        return self._claims.has_servos
-
-    @property
-    def arousal(self) -> float:
-        """The arousal of the voice shown now plus the one that was set: -1 to 1."""
-        return self._arousal
-
-    @property
     def mouth_gain(self) -> float:
         """The factor on the mouth's motion for the arousal, 0.85 to 1.2; closed lips excepted."""
-        return max(_LEAST_MOUTH_GAIN, 1.0 + 0.2 * self._arousal)
-
-    @property
-    def valence(self) -> float:
-        """The valence that was set, as far as it has not faded: -1 to 1. No voice changes it."""
-        return self._valence
+        return max(_LEAST_MOUTH_GAIN, 1.0 + 0.2 * self.arousal)
 
     def change(self, settings: Mapping[str, float]) -> None:
         """Apply changed settings, by the names of `expression_settings`; a change ends resting."""
@@ -333,8 +321,8 @@ class ExpressionLayer:
         self._silent_s = 0.0 if is_speaking else self._silent_s + CUE_PERIOD_S
         self._is_speaking = self._silent_s < _PAUSE_S
         voice = self.voice.at(sound_s)
-        self._valence, arousal = self.requests.affect_at(now_s)
-        self._arousal = min(1.0, max(-1.0, voice.arousal + arousal))
+        self.valence, arousal = self.requests.affect_at(now_s)
+        self.arousal = min(1.0, max(-1.0, voice.arousal + arousal))
         if self._source is None:
             return
         self._n_steps += 1
@@ -346,8 +334,8 @@ class ExpressionLayer:
                 is_speaking=self._is_speaking,
                 silent_s=self._silent_s,
                 look_at_deg=self.requests.look_at_deg,
-                valence=self._valence,
-                arousal=self._arousal,
+                valence=self.valence,
+                arousal=self.arousal,
                 amount=amount,
             )
         )

@@ -4,7 +4,7 @@ A performance is a scripted line whose motion was rendered to a file beforehand.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 from typing import Final
@@ -133,7 +133,8 @@ def _make_line(
         sounds,
         max(sound_s, performance.duration_s) + EASING_S,
         sample_rate_hz,
-        tuple(_after_silence(event) for event in performance.phonemes),
+        # Later by the silence that precedes the sound.
+        tuple(event.later(EASING_S) for event in performance.phonemes),
         StoredMotion(performance),
     )
 
@@ -152,9 +153,3 @@ def performed_in(playout: Playout) -> Callable[[float], tuple[StoredMotion, floa
         return stream[0].motion, stream[1] - EASING_S
 
     return performed_at
-
-
-def _after_silence(event: PhonemeEvent) -> PhonemeEvent:
-    """Return the phoneme moved later by the silence that precedes the sound."""
-    end_s = None if event.end_s is None else event.end_s + EASING_S
-    return replace(event, start_s=event.start_s + EASING_S, end_s=end_s)

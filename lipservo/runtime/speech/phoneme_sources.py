@@ -74,17 +74,13 @@ class RecognizedPhonemes:
         self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._sound = SoundAhead(source, recognizer)
         self._recognition = RecognizerStream(recognizer)
-        self._heard_until_s = 0.0
+        #: The sound time until which sound was recognised, in s.
+        self.heard_until_s = 0.0
 
     @property
     def latency_s(self) -> float:
         """The recogniser's latency: at sound time t phonemes before t - latency_s are final."""
         return self._recognizer.latency_s
-
-    @property
-    def heard_until_s(self) -> float:
-        """The sound time until which sound was recognised, in s."""
-        return self._heard_until_s
 
     @property
     def hearing(self) -> Hearing | None:
@@ -123,7 +119,7 @@ class RecognizedPhonemes:
                 self._voice.hear(block)
         step = self._recognition.feed(blocks)
         if blocks:
-            self._heard_until_s = blocks[-1].end_s
+            self.heard_until_s = blocks[-1].end_s
         return list(step.updates)
 
 

@@ -287,7 +287,8 @@ class Speech:
         self._listener = phonemes if isinstance(phonemes, Listener) else None
         self._clock = clock
         self._synthesizer = synthesizer
-        self._calibration = calibration
+        #: Maps faces to joint angles of the mouth's servos.
+        self.calibration = calibration
         self._channel = channel
         n_servos = len(servo_names)
         # A joint's neutral is its 0 degrees (`firmware_bridge.joints.Joint`).
@@ -367,11 +368,6 @@ class Speech:
     def saying(self) -> tuple[tuple[str, ...], int]:
         """The words around the one spoken now, and its index in them; ((), 0): no text is known."""
         return self._phonemes.saying if isinstance(self._phonemes, MouthMover) else ((), 0)
-
-    @property
-    def calibration(self) -> Calibration:
-        """The calibration that maps faces to joint angles of the mouth's servos."""
-        return self._calibration
 
     def note_servo_speeds(self, now_s: float, speeds_deg_s: Array) -> None:
         """Pass the speeds of all servos to the phoneme source, if its recogniser uses them.
@@ -462,7 +458,7 @@ class Speech:
         """
         if until_s is None:
             until_s = self._clock.sound_s(now_s) - self.delay.synthesis_s + _GOES_ON_S
-        rest_deg = self._calibration.positions_deg(
+        rest_deg = self.calibration.positions_deg(
             rest if self.lip_gap is None else self.lip_gap.shifted(rest)
         )
         self._cut_off.begin(self._mouth_pose_deg, rest_deg, until_s)
@@ -510,8 +506,7 @@ class Speech:
             self._plan_mouth(TargetWindow(_NOW, self._cut_off.close()[None], _NO_CLOSURE))
             shown_s = self._newest_goal_s + self.delay.actuation_s
             pose_deg = self._compose_pose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
-            goals_deg = self._lag.feed(pose_deg)
-            self._publish(ServoTargets(self._newest_goal_s, goals_deg))
+            self._publish(ServoTargets(self._newest_goal_s, self._lag.feed(pose_deg)))
 
     def _compute_targets(self, sound_s: float) -> ServoTargets:
         """Compute the servo goals, in degrees, that show the face of sound time `sound_s`.
@@ -535,7 +530,7 @@ class Speech:
         faces = np.concatenate([window.faces, window.shut[None]])
         if self.lip_gap is not None:
             faces = self.lip_gap.feed(faces)
-        poses_deg = self._calibration.poses_deg(faces) + self._trim.feed(phoneme)
+        poses_deg = self.calibration.poses_deg(faces) + self._trim.feed(phoneme)
         poses_deg[0] = self._cut_off.join(poses_deg[0])
         self._plan_mouth(TargetWindow(window.times_s, poses_deg[:-1], window.closed, poses_deg[-1]))
         pose_deg = self._compose_pose(sound_s, shown_s, phoneme, frame.expression)

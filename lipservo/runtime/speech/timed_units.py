@@ -78,8 +78,7 @@ class FollowedUnits:
 
         None: none do, or the position lies outside the times given to `stretches`.
         """
-        kinds = (kind for a, b, kind in self._stretches if a <= timeline_s < b)
-        return next(kinds, None)
+        return next((kind for a, b, kind in self._stretches if a <= timeline_s < b), None)
 
     def add_committed(self) -> None:
         """Add the timed units of the sound that the playout has committed; drop units long past."""

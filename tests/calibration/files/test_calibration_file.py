@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from places import ROOT
 from small_model import small_model
 
-from calibration.calibration import Calibration, CalibrationError, check_calibration
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    check_calibration,
+    check_servo_models,
+)
 from calibration.files.calibration_file import load_calibration, parse_calibration, save_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.fit.learnt_face import fit_calibration
@@ -71,6 +76,15 @@ def test_a_saved_calibration_is_loaded_as_it_was(calibration, tmp_path):
     assert loaded.errors.joint_rms_deg == pytest.approx(calibration.errors.joint_rms_deg, rel=1e-3)
     assert calibration_text(loaded) == path.read_text()
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_servos_of_which_only_some_have_a_model_are_loaded_as_they_were(calibration, tmp_path):
+    models = ("XL330-M288", *[""] * (len(SERVOS) - 1))
+    origin = dataclasses.replace(calibration.origin, servo_models=models)
+    save_calibration(dataclasses.replace(calibration, origin=origin), tmp_path / "c.yaml")
+    loaded = load_calibration(tmp_path / "c.yaml")
+    assert loaded.origin.servo_models == models
+    check_servo_models(loaded, models)
 
 
 def test_many_frames_are_still_a_whole_number_in_the_file(calibration):

@@ -227,6 +227,26 @@ def test_a_lost_lip_does_not_spoil_the_grade(fit, targets_mm, own_slope):
     assert np.isfinite([grade.lip_rms_mm, grade.gap_rms_mm, grade.closed_gap_mm]).all()
 
 
+def test_closed_lips_of_which_a_dot_is_hidden_are_as_far_apart_as_the_others_show(fit, poses):
+    seen_mm = poses.targets_mm.copy()
+    closed = poses.human_gap_mm <= CLOSED_GAP_MM
+    seen_mm[:, UPPER, 1] += 5.0 * closed[:, None]
+    seen_mm[closed, UPPER[0]] = np.nan
+    assert grade_of(fit, seen_mm).closed_gap_mm == pytest.approx(5.0, abs=0.1)
+
+
+def test_what_no_closed_pose_shows_is_an_estimate_and_said(fit, poses):
+    seen_mm = poses.targets_mm.copy()
+    seen_mm[np.ix_(poses.human_gap_mm <= CLOSED_GAP_MM, UPPER)] = np.nan
+    found, lines = graded(fit.calibration, poses, captured(seen_mm))
+    assert found.grade.closed_gap_mm == ERRORS.closed_gap_mm
+    (line,) = lines
+    assert "how far closed lips stay apart is estimated" in line
+    seen_mm[:, UPPER] = np.nan
+    with pytest.raises(CalibrationError, match="no pose shows dots of both lips"):
+        graded(fit.calibration, poses, captured(seen_mm))
+
+
 @pytest.mark.parametrize(
     ("bad", "said"),
     [

@@ -17,6 +17,8 @@ from calibration.capture.capture import (
     capture_poses,
     joined,
     plan_around,
+    plan_rows,
+    take_poses,
     usual_poses,
 )
 from calibration.capture.joint_health import MOST_FRAMES, unseen_alone
@@ -154,6 +156,55 @@ def test_names_that_three_looks_agree_to_be_exchanged_are_exchanged():
     capture = procedure.capture(MARKERS_47.names, Robot(move, measure), report=told.append)
     assert ["3 times: named anew" in line for line in told] == [True]
     check_capture(capture, SMALL, SERVOS.positive)
+
+
+def test_lips_are_closed_no_farther_in_any_later_part_once_a_servo_is_strained():
+    face, procedure = two_servos()
+    robot, stood = SimulatedRobot(face), []
+    on = Robot(
+        robot.move,
+        robot.measure,
+        arrived=lambda row, _: stood.append(row),
+        strained=lambda: "jaw" if stood[-1] >= 20 else None,
+    )
+
+    capture = procedure.capture(MARKERS_47.names, on)
+    assert (capture.ladders > 0).sum() == 1
+    assert len(stood) == len(capture) > 21
+
+
+def test_closing_steps_that_are_planned_after_a_servo_was_strained_are_left_out_as_well():
+    plan = plan_around(np.arange(16.0).reshape(8, 2), SERVOS.joints)
+    stood, left_out = [], set()
+    robot = Robot(
+        lambda goal_deg: goal_deg,
+        lambda: np.zeros((1, 3)),
+        lambda row, _: stood.append(row),
+        strained=lambda: "jaw" if stood[-1] == 1 else None,
+    )
+
+    for n in (4, 8):
+        part = plan_rows(plan, range(n))
+        take_poses(part, ("a",), robot, [], pressing=range(1, n), left_out=left_out)
+    assert stood == [0, 1, 0]
+
+
+def test_a_joint_that_is_stuck_is_named_at_once_and_when_it_is_free_the_same_file_goes_on(tmp_path):
+    face, procedure = two_servos()
+    robot, kept = SimulatedRobot(face), KeptPoses(tmp_path / "poses.jsonl")
+    recorded = []
+    stuck = Robot(
+        lambda _: np.array([4.0, 0.0]), robot.measure, lambda *pose: recorded.append(pose)
+    )
+
+    for _ in range(2):
+        with pytest.raises(
+            CalibrationError, match=r"pose 1: jaw stopped at 4\.0 of 0\.0 deg; free that joint"
+        ):
+            procedure.capture(MARKERS_47.names, stuck, kept=kept)
+    assert recorded == []
+    capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure), kept=kept)
+    assert len(capture) == capture.n_planned
 
 
 def test_a_pose_to_grade_by_is_taken_again_where_two_names_changed_places():

@@ -7,10 +7,11 @@ from dynamixel_chain import BAUD_RATE, MemoryFace, mounted
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import budget
-from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
 from firmware_bridge.dynamixel.mounting import identify_all
 from firmware_bridge.dynamixel.provisioning import (
+    SCANNED_RATES,
     read_settings,
     scan,
     set_up,
@@ -92,6 +93,10 @@ def test_the_scan_finds_servos_at_any_rate():
     found = dict(scan(line, [1_000_000, 57_600]))
 
     assert found == {1_000_000: {}, 57_600: {1: 1200}}
+
+
+def test_the_scan_leaves_no_rate_out():
+    assert set(SCANNED_RATES) == set(baud_rates().values())
 
 
 def examined(face, rate_hz=30.0, latency_timer_ms=1, servos=None):

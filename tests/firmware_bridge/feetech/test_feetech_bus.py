@@ -320,6 +320,24 @@ def test_one_who_is_silent_costs_only_its_own_samples_and_comes_back():
         assert not health.n_unanswered[1:].any()
 
 
+def test_a_servo_that_misses_its_first_read_stands_where_it_was_found_as_it_got_torque():
+    silences = [
+        ChainFault(kind="silence", at_s=at_s, servo=1, lasts_s=lasts_s)
+        for at_s, lasts_s in ((0.0, 3.0), (4.0, 1.0))
+    ]
+    on = wired(strict=False, faults=silences)
+    on.chain.servos[1].stand_at(2200)
+    with on.bus as bus:
+        on.clock.sleep_until(3.0)
+        assert bus.enable_torque(1) == ""
+        on.clock.sleep_until(4.0)
+        feedback, health = run(on, TICK_S)
+
+    assert feedback.age_s[1] > 0.0
+    assert feedback.positions_deg[1] == pytest.approx((2200 - 2048) * 360 / 4096)
+    assert np.isnan([health.voltage_v[1], health.temperature_degc[1]]).all()
+
+
 @pytest.mark.parametrize("is_kept", [False, True])
 def test_a_servo_that_misses_an_answer_before_its_first_goal_begins_where_it_stands(is_kept):
     """Goals since then are approached from the last one; there is none, or one of long ago."""

@@ -1,5 +1,7 @@
 """A whole face on Feetech servos through what may go wrong: it goes on, and nothing jumps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from feetech_chain import four_servos, wired
@@ -122,3 +124,28 @@ def test_a_restart_between_two_ticks_that_costs_no_answer_is_noticed_and_begins_
 
     assert any("has lost its torque" in trouble for trouble in told), told
     assert rows[-1][1] == ()
+
+
+def test_a_slow_joint_that_missed_an_answer_follows_its_goals_again():
+    fault = ChainFault(kind="silence", at_s=3.0, lasts_s=0.03, servo=1)
+    slow = [
+        replace(each, joint=replace(each.joint, max_speed_deg_s=25.0))
+        for each in four_servos("SCS0009")
+    ]
+    on = wired(slow, strict=False, faults=[fault], period_s=0.01)
+    joints, channel, troubles = [each.joint for each in slow], MemoryTargetChannel(), set()
+    with on.bus:
+        bridge = Bridge(on.bus, joints, channel, BridgeSettings(100.0))
+        bridge.start()
+        for time_s, late in ticks(on.clock, 100.0):
+            if time_s > 4.0:
+                break
+            ramp_deg = np.clip(17.0 * (time_s - 2.9), 0.0, 5.0)
+            channel.publish(ServoTargets(time_s + 0.01, np.full(len(joints), ramp_deg)))
+            bridge.tick(time_s, late)
+            troubles.update(bridge.troubles)
+            on.chain.advance(on.clock.now())
+        places_deg = on.bus.feedback().positions_deg
+
+    assert not troubles
+    assert places_deg[1] == pytest.approx(places_deg[2], abs=0.5)

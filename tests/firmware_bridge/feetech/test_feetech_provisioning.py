@@ -12,7 +12,9 @@ from firmware_bridge.feetech.control_table import servo_models
 from firmware_bridge.feetech.doctor import examine
 from firmware_bridge.feetech.line import Line
 from firmware_bridge.feetech.provisioning import (
+    clear_foreign_settings,
     find_servos,
+    foreign_settings,
     plan_alone,
     plan_chain,
     set_up,
@@ -82,6 +84,24 @@ def test_whoever_stops_in_the_middle_leaves_the_eeprom_locked():
 
     assert chain.servos[0]["lock"] == 1
     assert not chain.servos[0]["torque_enable"]
+
+
+@pytest.mark.parametrize(("model", "highest"), [("STS3215", 4095), ("SCS0009", 1023)])
+def test_limits_of_another_face_are_foreign_and_are_widened(monkeypatch, model, highest):
+    chain, line = fresh(model=model)
+    (servo,) = chain.servos
+    servo["min_position_limit"], servo["max_position_limit"] = 396, 708
+    monkeypatch.setattr(
+        "firmware_bridge.serial_servos.provisioning.open_port", lambda *_: line.transport
+    )
+    monkeypatch.setattr(line.transport, "close", lambda: None)
+    how = ("here", RATE, {1: model})
+    foreign = foreign_settings(*how)
+    clear_foreign_settings(*how, foreign)
+
+    assert {each.name for each in foreign[1]} == {"min_position_limit", "max_position_limit"}
+    assert (servo["min_position_limit"], servo["max_position_limit"]) == (0, highest)
+    assert foreign_settings(*how) == {}
 
 
 def test_two_alike_at_one_id_are_noticed():

@@ -85,3 +85,21 @@ def test_a_rule_broken_by_hand_may_be_left_but_not_entered_further():
 def test_a_rule_must_allow_neutral():
     with pytest.raises(ValueError, match="must allow neutral"):
         Prevention([PreventRule((1.0, 0.0), -1.0, "?")], 2)
+
+
+@pytest.mark.parametrize(
+    ("wanted_deg", "least_deg", "most_deg"), [([0.0, 20.0], 10.0, 10.0), ([25.0, 0.0], 0.0, 10.0)]
+)
+def test_a_limp_joint_counts_where_it_stands_whatever_is_wanted_of_it(
+    wanted_deg, least_deg, most_deg
+):
+    joints = [Joint(name, n, -20.0, 25.0, 300.0) for n, name in enumerate(("jaw", "lip"))]
+    limiter = Limiter(joints, PERIOD_S, [RULE])
+    limiter.start_from(np.array([20.0, 10.0]), 0.0)
+    sent_deg = []
+    for n in range(1, 51):
+        limiter.follow(np.array([True, False]), np.array([20.0, np.nan]))
+        sent_deg.append(limiter.apply(np.array(wanted_deg), n * PERIOD_S).positions_deg[1])
+
+    assert max(sent_deg) <= most_deg + 1e-6
+    assert sent_deg[-1] == pytest.approx(least_deg, abs=1e-6)

@@ -262,6 +262,7 @@ def prepare(face, state, event):
 
 
 def end_a_start(face, state, event):
+    @cache  # asked again and again
     def bring_in():
         if state is not FaceState.STARTING:
             face.bring(state)

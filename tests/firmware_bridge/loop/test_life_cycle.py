@@ -1,5 +1,6 @@
 """A stop by a person holds, whatever happens to plug, servos and speech; what is said is true."""
 
+import math
 import os
 import signal
 
@@ -9,6 +10,7 @@ from driven_robot import Robot
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.stopping import StopLevel
 
@@ -105,6 +107,47 @@ def test_a_frozen_servo_that_says_nothing_just_after_a_replug_has_its_watchdog_r
     assert robot.torque_writes(2.5) == []
 
 
+def test_a_frozen_servo_whose_place_is_missed_just_after_a_replug_is_held_where_it_is():
+    plug = Fault("unplug", at_s=(2.0,), lasts_s=1.0)
+    robot = Robot(plug, stops=[(2.5, "freeze"), (8.0, "soft")])
+    servo, read = robot.face.chain.servos[1], robot.face.bus.read
+
+    def read_without_it():
+        servo.deaf_until_s = math.inf if robot.bridge.state is FaceState.FROZEN else 0.0
+        try:
+            return read()
+        finally:
+            servo.deaf_until_s = 0.0
+
+    robot.face.bus.read = read_without_it
+    robot.live(10.0)
+
+    held = [places for time_s, _, places in robot.seen if 2.5 < time_s < 7.9]
+    assert np.ptp(held, axis=0).max() <= 1.0
+
+
+def test_a_frozen_servo_that_was_silent_and_holds_after_all_is_looked_after_again():
+    robot, found = Robot(stops=[(2.0, "freeze"), (10.0, "soft")]), {}
+    servo = robot.face.chain.servos[1]
+
+    def look(name):
+        return lambda: found.update({name: (robot.state("joint_2"), servo.torque_on)})
+
+    at = {
+        3.0: lambda: servo.ignore_until(4.0),
+        3.9: look("silent"),
+        5.9: look("heard"),
+        6.0: lambda: servo.__setitem__("hardware_error_status", 0x20),
+        9.0: look("overloaded"),
+    }
+    robot.live(12.0, at)
+
+    assert found["silent"] == ("waiting", True)
+    assert found["heard"] == ("driven", True)
+    assert found["overloaded"] == ("cooling", False)
+    assert robot.torque_writes(2.0) == []
+
+
 def test_what_ails_a_limp_servo_of_a_frozen_face_is_told():
     """Found by the stop campaign: asking whether it holds again and again hid its fault."""
     lost = Fault("torque_lost", servos=(1,), at_s=(1.95,))
@@ -185,6 +228,24 @@ def test_a_start_of_a_face_frozen_on_its_way_to_the_end_is_refused_and_undoes_no
     assert "the next stop ends it" in answers[0]["error"]
     assert robot.told.stops == [StopLevel.SOFT, StopLevel.FREEZE, StopLevel.LIMP]
     assert robot.face.clock.now() < 8.0
+
+
+def test_a_face_frozen_on_its_way_to_the_end_ends_at_the_first_signal():
+    robot, signalled = Robot(stops=[(2.1, "freeze"), (9.0, "limp")]), []
+    poll = robot.control.poll
+
+    def poll_and_press():
+        if robot.face.clock.now() >= 3.0 and not signalled:
+            signalled.append(robot.stiff)
+            os.kill(os.getpid(), signal.SIGTERM)
+        return poll()
+
+    robot.control.poll = poll_and_press
+    robot.live(2.0)
+
+    assert signalled == [[0, 1, 2]]
+    assert robot.face.clock.now() < 6.0
+    assert robot.stiff == []
 
 
 def test_a_program_that_ends_undoes_no_freeze():

@@ -36,7 +36,7 @@ freeze, letting go  | x                | x                | x               | x 
 stop                | ending, limp     | ending, limp     | ending, limp    | ending, limp             | x                   | x                | ending, limp    | leaving, limp   | leaving, limp     | x         | .
 stop, waits         | stopping, limp   | stopping, limp   | stopping, limp  | stopping, limp           | stopping, limp      | stopping, limp   | ending, limp    | leaving, limp   | leaving, limp     | x         | x
 stop and end        | ending, limp     | ending, limp     | ending, limp    | ending, limp             | ending, limp        | ending, limp     | ending, limp    | leaving, limp   | leaving, limp     | x         | .
-signal              | leaving, limp    | leaving, limp    | leaving, limp   | leaving, limp            | leaving, limp       | leaving, limp    | leaving, limp   | x               | leaving, limp     | x         | x
+signal              | leaving, limp    | leaving, limp    | leaving, limp   | leaving, limp            | leaving, limp       | leaving, limp    | leaving, limp   | leaving, limp   | leaving, limp     | x         | x
 program's end       | .                | leaving, limp    | leaving, limp   | frozen at the end, holds | leaving, limp       | .                | leaving, limp   | .               | .                 | x         | .
 limp                | x                | x over           | over, limp      | over, limp               | waiting, limp, told | x                | over, limp      | over, limp      | x over            | x         | x
 port is lost        | .                | x                | .               | .                        | .                   | .                | .               | over            | .                 | x         | x
@@ -99,7 +99,7 @@ class Course:
         if self.found == "letting go":
             yield 0.9, lambda: self.robot.face.chain.servos[2].ignore_until(3.5)
         if self.state is LifeState.LEAVING:
-            yield 1.0, press
+            yield 1.0, self.life.stop if self.event == "signal" else press  # it would be a second
         elif self.state in (LifeState.FROZEN, LifeState.FROZEN_LAST):
             yield 1.0, lambda: commands.stop(StopLevel.FREEZE, "a test")
         elif self.state in (LifeState.STOPPING, LifeState.ENDING):

@@ -137,6 +137,44 @@ def test_a_hot_servo_moves_less_and_then_not_at_all():
     assert servos.look(1.0) == ServoState.COOLING
 
 
+def let_all_go(servos):
+    servos.supervision.mark_all_waiting(1.5, "no motion comes from speech")
+
+
+def restart(servos):
+    servos.supervision.reboot(1, 1.5, servos)
+
+
+def switch_off_and_on(servos):
+    servos.supervision.switch_off(1, 1.5)
+    servos.look(1.6, 1.7)
+    servos.supervision.switch_on(1, 1.8)
+
+
+@pytest.mark.parametrize("meanwhile", [None, let_all_go, restart, switch_off_and_on])
+def test_a_servo_that_was_too_hot_is_limp_until_it_has_cooled_down_whatever_is_done(meanwhile):
+    servos = SupervisedServos()
+    servos.values["room_degc"][1] = 0.0
+    servos.look(1.0)
+    servos.values["room_degc"][1] = 2.0
+    if meanwhile is not None:
+        meanwhile(servos)
+    servos.look(*np.arange(2.0, 10.0, 0.1))
+    assert ("enable", 1) not in servos.done
+    assert servos.supervision.reasons[1] == "too hot"
+    servos.values["room_degc"][1] = 5.0
+    assert servos.look(*np.arange(10.0, 12.0, 0.1)) == ServoState.DRIVEN
+    assert servos.supervision.reasons[1] == ""
+
+
+@pytest.mark.parametrize("room_degc", [2.0, np.nan, np.inf])
+def test_a_servo_that_is_warm_or_does_not_know_gets_torque_as_long_as_it_was_not_too_hot(room_degc):
+    servos = SupervisedServos()
+    servos.values["room_degc"][1] = room_degc
+    servos.supervision.mark_all_waiting(0.5)
+    assert servos.look(*np.arange(1.0, 3.0, 0.1)) == ServoState.DRIVEN
+
+
 def test_a_joint_that_works_hard_for_minutes_moves_less():
     servos, heat = SupervisedServos(), HeatDerating([True, True])
     effort = np.array([0.2, 0.8])

@@ -1,8 +1,10 @@
 """Starts: stops that come while servos are armed, and a person's start, which tries every servo."""
 
+import math
 import os
 import signal
 
+import numpy as np
 import pytest
 from driven_robot import Robot
 from dynamixel_chain import mounted
@@ -163,6 +165,82 @@ def test_a_stop_while_a_person_starts_the_face_again_is_answered_and_not_undone(
     assert None not in robot.told.stops  # the supervisor is not told that it was started
 
 
+def test_a_signal_while_a_person_starts_the_face_again_is_said_and_no_start_is_told():
+    robot = Robot(servos=mounted(3, critical=True), stops=[(1.0, "limp")], waits=True)
+    obstacle = robot.face.bus.obstacle
+
+    def signal_in_the_middle(index):
+        if index == 1:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return obstacle(index)
+
+    def start():
+        robot.face.bus.obstacle = signal_in_the_middle
+        robot.say("start")
+
+    robot.live(6.0, {2.5: start})
+
+    assert any("stopped meanwhile by a signal" in line for line in robot.log)
+    assert None not in robot.told.stops
+    assert robot.stiff == []
+
+
+def test_the_supervisor_hears_the_loop_while_a_deaf_servo_is_asked_again_and_again():
+    robot = Robot(servos=mounted(3, critical=True), stops=[(2.0, "limp")], waits=True)
+    beats_s, beat = [], robot.told.beat
+    robot.told.beat = lambda: (beats_s.append(robot.face.clock.now()), beat())
+
+    def break_and_start():
+        robot.face.chain.servos[1].ignore_until(math.inf)
+        robot.say("start")
+
+    robot.live(8.0, {3.0: break_and_start})
+
+    assert any("joint_2" in line and "does not answer" in line for line in robot.log)
+    assert np.diff(beats_s).max() < 0.3
+
+
+def limp_at_the_fifth_try(robot, ask):
+    """Let the last servo fall deaf to what it is asked, and a person stop the face meanwhile."""
+    asked, tries, servo = getattr(robot.face.bus, ask), [], robot.face.chain.servos[-1]
+
+    def try_once(index):
+        if index == servo.index:
+            servo.ignore_until(robot.face.clock.now() + 0.2)
+            tries.append(index)
+            if len(tries) == 5:
+                stop(robot, StopLevel.LIMP)()
+        return asked(index)
+
+    setattr(robot.face.bus, ask, try_once)
+    return tries
+
+
+def test_a_stop_while_a_deaf_servo_is_asked_again_and_again_is_obeyed_and_said():
+    robot, tries = Robot(servos=mounted(3, critical=True), stops=[(1.0, "limp")], waits=True), []
+
+    def start():
+        tries.append(limp_at_the_fifth_try(robot, "obstacle"))
+        robot.say("start")
+
+    robot.live(6.0, {2.5: start})
+
+    assert len(tries[0]) == 5
+    assert [line for line in robot.log if "start requested" in line] == [
+        "start requested by a test: stopped meanwhile by a test"
+    ]
+
+
+def test_a_stop_while_a_servo_does_not_confirm_its_torque_ends_the_start_and_refuses_nothing():
+    robot = face_that_starts("in one go")
+    tries = limp_at_the_fifth_try(robot, "enable_torque")
+    report = robot.live(5.0)
+
+    assert len(tries) == 5
+    assert report.complete
+    assert robot.stiff == []
+
+
 def test_a_start_by_a_person_tries_servos_again_that_were_given_up():
     robot = Robot(given_up={1: "does not follow"}, stops=[(2.0, "limp"), (6.0, "limp")], waits=True)
     found = {}
@@ -247,3 +325,16 @@ def test_a_servo_switched_off_while_the_face_is_stopped_stays_off_over_the_start
     robot.live(7.0, at)
 
     assert found == {"started": [0, 2], "state": "off"}
+
+
+def test_a_start_leaves_a_servo_limp_that_had_failed_before_a_person_switched_it_off():
+    robot = Robot(given_up={1: "does not follow"}, stops=[(2.0, "limp")], waits=True)
+    found = {}
+    at = {
+        1.0: lambda: robot.say("servo joint_2 off"),
+        4.0: lambda: robot.say("start"),
+        6.0: lambda: found.update(stiff=robot.stiff, state=robot.state("joint_2")),
+    }
+    robot.live(7.0, at)
+
+    assert found == {"stiff": [0, 2], "state": "off"}

@@ -6,78 +6,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from dynamixel_chain import MemoryFace
 from hobby_bus import on_maestro
+from maestro_face import FACE, RATE_HZ, N, drive, last_us, put_together, say_nothing
 
-from firmware_bridge.bus_kinds import bus_kind
-from firmware_bridge.clock import ManualClock
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
-from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.maestro.controller import MaestroController
-from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
+from firmware_bridge.maestro.kind import BAUD_RATE
 from firmware_bridge.maestro.release import MaestroRelease
-from firmware_bridge.maestro.simulator import PulseFault, Shaft, maestro_for, read_faults, serve
-from firmware_bridge.pulse_bus import STAGGER_S, KeptPulses, PulseBus
+from firmware_bridge.maestro.simulator import PulseFault, Shaft, read_faults, serve
+from firmware_bridge.pulse_bus import STAGGER_S, KeptPulses
+from firmware_bridge.several_buses import SeveralBuses
 from firmware_bridge.simulation_request import SimulationRequest
-from firmware_bridge.simulator.ports import MemoryTransport
-from firmware_bridge.stopping import StopLevel
-from lipservo.settings.settings import load_shipped_face
-
-FACE = load_shipped_face("face_four")
-RATE_HZ = 50.0
-N = len(FACE.joints())
-
-
-def put_together(
-    *,
-    faults=(),
-    deaf=False,
-    kept=None,
-    may_jump=True,
-    really=None,
-    prevent=(),
-    tolerant=True,
-    **bus,
-):
-    """really: how the Maestro is set, where that is not as the face's YAML says."""
-    wiring = on_maestro(FACE, **bus)
-    clock = ManualClock()
-    maestro = maestro_for(on_maestro(FACE, **bus | (really or {})), faults=faults, deaf=deaf)
-
-    def opener():
-        return MemoryTransport(maestro, clock, BAUD_RATE)
-
-    can = MAESTRO.capabilities(wiring.settings)
-    bus = PulseBus(
-        wiring.servos,
-        MaestroController(wiring, opener),
-        clock,
-        can,
-        KeptPulses(kept),
-        may_jump=may_jump,
-    )
-    channel = MemoryTargetChannel()
-    bridge = Bridge(
-        bus, wiring.joints, channel, BridgeSettings(RATE_HZ, tolerant=tolerant, prevent=prevent)
-    )
-    return SimpleNamespace(
-        wiring=wiring, clock=clock, maestro=maestro, bus=bus, bridge=bridge, channel=channel,
-        opener=opener,
-    )  # fmt: skip
-
-
-def drive(face, seconds, goal_deg=5.0):
-    for _ in range(round(seconds * RATE_HZ)):
-        time_s = face.clock.now() + 1.0 / RATE_HZ
-        face.clock.sleep_until(time_s)
-        face.channel.publish(ServoTargets(time_s, np.broadcast_to(goal_deg, N)))
-        face.bridge.tick(time_s)
-
-
-def last_us(face):
-    return [channel.position / 4 for channel in face.maestro.channels][:N]
+from firmware_bridge.stopping import ServoOrder, ServoSwitch, StopLevel
 
 
 @pytest.mark.parametrize("model", ["micro6", "mini12", "mini24"])
@@ -225,6 +169,18 @@ def test_servos_that_are_kept_go_on_at_once_and_none_waits_for_its_turn():
         assert face.bus.torque.as_json() == [True] * N
         drive(face, 0.5)
         assert all(each.pulse_us > 0.0 for each in list(face.maestro.pulses)[n_pulses:])
+
+
+def test_a_servo_whose_pulses_ended_unseen_is_not_kept_and_gets_none_by_the_next_write():
+    face = put_together(serial_timeout_s=0.5, port="/dev/x")
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        face.clock.advance(0.6)
+
+        assert not any(face.bus.keep_torque(index) for index in range(N))
+        face.bus.write_positions(np.zeros(N))
+        assert last_us(face) == [0.0] * N
 
 
 def test_a_bus_that_is_entered_again_files_its_pulses_to_the_last(tmp_path):
@@ -378,15 +334,47 @@ def test_a_stop_sends_no_pulse_and_a_dry_run_sends_nothing_at_all():
     assert last_us(face)[0] == 1500.0
 
 
-def test_a_channel_that_does_something_else_gets_no_pulses():
-    face = put_together()
-    face.maestro.channels[1].set_target = lambda *_: None
-    face.maestro.channels[1].position = face.maestro.channels[1].target = 200.0
+def switch_off_and_on(face, name):
+    for switch in (ServoSwitch.OFF, ServoSwitch.ON):
+        face.bridge.obey(ServoOrder(name, switch), face.clock.now())
+        drive(face, 3.0)
+
+
+def fall_silent(face):
+    """No targets for so long that the face is limp; then again."""
+    for _ in range(round(7 * RATE_HZ)):
+        face.clock.advance(1.0 / RATE_HZ)
+        face.bridge.tick(face.clock.now())
+    drive(face, 4.0)
+
+
+def stop_and_start(face, _name):
+    face.bridge.stop(StopLevel.LIMP)
+    drive(face, 1.0)
+    face.bridge.await_start()
+    face.bridge.start(by_person=True)
+    drive(face, 4.0)
+
+
+@pytest.mark.parametrize("try_again", [switch_off_and_on, stop_and_start])
+def test_a_channel_that_does_something_else_gets_no_pulses_until_a_person_tries_it(try_again):
+    face, told = put_together(), []
+    channel, name = face.maestro.channels[1], face.bridge.names[1]
+    set_target, channel.set_target = channel.set_target, lambda us, *_: told.extend([us] * (us > 0))
+    channel.position = channel.target = 200.0
     with face.bus:
         face.bridge.start()
-        drive(face, 4.0)
+        for n_told in (2, 4):  # no third try of its own, however long it is driven
+            drive(face, 10.0)
+            fall_silent(face)
+            assert "its channel is set for something else" in face.bridge.troubles[0]
+            assert len(told) == n_told
+            if n_told == 4:
+                channel.set_target, channel.position, channel.target = set_target, 0.0, 0.0
+            try_again(face, name)
 
-        assert "its channel is set for something else" in face.bridge.troubles[0]
+        assert face.bridge.troubles == ()
+        assert last_us(face)[1] == 1550.0
 
 
 def test_a_channel_that_misses_its_stop_is_told_again():
@@ -480,12 +468,6 @@ def test_of_a_maestro_that_hangs_no_servo_is_said_to_have_no_pulses():
     assert last_us(face) == [0.0] * N
 
 
-def say_nothing(face):
-    """It gets its pulses, and answers no question for one."""
-    heard, get_position = face.maestro.receive, 0x90
-    face.maestro.receive = lambda data, *at: data[0] == get_position or heard(data, *at)
-
-
 def test_of_a_maestro_that_says_nothing_after_a_replug_no_pulse_is_known():
     face = put_together()
     with face.bus:
@@ -526,6 +508,30 @@ def test_after_a_replug_of_a_maestro_that_lost_its_pulses_none_comes_by_itself()
         assert face.bus.torque.as_json() == [False] * N
 
 
+def test_lips_that_time_out_frozen_while_another_bus_is_unplugged_get_no_pulse_again():
+    lips, neck = put_together(serial_timeout_s=0.5, port="/dev/x"), MemoryFace(1)
+    neck.clock = lips.clock
+    buses = {"lips": lips.bus, "neck": neck.bus}
+    bus = SeveralBuses(buses, [*["lips"] * N, "neck"], lips.clock, rate_hz=4.0)
+    joints = [*lips.wiring.joints, *neck.joints]
+    face = SimpleNamespace(**vars(lips))
+    face.bridge = Bridge(bus, joints, lips.channel, BridgeSettings(RATE_HZ))
+    with bus:
+        face.bridge.start()
+        drive(face, 4.0)
+        face.bridge.stop(StopLevel.FREEZE)
+        neck.chain.unplug()
+        drive(face, 10.0)  # a look at one lip with each try to open the port
+        assert not face.bridge.plugged
+        assert face.bridge.torque_by_name()["holds"] == []
+        neck.chain.plug_in()
+        drive(face, 2.0)
+
+        assert face.bridge.plugged
+        assert set(face.bridge.torque_by_name()["holds"]) <= {"joint_1"}
+        assert last_us(face) == [0.0] * N
+
+
 def test_goals_beyond_the_range_are_taken_of_a_joint_that_was_widened_alone():
     face = put_together()
     pulses = [joint.pulse for joint in face.wiring.joints]
@@ -546,24 +552,6 @@ def test_pulses_that_cannot_be_kept_leave_no_file_behind(tmp_path):
     (tmp_path / "pulses.json").mkdir()  # cannot be replaced by a file
     KeptPulses(tmp_path / "pulses.json").write({0: 1500.0})
     assert [each.name for each in tmp_path.iterdir()] == ["pulses.json"]
-
-
-def test_the_doctor_says_what_happens_when_the_computer_dies(monkeypatch):
-    for timeout_s, really_s, said in (
-        (0.0, 0.0, "when the computer dies the servos are held"),
-        (0.5, 0.5, "stops its pulses by itself after 0.5 s"),
-        (0.5, 0.0, "serial_timeout_s is 0.5, but its serial timeout is off"),
-    ):
-        really = {"serial_timeout_s": really_s}
-        face = put_together(port="/dev/x", serial_timeout_s=timeout_s, really=really)
-        monkeypatch.setattr(
-            "firmware_bridge.maestro.kind._opener", lambda _port, face=face: face.opener
-        )
-        findings = [each.what for each in bus_kind("maestro").examine(face.wiring)]
-
-        assert "a Maestro answers at /dev/x" in findings[0]
-        assert "gets no pulses" in findings[1]
-        assert said in findings[-1]
 
 
 def test_a_plug_is_known_by_its_numbers(tmp_path):

@@ -45,7 +45,11 @@ class Tapped(MemoryTransfers):
 @pytest.fixture
 def board():
     """Four servos, nobody has sent them a pulse; frequency 50 Hz."""
-    return board_of(parse_face(on_pca9685(load_shipped_face("face_four"), frequency_hz=50.0), "f"))
+    return board_of(face_at(50.0))
+
+
+def face_at(frequency_hz):
+    return parse_face(on_pca9685(load_shipped_face("face_four"), frequency_hz=frequency_hz), "f")
 
 
 def board_of(face, chip=None, clock=None):
@@ -252,6 +256,28 @@ def test_pulses_of_before_go_on_and_say_where_the_servos_stand(board):
     assert not any(m[2].startswith(b"\x00") and len(m[2]) > 1 for m in written), "set up already"
 
 
+def test_pulses_of_before_at_another_frequency_are_read_as_the_chip_makes_them(board):
+    with board.bus:
+        board.bridge.start()
+        drive(board, 3.0)
+        with board_of(face_at(60.0), board.chip, board.clock).bus as again:
+            goals_deg = again.read().goals_deg
+
+    np.testing.assert_allclose(goals_deg, [6.0, -3.0, 3.0, -2.0], atol=0.3)
+
+
+def test_pulses_of_a_chip_that_another_program_set_up_are_not_said_to_be_off(board):
+    with board.bus:
+        board.bridge.start()
+        drive(board, 3.0)
+        board.chip.transfer([(0x40, 0, b"\x00\x21")], board.clock.now())  # as by Adafruit
+        with board_of(board.face, board.chip, board.clock).bus as again:
+            assert again.torque.as_json() == [True] * 4
+        board.chip.transfer([(0x40, 0, b"\x00\x31")], board.clock.now())  # asleep
+        with board_of(board.face, board.chip, board.clock).bus as again:
+            assert again.torque.as_json() == [False] * 4
+
+
 def test_another_chip_at_the_address_is_refused_unharmed():
     class Other:
         def transfer(self, messages):
@@ -362,6 +388,22 @@ def test_doctor_reads_and_says_what_cannot_be_known(board, monkeypatch):
     for words in ("a PCA9685", "asleep", "channel 0, no pulses", NO_GUARD, "clock_hz is that of"):
         assert words in text
     assert NO_GUARD in board.bus.remarks()
+
+
+def test_doctor_tells_the_pulses_that_the_chip_makes_and_none_while_it_sleeps(board, monkeypatch):
+    monkeypatch.setattr("firmware_bridge.pca9685.kind.opener_of", lambda _: board.opener)
+
+    def told_us():
+        found = [each.what for each in PCA9685.examine(face_at(60.0).wiring)]
+        return re.findall(r"channel \d, (\d+ us|no pulses);", "\n".join(found))
+
+    with board.bus:
+        board.bridge.start()
+        drive(board, 3.0)
+        made_us = [float(each.removesuffix(" us")) for each in told_us()]
+        assert made_us == pytest.approx([1560.0, 1470.0, 1530.0, 1480.0], abs=3.0)
+        board.chip.transfer([(0x40, 0, b"\x00\x30")], board.clock.now())
+        assert told_us() == ["no pulses"] * 4
 
 
 def test_smbus2_is_handed_the_messages_that_the_chip_takes(tmp_path, monkeypatch):

@@ -291,6 +291,22 @@ def test_a_stopped_face_whose_start_fails_says_why_and_can_be_started_again(stop
     assert face.supervisor.status()["troubles"] == []
 
 
+def test_a_port_that_came_back_before_a_start_is_no_trouble_of_the_face_that_was_started(face):
+    face.servos.chain.servos[1].deaf_until_s = float("inf")
+    face.bridge.said.append(Stopped(StopLevel.LIMP))
+    face.bridge.status = -9
+    face.play(6.0)
+    face.unplugged = True
+    face.play(12.0)
+    assert face.supervisor.status()["troubles"] == ["/dev/x: no such port"]
+    assert "accepted" in order(face, "start")
+    face.unplugged = False
+    face.bridge.said.append(Ready())
+    face.play()
+
+    assert face.supervisor.status()["troubles"] == []
+
+
 def test_servos_that_did_not_confirm_a_stop_are_let_go_again_until_they_do(face):
     face.servos.chain.servos[1].deaf_until_s = face.clock.now() + 20.0
     face.bridge.said.append(Stopped(StopLevel.LIMP))
@@ -425,8 +441,8 @@ def test_speech_that_dies_goes_on_where_its_sound_is_and_one_that_hangs_is_kille
 
 def test_a_stop_after_a_start_that_failed_is_kept_like_any_other(tmp_path):
     """The start had forgotten the stop before it."""
-    path = tmp_path / "stops" / "face.json"
-    face = SupervisedFace(tmp_path / "face.sock", StopRecord(path))
+    record = StopRecord(tmp_path / "face.json")
+    face = SupervisedFace(tmp_path / "face.sock", record)
     with face.control:
         face.play()
         face.bridge.said += [Ready(), Stopped(StopLevel.SOFT, requested_by="a test")]
@@ -434,13 +450,13 @@ def test_a_stop_after_a_start_that_failed_is_kept_like_any_other(tmp_path):
         face.bridge.status = 0
         face.play(1.0)
         assert "accepted" in order(face, "start")
-        assert StopRecord(path).stopped is None
+        assert record.stopped is None
         face.bridge.said.append(NotStarted("'jaw' (id 1) does not answer"))
         face.bridge.status = 1
         face.play(1.0)
         assert "accepted" in order(face, "soft")
         face.n_signals = 1
         face.play(1.0)
-        face.supervisor._record.close()
+        record.close()
 
-    assert StopRecord(path).stopped is not None
+    assert json.loads((tmp_path / "face.json").read_text())["stopped"] == "limp"

@@ -157,6 +157,23 @@ def test_a_client_that_leaves_after_its_end_is_heard_to_the_end(face):
     until(lambda: face.playout.is_over)
 
 
+def test_a_client_that_leaves_a_stream_open_is_silent_with_its_ended_ones(face):
+    async def leave():
+        async with client(face) as agent:
+            await agent.start("ended")
+            await agent.send(tone(20.0))
+            await agent.say("end")
+            await agent.next("started")
+            await agent.start("open")
+            face.hold()
+
+    asyncio.run(leave())
+
+    until(lambda: face.playout.is_over)  # and sound stands still
+    assert face.server.status()["n_clients"] == 0
+    face.go_on()
+
+
 def test_base64_and_float_samples_say_the_same(face):
     samples = np.frombuffer(tone(0.2), dtype="<i2")
 

@@ -3,6 +3,7 @@
 import json
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ pytest.importorskip("av", reason="photographs need PyAV, the extra `video`")
 
 from pixel_video import PixelFace, PixelTracker, picture, write_video
 
+from calibration.capture.marker_files import read_readings
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.clock import MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
@@ -84,6 +86,28 @@ class Held:
 
     def hold_while(self, ask):
         return ask()
+
+
+def test_files_of_markers_are_read_while_servos_go_on_holding(setup, tmp_path, monkeypatch):
+    """Reading all files takes longer than servos may go without a goal."""
+
+    def read(*arguments):
+        assert threading.current_thread() is not threading.main_thread()
+        return read_readings(*arguments)
+
+    class HeldInAThread(Held):
+        def hold_while(self, ask):
+            with ThreadPoolExecutor(1) as pool:
+                return pool.submit(ask).result()
+
+    monkeypatch.setattr("lipservo.calibrating.face_source.read_readings", read)
+    monkeypatch.setattr("calibration.capture.trackers.read_readings", read)
+    path = tmp_path / "markers.csv"
+    path.write_text("pose,marker,x_mm,y_mm,z_mm\n0,nose,1,2,3\n1,nose,4,5,6\n")
+    with tracker_source(setup, str(path), "x y z", MeshOptions(PixelTracker)) as make:
+        tracker = make(HeldInAThread())
+        tracker.arrived(0, np.zeros(4))
+        assert tracker.measure().tolist() == [[4.0, 5.0, 6.0]]
 
 
 def test_photographs_are_waited_for_one_a_pose(setup, tmp_path):

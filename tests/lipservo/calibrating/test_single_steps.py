@@ -8,8 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from calibration.capture.marker_files import read_plan, write_plan
-from calibration.files.calibration_file import load_calibration
+from calibration.closure import Closure
+from calibration.files.calibration_file import load_calibration, save_calibration
 from calibration.files.calibration_text import calibration_text
+from calibration.run.compensation import trimmed
 from lipservo.cli import app
 from lipservo.runtime.servos.held_face import HeldFace
 from lipservo.runtime.servos.sim_process import simulated_port
@@ -85,3 +87,41 @@ def test_lags_are_found_anew_and_nothing_else_of_the_file_changes(tmp_path):
     assert found.following.lag_s[0] == pytest.approx(0.008, abs=0.002)
     as_before = dataclasses.replace(found, following=before.following)
     assert calibration_text(as_before) == calibration_text(before)
+
+
+def closing_jaw(path):
+    """Lips that meet where the jaw stands at 2 degrees."""
+    shipped = load_calibration(SHIPPED)
+    n = len(shipped.rest)
+    closure = Closure(
+        speaker_mm=np.zeros((3, n)),
+        speaker_rest_mm=np.zeros(3),
+        opens_mm=np.zeros((1, n)),
+        at_deg=np.array([2.0]),
+        gaps_mm=np.zeros(1),
+        slopes=np.array([[0.5]]),
+        bends=np.zeros((1, 1)),
+        turns_deg=np.array([[2.0]]),
+        press_mm=0.7,
+    )
+    save_calibration(dataclasses.replace(shipped, closure=closure), path)
+    return path
+
+
+def test_trims_that_are_set_while_the_lips_are_closed_by_eye_are_kept(tmp_path, monkeypatch):
+    path = closing_jaw(tmp_path / "jaw.calibration.yaml")
+    keys = []
+
+    def press():
+        if not keys:  # another page or terminal
+            save_calibration(trimmed(load_calibration(path), "P", "jaw", -1.5), path)
+        keys.append("\r" if len(keys) % 8 == 7 else " ")
+        return keys[-1]
+
+    monkeypatch.setattr("lipservo.terminal.keys.read_key", press)
+    by_eye = ("--sim", "pty", "--by-eye", "--speed", "400", "--config", "face_jaw")
+    done = calibrate("touch", path, *by_eye)
+    assert done.exit_code == 0, done.output
+    found = load_calibration(path)
+    assert found.trim["P"].tolist() == [-1.5]
+    assert found.closure.gaps_mm[0] != 0.0

@@ -144,6 +144,13 @@ def test_a_fresh_servo_becomes_a_joint_and_several_at_once_are_refused(tmp_path)
         assert "2 servos answer (ids [1, 2]); connect one at a time" in done.stderr
 
 
+def test_a_face_whose_yaml_has_no_port_is_set_up_at_the_one_given():
+    with simulated_port(["--kind", "feetech", "--servos", "1"]) as port:
+        done = lipservo("setup-servos", "jaw", "--config", "face_jaw_feetech", "--port", port)
+    assert done.returncode == 0, done.stderr
+    assert "jaw: set up as id 1" in done.stdout
+
+
 def test_new_face_writes_a_yaml_that_loads(tmp_path):
     path = tmp_path / "mine.yaml"
     with simulated_port(["--servos", "2", "--baud-rate", "1000000"]) as port:
@@ -248,10 +255,13 @@ def test_new_face_takes_over_servos_that_lerobot_has_homed(tmp_path):
 
         ask(lambda line: line.write(1, 20, (-1024).to_bytes(4, "little", signed=True)))
         ask(lambda line: line.write(1, 11, b"\4"))
+        ask(lambda line: line.write(1, 52, (996).to_bytes(4, "little")))
+        ask(lambda line: line.write(1, 48, (1308).to_bytes(4, "little")))
         how = ("new-face", "-o", path, "--port", port, "--ranges", ranges)
         done = lipservo(*how, input="n\n")
         assert done.returncode == 1
         assert "homing_offset is -1024, should be 0" in done.stderr
+        assert "max_position_limit is 1308, should be 4095" in done.stderr
         assert not path.exists()
         done = lipservo(*how, input="y\n\nopens\ny\n")
         assert done.returncode == 0, done.stderr
@@ -259,6 +269,7 @@ def test_new_face_takes_over_servos_that_lerobot_has_homed(tmp_path):
         assert (jaw.min_deg, jaw.max_deg) == (-2.46, 24.96)
         assert ask(lambda line: line.read(1, 20, 4)).data == bytes(4)
         assert ask(lambda line: line.read(1, 11, 1)).data == b"\3"
+        assert ask(lambda line: line.read(1, 48, 8)).data == bytes((0xFF, 0x0F, *[0] * 6))
 
 
 def test_a_dry_run_reads_but_never_switches_torque_on(port, tmp_path):

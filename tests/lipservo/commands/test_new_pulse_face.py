@@ -168,6 +168,21 @@ def test_what_jog_cannot_do_is_one_line(face, arguments, words):
     assert words in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("neck_yaw",), "no port: "),
+        (("jaw",), "lipservo: jaw: these servos cannot say where they stand"),
+        ((), "lipservo: jaw, "),
+    ],
+)
+def test_of_a_mixed_face_joints_are_turned_by_hand_that_say_where_they_stand(arguments, words):
+    done = lipservo("jog", *arguments, "--limp", "--config", "face_head_mixed")
+
+    assert done.returncode == 1
+    assert words in done.stderr
+
+
 def test_a_move_is_told_in_degrees_and_as_a_pulse(face):
     done = lipservo("jog", "jaw", "2", "--config", face, "--hold-s", "0")
 

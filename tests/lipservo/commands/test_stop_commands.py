@@ -8,9 +8,10 @@ import sys
 import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 
 import pytest
+from in_process import lipservo
 from places import short_folder
 from typer.testing import CliRunner
 
@@ -389,6 +390,23 @@ def test_limp_of_a_face_whose_servos_are_not_there_names_each_and_fails(port):
 
     assert done.exit_code == 1
     assert set(faces(done)[0]["unconfirmed"].values()) == {"did not answer"}
+
+
+@pytest.mark.parametrize(("place", "confirmed"), [("", 3), ("/gone", 0)])
+def test_limp_at_a_port_needs_no_yaml_that_can_be_read(port, tmp_path, place, confirmed):
+    """Whether or not the servos confirm, what is wrong with the YAML is said as well."""
+    broken = tmp_path / "face.yaml"
+    broken.write_text("nmae: tom\n")
+    with closing(open_port(port, 2_000_000)) as transport:
+        Line(transport).write(5, 64, b"\1")
+    done = lipservo("limp", "--port", port + place, "--config", broken, "--json")
+    with closing(open_port(port, 2_000_000)) as transport:
+        torque = Line(transport).read(5, 64, 1).data
+
+    assert done.returncode == 1
+    assert "nmae" in done.stderr
+    assert len(json.loads(done.stdout)["faces"][0]["confirmed"]) == confirmed
+    assert torque == (b"\0" if confirmed else b"\1")
 
 
 def test_limp_leaves_the_faces_at_other_ports_alone(port):

@@ -1,10 +1,11 @@
 """What `stop` says of a face that plays in this process: no more than its report says."""
 
 import json
+import time
 
 import pytest
 from places import short_folder
-from playing_face import invoke, playing, status
+from playing_face import PATIENCE_S, invoke, playing, status
 
 
 @pytest.fixture(autouse=True)
@@ -54,3 +55,14 @@ def test_a_dry_run_is_called_one_in_json():
         (face,) = json.loads(invoke("stop", "--json").stdout)["faces"]
 
     assert (face["dry_run"], face["at_rest"]) == (True, False)
+
+
+def test_a_dry_run_that_is_stopped_ends_and_does_not_wait_for_a_start():
+    with playing(dry_run=True):
+        told = invoke("stop").stdout
+        give_up_s = time.monotonic() + PATIENCE_S
+        while json.loads(invoke("status", "--json").stdout)["faces"]:
+            assert time.monotonic() < give_up_s
+            time.sleep(0.05)
+
+    assert "start" not in told

@@ -118,6 +118,7 @@ def test_of_nothing_there_is_no_spread():
     [
         (("--report", "x.json", "--port", "/dev/null"), "No terminal can be asked; give --yes"),
         (("--report", "x", "--port", "/dev/null"), "name the report like x.json"),
+        (("--report", ".", "--port", "/dev/null"), "name the report like report.json"),
         (("--report", "x.json"), "no port: give --port"),
         (("--report", "no/x.json", "--port", "x", "--yes"), "there is no folder no"),
         (("--report", "x.json", "--port", "x", "--move", "tongue"), "no joint 'tongue'"),

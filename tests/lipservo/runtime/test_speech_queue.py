@@ -3,6 +3,7 @@
 import json
 import threading
 import time
+from collections import deque
 from contextlib import closing
 
 import numpy as np
@@ -12,6 +13,7 @@ import soundfile
 from lipservo.runtime.sound import (
     QueueFullError,
     Speaker,
+    SpeechItem,
     SpeechQueue,
     speaker_of,
     spoken_chunks,
@@ -244,3 +246,25 @@ def test_what_is_asked_for_one_text_changes_that_voice_and_no_more():
     assert Speaker("piper", "joe", "en-us").changed("", "", None, None) == Speaker(
         "piper", "", "en-us"
     )
+
+
+def test_what_follows_a_sentence_heard_whole_is_dropped_by_an_interruption_in_between(face, queue):
+    first, second = (PlayoutStream("text", RATE_HZ, RATE_HZ) for _ in range(2))
+    for stream in (first, second):
+        stream.push(tone(0.2))
+        stream.end()
+    synthesised = threading.Event()
+
+    def pieces():
+        assert synthesised.wait(PATIENCE_S)
+        face.playout.requests.append(PlayoutRequest("say", second, after=first))
+        yield second
+
+    queue.add(SpeechItem(pieces(), deque([first]), 5.0, 0.2), "text")
+    face.play(lambda: face.finished() == ["text"])
+    face.ask("interrupt")
+    face.play(lambda: not face.playout.requests)
+    synthesised.set()
+    face.play(lambda: face.playout.is_over)
+    assert face.finished() == ["text"]
+    assert second.is_dropped

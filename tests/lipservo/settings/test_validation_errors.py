@@ -154,3 +154,9 @@ def test_a_mistyped_key_of_a_rule_is_told(tmp_path):
     rules = FACE + "prevent:\n  - {jonts: {jaw: 1}, above: 2, because: they touch}\n"
     lines = errors_in(tmp_path, rules)
     assert "face.yaml.prevent.0.jonts: unknown setting; did you mean joints?" in lines
+
+
+def test_one_rule_outside_a_list_is_told_to_go_into_one(tmp_path):
+    (line,) = errors_in(tmp_path, FACE + "prevent: {joints: {jaw: 1}, above: 2, because: near}\n")
+    assert line.startswith("face.yaml.prevent: ")
+    assert line.endswith("is not a list: put it in [ ]")

@@ -154,6 +154,14 @@ def test_what_is_no_trace_ends_in_one_line_and_status_2(tmp_path, name, content)
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.parametrize(("name", "packed"), [("b.jsonl", True), ("b.jsonl.gz", False)])
+def test_whether_a_trace_is_packed_is_told_by_its_bytes_and_not_by_its_name(tmp_path, name, packed):
+    path = tmp_path / name
+    path.write_bytes(CLIP.read_bytes() if packed else gzip.decompress(CLIP.read_bytes()))
+
+    assert diff(CLIP, path).exit_code == 0
+
+
 @pytest.mark.parametrize("packed", [False, True])
 def test_a_trace_that_was_cut_short_is_compared_as_far_as_it_goes_and_says_so(tmp_path, packed):
     whole = CLIP.read_bytes() if packed else gzip.decompress(CLIP.read_bytes())

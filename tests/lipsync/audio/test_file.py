@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from speech import cut_short, tone
+from speech import CLIP_PATH, cut_short, tone
 
-from lipsync.audio.file import FileSource, read_sound
+from lipsync.audio.file import FileSource, read_sound, sound_chunks
 from lipsync.audio.source import AudioSource, SilenceAfter, SilentSource
 from lipsync.audio_block import samples_before
 
@@ -202,3 +202,7 @@ def test_silence_goes_on_for_ever_in_blocks_of_10_ms():
     assert len(second) == 359_998
     assert second[-1].end_s == 3_600.0
     assert not np.any(second[0].samples)
+
+
+def test_a_file_that_is_begun_after_its_end_has_no_sound():
+    assert not any(len(chunk) for chunk in sound_chunks(CLIP_PATH, 3_600.0))

@@ -127,3 +127,19 @@ def test_of_phonemes_that_are_heard_a_new_pair_is_taken_for_a_mistake():
     known = face(None)
     assert not np.allclose(known, CENTRES[AA])
     np.testing.assert_array_equal(known, face(None))
+
+
+def test_phonemes_that_are_known_are_not_taken_for_a_mistake_after_others_were_heard():
+    backing_off = replace(constant_expectation(CENTRES), back_off=all_but(never=(B, AA)))
+    sure = np.ones((1, 1, len(PHONEMES)), np.float32) / len(PHONEMES)
+    heard = PhonemeUpdate(0.0, 1.0, 1.0, SENTENCE, FramePosteriors(100, 0, (0,), sure))
+    known = replace(heard, posteriors=None)
+
+    def face(*updates: PhonemeUpdate) -> np.ndarray:
+        motion = ExpectedMotion(backing_off, np.zeros(3), lookahead_s=0.1, smoothness=0.0)
+        for update in updates:
+            motion.push(update)
+        return motion.frame_at(0.44).coefficients
+
+    np.testing.assert_array_equal(face(heard, known), face(known))
+    assert not np.allclose(face(known), face(heard))

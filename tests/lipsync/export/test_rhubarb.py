@@ -118,3 +118,10 @@ def test_the_three_formats_say_the_same():
     assert [(f"{c['start']:.2f}", f"{c['end']:.2f}", c["value"]) for c in told["mouthCues"]] == (
         in_xml
     )
+
+
+@pytest.mark.parametrize("name", ["caf\udce9.wav", "a\x01.wav", "a\uffff.wav"])
+def test_a_name_that_xml_cannot_hold_is_written_with_a_question_mark(name):
+    written = cues_xml([], name, 0.5).encode()
+    told = ElementTree.fromstring(written).findtext("metadata/soundFile")
+    assert told == "".join(letter if letter.isascii() and letter >= " " else "?" for letter in name)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from lipsync.face.frame import NO_EXPRESSION, Frame
+from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
 from lipsync.motion.finishing import LipGap
 from lipsync.motion.still_motion import StillMotion
 from lipsync.offline.performance import RATE_HZ, Performance, PerformedSound
@@ -110,6 +110,31 @@ def test_one_that_is_dropped_anywhere_leaves_the_mouth_without_a_jump(faces, unt
 
     assert np.abs(np.diff(shown, axis=0)).max() <= (between + easing) * step_s + 1e-9
     np.testing.assert_allclose(shown[-1], inner.frame_at(times_s[-1]).coefficients)
+
+
+def test_speech_right_behind_a_performance_moves_the_mouth_as_much_as_any():
+    """It was eased in while the last face was shown, and is not once more."""
+    inner, over_s = Swaying(REST), 0.04 + EASING_S
+    motion = motion_of(
+        np.zeros((5, 3), np.float32), lambda time_s: time_s if time_s <= over_s else None, inner
+    )
+    times_s = np.arange(0, 60) / RATE_HZ
+    shown = [motion.frame_at(time_s).coefficients for time_s in times_s]
+    behind = times_s > over_s
+    alone = [inner.frame_at(time_s).coefficients for time_s in times_s[behind]]
+    np.testing.assert_array_equal(np.array(shown)[behind], alone)
+
+
+def test_where_nothing_is_performed_the_lower_lip_is_tucked_as_without():
+    class Tucking(StillMotion):
+        def frame_at(self, time_s):
+            return Frame(time_s, self._rest, Expression(lip_tuck=0.7))
+
+    dropped = motion_of(
+        np.zeros((5, 3), np.float32), lambda time_s: 0.0 if time_s < 0.1 else None, Tucking(REST)
+    )
+    tucks = [dropped.frame_at(time_s).expression.lip_tuck for time_s in (0.0, 0.15, 0.5)]
+    assert tucks == [None, 0.7, 0.7]
 
 
 def test_head_and_eyes_are_shown_between_the_stored_ones_and_only_what_is_stored():

@@ -160,7 +160,7 @@ def test_two_speakers_are_told_apart_by_tier():
 
     assert "ann - phones, bob - phones; choose one with --tier NAME" in refusal(grid)
     assert told(grid, tier="bob - phones") == rounded(other)
-    assert "the file has several tiers: ann - words" in refusal(grid, tier="eve")
+    assert "the file has no tier 'eve', but ann - words" in refusal(grid, tier="eve")
 
 
 def test_a_tier_of_any_name_is_read_if_it_is_the_only_one():

@@ -45,6 +45,45 @@ def test_a_program_without_times_has_its_text_told(tts):
     assert [unit.label for unit in spoken.units.units] == ["Thumbs up."]
 
 
+@pytest.mark.parametrize("subtype", ["PCM_16", "PCM_24", "FLOAT", "DOUBLE"])
+def test_sound_is_as_loud_whatever_its_samples_are(tmp_path, subtype):
+    soundfile.write(tmp_path / "said.wav", np.full(800, 0.1), 16_000, subtype=subtype)
+    spoken = speak(f"cat {tmp_path}/said.wav")
+
+    assert np.abs(spoken.samples).max() == pytest.approx(0.1, abs=1e-3)
+
+
+def test_samples_that_are_no_number_or_too_large_neither_wrap_nor_fail(tmp_path):
+    said = np.array([np.nan, 1.5, -1.5, np.inf, 0.5] * 200)
+    soundfile.write(tmp_path / "said.wav", said, 16_000, subtype="FLOAT")
+    spoken = speak(f"cat {tmp_path}/said.wav").samples[:5]
+
+    np.testing.assert_allclose(spoken, [0.0, 1.0, -1.0, 1.0, 0.5], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("said", "subtype"),
+    [(0.1 * 32767.0, "FLOAT"), (np.array([0.1, -0.1]), "PCM_16")],
+    ids=["whole numbers in floats", "channels that cancel each other"],
+)
+def test_odd_sound_is_taken_as_that_of_a_file(tmp_path, said, subtype):
+    samples = np.full((800, 2), said) if np.ndim(said) else np.full(800, said)
+    soundfile.write(tmp_path / "said.wav", samples, 16_000, subtype=subtype)
+    spoken = speak(f"cat {tmp_path}/said.wav")
+
+    assert np.abs(spoken.samples).max() == pytest.approx(0.1, abs=1e-3)
+
+
+def test_a_program_that_cannot_seek_back_to_write_the_size_is_heard(tmp_path):
+    soundfile.write(tmp_path / "said.wav", np.full(800, 0.1), 16_000)
+    said = bytearray((tmp_path / "said.wav").read_bytes())
+    at = said.index(b"data") + 4
+    said[at : at + 4] = bytes(4)
+    (tmp_path / "said.wav").write_bytes(said)
+
+    assert len(speak(f"cat {tmp_path}/said.wav").samples) == 800
+
+
 def test_sound_may_come_from_the_standard_output(tts):
     assert len(speak(f"cat {tts.split()[1]}").samples) == 8000
 
@@ -110,7 +149,7 @@ def test_another_language_needs_its_place_in_the_command(tts):
 
 def test_sound_at_an_impossible_rate_is_one_line(tmp_path):
     soundfile.write(tmp_path / "slow.wav", np.full(100, 0.1), 1000)
-    with pytest.raises(SynthesisError, match="wrote sound at 1000 Hz; 4000 to 192000 Hz"):
+    with pytest.raises(SynthesisError, match="1000 Hz"):
         speak(f"cp {tmp_path}/slow.wav {{wav}}")
 
 
@@ -130,10 +169,11 @@ def test_a_program_that_writes_without_end_is_stopped(monkeypatch):
 
 
 def test_a_program_that_hangs_is_killed_with_all_that_it_started(monkeypatch, tmp_path):
-    monkeypatch.setattr(voice_process, "LONGEST_S", 1.0)
     pid = tmp_path / "pid"
-    with pytest.raises(SynthesisError, match="took longer than"):
-        speak(f"sh -c 'sleep 600 & echo $! > {pid}; wait'")
+    with monkeypatch.context() as hurried:
+        hurried.setattr(voice_process, "LONGEST_S", 1.0)
+        with pytest.raises(SynthesisError, match="took longer than"):
+            speak(f"sh -c 'sleep 600 & echo $! > {pid}; wait'")
 
     wait_until_gone(int(pid.read_text()))
     assert speak(f"sh -c 'cat {make_sound(tmp_path)}'").phonemes == ()

@@ -75,6 +75,16 @@ KINDS = {
     "times": ("At 10:30, 9:05 am or 14:00.", "At 10 30, 9 oh 5 A M or 14 o'clock."),
     "money": ("$5, $3.50, $1, €2.5 million, £1,200", "5 dollars, 3 dollars 50 cents, 1 dollar, "
               "2.5 million euros, 1,200 pounds"),
+    "short scales": ("$5M, $1.25m, £3bn, $5 baked", "5 million dollars, 1.25 million dollars, "
+                     "3 billion pounds, 5 dollars baked"),
+    "two prices": ("A costs $10 (limit=5), B $20. $E=mc^2$ holds", "A costs 10 dollars (limit=5), "
+                   "B 20 dollars. holds"),
+    "arithmetic": ("2*3*4, 5 - 3 = 2, $100 - $20 = $80", "2 times 3 times 4, 5 minus 3 = 2, "
+                   "100 dollars minus 20 dollars = 80 dollars"),
+    "no arithmetic": ("80-89 = B, 2019 - 2021 = long, $20 - 5 users", "80 to 89 = B, "
+                      "2019 to 2021 = long, 20 dollars - 5 users"),
+    "wide ranges": ("1.5-2 hours, 1,000-2,000, $5-$10, 555-1234", "1.5 to 2 hours, 1,000 to 2,000, "
+                    "5 dollars to 10 dollars, 555 1234"),
     "dates": ("On 2026-11-29.", "On November 29, 2026."),
     "ranges": ("5-10 people, 2019–2024", "5 to 10 people, 2019 to 2024"),
     "telephone": ("Call 555-1234.", "Call 555 1234."),

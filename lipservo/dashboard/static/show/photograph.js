@@ -82,7 +82,8 @@ class FacePhoto extends HTMLElement {
       if (file.size > MOST_BYTES) throw new Error(`more than ${MOST_BYTES / 1e6} MB; give a smaller picture`);
       const picture = await pictureOf(file);
       this.shipped ??= await (await answered(`${URL_OF}.json`)).json();
-      Object.assign(this, { picture, name: file.name, key: `${KEPT_POINTS}${file.name} ${file.size}` });
+      Object.assign(this, { picture, points: null, name: file.name, key: `${KEPT_POINTS}${file.name} ${file.size}` });
+      for (const name of [".points", ".keep"]) this.querySelector(name).hidden = true;
       this.choose("photo");
       const points = told ? await pointsOf(told, picture.share) : keptPoints(this.key);
       if (points) await this.showOwn(points);

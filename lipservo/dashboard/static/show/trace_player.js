@@ -62,6 +62,7 @@ class FaceTrace extends HTMLElement {
 
   /** Read a trace, .jsonl or .gz, and show its first tick. */
   async open(file) {
+    cancelAnimationFrame(this.playing);
     try {
       if (file.size > MOST_BYTES) throw new Error(`more than ${MOST_BYTES / 1e6} MB`);
       const stream = /\.gz$/i.test(file.name) ? file.stream().pipeThrough(new DecompressionStream("gzip")) : file.stream();
@@ -72,6 +73,7 @@ class FaceTrace extends HTMLElement {
       this.slider.max = this.trace.timesS.length - 1;
       this.at(0);
     } catch (error) {
+      this.end();
       this.told.textContent = `${file.name} cannot be shown: ${error.message}`;
     }
   }
@@ -140,7 +142,7 @@ class FaceTrace extends HTMLElement {
 
 /** Draw a curve of values between two heights, and above it their range and `name`. x: of tick n, px. */
 function line(context, values, x, [top, bottom], name, stroke, ink) {
-  const [least, most] = [Math.min(...values), Math.max(...values)];
+  const [least, most] = [Math.min, Math.max].map((end) => values.reduce((a, b) => end(a, b))); // may be too many to spread
   const y = (value) => bottom - ((value - least) / (most - least || 1)) * (bottom - top);
   context.beginPath();
   values.forEach((value, n) => context.lineTo(x(n), y(value)));

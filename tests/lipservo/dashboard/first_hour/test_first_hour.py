@@ -175,6 +175,20 @@ def test_between_steps_no_servo_is_driven_and_a_stop_says_so(path):
     assert stopped.value.is_limp
 
 
+@pytest.mark.parametrize(
+    ("step", "goes_on"),
+    [("limits", False), ("jog", False), ("by_eye", False), ("measure", True), ("speak", True)],
+)
+def test_a_step_whose_servos_hold_for_a_person_ends_when_no_page_was_open_for_15_s(
+    path, step, goes_on
+):
+    hour = FirstHour(path)
+    assert hour._may_run(step)()
+
+    hour._page_seen_s = time.monotonic() - 20.0
+    assert hour._may_run(step)() is goes_on
+
+
 def test_a_step_that_nobody_wants_is_ended():
     ended = []
     step = StepProcess(

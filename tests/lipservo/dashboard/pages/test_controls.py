@@ -122,6 +122,27 @@ def test_a_setting_changes_while_it_is_dragged_and_a_shipped_face_cannot_be_save
     assert "is shipped with lipservo" in page.inner_text("face-settings .where")
 
 
+def test_a_value_between_the_steps_of_its_slider_is_saved_as_it_is(opened, face):
+    face.commands.change({"strength": 0.82})
+
+    def answer(route):
+        if route.request.method == "GET":
+            route.fulfill(json={"config": "mine.yaml", "can_save": True, "why_not": None})
+        else:
+            bodies.append(json.loads(route.request.post_data))
+            route.fulfill(json={})
+
+    bodies = []
+    page = opened()
+    page.route("**/api/settings", answer)
+    page.goto(page.url.rstrip("/") + "/settings")
+    page.wait_for_function("window.dashboard?.status?.settings?.strength === 0.82")
+    page.locator("face-settings .save:enabled").click()
+    wait_for(page, lambda: bodies)
+
+    assert bodies[0]["values"]["strength"] == 0.82
+
+
 def test_dragging_makes_it_look_there_and_letting_go_sets_it_free(opened):
     page = opened()
     bodies = asked_of(page, "/api/look-at")
@@ -166,3 +187,15 @@ def test_lines_come_are_refused_and_go(opened, sounds):
     button.click()
     page.locator("face-lines .files", has_text="No sound files").wait_for()
     assert not (sounds / "welcome.flac").exists()
+
+
+def test_what_is_said_of_lines_that_could_not_be_loaded_goes_with_the_next_that_could(opened):
+    page = opened("/lines")
+    page.route("**/api/lines", lambda route: route.fulfill(status=503, json={"error": "busy"}))
+    page.evaluate("document.querySelector('face-lines').load()")
+    said = page.locator("face-lines .said")
+    said.and_(page.locator("[data-tone=bad]")).wait_for()
+    page.unroute("**/api/lines")
+    page.evaluate("document.querySelector('face-lines').load()")
+
+    assert said.inner_text() == ""

@@ -94,3 +94,34 @@ def test_nothing_moves_and_nothing_is_set_before_the_switch_is_armed(page, confi
 
     assert page.locator(f"{JAW} output").inner_text().startswith("1500")
     assert config.read_text() == before
+
+
+@pytest.fixture
+def pressed(page):
+    """The moves that are asked for from now on, with the pointer at `+ 10 µs` of an armed page."""
+    page.locator("face-jog .switch").click()
+    slide(page, 1520)
+    page.wait_for_timeout(500)
+    moves = []
+    page.on("request", lambda asked: '"move"' in (asked.post_data or "") and moves.append(asked))
+    page.locator(f"{JAW} .more").hover()
+    return moves
+
+
+def test_a_press_of_the_right_button_moves_nothing(page, pressed):
+    page.mouse.down(button="right")
+    page.wait_for_timeout(600)
+
+    assert pressed == []
+
+
+def test_a_button_that_is_held_while_its_row_is_drawn_anew_moves_nothing_more(page, pressed):
+    page.mouse.down()
+    page.wait_for_timeout(600)
+    assert pressed
+    page.evaluate("document.querySelector('face-jog').build(['jaw'])")
+    page.wait_for_timeout(300)
+    pressed.clear()
+    page.wait_for_timeout(800)
+
+    assert pressed == []

@@ -247,3 +247,38 @@ def test_what_is_no_trace_is_said_in_one_line(opened):
     )
     told = "document.querySelector('face-trace .told').textContent"
     settled(page, f"{told}.includes('no lipservo trace')")
+
+
+def open_trace(page, name, content):
+    page.set_input_files(
+        "face-trace input[type=file]",
+        {"name": name, "mimeType": "text/plain", "buffer": content},
+    )
+
+
+def test_a_trace_of_an_hour_is_shown_and_a_file_that_is_none_gives_the_live_face_back(opened):
+    head = {"lipservo_trace": 1, "servos": ["jaw"]}
+    tick = {"phoneme": "AA", "coefficients": FACE.rest.tolist(), "sent_deg": [1.0]}
+    ticks = [{"sound_s": n / 50.0, **tick} for n in range(140_000)]
+    page = opened("/show")
+    settled(page, "window.twin?.ready && window.tracePlayer")
+    open_trace(page, "hour.jsonl", "\n".join(map(json.dumps, [head, *ticks])).encode())
+    told = "document.querySelector('face-trace .told').textContent"
+    settled(page, f"{told}.includes('recorded, not the live face')")
+    settled(page, "dashboard.held !== null")
+    open_trace(page, "talk.jsonl", b"{}")
+    settled(page, f"{told}.includes('no lipservo trace')")
+
+    assert page.evaluate("dashboard.held === null")
+
+
+def test_a_second_photograph_has_no_points_of_the_first(opened):
+    page = opened("/show")
+    show_photograph(page, ("a.png", picture()), ("a.json", hand_points(0.6)))
+    settled(page, "photograph.name === 'a.png' && photograph.view?.drawn > 0 && photograph.points")
+    page.locator("face-photo .keep").wait_for()
+    show_photograph(page, ("b.png", picture((700, 500))))
+    settled(page, "photograph.name === 'b.png' && document.querySelector('face-points g')")
+
+    assert page.evaluate("photograph.points") is None
+    assert page.locator("face-photo .keep").is_hidden()

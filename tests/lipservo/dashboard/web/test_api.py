@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from served_dashboard import served, wait_for
+from voice_agents.served_face import ServedFace
 from watched_face import SERVOS
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -80,6 +81,17 @@ def test_a_face_without_a_voice_cannot_be_silenced(client):
 
     assert answer.status_code == 409
     assert "takes no speech" in answer.json()["error"]
+
+
+def test_an_interruption_claims_no_silence_since_an_agent_may_speak_on():
+    with (
+        ServedFace() as voice,
+        served({"listens_on": voice.url}) as dashboard,
+        dashboard.client() as client,
+    ):
+        told = client.post("/api/interrupt").json()
+
+    assert told == {"accepted": "interrupt"}
 
 
 def test_a_stop_needs_no_body(client, dashboard):

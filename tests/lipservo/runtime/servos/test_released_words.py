@@ -82,8 +82,14 @@ def test_the_problem_of_one_bus_is_said_of_it_alone_beside_what_servos_of_the_ot
     )
 
 
-@pytest.mark.parametrize("unkilled", [[], [7]])
-def test_a_hung_face_none_of_whose_ports_is_found_is_not_called_limp(monkeypatch, unkilled):
+@pytest.mark.parametrize(
+    ("unkilled", "words"),
+    [
+        ([], "was killed, and none of its ports was found: `lipservo limp --port PORT`"),
+        ([7], "processes [7] cannot be killed; switch the servos' power off"),
+    ],
+)
+def test_a_hung_face_none_of_whose_ports_is_found_is_not_called_limp(monkeypatch, unkilled, words):
     def hang(*_given, **_named):
         raise TimeoutError
 
@@ -98,4 +104,4 @@ def test_a_hung_face_none_of_whose_ports_is_found_is_not_called_limp(monkeypatch
     (outcome,) = stop_faces([RunningFace("tim", 7, Path("/none/tim-7.sock"))], StopLevel.LIMP)
 
     assert not outcome.is_confirmed
-    assert outcome.text().endswith("none of its ports was found: `lipservo limp --port PORT`")
+    assert outcome.text() == f"tim: {words}"

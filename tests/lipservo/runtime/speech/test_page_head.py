@@ -9,6 +9,7 @@ from lipservo_lab.learning.motion.trained_model import load_trained_model
 from spoken_phonemes import spoken
 
 from lipservo.runtime.speech.speech_side import SpeechBoard
+from lipservo.runtime.status.live_board import EXPRESSION_NAMES
 from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeUpdate
@@ -51,3 +52,14 @@ def test_on_the_page_a_round_vowel_looks_unlike_aa_and_iy(vowel):
     round_mm, aa_mm, iy_mm = (in_the_middle_mm(v) for v in (vowel, "AA", "IY"))
     assert round_mm[0] <= 0.75 * aa_mm[0]
     assert round_mm[1] <= 0.8 * iy_mm[1]
+
+
+def test_a_mouth_that_is_cut_off_in_an_f_does_not_keep_its_lip_tucked():
+    written = []
+    board = SimpleNamespace(write_speech=lambda _peaks, **values: written.append(values))
+    head, speech = SpeechBoard(board, MODEL), SpokenVowel("F")
+    for speech.is_cut_off in (False, True):
+        head.tell(0.5, speech)
+    tucked, cut_off = (dict(zip(EXPRESSION_NAMES, w["expression"], strict=True)) for w in written)
+    assert tucked["lip_tuck"] > 0.4
+    assert np.isnan(cut_off["lip_tuck"])
