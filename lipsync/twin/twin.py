@@ -138,8 +138,7 @@ def _lip_tuck(surface: HeadSurface) -> Array:
 
 def _lower_lid(n: int) -> Array:
     """Return weights (n,) round an eye: 0 on the upper lid, 0 up to 1 and back on the lower lid."""
-    along = np.arange(n) / n
-    return np.maximum(0.0, -np.sin(2 * np.pi * along))
+    return np.maximum(0.0, -np.sin(2 * np.pi * (np.arange(n) / n)))
 
 
 def _smile_mm(landmark: int) -> tuple[float, float, float]:

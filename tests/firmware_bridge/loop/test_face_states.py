@@ -9,6 +9,7 @@ in another state by a start that was stopped, and perhaps started again, meanwhi
 """
 
 import contextlib
+from functools import cache
 
 import pytest
 from driven_robot import RATE_HZ, TORQUE_ON, speech_deg
