@@ -42,7 +42,8 @@ class SimulatedFace:
     def __init__(self, process: "subprocess.Popen[str]", folder: Path) -> None:
         """Wait until the face in `process` drives its servos; it is killed after 120 s.
 
-        folder: of its files `token` and `trace.jsonl`. Raises RuntimeError if the process ends.
+        folder: of its control socket, `token` and `trace.jsonl`. Raises RuntimeError if the process
+        ends.
         """
         assert process.stderr is not None
         self._process = process

@@ -100,8 +100,8 @@ class FeetechBus(SerialBus[Line]):
 
         strict: every servo must answer before the first goal; otherwise servos may be missing, but
         neither a critical one nor all. period_s: from tick to tick. A servo whose goals were
-        withheld moves at most as far as its top speed allows in one period per goal, however late
-        the goal comes.
+        withheld moves at most as far as its top speed allows in one period per goal, or one step,
+        however late the goal comes.
         """
         super().__init__(
             servos, lambda: Line(open_transport()), PresentState(servos), strict=strict

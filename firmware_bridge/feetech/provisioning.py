@@ -167,8 +167,9 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
     """Return, by id, registers set by another program that must be reset before a servo is moved.
 
-    They are operating mode, position counts over many turns and position limits; {} if none is set.
-    found: model name by id. Raises PortError, and ServoError for a servo that falls silent.
+    They are operating mode, position counts over many turns, and position limits over 20 steps
+    from the ends; {} if none is set. found: model name by id. Raises PortError, and ServoError for
+    a servo that falls silent.
     """
     differing = {}
     with unhurried_line(port, rate) as line:

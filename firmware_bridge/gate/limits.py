@@ -431,10 +431,8 @@ class Limiter:
         # A limp joint takes no goal: the rules count with where it stands.
         limp, self._limp = self._limp, no_joint
         if any_set(limp):
-            cut_deg = self._prevention.cut(before_deg, np.where(limp, before_deg, reached_deg))
-            sent_deg = np.where(limp, reached_deg, cut_deg)
-        else:
-            sent_deg = self._prevention.cut(before_deg, reached_deg)
+            reached_deg = np.where(limp, before_deg, reached_deg)
+        sent_deg = self._prevention.cut(before_deg, reached_deg)
         if sent_deg is not reached_deg:
             sent_deg = clip(sent_deg, least_deg, most_deg)
         self._acceleration.sent(before_deg, sent_deg, elapsed_s)

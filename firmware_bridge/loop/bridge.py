@@ -248,8 +248,9 @@ class Bridge:
         ServoError that names those that cannot. A frozen face: servos with torque keep it; the
         ticks bring up the others. Raises PortError when the port fails.
 
-        may_continue: called before each servo; False ends the start, and unless a stop has acted
-        already, all torque goes off. by_person: servos that were given up are tried again.
+        may_continue: called before each servo and between tries; False ends the start, and unless a
+        stop has acted already, all torque goes off. by_person: servos that were given up are tried
+        again.
         """
         servos = self._servos
         if why_not := self._start_refusal(dry_run=False):

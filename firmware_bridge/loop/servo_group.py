@@ -221,7 +221,8 @@ class ServoGroup:
         """Switch torque of servos `indices` on at their positions; all off on an error.
 
         Servos that a person switched off stay off. Raises ServoError naming the servos that refuse.
-        may_continue: called before each servo; False, a stop: no further servo is armed.
+        may_continue: called before each servo and between tries; False, a stop: no further servo is
+        armed.
         """
         found = []
         for index in self._not_off(indices):
@@ -257,6 +258,7 @@ class ServoGroup:
         that did not answer just now keeps its last goal until it answers (`stay_on`), since its
         position is unknown; one that never reports a position keeps the angle sent last.
         """
+        self._to_keep.clear()
         heard, near_deg = self._stopping_places()
         here_deg = np.where(heard, near_deg, self.limiter.sent_deg)
         sent_deg = self._bus.feedback().sent_deg if self._any_blind else None
@@ -397,6 +399,7 @@ class ServoGroup:
 
     def reboot(self, index: int, time_s: float) -> None:
         """Restart one servo, which must not be driven, at a person's order."""
+        self._bus.forgive(index)
         self.supervision.reboot(index, time_s, self.gate)
 
     def remarks(self) -> Sequence[str]:

@@ -89,10 +89,9 @@ class I2cChip:
 
         Raises PortGone with the cause and the remedy.
         """
-        # The lines of the bus may have been disturbed.
         with contextlib.suppress(OSError):
             return self._transfers.transfer(messages)
-        try:
+        try:  # the lines of the bus may have been disturbed
             return self._transfers.transfer(messages)
         except OSError as error:
             why = _GONE.get(error.errno or 0, error.strerror or str(error))

@@ -319,7 +319,7 @@ class OpenStreams:
         return item
 
     def keep(self, own: OwnSpeech, spoken: Utterance) -> None:
-        """Store what was synthesised or read of `own`; drop it if it was interrupted before."""
+        """Store what was synthesised or read of `own`; if interrupted before, drop what can be."""
         own.spoken = spoken
         if own.is_dropped:
             self._playout.requests.append(PlayoutRequest("clear", name=own.stream_id))
@@ -378,7 +378,10 @@ class OpenStreams:
         self._start_next()
 
     def end_stalled(self, now_s: float) -> None:
-        """End streams without audio for `stalled_s`; interrupt a client that has paused as long."""
+        """End streams without audio for `stalled_s`; interrupt a client that has paused as long.
+
+        The time counts from when at most a second of the stream waits to be played.
+        """
         for stream in self._open_streams():
             if stream.speech.waiting_s > _WAITS_S:
                 stream.fed_s = now_s

@@ -120,8 +120,8 @@ def touch_by_eye(
 def _checked_touch_plan(setup: CalibrationSetup, calibration: Calibration) -> PosePlan:
     """Return the plan of poses that close the lips in steps, from 2 mm open to past contact.
 
-    Raises CalibrationError if the calibration is of another face or has no contact of lips, or if
-    its servos were set up anew since.
+    Raises CalibrationError if the calibration is of another face or face model, or has no contact
+    of lips, or if its servos were set up anew since.
     """
     names, checksum = setup.servos.names, setup.settings.checksum
     check_calibration(calibration, setup.model, names, checksum)

@@ -73,6 +73,7 @@ class _DayReadings:
         default_factory=lambda: {name: [] for name in _QUANTITIES}
     )
     counts: Counter[str] = field(default_factory=Counter)
+    is_on: bool = False
 
 
 class _CountRises:
@@ -176,9 +177,10 @@ def _read_lines(
             of_servo = readings.setdefault(name, _DayReadings())
             for key in _QUANTITIES:
                 of_servo.values[key].append(record[key][index])
+            of_servo.is_on = bool(np.nan_to_num(record["torque_on"][index], nan=of_servo.is_on))
             for key in _COUNTS:
-                # A limp servo may be without supply: its silence is no fault.
-                if key != "unanswered" or record["torque_on"][index] > 0:
+                # A servo known as limp last may be without supply: its silence is no fault.
+                if key != "unanswered" or of_servo.is_on:
                     of_servo.counts[key] += rises[name, key]
     return n_good, n_bad
 

@@ -62,9 +62,10 @@ def run_face(
     """Run a face on an open sound source until its end or a person's stop; switch torque off.
 
     live: draw the face in the terminal. endless: go on in silence when the source is over, and wait
-    for a start command when a person has stopped the face. listener: bound socket to which voice
-    agents connect; None: no agents. synthesizer: used without any recogniser; None: both are made
-    as the request's motion names them. Returns summary, status, stop report and signal.
+    for a start command when a person has stopped the face, no dry run. listener: bound socket
+    to which voice agents connect; None: no agents. synthesizer: used without any recogniser;
+    None: both are made as the request's motion names them. Returns summary, status, stop report
+    and signal.
     """
     began_s = time.perf_counter()
     requested = RequestedFace(request)

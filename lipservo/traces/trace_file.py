@@ -34,7 +34,6 @@ _VERSION_KEY = "lipservo_trace"
 _QUEUE_LENGTH = 12_000
 #: More than a day at 200 Hz, unpacked; a small file may unpack to any size.
 _MOST_BYTES = 8_000_000_000
-_GZIP = b"\x1f\x8b"
 
 
 class TraceError(UserError):
@@ -289,10 +288,9 @@ def _read_lines(path: Path) -> list[bytes]:
     At most 8 GB are unpacked. Raises TraceError.
     """
     try:
-        with path.open("rb") as start:
-            is_packed = start.read(2) == _GZIP
-        if not is_packed:
-            return [line for line in path.read_bytes().split(b"\n") if line]
+        raw = path.read_bytes()
+        if not raw.startswith(b"\x1f\x8b"):
+            return [line for line in raw.split(b"\n") if line]
         unpacked = bytearray()
         with gzip.open(path) as file, suppress(EOFError):
             while len(unpacked) < _MOST_BYTES and (chunk := file.read1(1 << 20)):

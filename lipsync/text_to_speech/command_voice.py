@@ -178,7 +178,7 @@ def _read_outputs(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
             samples = sound.read(dtype="float32", always_2d=True)
     except (SoundError, soundfile.LibsndfileError, RuntimeError, OSError) as error:
         raise SynthesisError(
-            f"the voice's command wrote no sound to {_WAV} or its standard output ({error})"
+            f"the voice's command wrote no sound that can be used to {_WAV} or its output ({error})"
         ) from None
     file_bytes = words.read_bytes()[: _LARGEST_WORDS_BYTES + 1] if words.is_file() else b""
     if len(file_bytes) > _LARGEST_WORDS_BYTES:

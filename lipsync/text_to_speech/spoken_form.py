@@ -42,6 +42,7 @@ _MARKUP: Final = _rules(
     (r"</?[A-Za-z][\w:-]*(?:\s[^<>]*)?/?>", " "),
     # Formulas; between two prices there is none.
     (r"\$\$.*?\$\$|\\\[.*?\\\]|\\\(.*?\\\)|\$(?!\s)[^$\n]*[\\^_{}=][^$\n]*(?<!\s)\$(?!\d)", " "),
+    (r"\$ (?!\d)[^$\n]*[\\^_{}=][^$\n]* \$(?!\s?\d)", " "),
     (r"(?<=\d)\*(?=\d)", "\u00d7"),
     (r"【[^】]*】", " "),
     (r"^\[\^[^\]]+\]:.*?$", " "),
@@ -68,7 +69,6 @@ _LINKS: Final = _rules(
 _FEW: Final = r"\d{1,2}|1\d{3}|20\d\d"
 #: A number with a decimal point or commas, or of two digits.
 _SOME: Final = r"\d[\d,]*\.\d+|\d{1,3}(?:,\d{3})+|\d{1,2}"
-_UNIT: Final = "(?:dollars?|euros?|pounds?|cents?)"
 #: How figures are read out in English.
 _ENGLISH: Final = _rules(
     (r"\b(\d{4})-(0[1-9]|1[0-2])-([0-2]\d|3[01])\b", lambda m: _date(m[1], m[2], m[3])),
@@ -79,13 +79,9 @@ _ENGLISH: Final = _rules(
     ),
     (r"\b([01]?\d|2[0-3]):([0-5]\d)(?!\d|:\d)(?:\s?([AaPp])\.?[Mm]\b\.?)?", lambda m: _clock(m)),
     (r"\b(\d{1,2})\s?([AaPp])\.?[Mm]\b", lambda m: f"{m[1]} {m[2].upper()} M"),
-    (rf"(?<=[\ds])\s?[-\u2013]\s?(?=\d[\d.,]*(?: {_UNIT})?\s?=\s?-?\d)", " minus "),
-    (
-        rf"\b({_UNIT})(?:[-\u2013](?=\d)|\s[-\u2013]\s(?=\d[\d.,]*(?: \w+)? {_UNIT}))",
-        r"\1 to ",
-    ),
-    (rf"(?<![\d.,-])({_SOME})-({_SOME})(?![\d-]|[.,]\d|\s?=\s?-?\d)", r"\1 to \2"),
-    (rf"(?<![\d.-])({_FEW})\s?[-\u2013]\s?({_FEW})(?![\d-]|\.\d|\s?=\s?-?\d)", r"\1 to \2"),
+    (r"\b(dollars?|euros?|pounds?|cents?)[-\u2013](?=\d)", r"\1 to "),
+    (rf"(?<![\w.,-])({_SOME})-({_SOME})(?![\d-]|[.,]\d|\s?=\s?-?\d)", r"\1 to \2"),
+    (rf"(?<![\d.-])({_FEW})\s?[-\u2013]\s?({_FEW})(?![\d-]|\.\d|\s?[-+=]\s?\d)", r"\1 to \2"),
     (r"(?<=\d)\s?\u2013\s?(?=\d)", " to "),
     (r"(?<=\d)-(?=\d)", " "),
     (r"(?<![\d/])1/2(?![\d/])", "a half"),

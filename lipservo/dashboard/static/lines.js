@@ -45,11 +45,11 @@ class FaceLines extends HTMLElement {
     try {
       files = filesOf(await getJson("/api/lines"));
     } catch (error) {
-      this.isAway = true;
+      this.away = error.message;
       return this.say("bad", error.message);
     }
-    if (this.isAway) this.say("", "");
-    this.isAway = false;
+    if (this.away && this.said.textContent === this.away) this.say("", "");
+    this.away = "";
     const told = JSON.stringify(files);
     if (told === this.told) return undefined;
     this.told = told;

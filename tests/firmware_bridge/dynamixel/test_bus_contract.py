@@ -282,6 +282,7 @@ def test_servos_get_torque_are_let_go_and_restarted_one_by_one(face):
         assert eventually(lambda: known(face, AT_REST) == [False, True, True, False], face.clock)
         eventually(lambda: bus.disable_torque(1), face.clock)
         bus.reboot(2)
+        bus.forgive(2)
         assert eventually(lambda: known(face) == [False] * N, face.clock)
         assert eventually(lambda: not bus.feedback().age_s.any(), face.clock)
 

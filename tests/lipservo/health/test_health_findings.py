@@ -124,6 +124,19 @@ def test_counts_go_on_over_midnight_and_begin_anew_with_a_run(tmp_path):
     assert day.n_unanswered == 1
 
 
+@pytest.mark.parametrize(("was_on", "counted"), [(True, 5), (False, 0)])
+def test_the_silence_of_a_servo_counts_if_it_was_on_when_it_was_last_known(
+    tmp_path, was_on, counted
+):
+    """While it is silent its torque is unknown."""
+    for number, on in enumerate((was_on, None)):
+        line = json_line(NOON, number, [servo(torque_on=on, n_unanswered=5 * number)])
+        append_line(tmp_path / "2026-11-22.jsonl", line)
+
+    (day,) = read_history([tmp_path], 30).servos["jaw"]
+    assert day.n_unanswered == counted
+
+
 def test_lines_that_are_damaged_are_counted_and_left_out(tmp_path):
     folder = tmp_path / "health" / "mouth"
     run_for_days(folder, 1, steady)

@@ -120,7 +120,7 @@ def test_words_with_times_are_told_with_them(tts):
         ("", "the voice has no command; write it as `sound: {synthesizer: command"),
         ("no-such-program {wav}", "cannot be run"),
         ("sh -c 'echo first; echo no voice >&2; exit 3'", "failed with status 3: no voice"),
-        ("true", "wrote no sound to {wav} or its standard output"),
+        ("true", "wrote no sound that can be used to {wav} or its output"),
         ("sh -c 'echo hello'", "wrote no sound"),
         ("sh 'unfinished", "the voice's command cannot be read: No closing quotation"),
     ],

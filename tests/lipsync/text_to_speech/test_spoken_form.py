@@ -79,10 +79,11 @@ KINDS = {
                      "3 billion pounds, 5 dollars baked"),
     "two prices": ("A costs $10 (limit=5), B $20. $E=mc^2$ holds", "A costs 10 dollars (limit=5), "
                    "B 20 dollars. holds"),
-    "arithmetic": ("2*3*4, 5 - 3 = 2, $100 - $20 = $80", "2 times 3 times 4, 5 minus 3 = 2, "
-                   "100 dollars minus 20 dollars = 80 dollars"),
-    "no arithmetic": ("80-89 = B, 2019 - 2021 = long, $20 - 5 users", "80 to 89 = B, "
-                      "2019 to 2021 = long, 20 dollars - 5 users"),
+    "arithmetic": ("2*3*4, 5 - 3 = 2, $9 - $5 = $4, 10 - 5 - 3 = 2", "2 times 3 times 4, "
+                   "5 - 3 = 2, 9 dollars - 5 dollars = 4 dollars, 10 - 5 - 3 = 2"),
+    "no arithmetic": ("80-89 = B, 2019 - 2021, $20 - 5 users, Qwen2.5-7B", "80 to 89 = B, "
+                      "2019 to 2021, 20 dollars - 5 users, Qwen2.5 7B"),
+    "spaced formula": ("Area is $ x^2 = 4 $ here", "Area is here"),
     "wide ranges": ("1.5-2 hours, 1,000-2,000, $5-$10, 555-1234", "1.5 to 2 hours, 1,000 to 2,000, "
                     "5 dollars to 10 dollars, 555 1234"),
     "dates": ("On 2026-11-29.", "On November 29, 2026."),
