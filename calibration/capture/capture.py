@@ -519,9 +519,21 @@ def take_pose(plan: PosePlan, index: int, robot: Robot) -> CapturedPose:
 
 
 def stalled_joint(plan: PosePlan, index: int, reached_deg: Array) -> str | None:
-    """Return a line on the joint that stalled on its way to row `index`; None if none did.
+    """Return a line on the joint that stalled on its way to a row of the plan; None if none did.
 
-    reached_deg: (n_servos,) degrees, by the encoders.
+    Parameters
+    ----------
+    plan : PosePlan
+        The poses.
+    index : int
+        The row.
+    reached_deg : Array
+        (n_servos,) degrees, by the encoders.
+
+    Returns
+    -------
+    str | None
+        The pose, the joint, where it stopped and its goal.
     """
     missed_deg = np.abs(reached_deg - plan.goals_deg[index])
     if missed_deg.max() <= STALL_DEG:

@@ -1,10 +1,11 @@
 """The fixture that other people's tests use, in a pytest of its own."""
 
+import subprocess
+import sys
+
 import pytest
 import yaml
 from places import ROOT
-
-pytest_plugins = "pytester"
 
 SPEAKS = """
 import math, os, struct
@@ -20,17 +21,27 @@ def test_speaks(simulated_face):
 """
 
 
-@pytest.fixture(autouse=True)
-def alone(pytester, monkeypatch):
-    """The plug-in of the installed wheel and no other."""
-    monkeypatch.setenv("PYTEST_ADDOPTS", "-p no:cacheprovider -p no:xdist")
-    return pytester
+@pytest.fixture
+def run(tmp_path):
+    """What a pytest of its own prints of a test; it has the plug-in of lipservo and no other.
+
+    Not by pytest's own `pytester`: that empties `sys.modules` and fills it again, and a thread of
+    another test that imports at that moment loads NumPy twice.
+    """
+
+    def run(test, face=None):
+        (tmp_path / "test_own.py").write_text(test)
+        if face is not None:
+            (tmp_path / "conftest.py").write_text(OWN.replace("FACE", face))
+        command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done.stdout
+
+    return run
 
 
-def test_a_test_speaks_through_a_face_and_gets_what_its_servos_were_sent(alone):
-    alone.makepyfile(SPEAKS.replace("N_SERVOS", "10"))
-
-    alone.runpytest_subprocess().assert_outcomes(passed=1)
+def test_a_test_speaks_through_a_face_and_gets_what_its_servos_were_sent(run):
+    assert "1 passed" in run(SPEAKS.replace("N_SERVOS", "10"))
 
 
 PLAYS = """
@@ -43,10 +54,8 @@ def test_plays(simulated_face):
 """
 
 
-def test_a_test_plays_a_sound_reads_encoders_and_stops(alone):
-    alone.makepyfile(PLAYS)
-
-    alone.runpytest_subprocess().assert_outcomes(passed=1)
+def test_a_test_plays_a_sound_reads_encoders_and_stops(run):
+    assert "1 passed" in run(PLAYS)
 
 
 OWN = """
@@ -58,24 +67,20 @@ def simulated_face_config():
 """
 
 
-def test_a_face_that_there_is_not_is_named(alone):
-    alone.makeconftest(OWN.replace("FACE", "no_such_face"))
-    alone.makepyfile(SPEAKS.replace("N_SERVOS", "10"))
+def test_a_face_that_there_is_not_is_named(run):
+    printed = run(SPEAKS.replace("N_SERVOS", "10"), "no_such_face")
 
-    outcome = alone.runpytest_subprocess()
-    outcome.assert_outcomes(errors=1)
-    outcome.stdout.fnmatch_lines(["*no_such_face*"])
+    assert "1 error" in printed
+    assert "no_such_face" in printed
 
 
-def test_servos_at_a_port_are_simulated_and_the_port_is_left_alone(alone):
+def test_servos_at_a_port_are_simulated_and_the_port_is_left_alone(run, tmp_path):
     face = yaml.safe_load((ROOT / "config" / "face_jaw_maestro.yaml").read_text())
     face["bus"]["port"] = "/dev/ttyACM0"
-    own = alone.path / "own.yaml"
+    own = tmp_path / "own.yaml"
     own.write_text(yaml.safe_dump(face))
-    alone.makeconftest(OWN.replace("FACE", str(own)))
-    alone.makepyfile(SPEAKS.replace("N_SERVOS", "1"))
 
-    alone.runpytest_subprocess().assert_outcomes(passed=1)
+    assert "1 passed" in run(SPEAKS.replace("N_SERVOS", "1"), str(own))
 
 
 BOTH = """
@@ -86,7 +91,5 @@ def test_both(shared_simulated_face, simulated_face):
 """
 
 
-def test_the_encoders_of_a_shared_face_are_its_own_beside_another_face(alone):
-    alone.makepyfile(BOTH)
-
-    alone.runpytest_subprocess().assert_outcomes(passed=1)
+def test_the_encoders_of_a_shared_face_are_its_own_beside_another_face(run):
+    assert "1 passed" in run(BOTH)

@@ -1,12 +1,10 @@
 """Who may connect: what one policy admits and refuses, with a token and without."""
 
-import re
 from itertools import product
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from places import ROOT
 
 from lipservo.access.admission import (
     Policy,
@@ -217,11 +215,3 @@ def test_whatever_comes_only_the_token_opens(token, query, headers, is_socket):
     assert refused is None or isinstance(refused, Refusal)
     if token is not None:
         assert isinstance(refused, Refusal)
-
-
-def test_three_pages_state_the_policy_in_the_same_words():
-    tables = {
-        page: re.search(r"^\| request \| needs \|\n(\|.*\n)+", (ROOT / page).read_text(), re.M)[0]
-        for page in ("docs/hardware.md", "docs/dashboard.md", "docs/agents.md")
-    }
-    assert len(set(tables.values())) == 1
