@@ -126,8 +126,7 @@ def refusal(request: Request, policy: Policy, *, is_stop: bool = False) -> Refus
     if policy.token is not None and has_token(request, policy.token):
         return None
     if needs_no_token:
-        hint = "this host name is not the face's; use its address"
-        return Refusal(HTTPStatus.FORBIDDEN, hint)
+        return Refusal(HTTPStatus.FORBIDDEN, "this host name is not the face's; use its address")
     hint = "needs the token: `Authorization: Bearer TOKEN` or `?token=TOKEN`; docs/hardware.md"
     return Refusal(HTTPStatus.UNAUTHORIZED, hint)
 

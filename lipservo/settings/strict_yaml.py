@@ -216,8 +216,9 @@ def _keys_at(path: tuple[int | str, ...], kind: object) -> list[str]:
     path: keys of mappings and indices of lists, as pydantic gives them for an error.
     """
     if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
-        # A mapping's or tuple's last type argument is that of its values.
-        return _keys_at(path[1:], next(each for each in get_args(kind)[::-1] if each is not ...))
+        # A mapping's or tuple's last type argument is that of its values; a union takes no key.
+        *_, values = (each for each in get_args(kind) if each not in (..., type(None)))
+        return _keys_at(path if type(None) in get_args(kind) else path[1:], values)
     if not path:
         return list(kind.model_fields)
     schema_by_name = getattr(kind, "by_name", {}).get(path[0])

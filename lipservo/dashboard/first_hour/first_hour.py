@@ -129,7 +129,7 @@ class FirstHour:
             return {
                 "file": str(self.path),
                 "trouble": trouble,
-                "port": self._port,
+                "port": self._port or (None if settings is None else settings.servo_port),
                 "kind": self._kind,
                 "kinds": {name: self._board_key(name) for name in bus_names()},
                 "ports": [] if settings else known_ports(),

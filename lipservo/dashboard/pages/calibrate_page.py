@@ -186,7 +186,7 @@ STEPS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ),
     (
         "dots", "Or measured, with dots on the face", "A tracker sees dots on the lips while the "
-        "robot goes through 60 poses, slowly and within its limits.",
+        "robot goes through 110 to 150 poses, slowly and within its limits.",
         "lipservo calibrate measure --config {face} --port DEV --tracker markers.csv -o mine.yaml",
     ),
     (

@@ -124,7 +124,7 @@ class FaceLines extends HTMLElement {
       button.title = why ?? "";
     }
     for (const item of this.list.querySelectorAll("li[data-file]")) {
-      item.classList.toggle("playing", Boolean(status?.speaking?.includes(item.dataset.file)));
+      item.classList.toggle("playing", status?.speaking?.replace(/ #\d+$/, "") === item.dataset.file);
     }
   }
 

@@ -99,6 +99,11 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
         ),
         ("rate_hz: 50", "rate_hz: 29.9", "rate_hz: 29.9 is outside 30..200"),
         ("rate_hz: 50", "rate_hz: 201", "rate_hz: 201 is outside 30..200"),
+        (
+            "  jaw:\n",
+            "  jaw:\n    expression: {of: smile, deg_per_unit: 9, foo: 1}\n",
+            "servos.jaw.expression.foo: unknown setting; known here: of, deg_per_unit",
+        ),
         ("rate_hz: 50", "rate_hz: 50\nrates: 3", "rates: unknown setting; did you mean rate_hz?"),
         (
             "rate_hz: 50",

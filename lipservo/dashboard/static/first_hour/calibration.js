@@ -164,7 +164,7 @@ export class Calibration {
     if (button === null || button.type === "submit") return;
     const { key, do: what } = button.dataset;
     if (key) this.press(key);
-    else if (what === "by-eye") this.hour.post("start", { step: "by_eye", lags: button.parentElement.querySelector("[name=lags]").checked });
+    else if (what === "by-eye") this.hour.post("start", { step: "by_eye", lags: button.parentElement.querySelector("[name=lags]")?.checked ?? false });
     else if (what === "drawn") this.hour.post("start", { step: "drawn" });
     else if (what === "accept") this.measure(this.body.querySelector("form"), true);
     else if (what === "end") this.hour.post("end");
@@ -182,7 +182,7 @@ export class Calibration {
   measure(form, accept) {
     const value = (name) => form.elements[name].value.trim();
     const chosen = value("tracker");
-    const body = { step: "measure", tracker: chosen === "file" ? value("path") : chosen, lags: form.elements.lags.checked, accept };
+    const body = { step: "measure", tracker: chosen === "file" ? value("path") : chosen, lags: form.elements.lags?.checked ?? false, accept };
     if (chosen === "camera") {
       if (value("camera")) body.camera = value("camera");
       if (value("eye_distance_mm")) body.eye_distance_mm = Number(value("eye_distance_mm"));
