@@ -142,10 +142,14 @@ class FaceTrace extends HTMLElement {
 
 /** Draw a curve of values between two heights, and above it their range and `name`. x: of tick n, px. */
 function line(context, values, x, [top, bottom], name, stroke, ink) {
-  const [least, most] = [Math.min, Math.max].map((end) => values.reduce((a, b) => end(a, b))); // may be too many to spread
+  const ends = (some) => [Math.min, Math.max].map((end) => some.reduce((a, b) => end(a, b))); // may be too many to spread
+  const [least, most] = ends(values);
   const y = (value) => bottom - ((value - least) / (most - least || 1)) * (bottom - top);
   context.beginPath();
-  values.forEach((value, n) => context.lineTo(x(n), y(value)));
+  const each = Math.ceil(values.length / (2 * context.canvas.clientWidth)); // of a long trace, the ends of every half pixel
+  for (let n = 0; n < values.length; n += each) {
+    for (const value of ends(values.slice(n, n + each))) context.lineTo(x(n), y(value));
+  }
   context.strokeStyle = stroke;
   context.lineWidth = 1.5;
   context.stroke();
