@@ -153,4 +153,5 @@ def test_a_text_that_is_dropped_before_its_command_is_answered_is_not_waited_for
         answer = asyncio.run(talk())
 
     assert (answer["finished"], answer["played_s"]) == (False, 0.0)
-    assert not face.sound.played().any()
+    # What was on its way before the face heard of the end may be heard: a tenth of a second.
+    assert (face.sound.played() != 0.0).sum() < 2400
