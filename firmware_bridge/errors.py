@@ -21,6 +21,10 @@ class PortError(BusError):
     """Raised when the servos' port is absent, busy, not permitted, gone, or not yet opened."""
 
 
+class RateError(PortError):
+    """Error of an adapter that cannot do a baud rate; the port stays open at the rate before."""
+
+
 class PortGone(PortError):  # noqa: N818 - a state of the port, as PortError's other cases are
     """Raised when an open port has failed: unplugged, or reset by the computer."""
 

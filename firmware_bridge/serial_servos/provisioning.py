@@ -4,12 +4,12 @@
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.errors import ServoError
+from firmware_bridge.errors import RateError, ServoError
 from firmware_bridge.serial_servos.mounting import MountedServo
 from firmware_bridge.serial_servos.serial_transport import open_port
 
@@ -132,8 +132,9 @@ class ChainSetup:
         caller stops there.
         """
         for rate in dict.fromkeys(self.rates if rates is None else rates):
-            line.baud_rate = rate
-            yield rate, self.answers(line)
+            with suppress(RateError):  # others may be possible
+                line.baud_rate = rate
+                yield rate, self.answers(line)
 
     def find_servos(self, line: Any, ids: Sequence[int], baud_rate: int) -> Found:
         """Return by id the (rate, model number) of every answer at the face's and factory's rates.
@@ -144,9 +145,10 @@ class ChainSetup:
         found: dict[int, list[tuple[int, Any]]] = {}
         rates = list(dict.fromkeys([baud_rate, self.factory_rate, *self.rates]))
         while rates and not (found and rates[0] == self.slowest_rate):
-            line.baud_rate = rate = rates.pop(0)
-            for servo_id, number in self.answers(line).items():
-                found.setdefault(servo_id, []).append((rate, number))
+            with suppress(RateError):
+                line.baud_rate = rate = rates.pop(0)
+                for servo_id, number in self.answers(line).items():
+                    found.setdefault(servo_id, []).append((rate, number))
             # All have answered, and the factory's rate, that of new servos, has been tried.
             if set(ids) <= set(found) and self.factory_rate not in rates:
                 break

@@ -15,7 +15,7 @@ import serial
 from serial.serialposix import Serial as Tty
 
 from firmware_bridge.clock import Clock, MonotonicClock
-from firmware_bridge.errors import PortError, PortGone
+from firmware_bridge.errors import PortError, PortGone, RateError
 
 #: More than the longest reply of 252 servos.
 _CHUNK: Final = 16_384
@@ -52,11 +52,11 @@ class PyserialTransport:
 
     @baud_rate.setter
     def baud_rate(self, baud_rate: int) -> None:
-        """Set the baud rate. Raises PortError for an impossible one, PortGone for a lost port."""
+        """Set the baud rate. Raises RateError for an impossible one, PortGone for a lost port."""
         try:
             self._handle.baudrate = baud_rate
         except ValueError as error:
-            raise PortError(_no_such_rate(self._port, baud_rate)) from error
+            raise RateError(_no_such_rate(self._port, baud_rate)) from error
         except (OSError, termios.error) as error:
             raise self._gone(error) from error
         self._baud_rate = baud_rate

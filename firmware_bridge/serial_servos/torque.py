@@ -1,10 +1,12 @@
 """Torque of single serial servos: on without a jump or jerk, off until confirmed, off by force."""
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, ClassVar, Final, Generic, TypeVar
 
 from firmware_bridge.bus_kinds import NOT_SEEN
+from firmware_bridge.errors import RateError
 from firmware_bridge.serial_servos.half_duplex import HalfDuplex
 from firmware_bridge.serial_servos.mounting import MountedServo, Mounting
 
@@ -191,19 +193,22 @@ class SerialRelease(ABC, Generic[_Line]):
         """Send torque off at every baud rate; return `addresses` and the ids that answer, sorted.
 
         All servos of a chain have one rate: the scan ends at the first rate at which ids are known.
-        These are ids that answer, and for Dynamixels also `addresses`.
+        These are ids that answer, and for Dynamixels also `addresses`. Rates that the adapter
+        cannot do are left out.
         """
         line, found = self._line, set(addresses)
         for rate in self._rates:
-            line.baud_rate = rate
-            self.tell_all(addresses)
-            self._wait_out()
+            with contextlib.suppress(RateError):
+                line.baud_rate = rate
+                self.tell_all(addresses)
+                self._wait_out()
         for rate in self._rates:
-            line.baud_rate = rate
-            heard = self._scan(found)
-            found |= set(heard)
-            if heard:
-                break
+            with contextlib.suppress(RateError):
+                line.baud_rate = rate
+                heard = self._scan(found)
+                found |= set(heard)
+                if heard:
+                    break
         return sorted(found)
 
     def close(self) -> None:

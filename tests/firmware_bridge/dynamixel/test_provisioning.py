@@ -17,8 +17,9 @@ from firmware_bridge.dynamixel.provisioning import (
     set_up,
     wanted_settings,
 )
+from firmware_bridge.dynamixel.torque import LineRelease
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.errors import ServoError
+from firmware_bridge.errors import RateError, ServoError
 from firmware_bridge.serial_servos.provisioning import UNHURRIED_S, Difference, differences
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.ports import MemoryTransport
@@ -97,6 +98,25 @@ def test_the_scan_finds_servos_at_any_rate():
 
 def test_the_scan_leaves_no_rate_out():
     assert set(SCANNED_RATES) == set(baud_rates().values())
+
+
+class SlowAdapter(MemoryTransport):
+    """An adapter that cannot do more than a million baud."""
+
+    def __setattr__(self, name, value):
+        if name == "baud_rate" and value > 1_000_000:
+            raise RateError(f"this adapter cannot do {value:,} baud")
+        super().__setattr__(name, value)
+
+
+def test_an_adapter_that_cannot_do_every_rate_lets_go_at_those_that_it_can():
+    chain = SimulatedChain([servo_models()["XL330-M288"]], [1], baud_rate=115_200)
+    chain.servos[0]["torque_enable"] = 1
+    release = LineRelease(SlowAdapter(chain, ManualClock(), 57_600), SCANNED_RATES)
+
+    assert release.find(()) == [1]
+    assert release.ask(1) == ""
+    assert not chain.servos[0]["torque_enable"]
 
 
 def examined(face, rate_hz=30.0, latency_timer_ms=1, servos=None):
