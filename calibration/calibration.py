@@ -314,8 +314,10 @@ def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) ->
     models passes.
     """
     models_before = calibration.origin.servo_models or tuple(servo_models)
+    unnamed = "servo without a model"
     changes = [
-        f"servo {name!r} was calibrated as a {was} and is a {now} in this face"
+        f"servo {name!r} was calibrated as a {was or unnamed} and is a {now or unnamed} "
+        "in this face"
         for name, was, now in zip(calibration.servo_names, models_before, servo_models, strict=True)
         if was != now
     ]

@@ -117,12 +117,14 @@ class BusServo(Strict):
         reach_deg: how far the servo turns to each side. fastest_deg_s: its speed without load,
         which max_speed_deg_s must not exceed.
         """
+        # The last step of the register; what is half a step beyond would be rounded past it.
+        most_deg = reach_deg - (0.5 / self.ticks_per_deg if self.ticks_per_deg else 0.0)
         for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
             servo_deg = self.sign * (angle + self.zero_offset_deg)
-            if not -reach_deg <= servo_deg < reach_deg:
+            if not -reach_deg <= servo_deg < most_deg:
                 raise ValueError(
                     f"{name} puts the servo at {servo_deg:g} deg; "
-                    f"it reaches -{reach_deg:g}..{reach_deg:g}"
+                    f"it reaches -{reach_deg:g}..{most_deg:g}"
                 )
         if self.max_speed_deg_s > fastest_deg_s:
             raise ValueError(

@@ -44,8 +44,6 @@ _LOOK_EVERY_S: Final = 0.2
 _SILENT_S: Final = 0.45
 #: The pulse that a controller sends may differ so much from its goal: it may be on its way there.
 _NEAR_US: Final = 100.0
-#: A smaller "pulse" does not count as torque: so a Maestro reports the voltage of an input.
-_NO_PULSE_US: Final = 256.0
 #: Wrong first pulses after which a channel counts as wrong; a single one may be a lost packet.
 _FAILURES: Final = 2
 #: The pulses sent last are written to their file so often.
@@ -88,6 +86,10 @@ class PulseController(Protocol):
 
     def sending(self, index: int) -> float:
         """Return the pulse in us that servo `index` gets now; 0: none, NaN: no answer."""
+
+    @property
+    def is_blocked(self) -> bool:
+        """Whether no pulse reaches a servo, whatever `sending` returns."""
 
     def remarks(self) -> Sequence[str]:
         """Return remarks on unusual conditions, in sentences for a log."""
@@ -315,11 +317,9 @@ class PulseBus:
             self.torque.forget()
         if self._health.torque is not self.torque.states:
             self._health = replace(self._health, torque=self.torque.states)
-        return (
-            self._health
-            if silent_s < _SILENT_S
-            else replace(self._health, silent_s=np.full(len(self._channels), silent_s))
-        )
+        if silent_s < _SILENT_S:
+            return self._health
+        return replace(self._health, silent_s=np.full(len(self._channels), silent_s))
 
     def obstacle(self, index: int) -> str:
         """Return why servo `index` may not start; empty: it may.
@@ -373,9 +373,10 @@ class PulseBus:
         """Continue a servo's pulses if the controller still sends them; return whether it does."""
         self._check_open()
         sending_us = self._ask(index)
-        if sending_us == 0.0:  # the next write must not send it again
+        is_off = sending_us == 0.0 or self._controller.is_blocked
+        if is_off:  # the next write must not send it again
             self._held[index] = self._left_on[index] = self._is_steady = False
-        if not sending_us > 0.0:
+        if is_off or np.isnan(sending_us):
             return False
         self._last_us[index] = sending_us
         self._held[index] = self._is_steady = False
@@ -421,25 +422,15 @@ class PulseBus:
     def _open(self) -> None:
         """Open the controller and read each channel's pulse: servos that get one keep it."""
         self._controller.open()
-        self._held[:] = self._slow[:] = self._is_steady = False
         self._wrong = [""] * len(self._wrong)
         self._n_failed[:] = 0
         self._heard_s = self._clock.now()
-        self.torque.forget()
-        for index in range(len(self._channels)):
-            sending_us = self._ask(index)
-            if sending_us > 0.0:
-                self._last_us[index] = sending_us
-        self._pulsed = self.torque.states == Torque.ON
-        self._left_on = self._pulsed.copy()
-        known = ~np.isnan(self._last_us)
-        self._goal_us = np.where(known, self._last_us, self._goal_us)
+        self._begin()
 
     def __enter__(self) -> Self:
         """Read the pulses that earlier processes sent last, and open the controller."""
         kept = self._kept.read()
-        for index, channel in enumerate(self._channels):
-            self._last_us[index] = kept.get(channel, np.nan)
+        self._last_us[:] = [kept.get(channel, np.nan) for channel in self._channels]
         self._open()
         self._is_open = True
         return self
@@ -484,7 +475,7 @@ class PulseBus:
             if self._controller.send(self._goal_us):
                 self._last_us[:] = self._goal_us
             else:
-                self._lose_all()
+                self._begin()  # the controller has lost its pulses
             return
         on = self._held & (self._on_s <= now_s)
         if any_set(self._slow):
@@ -503,7 +494,7 @@ class PulseBus:
         changed = np.flatnonzero(on != self._pulsed).tolist()
         self.torque.forget(changed)
         if not self._controller.send(np.where(on, sent_us, 0.0)):
-            self._lose_all()
+            self._begin()  # the controller has lost its pulses
             return
         self._pulsed = on
         np.copyto(self._last_us, sent_us, where=on)
@@ -512,18 +503,20 @@ class PulseBus:
             if on[index]:
                 self._check_first(index)
 
-    def _lose_all(self) -> None:
-        """Mark all servos as not started, since the controller lost its state and sends no pulses.
+    def _begin(self) -> None:
+        """Mark all servos as not started; those that get a pulse now are left with it.
 
-        Goals become the pulses sent last, from which servos start again.
+        Goals become the pulses sent last, from which servos start.
         """
         self._held[:] = self._slow[:] = self._is_steady = False
         self._on_s[:] = np.inf
-        self._pulsed = np.zeros_like(self._held)
-        self._left_on[:] = False
         self.torque.forget()
         for index in range(len(self._held)):
-            self._ask(index)
+            sending_us = self._ask(index)
+            if sending_us > 0.0:
+                self._last_us[index] = sending_us
+        self._pulsed = self.torque.states == Torque.ON
+        self._left_on = self._pulsed.copy()
         self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
@@ -579,7 +572,8 @@ class PulseBus:
         if not np.isnan(sending_us):
             self._heard_s = now_s
             if not self._held[index] or self._on_s[index] <= now_s:
-                self.torque.note(index, now_s, on=sending_us >= _NO_PULSE_US)
+                is_on = sending_us > 0.0 and not self._controller.is_blocked
+                self.torque.note(index, now_s, on=is_on)
         return sending_us
 
     def _check_open(self) -> None:

@@ -9,7 +9,7 @@ as with one bus.
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import fields
 from functools import partial
 from typing import Any, Final, Self
@@ -474,8 +474,9 @@ class SeveralBuses:
             if each.lost is None:  # what is known of its torque must not grow old
                 each.hand(_LOOK, partial(BusThread.look, each))
             else:
-                each.ask(_REOPEN, each.bus.reopen, _OPEN_S)
-                each.is_behind = False
+                with suppress(BusError):  # one that is still gone keeps no other closed
+                    each.ask(_REOPEN, each.bus.reopen, _OPEN_S)
+                    each.is_behind = False
         self._check()
 
     def __enter__(self) -> Self:

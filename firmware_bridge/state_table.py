@@ -50,10 +50,8 @@ class StateTable(Generic[State, Event, Guard, Action]):
 
         holds: whether a guard holds now.
         """
-        for row in self._cells.get((state, event), ()):
-            if row.when is None or holds(row.when):
-                return row
-        return None
+        rows = self._cells.get((state, event), ())
+        return next((row for row in rows if row.when is None or holds(row.when)), None)
 
     def cells(self) -> Iterator[tuple[State, Event, Sequence[Row[State, Event, Guard, Action]]]]:
         """Yield (state, event, rows) of every cell in which an event means something."""

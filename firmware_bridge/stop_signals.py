@@ -72,7 +72,7 @@ class SignalCounter:
                 pass
 
     def __enter__(self) -> Self:
-        self._previous = install_handler(self._note)
+        self._previous = install_handler(self._note, leave_ignored=True)
         self._previous_fd = signal.set_wakeup_fd(self._wake.fileno(), warn_on_full_buffer=False)
         return self
 

@@ -105,8 +105,7 @@ class StopReport:
         """
         n = len(self.confirmed)
         if self.released and self.complete:
-            n_released = len(self.released)
-            let_go = f"{_servos(n_released)} let go, not confirmed: {self.released_words}"
+            let_go = f"{_servos(len(self.released))} let go, not confirmed: {self.released_words}"
             return f"{let_go}; torque off confirmed by {_servos(n)}" if n else let_go
         if self.complete:
             return f"torque off confirmed by all {n} servos"

@@ -354,16 +354,14 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
     servos: the mapping of each servo. Servo models and memories are () if no servo has any; a
     servo without a model has "". CalibrationError if only some have memories.
     """
-    has_models = any(servo.has("model") for servo in servos)
+    models = tuple(servo.at("model").text() if servo.has("model") else "" for servo in servos)
     has_memories = any(servo.has("memory") for servo in servos)
     keys = [field.name for field in fields(ServoMemory)]
     memories = [s.at("memory") for s in servos] if has_memories else []
     return _parse_record(
         file,
         Origin,
-        servo_models=tuple(s.at("model").text() if s.has("model") else "" for s in servos)
-        if has_models
-        else (),
+        servo_models=models if any(models) else (),
         servo_memories=tuple(ServoMemory(*(m.at(key).whole() for key in keys)) for m in memories),
     )
 

@@ -5,15 +5,12 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Final
 
-from firmware_bridge.bus_kinds import Finding, Severity, other_kind_at
+from firmware_bridge.bus_kinds import Finding, Severity
 from firmware_bridge.dynamixel.bus import budget, slow_adapter
-from firmware_bridge.dynamixel.control_table import model_name
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
-    SCANNED_RATES,
-    duplicates,
+    locate,
     read_settings,
-    scan,
     shares_id,
     wanted_settings,
 )
@@ -78,30 +75,16 @@ def examine(
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
-    # By id: the first rate at which a servo answered, and the name of its model.
-    at_rate: dict[int, tuple[int, str]] = {}
-    for rate, found in scan(line, [wanted_rate, *SCANNED_RATES]):
-        at_rate = {each: (rate, model_name(number)) for each, number in found.items()} | at_rate
-        if set(ids) <= set(at_rate):
-            break
-    line.baud_rate = wanted_rate
-    if not at_rate:
-        tried = ", ".join(f"{rate:,}" for rate in dict.fromkeys([wanted_rate, *SCANNED_RATES]))
-        if other := other_kind_at(line.transport, "dynamixel"):
-            yield Finding(Severity.BAD, other)
-            return
-        yield Finding(
-            Severity.BAD,
-            f"no servo answers at any of {tried} baud",
-            "check that the servos have power (their LED blinks once) and the data cable is in",
-        )
+    at_rate, nobody = locate(line, ids)
+    if nobody is not None:
+        yield nobody
         yield from _adapter(line, None, latency_timer_ms)
         return
     there = [each for each in ids if at_rate.get(each, (0,))[0] == wanted_rate]
     yield from _adapter(line, there[0] if there else None, latency_timer_ms)
-    # Ids that two servos seem to have, whether their answers collide always or sometimes.
-    doubled = duplicates(line, [each for each in ids if each not in at_rate])
-    doubled += [each for each in there if shares_id(line, each)]
+    # Those that answer at another rate only need not be asked.
+    unclear = [each for each in ids if each in there or each not in at_rate]
+    doubled = [each for each in unclear if shares_id(line, each)]
     yield from (shared_id(f"id {each}") for each in doubled)
     yield from _fast_read(line, [each for each in there if each not in doubled])
     for servo in servos:

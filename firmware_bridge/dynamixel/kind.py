@@ -60,7 +60,7 @@ class DynamixelKind(BusKind):
             return bus(SameAdapter(port, settings.baud_rate))
         from firmware_bridge.dynamixel.wire.sdk_line import SdkLine, SdkTransport
 
-        return bus(lambda: SdkTransport(port, settings.baud_rate), make_line=SdkLine)
+        return bus(SameAdapter(port, settings.baud_rate, SdkTransport), make_line=SdkLine)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
         """Return why the baud rate is too low for ticks at `rate_hz`; None if it is not."""

@@ -24,7 +24,6 @@ from firmware_bridge.serial_servos.torque import (
     SerialTorqueSwitch,
     write_verified,
 )
-from firmware_bridge.transport import Transport
 
 _ADDRESS: Final = register("bus_watchdog").address
 _LONGEST: Final = 127
@@ -240,11 +239,8 @@ _REPEATS_BY_FORCE: Final = 3
 class LineRelease(SerialRelease[Line]):
     """Torque off at an open port, for Dynamixels that another process drove before."""
 
+    make_line = Line
     torque_address = _TORQUE
-
-    def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
-        """Set the baud rates at which servos may listen; `transport` is open at the first."""
-        super().__init__(Line(transport), rates)
 
     def tell_all(self, addresses: Sequence[int]) -> None:
         """Send torque off to `addresses` and to all others, several times; read no answer.

@@ -4,20 +4,18 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Final
 
-from firmware_bridge.bus_kinds import Finding, Severity, other_kind_at
+from firmware_bridge.bus_kinds import Finding, Severity
 from firmware_bridge.errors import ServoError
 from firmware_bridge.feetech.bus import budget
 from firmware_bridge.feetech.control_table import (
     CONTROL,
     STATE,
     TORQUE_ENABLE,
-    baud_rates,
-    model_name,
 )
 from firmware_bridge.feetech.line import Line
 from firmware_bridge.feetech.mounting import MountedServo
 from firmware_bridge.feetech.present_state import hardware_errors
-from firmware_bridge.feetech.provisioning import read_eeprom, scan, shares_id, wanted_settings
+from firmware_bridge.feetech.provisioning import locate, read_eeprom, shares_id, wanted_settings
 from firmware_bridge.serial_servos.doctor import (
     ServoCondition,
     servo_findings,
@@ -39,21 +37,9 @@ def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Itera
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
-    # By id: the first rate at which a servo answered, and the name of its model.
-    at_rate: dict[int, tuple[int, str]] = {}
-    rates = [wanted_rate, *baud_rates().values()]
-    spoilt = False
-    for rate, found in scan(line, rates):
-        at_rate = {each: (rate, model_name(number)) for each, number in found.items()} | at_rate
-        spoilt |= line.heard_noise
-        if set(ids) <= set(at_rate):
-            break
-    line.baud_rate = wanted_rate
-    if not at_rate and not spoilt:
-        other = other_kind_at(line.transport, "feetech")
-        tried = ", ".join(f"{rate:,}" for rate in dict.fromkeys(rates))
-        what = other or f"no servo answers at any of {tried} baud"
-        yield Finding(Severity.BAD, what, "" if other else "check power and data cable")
+    at_rate, nobody = locate(line, ids)
+    if nobody is not None:
+        yield nobody
         return
     for servo in servos:
         joint = servo.joint

@@ -1,6 +1,6 @@
 """Setting Feetech servos up: what each should store, with its EEPROM unlocked and locked again."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 from firmware_bridge.errors import ServoError
@@ -24,14 +24,13 @@ from firmware_bridge.serial_servos.provisioning import (
     chain_is_complete,
     differences,
 )
-from firmware_bridge.serial_servos.serial_transport import SameAdapter
 from firmware_bridge.serial_servos.torque import write_verified
 
 __all__ = ["chain_is_complete"]
 
 _TRIES: Final = 3
-#: Top speed of a servo that is moved to see which joint it drives.
-_CAREFUL_DEG_S: Final = 60.0
+#: New servos may have position limits so close to the ends, such as 20 and 1003 of 0 to 1023.
+_FACTORY_MARGIN: Final = 20
 #: Reads; how many must be answered, and how many of the answers damaged, for two servos at one id.
 _REQUESTED, _HEARD, _SPOILT = 6, 5, 4
 
@@ -108,8 +107,32 @@ def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) 
     line.write(servo_id, address, model.dialect.encode(name, value))
 
 
+def _foreign(line: Line, servo_id: int, model: ServoModel) -> list[Difference]:
+    """Return what differs in operating mode, counting over many turns, and position limits.
+
+    Of the limits only those over 20 steps from the ends of the range.
+    """
+    held, highest = read_eeprom(line, servo_id, model), model.n_positions - 1
+    low, high, plain = held["min_position_limit"], held["max_position_limit"], {}
+    if low > _FACTORY_MARGIN or high < highest - _FACTORY_MARGIN:
+        plain = {"min_position_limit": 0, "max_position_limit": highest}
+    if "operating_mode" in held:
+        plain |= {"operating_mode": 0, "phase": held["phase"] & ~MULTI_TURN}
+    return differences(held, plain)
+
+
+def _standing(line: Line, joint: Joint, model: ServoModel) -> dict[str, int]:
+    found = identify(line, MountedServo(joint, model))
+    if found is None or found.doubled:
+        raise ServoError(f"servo id {joint.servo_id} stopped answering; check its power and cable")
+    return {**found.eeprom, "present_position": found.place}
+
+
 _CHAIN: Final = ChainSetup(
+    kind="feetech",
+    models=servo_models,
     make_line=Line,
+    make_bus=FeetechBus,
     mounted_servos=mounted_servos,
     rates=tuple(baud_rates().values()),
     factory_rate=next(iter(baud_rates().values())),
@@ -119,101 +142,18 @@ _CHAIN: Final = ChainSetup(
     shares_id=shares_id,
     model_name=model_name,
     lacking=_lacking,
+    foreign=_foreign,
+    standing=_standing,
     unlock=_unlock,
     write=_write,
     read=lambda line, servo_id, model, name: read_eeprom(line, servo_id, model)[name],
     lock=_lock,
 )
 servos_by_joint, unhurried_line = _CHAIN.servos_by_joint, _CHAIN.unhurried_line
-scan, find_servos = _CHAIN.scan, _CHAIN.find_servos
+locate, find_servos = _CHAIN.locate, _CHAIN.find_servos
 plan_chain, plan_alone, set_up = _CHAIN.plan_chain, _CHAIN.plan_alone, _CHAIN.set_up
-
-
-#: New servos may have position limits so close to the ends, such as 20 and 1003 of 0 to 1023.
-_FACTORY_MARGIN: Final = 20
+find_unknown, lone_servo = _CHAIN.find_unknown, _CHAIN.lone_servo
+foreign_settings = _CHAIN.foreign_settings
+clear_foreign_settings = _CHAIN.clear_foreign_settings
 #: Whether `clear_foreign_settings` also moves the middle of the range: here it does not.
 CLEARS_MIDDLE: Final = False
-
-
-def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
-    """Return the first baud rate at which servos answer, and their model names by id.
-
-    For servos that belong to no face yet. first_rate: the rate to try first. If no servo answers,
-    all rates are tried once more, since a computer that stalled misses answers. Raises ServoError
-    where no servo answers, two have one id or a model is unknown, and PortError.
-    """
-    rates = list(dict.fromkeys([first_rate, *baud_rates().values()]))
-    with unhurried_line(port, first_rate) as line:
-        for rate in rates * 2:
-            line.baud_rate = rate
-            found = line.scan()
-            if found:
-                doubled = [servo_id for servo_id in found if shares_id(line, servo_id)]
-                break
-        else:
-            raise ServoError(f"{port}: no servo answers at any baud rate; check power and cable")
-    if doubled:
-        raise ServoError(
-            f"two servos answer to id {doubled[0]}: connect one at a time and give each an id of "
-            "its own (`lipservo setup-servos`)"
-        )
-    models = {servo_id: model_name(answers[0]) for servo_id, answers in sorted(found.items())}
-    for servo_id, name in models.items():
-        if name not in servo_models():
-            raise ServoError(f"servo id {servo_id} is of {name}, which is not supported")
-    return rate, models
-
-
-def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
-    """Return, by id, registers set by another program that must be reset before a servo is moved.
-
-    They are operating mode, position counts over many turns, and position limits over 20 steps
-    from the ends; {} if none is set. found: model name by id. Raises PortError, and ServoError for
-    a servo that falls silent.
-    """
-    differing = {}
-    with unhurried_line(port, rate) as line:
-        for servo_id, name in found.items():
-            held = read_eeprom(line, servo_id, servo_models()[name])
-            highest, plain = servo_models()[name].n_positions - 1, {}
-            low, high = held["min_position_limit"], held["max_position_limit"]
-            if low > _FACTORY_MARGIN or high < highest - _FACTORY_MARGIN:
-                plain = {"min_position_limit": 0, "max_position_limit": highest}
-            if "operating_mode" in held:
-                plain |= {"operating_mode": 0, "phase": held["phase"] & ~MULTI_TURN}
-            differing[servo_id] = differences(held, plain)
-    return {servo_id: each for servo_id, each in differing.items() if each}
-
-
-def clear_foreign_settings(
-    port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, Sequence[Difference]]
-) -> None:
-    """Reset the registers in `foreign`, returned by `foreign_settings`; torque goes off.
-
-    found: model name by id. Raises PortError, ServoError.
-    """
-    with unhurried_line(port, rate) as line:
-        for servo_id, changes in foreign.items():
-            for _ in set_up(line, servo_id, servo_models()[found[servo_id]], changes):
-                pass  # each is read back
-
-
-def lone_servo(
-    port: str, rate: int, servo_id: int, name: str, reach_deg: float
-) -> tuple[FeetechBus, Joint, int]:
-    """Return an unopened bus of one servo, its joint, and its present position in encoder steps.
-
-    For moving a servo of no face yet. The joint's 0 degrees are the present position. reach_deg:
-    how far the joint may move to each side. name: the servo's model. rate: baud rate. Raises
-    PortError, ServoError.
-    """
-    model = servo_models()[name]
-    joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, _CAREFUL_DEG_S)
-    with unhurried_line(port, rate) as line:
-        found = identify(line, MountedServo(joint, model))
-    if found is None or found.doubled:
-        raise ServoError(f"servo id {servo_id} stopped answering; check its power and cable")
-    dialect = model.dialect
-    zero_offset_deg = (found.place - dialect.center) / dialect.positions_per_deg
-    servo = MountedServo(joint, model, 1, zero_offset_deg)
-    return FeetechBus([servo], SameAdapter(port, rate)), joint, found.place

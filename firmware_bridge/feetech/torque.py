@@ -21,7 +21,6 @@ from firmware_bridge.serial_servos.torque import (
     SerialTorqueSwitch,
     write_verified,
 )
-from firmware_bridge.transport import Transport
 
 
 def torque_verified(line: Line, servo_id: int, *, on: bool) -> bool:
@@ -208,11 +207,8 @@ class TorqueSwitch(SerialTorqueSwitch[Line]):
 class LineRelease(SerialRelease[Line]):
     """Torque off at an open port, for Feetech servos that another process drove before."""
 
+    make_line = Line
     torque_address = TORQUE_ENABLE
-
-    def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
-        """Set the baud rates at which servos may listen; `transport` is open at the first."""
-        super().__init__(Line(transport), rates)
 
     def tell_all(self, addresses: Sequence[int]) -> None:
         """Send torque off to these addresses and to all servos, twice each."""

@@ -72,10 +72,10 @@ class AccelerationLimit:
         self._velocity = np.zeros(len(self._velocity))
         self._wanted = positions_deg.copy()
 
-    def rest_one(self, index: int, position_deg: float) -> None:
-        """Set one joint to standstill at a position in degrees."""
-        self._velocity[index] = 0.0
-        self._wanted[index] = position_deg
+    def rest_some(self, at: int | NDArray[np.bool_], positions_deg: float | Array) -> None:
+        """Set the joint `at`, or those where `at` is True, to standstill, at degrees."""
+        self._velocity[at] = 0.0
+        self._wanted[at] = positions_deg
 
     def step(self, sent: Array, wanted: Array, low: Array, high: Array, step_s: float) -> Array:
         """Return the next goal from `sent` towards `wanted`, within the joints' accelerations.
@@ -345,8 +345,7 @@ class Limiter:
         self._limp = joints
         known = joints & np.isfinite(positions_deg)
         self._sent_deg = np.where(known, positions_deg, self._sent_deg)
-        for index in np.flatnonzero(known).tolist():
-            self._acceleration.rest_one(index, float(positions_deg[index]))
+        self._acceleration.rest_some(known, positions_deg[known])
 
     def start_one(self, index: int, position_deg: float) -> None:
         """Store one joint's position in degrees as its goal sent last, at standstill.
@@ -359,7 +358,7 @@ class Limiter:
         self._limp[index] = False
         self._sent_deg = self._sent_deg.copy()
         self._sent_deg[index] = position_deg
-        self._acceleration.rest_one(index, position_deg)
+        self._acceleration.rest_some(index, position_deg)
 
     def hold_back(self, ready: NDArray[np.bool_] | None) -> None:
         """Keep joints that are not ready at their last goal; once ready, each catches up slowly.
@@ -428,18 +427,19 @@ class Limiter:
         low_deg = np.maximum(least_deg, before_deg - step_deg)
         high_deg = np.minimum(most_deg, before_deg + step_deg)
         reached_deg = clip(reached_deg, low_deg, high_deg)
-        # A limp joint takes no goal: the rules count with where it stands.
+        # In the moment of the start no joint has had the time to move: none is slowed.
+        slowed_deg = in_range_deg if since_s else reached_deg
+        # A limp joint takes no goal, so that none is slowed: the rules count with where it stands.
         limp, self._limp = self._limp, no_joint
         if any_set(limp):
             reached_deg = np.where(limp, before_deg, reached_deg)
+            slowed_deg = np.where(limp, before_deg, slowed_deg)
         sent_deg = self._prevention.cut(before_deg, reached_deg)
         if sent_deg is not reached_deg:
             sent_deg = clip(sent_deg, least_deg, most_deg)
         self._acceleration.sent(before_deg, sent_deg, elapsed_s)
         if self._any_late:
             self._catches_up &= np.abs(sent_deg - in_range_deg) > _SAME_DEG
-        # In the moment of the start no joint has had the time to move: none is slowed.
-        slowed_deg = in_range_deg if since_s else reached_deg
 
         if rejected is not no_joint:
             self._rejected += rejected

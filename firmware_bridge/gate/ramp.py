@@ -10,8 +10,9 @@ from enum import IntEnum
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from firmware_bridge.bus import Array
+from firmware_bridge.bus import Array, all_set
 from firmware_bridge.joints import Joint
 
 #: Steepest slope of `ease`, at its middle.
@@ -74,9 +75,7 @@ class Ramp:
         Array
             (n_joints,) degrees; exactly the goal once the ramp is over.
         """
-        share = 1.0
-        if not self.is_over(time_s):
-            share = max(0.0, (time_s - self.start_s) / self.duration_s)
+        share = 1.0 if self.is_over(time_s) else max(0.0, (time_s - self.start_s) / self.duration_s)
         if self.eased:
             share = ease(share)
         return np.asarray((1.0 - share) * self.start_deg + share * self.goal_deg)
@@ -106,7 +105,7 @@ class EaseToNeutral:
         needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
         neutral_deg = np.zeros_like(start_deg)
         self._ramp = Ramp(start_deg, neutral_deg, start_s, max(_EASE_S, needed_s), eased=True)
-        #: Whether every joint had been sent to neutral when the move was over.
+        #: Whether every joint was at neutral when the move was over.
         self.arrived = False
 
     def at(self, time_s: float) -> Array:
@@ -124,15 +123,17 @@ class EaseToNeutral:
         """
         return self._ramp.at(time_s)
 
-    def over(self, sent_deg: Array, time_s: float) -> bool:
-        """Return whether the move is over: the joints were sent to neutral, or 2 s have passed.
+    def over(self, sent_deg: Array, driven: NDArray[np.bool_], time_s: float) -> bool:
+        """Return whether the move is over: driven joints are sent to neutral, or 2 s have passed.
 
-        Stores in `arrived` whether they were sent to neutral.
+        Stores in `arrived` whether all joints are at neutral.
 
         Parameters
         ----------
         sent_deg : Array
-            (n_joints,) degrees: goals sent last.
+            (n_joints,) degrees: goals sent last; of a limp joint, where it is.
+        driven : NDArray[np.bool_]
+            (n_joints,): False for limp joints, which are not waited for.
         time_s : float
             Monotonic seconds.
 
@@ -141,9 +142,10 @@ class EaseToNeutral:
         bool
             False while the move goes on.
         """
-        is_there = float(np.abs(sent_deg).max(initial=0.0)) <= _SAME_DEG
-        self.arrived = is_there and self._ramp.is_over(time_s)
-        return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S
+        is_there, is_over = np.abs(sent_deg) <= _SAME_DEG, self._ramp.is_over(time_s)
+        self.arrived = is_over and all_set(is_there)
+        is_done = is_over and all_set(is_there | ~driven)
+        return is_done or time_s - self._ramp.start_s >= _LONGEST_S
 
 
 class StaleLevel(IntEnum):

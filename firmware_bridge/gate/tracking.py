@@ -93,7 +93,7 @@ class TrackingMonitor:
         self._within_s[index] = math.inf
         self._suspended_until_s[index] = until_s
         self._all_count_s = max(self._all_count_s, until_s)
-        self._travel.forget(index)
+        self._travel.travelled_deg[:, index] = 0.0
 
     def reason(self, index: int) -> str:
         """Return why servo `index`, reported by `behind`, does not follow, in words for a log."""
@@ -174,10 +174,6 @@ class _Travel:
         self._moved_deg = np.zeros((2, n))
         self._dragged_deg = np.zeros((2, n))
         self._time_s = -math.inf
-
-    def forget(self, index: int) -> None:
-        """Forget the motion of one servo."""
-        self.travelled_deg[:, index] = 0.0
 
     def observe(
         self, goals_deg: Array, places_deg: Array, seen_s: float, heard: NDArray[np.bool_] | None

@@ -317,6 +317,8 @@ class Bridge:
                     acted = self._act(time_s)
             except PortError:
                 self._unplug(time_s)
+        if not port.is_open:
+            servos.wait_for_port(time_s, lets_go=self._state is not FaceState.FROZEN)
         # Without an open port nothing was sent: the report repeats the last goals.
         wanted_deg, limited = acted or (targets.held_deg, servos.limiter.unchanged())
         return TickReport(
@@ -420,10 +422,8 @@ class Bridge:
             case FaceAction.LET_GO if self._port.is_open:
                 self._jog.clear()
                 self._act_now(servos.disable_all)
-            case FaceAction.LET_GO | FaceAction.LEAVE_PORT:
-                servos.lose_port(self._tick_s, lets_go=True)
-            case FaceAction.LEAVE_PORT_HELD:
-                servos.lose_port(self._tick_s, lets_go=False)
+            case FaceAction.LET_GO | FaceAction.LEAVE_PORT | FaceAction.LEAVE_PORT_HELD:
+                servos.lose_port(self._tick_s, lets_go=action is not FaceAction.LEAVE_PORT_HELD)
             case FaceAction.COUNT_START:
                 self.counts.n_armed += 1
 
@@ -464,15 +464,9 @@ class Bridge:
             self._fire(FaceEvent.STALE)
             return wanted_deg, limiter.unchanged()
         scaled_deg = wanted_deg * scale  # smaller motion spares hot servos
-        # A person who jogs a joint may lead it beyond its limits: the range of the limiter follows,
-        # and shrinks again as the joint comes back.
         if self._jog.is_active:
             wanted_deg = scaled_deg = self._jog.guide(scaled_deg, limiter.sent_deg, scale, time_s)
-            self._servos.widen(*self._jog.reached(limiter.sent_deg))
-        elif self._servos.is_wide:
-            self._servos.widen(*self._jog.reached(limiter.sent_deg))
-        limited = limiter.apply(scaled_deg, time_s)
-        self._servos.send(limited, time_s)
+        limited = self._send(scaled_deg, time_s)
         supervision = self._servos.supervision
         lost = supervision.lost_critical
         if lost is not None:
@@ -486,18 +480,28 @@ class Bridge:
 
         Return the goals (wanted, after limits), (n_joints,) degrees. Raises PortError.
         """
-        limiter = self._servos.limiter
-        if self._easing is None:
-            self._easing = EaseToNeutral(self._joints, limiter.sent_deg, time_s)
-        # The range of a joint that was jogged beyond its limits shrinks as the joint comes back.
-        if self._servos.is_wide:
-            self._servos.widen(*self._jog.reached(limiter.sent_deg))
+        driven = self._servos.supervision.driven
+        if self._easing is None:  # a limp joint, wherever it hangs, is not waited for
+            start_deg = driven * self._servos.limiter.sent_deg
+            self._easing = EaseToNeutral(self._joints, start_deg, time_s)
         wanted_deg = self._easing.at(time_s)
-        limited = limiter.apply(wanted_deg, time_s)
-        self._servos.send(limited, time_s)
-        if self._easing.over(limited.positions_deg, time_s):
+        limited = self._send(wanted_deg, time_s)
+        if self._easing.over(limited.positions_deg, driven, time_s):
             self._fire(FaceEvent.ARRIVED)
         return wanted_deg, limited
+
+    def _send(self, goals_deg: Array, time_s: float) -> Limited:
+        """Send goals, (n_joints,) degrees, through the limiter; return what it made of them.
+
+        A person who jogs a joint may lead it beyond its limits: the range of the limiter follows,
+        and shrinks again as the joint comes back. Raises PortError.
+        """
+        servos = self._servos
+        if self._jog.is_active or servos.is_wide:
+            servos.widen(*self._jog.reached(servos.limiter.sent_deg))
+        limited = servos.limiter.apply(goals_deg, time_s)
+        servos.send(limited, time_s)
+        return limited
 
     def _act_now(self, act: Callable[[float], None]) -> None:
         """Call `act` with the last tick's time if the port is open; note a port that fails."""

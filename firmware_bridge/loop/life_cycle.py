@@ -341,13 +341,6 @@ class LifeCycle:
         self._hear()
         return self._state is LifeState.STARTING
 
-    def _obey_signal(self) -> None:
-        if self._n_signals == self._n_obeyed:  # a freeze after the last signal stays
-            return
-        self._n_obeyed = self._n_signals
-        if self._fire(LifeEvent.SIGNAL):
-            _LOG.info("stopping: %s", signal.Signals(self.signal_number or 0).name)
-
     def _hear(self) -> bool:
         """Send a heartbeat and act on signals; return whether a client requested a stop.
 
@@ -356,7 +349,10 @@ class LifeCycle:
         control, lifeline = self._links.control, self._links.lifeline
         if lifeline is not None:
             lifeline.beat()
-        self._obey_signal()
+        if self._n_signals != self._n_obeyed:  # a freeze after the last signal stays
+            self._n_obeyed = self._n_signals
+            if self._fire(LifeEvent.SIGNAL):
+                _LOG.info("stopping: %s", signal.Signals(self.signal_number or 0).name)
         if control is None:
             return False
         request = control.poll()
@@ -484,6 +480,6 @@ class LifeCycle:
             self._give_up_s = time_s + PORT_WAIT_S
             _LOG.warning(
                 "the port is gone: once it is back, the servos are let go; "
-                "two more signals leave them as they are"
+                "the third signal leaves them as they are"
             )
         return self._give_up_s

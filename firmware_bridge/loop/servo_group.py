@@ -27,7 +27,7 @@ from firmware_bridge.joints import Joint, named
 from firmware_bridge.known_torque import KnownTorque, Torque
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.servo_supervision import ServoSupervision
-from firmware_bridge.loop.torque_gate import LET_GO_WITH_IT, PORT_GONE, TorqueGate, TorqueOff
+from firmware_bridge.loop.torque_gate import PORT_GONE, TorqueGate, TorqueOff
 
 #: Amplitude shrinks over the last degrees below the servo's temperature limit, and with the mean
 #: square of the load, which is what heats a winding: full up to half the stall torque (rms).
@@ -46,7 +46,7 @@ class HeatDerating:
     def __init__(self, has_load: Sequence[bool]) -> None:
         """Start at full amplitude. has_load: for each servo, whether it reports its load."""
         n_servos = len(has_load)
-        self._has_load = None if all(has_load) else np.array(has_load)
+        self._has_load = np.array(has_load)
         self._duty = np.zeros(n_servos)
         self._duty_at_s: float | None = None
         self._scale = np.ones(n_servos)
@@ -73,9 +73,8 @@ class HeatDerating:
                 return self._scale
             # The effort's mean square: a first-order low-pass with a time constant of 60 s.
             share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
-            effort = np.nan_to_num(feedback.effort)  # NaN: its bus has not reported yet
-            if self._has_load is not None:
-                effort = np.where(self._has_load, effort, 0.0)
+            # NaN: its bus has not reported yet.
+            effort = np.where(self._has_load, np.nan_to_num(feedback.effort), 0.0)
             self._duty += share * (effort * effort - self._duty)
         self._duty_at_s = feedback.time_s
         # Both fall from 1 to 0: with temperature over the last 10 degrees below the limit, with the
@@ -100,6 +99,8 @@ _REQUESTED = 60
 _BRAKES_S = 0.02
 #: The state of a servo that is to be driven, and is not known to have torque yet.
 STARTING_WORD: Final = "starting"
+#: How a servo waits on a bus whose port is open, while another port of the face is gone.
+_MEANWHILE: Final = {Torque.ON: "held", Torque.OFF: "limp"}
 _DRIVEN: Final = int(ServoState.DRIVEN)
 _ON: Final = int(Torque.ON)
 _HEALTH = tuple(each.name for each in fields(ServoHealth))
@@ -181,14 +182,25 @@ class ServoGroup:
         lets_go: also switch torque off, on those buses of the face whose port remains.
         """
         self.supervision.mark_all_waiting(time_s, PORT_GONE)
-        if not lets_go:
-            return
+        if lets_go:
+            with contextlib.suppress(PortError):
+                self.torque_off.begin()
+
+    def wait_for_port(self, time_s: float, *, lets_go: bool) -> None:
+        """Run a tick without a port: switch off, on the buses whose port is open, what must be off.
+
+        lets_go: that is every servo; otherwise those that a person switched off.
+        """
         with contextlib.suppress(PortError):
-            self.torque_off.begin()
-            # Servos on the other buses that are known to be off have another reason to wait.
-            for index in np.flatnonzero(self.torque_off.off).tolist():
-                if self.supervision.states[index] == ServoState.WAITING:
-                    self.supervision.note_attempt(index, LET_GO_WITH_IT, time_s)
+            self.supervision.keep_off(time_s, self.gate)
+            if lets_go:
+                self.torque_off.go_on(time_s)
+        # A servo whose torque is known can be reached: it has another reason to wait.
+        waits = self.supervision.states == ServoState.WAITING
+        for torque, how in _MEANWHILE.items():
+            for index in np.flatnonzero(waits & (self.torque.states == torque)).tolist():
+                why = f"{how}: a port of the face is gone"
+                self.supervision.note_attempt(index, why, time_s)
 
     def read(self) -> Readings:
         """Read and return all servos' positions; up to five times, until every servo answers.
@@ -207,10 +219,9 @@ class ServoGroup:
 
         Servos that a person switched off are not checked; may_continue: False ends the checks.
         """
-        indices_on = self._not_off(indices)
         found = [
             (i, _stop_is_repeated(self.gate.obstacle, i, may_continue))
-            for i in indices_on
+            for i in self._not_off(indices)
             if may_continue()
         ]
         self._refuse(found, may_continue)

@@ -17,8 +17,6 @@ from firmware_bridge.stopping import StopReport, let_go_report
 SWITCHED_OFF: Final = "switched off by a person"
 #: Why it cannot be known what a servo does.
 PORT_GONE: Final = "cannot be reached: the port is gone"
-#: Of a servo on another bus than the one whose port is gone.
-LET_GO_WITH_IT: Final = "let go: a port of the face is gone"
 
 
 class TorqueGate:

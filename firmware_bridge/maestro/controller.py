@@ -1,7 +1,7 @@
 """A Maestro on its command port: pulses out in one write, and the pulses and errors it reports."""
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from itertools import groupby
 from typing import Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from firmware_bridge.maestro.protocol import (
     GET_ERRORS,
     GET_POSITION,
     LARGEST,
+    LARGEST_INPUT,
     PROTOCOL_ERROR,
     QUARTERS,
     SET_ACCELERATION,
@@ -57,12 +58,16 @@ class Maestro:
         return command(code, data, device=self._device, crc=self.has_crc)
 
     def position_us(self, channel: int) -> float:
-        """Read the pulse of a channel, us; 0: none; NaN: no answer. Stores the Maestro's errors."""
+        """Read the pulse of a channel, us; 0: none, also of an input; NaN: no answer.
+
+        Stores the Maestro's errors.
+        """
         answer = self._ask(4, (GET_POSITION, (channel,)), (GET_ERRORS, ()))
         if answer is None:
             return float("nan")
         self.errors |= int.from_bytes(answer[2:], "little")
-        return int.from_bytes(answer[:2], "little") / QUARTERS
+        quarters = int.from_bytes(answer[:2], "little")
+        return quarters / QUARTERS if quarters > LARGEST_INPUT else 0.0
 
     def read_errors(self) -> int | None:
         """Read and clear the bits of `protocol.ERRORS`; None: no answer."""
@@ -75,7 +80,15 @@ class Maestro:
         port: the port's path, for the message. Reads, and so clears, the Maestro's errors.
         """
         if all(self.read_errors() is None for _ in range(_TRIES)):
-            raise PortError(no_answer(port, crc=self.has_crc))
+            crc = "true, and the Maestro may have it off"
+            if not self.has_crc:
+                crc = "false, and the Maestro may use it"
+            raise PortError(
+                f"{port}: no Maestro answers. Set its serial mode to USB Dual Port in Pololu's "
+                "Control Center (as it comes, UART with detected rate, it ignores commands); of "
+                "its two ports the lower (ttyACM0, ...-if00) is the command port; bus.crc is "
+                f"{crc}"
+            )
         # A Maestro without CRC takes the CRC byte of that request for a protocol error.
         if self.has_crc and (self.read_errors() or 0) & PROTOCOL_ERROR:
             raise PortError(f"{port}: the Maestro does not use a CRC; set bus.crc to false")
@@ -94,18 +107,6 @@ class Maestro:
         return answer if len(answer) == n_bytes else None
 
 
-def no_answer(port: str, *, crc: bool) -> str:
-    """Return why the Maestro at a port may be silent, and the remedy. crc: as in the YAML."""
-    setting_advice = (
-        "true, and the Maestro may have it off" if crc else "false, and the Maestro may use it"
-    )
-    return (
-        f"{port}: no Maestro answers. Set its serial mode to USB Dual Port in Pololu's Control "
-        "Center (as it comes, UART with detected rate, it ignores commands); of its two ports the "
-        f"lower (ttyACM0, ...-if00) is the command port; bus.crc is {setting_advice}"
-    )
-
-
 class PulseCommands:
     """The commands that set a face's pulses, as one block of bytes overwritten in every tick."""
 
@@ -115,13 +116,12 @@ class PulseCommands:
         together: one Set Multiple Targets for each row of consecutive channels, as models above the
         Micro accept; otherwise one Set Target for each channel.
         """
-        # order: indices of servos by channel; ends: where rows end in it; places: for each row, the
-        # byte at which its targets begin, and its servos; _crcs: first byte and CRC byte of each.
-        ends = [0, *_row_ends(channels), len(channels)] if together else range(len(channels) + 1)
+        # order: indices of servos by channel; its consecutive channels are a row. places: for each
+        # row, the byte at which its targets begin, and its servos; _crcs: first byte and CRC byte.
         order = sorted(range(len(channels)), key=lambda n: channels[n])
         block, places, self._crcs = bytearray(), [], []
-        for first, end in pairwise(ends):
-            row, start = order[first:end], len(block)
+        for _, run in groupby(enumerate(order), lambda at: together * channels[at[1]] - at[0]):
+            row, start = [index for _, index in run], len(block)
             if len(row) == 1:
                 packet = maestro.packet(SET_TARGET, (channels[row[0]], 0, 0))
             else:
@@ -161,12 +161,6 @@ class PulseCommands:
         return bytes(self._block)
 
 
-def _row_ends(channels: Sequence[int]) -> list[int]:
-    """Return the indices in the sorted channels at which a row of consecutive ones ends."""
-    rows = enumerate(pairwise(sorted(channels)), start=1)
-    return [n for n, (before, after) in rows if after != before + 1]
-
-
 class MaestroController:
     """The `PulseController` of a Maestro."""
 
@@ -180,6 +174,8 @@ class MaestroController:
         self._maestro: Maestro | None = None
         self._commands: PulseCommands | None = None
         self._seen = 0
+        # Of the last write: when it was, and the indices of the servos that it sent a pulse.
+        self._sent_s, self._on = 0.0, list[int]()
 
     def open(self) -> None:
         """Open the port; change nothing yet. Raises PortError unless a Maestro answers.
@@ -187,7 +183,7 @@ class MaestroController:
         The next `send` sets the channels' speed limits again.
         """
         self.close()
-        self._commands = None
+        self._commands, self._on = None, []
         maestro = self._maestro = Maestro(self._open_transport(), self._settings)
         try:
             maestro.check(str(self._settings.port))
@@ -216,9 +212,16 @@ class MaestroController:
         Returns
         -------
         bool
-            True, always: a Maestro that restarts is a new USB device, and its port is lost.
+            False: its serial timeout has ended all pulses since the last write. (A Maestro that
+            restarts is a new USB device, and its port is lost.)
         """
-        maestro = self._reached()
+        maestro, timeout_s = self._reached(), self._settings.serial_timeout_s
+        now_s = maestro.transport.clock.now()
+        # The timeout ends all pulses together; a late write would start all together.
+        is_late = 0.0 < timeout_s < 2.0 * (now_s - self._sent_s)
+        has_ended = is_late and any(not self.sending(index) > 0.0 for index in self._on[:1])
+        if has_ended:
+            pulses_us = np.zeros_like(pulses_us)
         if self._commands is None:
             together = self._settings.model != WITHOUT_SET_TARGETS
             self._commands = PulseCommands(maestro, self._channels, together=together)
@@ -227,7 +230,11 @@ class MaestroController:
                 bound = split(max(1, min(LARGEST, round(speed))))
                 maestro.tell((SET_SPEED, (channel, *bound)), (SET_ACCELERATION, (channel, 0, 0)))
         maestro.transport.write(self._commands.of(pulses_us))
-        return True  # a Maestro that restarts is a new USB device: the port is lost
+        self._sent_s, self._on = now_s, np.flatnonzero(pulses_us).tolist()
+        return not has_ended
+
+    #: Nothing stands between a Maestro and its servos.
+    is_blocked = False
 
     def sending(self, index: int) -> float:
         """Read the pulse that the Maestro sends to servo `index`, us; 0: none; NaN: no answer."""

@@ -32,6 +32,8 @@ N_CHANNELS: Final = {"micro6": 6, "mini12": 12, "mini18": 18, "mini24": 24, "pic
 WITHOUT_SET_TARGETS: Final = "micro6"
 #: Steps of a target in a microsecond.
 QUARTERS: Final = 4
+#: The largest position of a channel that is set as an input: its voltage, and no pulse.
+LARGEST_INPUT: Final = 1023
 #: A speed of 1 is a quarter of a microsecond in this time, at 50 pulses a second.
 SPEED_UNIT_S: Final = 0.01
 #: The largest value of two data bytes.

@@ -41,7 +41,7 @@ class MaestroRelease:
         channels: Sequence[int] = range(self._n_channels)
         left: Sequence[int] = addresses or (0,)
         for _ in range(1 + _REPEATS):
-            self._tell(channels)
+            self._maestro.tell(*[(SET_TARGET, (each, 0, 0)) for each in channels])
             channels = left = [each for each in left if self._maestro.position_us(each) != 0.0]
             if not left:
                 return
@@ -75,6 +75,3 @@ class MaestroRelease:
     def close(self) -> None:
         """Close the port."""
         self._maestro.transport.close()
-
-    def _tell(self, channels: Sequence[int]) -> None:
-        self._maestro.tell(*[(SET_TARGET, (each, 0, 0)) for each in channels])

@@ -176,7 +176,16 @@ class SimulatedMaestro:
         if now_s - self._heard_s > self._timeout_s and not self.errors & protocol.TIMEOUT_ERROR:
             self._fail(protocol.TIMEOUT_ERROR)
         for _, fault in self._faults.take(now_s):
-            self._happen(fault)
+            if fault.kind == "brown-out":
+                self.brown_out()
+            elif fault.kind == "deaf":
+                self.deaf = True
+            elif fault.kind == "truncate":
+                self._cut = True
+            elif fault.kind == "corrupt":
+                self._damage = True
+            else:
+                self.unplug(fault.lasts_s)
 
     def receive(self, data: bytes, now_s: float, _baud_rate: int) -> None:
         """Obey the commands in `data`, received at `now_s`; ignore all while deaf or unplugged.
@@ -226,19 +235,6 @@ class SimulatedMaestro:
         self._back_s = self._now_s + seconds
         self._answers.clear()
         self._message.clear()
-
-    def _happen(self, fault: PulseFault) -> None:
-        """Apply a fault of the script that is due now."""
-        if fault.kind == "brown-out":
-            self.brown_out()
-        elif fault.kind == "deaf":
-            self.deaf = True
-        elif fault.kind == "truncate":
-            self._cut = True
-        elif fault.kind == "corrupt":
-            self._damage = True
-        else:
-            self.unplug(fault.lasts_s)
 
     def _n_missing(self) -> int:
         """Return how many bytes the command being received still lacks; 0 or less: it is whole.

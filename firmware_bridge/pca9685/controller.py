@@ -7,13 +7,12 @@ from typing import Final
 
 from firmware_bridge.bus import Array, any_set
 from firmware_bridge.clock import Clock
-from firmware_bridge.errors import PortError, ServoError
+from firmware_bridge.errors import BusError, PortError, ServoError
 from firmware_bridge.pca9685.i2c import I2cChip
 from firmware_bridge.pca9685.oe_guard import OeGuard
 from firmware_bridge.pca9685.registers import (
     ALL_OFF,
     IDENTITY,
-    NOMINAL_CLOCK_HZ,
     OSCILLATOR_S,
     RUNNING,
     Mode1,
@@ -73,10 +72,18 @@ class Pca9685:
             raise
 
     def close(self) -> None:
-        """Close the bus and the guard; without a guard the chip continues to send its pulses."""
+        """Close the bus and the guard; without a guard the chip continues to send its pulses.
+
+        The guard holds the OE pin high from then on unless the chip says that it makes no pulse.
+        """
+        guard = self._guard
+        if guard is not None:
+            with contextlib.suppress(BusError):
+                guard.beat(passes=False, is_off=False)
+                if not any(self.sending(index) for index in range(len(self._channels))):
+                    guard.beat(passes=False)
+            guard.close()
         self._give_back()
-        if self._guard is not None:
-            self._guard.close()
 
     def send(self, pulses_us: Array) -> bool:
         """Send every servo its pulse in one I2C transfer; all 0: switch the whole board off.
@@ -99,9 +106,6 @@ class Pca9685:
         if not any_set(counts):
             self._switch_off()
             return True
-        if guard is not None and guard.has_lapsed:
-            self._switch_off()
-            return False
         if not self._is_set_up and not self._set_up():
             return False
         mode = self._opened.exchange(self._messages.of(counts), Register.MODE1)[0]
@@ -110,6 +114,9 @@ class Pca9685:
             return False
         if guard is not None:
             self._beat(guard, passes=True)
+            if not guard.passes:
+                self._switch_off()
+                return False
         return True
 
     def sending(self, index: int) -> float:
@@ -118,21 +125,21 @@ class Pca9685:
         0: none, also while the chip sleeps. The guard of the OE pin, if any, gets its
         last heartbeat again. Raises PortError, and ServoError when the guard is dead or hangs.
         """
-        chip = self._opened
+        chip, channel = self._opened, self._channels[index]
         if self._guard is not None:
             self._beat(self._guard, passes=self._guard.passes)
-        mode, first = chip.read(Register.MODE1)[0], channel_register(self._channels[index])
-        if mode & Mode1.SLEEP:
-            return 0.0
-        if self._is_set_up and mode == RUNNING:
-            return counts_of(chip.read(first, 4)) * self._timing.count_us
-        # Set up by another program or with other settings: auto-increment may be off.
-        counts = counts_of(b"".join(chip.read(first + n) for n in range(4)))
-        return counts * replace(self._timing, prescale=chip.read(Register.PRE_SCALE)[0]).count_us
+        if self._is_set_up and chip.read(Register.MODE1)[0] == RUNNING:
+            return counts_of(chip.read(channel_register(channel), 4)) * self._timing.count_us
+        return read_pulse_us(chip, channel, self._timing)
 
     def remarks(self) -> Sequence[str]:
         """Return remarks for the log: a warning where no guard holds the OE pin, else none."""
         return [] if self._guard is not None else [NO_GUARD]
+
+    @property
+    def is_blocked(self) -> bool:
+        """Whether the guard blocks all pulses, whatever `sending` returns."""
+        return self._guard is not None and not self._guard.passes
 
     @property
     def _opened(self) -> I2cChip:
@@ -154,11 +161,13 @@ class Pca9685:
     def _beat(self, guard: OeGuard, *, passes: bool) -> None:
         """Send the guard a heartbeat that lets pulses through (`passes`) or blocks them.
 
-        Raises ServoError, after switching all pulses off, when the guard is dead or hangs: if this
-        program died then, nothing would end the pulses.
+        Pulses that it may have blocked since the last one stay blocked, as all would come back at
+        once. Raises ServoError, after switching all pulses off, when the guard is dead or hangs: if
+        this program died then, nothing would end the pulses.
         """
         try:
-            guard.beat(passes=passes)
+            has_lapsed = guard.has_lapsed
+            guard.beat(passes=passes and not has_lapsed, is_off=not has_lapsed)
         except ServoError:
             self._opened.write([ALL_OFF])
             raise
@@ -211,8 +220,14 @@ def check_identity(chip: I2cChip) -> None:
         )
 
 
-def clock_remark(clock_hz: float) -> str:
-    """Return a warning if `clock_hz` is the data sheet's and so not measured; else "" (empty)."""
-    if clock_hz != NOMINAL_CLOCK_HZ:
-        return ""
-    return "clock_hz is that of the data sheet; boards differ by some per cent, pulses with them"
+def read_pulse_us(chip: I2cChip, channel: int, timing: Timing) -> float:
+    """Return the pulse in us that a channel makes, whoever set the chip up; 0: none, or it sleeps.
+
+    timing: of the chip but for its prescaler, which is read.
+    """
+    if chip.read(Register.MODE1)[0] & Mode1.SLEEP:
+        return 0.0
+    # Registers are read one by one, since auto-increment may be off.
+    first = channel_register(channel)
+    counts = counts_of(b"".join(chip.read(first + n) for n in range(4)))
+    return counts * replace(timing, prescale=chip.read(Register.PRE_SCALE)[0]).count_us

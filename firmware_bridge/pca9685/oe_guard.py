@@ -23,7 +23,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from typing import Final, Protocol
+from typing import Final, NoReturn, Protocol
 
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError, ServoError
@@ -45,8 +45,9 @@ _START_S: Final = 10.0
 _TAKE_OVER_S: Final = 2.0
 #: struct flock of fcntl.h: type, whence, start, length, process id
 _POSIX_LOCK: Final = struct.Struct("hhqqi4x")
-#: Heartbeats, which the guard sends back: let pulses through, or block them.
-_PASS, _BLOCK = b"1", b"0"
+#: Heartbeats, which the guard sends back: let pulses through, block them, or block them although
+#: the registers may be on.
+_PASS, _BLOCK, _HOLD = b"1", b"0", b"2"
 _IGNORED: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
@@ -81,8 +82,11 @@ class OeGuard:
 
     @property
     def has_lapsed(self) -> bool:
-        """Whether the last heartbeat let pulses through, but is so old that they may be blocked."""
-        return self.passes and self._clock.now() - self._sent_s > _LAPSED_S
+        """Whether pulses may have been blocked while the registers are on.
+
+        So after a heartbeat that let them through, but is old, and after one with `is_off` False.
+        """
+        return self._sent == _HOLD or (self.passes and self._clock.now() - self._sent_s > _LAPSED_S)
 
     def start(self) -> None:
         """Start the guard process, which drives the pin high (no pulses), unless one runs already.
@@ -118,13 +122,15 @@ class OeGuard:
         self._sent, self._sent_s = _BLOCK, self._clock.now()
         self._heard_s = self._sent_s
 
-    def beat(self, *, passes: bool) -> None:
+    def beat(self, *, passes: bool, is_off: bool = True) -> None:
         """Send a heartbeat: let pulses through for half a second (`passes`), or end them now.
 
         Call it in every tick; an unchanged heartbeat is sent every 50 ms at most. Raises ServoError
-        once the guard is dead or hangs: nothing would end the pulses then.
+        once the guard is dead or hangs: nothing would end the pulses then. is_off: of a heartbeat
+        that ends pulses, whether the registers go off as well, so that the guard may end.
         """
-        now_s, wanted = self._clock.now(), _PASS if passes else _BLOCK
+        now_s = self._clock.now()
+        wanted = _PASS if passes else _BLOCK if is_off else _HOLD
         if wanted == self._sent and now_s - self._sent_s < _BEAT_S:
             return
         if self._sent_s - self._heard_s > _SILENT_S:
@@ -132,9 +138,9 @@ class OeGuard:
         if now_s - self._sent_s > _SILENT_S:
             self._heard_s = now_s  # without heartbeats the guard had nothing to answer
         self._sent, self._sent_s = wanted, now_s
-        link = self._link
+        if (link := self._link) is None:
+            self._fail("has died")
         try:
-            assert link is not None
             link.send(wanted, socket.MSG_NOSIGNAL)
             # Read all echoes; no more: BlockingIOError; b"": the guard has closed its end.
             while link.recv(64):
@@ -148,8 +154,8 @@ class OeGuard:
     def close(self) -> None:
         """Close the connection to the guard process, which ends the pulses.
 
-        The guard process itself ends only if the last heartbeat had ended the pulses already; else
-        it continues, to hold the pin high.
+        The guard process itself ends only if the last heartbeat had ended the pulses already, with
+        the registers off; else it continues, to hold the pin high.
         """
         if self._link is not None:
             self._link.close()
@@ -159,7 +165,7 @@ class OeGuard:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_TAKE_OVER_S)
 
-    def _fail(self, what: str) -> None:
+    def _fail(self, what: str) -> NoReturn:
         """Kill the guard process, so that the pin's pull-up ends the pulses; raise ServoError.
 
         Always raises. what: what the process did, such as `has died`, for the message.

@@ -209,7 +209,11 @@ class SimulatedPca9685:
     def advance(self, time_s: float) -> None:
         """Simulate faults, the OE pin and the pulses of every cycle that begins by `time_s`."""
         self._now_s = max(self._now_s, time_s)
-        self._happen()
+        for _, fault in self._coming.take(self._now_s):
+            if fault.kind == "brown-out":
+                self.brown_out()
+            elif fault.kind == "cut":
+                self.cut_after = 2
         while self._cycle_s is not None and self._cycle_s <= self._now_s:
             self._begin_cycle(self._cycle_s)
             self._cycle_s += CYCLE * self.count_us * 1e-6
@@ -219,13 +223,6 @@ class SimulatedPca9685:
 
     def _suffers(self, kind: str) -> bool:
         return any(each.kind == kind and each.is_on(self._now_s) for each in self._faults)
-
-    def _happen(self) -> None:
-        for _, fault in self._coming.take(self._now_s):
-            if fault.kind == "brown-out":
-                self.brown_out()
-            elif fault.kind == "cut":
-                self.cut_after = 2
 
     def brown_out(self) -> None:
         """Simulate a failure of the supply: cut the present pulses, and reset all registers."""

@@ -161,6 +161,7 @@ START_WORD: Final = "start"
 #: Follows a number that is a pulse, not an angle.
 PULSE_UNIT: Final = "us"
 
+_WITHOUT_SERVO: Final[Mapping[str, Order]] = {ARM_WORD: ArmJog(), END_WORD: EndJog()}
 _SAY_SET: Final = "say: set NAME VALUE [NAME VALUE ...]"
 _SAY_SERVO: Final = "say: servo NAME off|on|reboot"
 _SAY_JOG: Final = "say: jog arm, jog NAME DEG, or jog end; jog NAME PULSE us for a hobby servo"
@@ -221,12 +222,9 @@ def _switch(
 def _jog(words: list[str], commands: CommandQueue) -> dict[str, object]:
     """Queue a `jog` command, and return its answer; CommandError if it is refused or malformed."""
     match words:
-        case [word] if word == ARM_WORD:
-            commands.order(ArmJog())
-            return {"jog": ARM_WORD}
-        case [word] if word == END_WORD:
-            commands.order(EndJog())
-            return {"jog": END_WORD}
+        case [word] if word in _WITHOUT_SERVO:
+            commands.order(_WITHOUT_SERVO[word])
+            return {"jog": word}
         case [name, angle]:
             position_deg = _number(angle)
             commands.order(JogTo(name, position_deg))

@@ -128,9 +128,7 @@ class ControlSocket:
         for fd, _ in self._ready.poll(0):
             if fd == self._listener.fileno():
                 self._accept()
-                continue
-            client = self._clients.get(fd)  # it may have made room for another just now
-            if client is not None:
+            elif client := self._clients.get(fd):  # it may have made room for another just now
                 self._receive(client)
         return self._commands.take_stop()
 
@@ -144,8 +142,6 @@ class ControlSocket:
         status: returns the face's status; called only if a client requests it. of_stop: returns
         what the answer to a stop says of the servos, after the stop was acted on.
         """
-        if not self._unanswered:
-            return
         waiting, self._unanswered = self._unanswered, []
         for client, word in sorted(waiting, key=lambda each: each[1] not in _STOPS):
             if self._clients.get(client.end.fileno()) is client:
@@ -264,12 +260,9 @@ class ControlSocket:
             client.send({"error": "this face cannot be watched"})
             return
         answer = json.dumps({"watching": True, **self._about}).encode()
-        with contextlib.suppress(OSError):
-            to_read = os.open(f"/proc/self/fd/{self._watched_fd}", os.O_RDONLY | os.O_CLOEXEC)
-            try:
-                socket.send_fds(client.end, [answer], [to_read], socket.MSG_NOSIGNAL)
-            finally:
-                os.close(to_read)
+        memory = Path(f"/proc/self/fd/{self._watched_fd}")
+        with contextlib.suppress(OSError), memory.open("rb", buffering=0) as to_read:
+            socket.send_fds(client.end, [answer], [to_read.fileno()], socket.MSG_NOSIGNAL)
 
     def _drop(self, client: _Client) -> None:
         fd = client.end.fileno()

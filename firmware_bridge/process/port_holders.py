@@ -36,8 +36,7 @@ def holders_of_socket(path: Path) -> list[int]:
     """Return the ids of processes that have the Unix socket at `path` open, if we may inspect."""
     lines = (_PROC / "net" / "unix").read_text().splitlines()
     rows = [line.split(maxsplit=7) for line in lines]
-    inodes = {row[6] for row in rows if len(row) == 8 and row[7] == str(path)}
-    wanted = {f"socket:[{inode}]" for inode in inodes}
+    wanted = {f"socket:[{row[6]}]" for row in rows if len(row) == 8 and row[7] == str(path)}
     return [pid for pid in _processes() if any(target in wanted for target, _ in _links(pid))]
 
 

@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from pydantic import ValidationError
-
 from firmware_bridge.bus_kinds import BusKind, UnknownBusError, bus_kind, kind_at
 from firmware_bridge.bus_settings import BusSettings
 from firmware_bridge.process.runtime_folder import (
@@ -67,9 +65,8 @@ def _noted(port: str) -> Iterator[tuple[int, BusSettings]]:
         return
     for folder in searched_folders():
         for path in folder.glob(f"{_name(port)}@*{_SUFFIX}"):
-            with contextlib.suppress(
-                OSError, ValueError, KeyError, TypeError, UnknownBusError, ValidationError
-            ):
+            # A ValidationError is a ValueError.
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, UnknownBusError):
                 with path.open("rb") as file:
                     kept = json.loads(file.read(_LONGEST_BYTES))
                 if kept["plug"] == plug:

@@ -294,7 +294,7 @@ class Supervisor:
         for message in self._bridge.child.read():
             match message:
                 case Stopped(level, ends, requested_by):
-                    self._hold_stop(StopRequest(level, requested_by, ends))
+                    self._hold_stop(StopRequest(level, requested_by, ends), is_in_force=True)
                 case Started():
                     self._request = self._stop_report = None
                     self._failed.clear()
@@ -307,20 +307,22 @@ class Supervisor:
                     self._hold_switched(index, on=on)
                 case Ready():
                     self._fire(SupervisorEvent.READY)
-                case _:
-                    pass
         for message in self._speech.child.read():
             if isinstance(message, Began):
                 self._zero_s = message.zero_s
 
-    def _hold_stop(self, request: StopRequest) -> None:
+    def _hold_stop(self, request: StopRequest, *, is_in_force: bool = False) -> None:
         """Store a person's stop, so that it outlives every process of the face.
 
         Soft replaces a freeze, limp any stop; a lesser stop changes nothing but whether the process
-        ends. If it is to end, speech is ended now.
+        ends. If it is to end, speech is ended now. is_in_force: the bridge obeys it already; a
+        freeze then holds also a face that was on its way to its end.
         """
         ends = request.ends or self._holds(Requested.END)
-        if not self._holds(Requested.STOP) or request.level is StopLevel.LIMP:
+        freezes = is_in_force and request.level is StopLevel.FREEZE
+        if freezes:
+            self._signal_s = float("inf")  # it ends by the next stop or signal
+        if freezes or not self._holds(Requested.STOP) or request.level is StopLevel.LIMP:
             self._request = replace(request, ends=ends)
             self._record.stop(request)
         elif self._request is not None:

@@ -6,22 +6,28 @@
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Final
 
-from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.bus_kinds import Finding, Severity, Wiring, other_kind_at
 from firmware_bridge.errors import RateError, ServoError
+from firmware_bridge.joints import Joint
 from firmware_bridge.serial_servos.mounting import MountedServo
-from firmware_bridge.serial_servos.serial_transport import open_port
+from firmware_bridge.serial_servos.serial_transport import SameAdapter, open_port
 
 #: How much longer than a control loop the commands that set up or examine servos wait for answers.
 UNHURRIED_S: Final = 0.06
 #: Registers that change how a servo is reached are written last, in this order.
 _LAST: Final = {"id": 1, "baud_rate": 2}
 _LOW, _HIGH = "min_position_limit", "max_position_limit"
+#: Top speed of a servo that is moved to see which joint it drives.
+_CAREFUL_DEG_S: Final = 60.0
 
 #: By id: (baud rate, model number) of each answer; several where servos with one id answered at
 #: different rates. The model number is in the form of the protocol.
 Found = Mapping[int, Sequence[tuple[int, Any]]]
+#: By id: the first baud rate at which a servo answered, and the name of its model.
+Located = Mapping[int, tuple[int, str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +40,10 @@ class Difference:
 
     def __str__(self) -> str:
         return f"{self.name} is {self.found}, should be {self.wanted}"
+
+
+#: By id: the registers, set by another program, that must be reset before a servo is moved.
+Foreign = Mapping[int, Sequence[Difference]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +74,16 @@ def chain_is_complete(servos: Sequence[MountedServo[Any]], found: Found) -> bool
 class ChainSetup:
     """The steps to find and set up servos of one protocol, over a serial line of its own class.
 
-    Only here is EEPROM written: with torque off, where it differs, and all is read back.
+    Only here is EEPROM written: with torque off, where it differs, and all is read back. A port is
+    opened for servos that belong to no face yet: to find them, to take them over from another
+    program, and to move one alone.
 
     Attributes
     ----------
-    make_line
-        Makes a line at an open port, with `extra_wait_s`.
+    kind, models
+        Name of the kind of bus; its servo models by name.
+    make_line, make_bus
+        Make a line at an open port, with `extra_wait_s`; a bus of servos, from what opens its port.
     mounted_servos
         Returns the servos of a face as mounted in its joints.
     rates, factory_rate, slowest_rate
@@ -85,6 +99,10 @@ class ChainSetup:
         Returns the name of a model number.
     lacking
         Returns the registers to change in the servo at an id, to fit its joint at a baud rate.
+    foreign
+        Returns the registers to change in the servo of a model at an id before it is moved.
+    standing
+        Returns the position and the position limits of a joint's servo of a model, by register.
     unlock, lock
         Called before and after registers are written: torque off, and the protocol's own steps.
     write, read
@@ -92,7 +110,10 @@ class ChainSetup:
 
     """
 
+    kind: str
+    models: Callable[[], Mapping[str, Any]]
     make_line: Callable[..., Any]
+    make_bus: Callable[..., Any]
     mounted_servos: Callable[[Wiring], Sequence[MountedServo[Any]]]
     rates: Sequence[int]
     factory_rate: int
@@ -102,6 +123,8 @@ class ChainSetup:
     shares_id: Callable[[Any, int], bool]
     model_name: Callable[[Any], str]
     lacking: Callable[[Any, MountedServo[Any], int, int], Sequence[Difference]]
+    foreign: Callable[[Any, int, Any], Sequence[Difference]]
+    standing: Callable[[Any, Joint, Any], Mapping[str, int]]
     unlock: Callable[[Any, int, Any], None]
     write: Callable[[Any, int, Any, str, int], None]
     read: Callable[[Any, int, Any, str], int]
@@ -135,6 +158,26 @@ class ChainSetup:
             with suppress(RateError):  # others may be possible
                 line.baud_rate = rate
                 yield rate, self.answers(line)
+
+    def locate(self, line: Any, ids: Sequence[int]) -> tuple[Located, Finding | None]:
+        """Return which servos answer at any rate, until all `ids` do; if none does, a finding.
+
+        Without either, bytes came that are no answer: two servos with one id may spoil theirs.
+        """
+        own_rate, located, heard = line.baud_rate, dict[int, tuple[int, str]](), False
+        for rate, found in self.scan(line, [own_rate, *self.rates]):
+            located = {each: (rate, self.model_name(found[each])) for each in found} | located
+            heard |= bool(found) or line.heard_noise
+            if set(ids) <= set(located):
+                break
+        line.baud_rate = own_rate
+        if heard:
+            return located, None
+        if other := other_kind_at(line.transport, self.kind):
+            return located, Finding(Severity.BAD, other)
+        tried = ", ".join(f"{rate:,}" for rate in dict.fromkeys([own_rate, *self.rates]))
+        remedy = "check power (a Dynamixel's LED blinks once) and data cable"
+        return located, Finding(Severity.BAD, f"no servo answers at any of {tried} baud", remedy)
 
     def find_servos(self, line: Any, ids: Sequence[int], baud_rate: int) -> Found:
         """Return by id the (rate, model number) of every answer at the face's and factory's rates.
@@ -192,8 +235,8 @@ class ChainSetup:
         # Every answer as (id, baud rate, model number).
         name, own_id = servo.joint.name, servo.joint.servo_id
         answers = [(servo_id, *each) for servo_id, all_of_it in found.items() for each in all_of_it]
-        if not answers:
-            raise ServoError("no servo answers at any baud rate; check its power and cable")
+        # New servos all have id 1: two of them may spoil each other's answers, so that none counts.
+        answers = answers or [(1, self.factory_rate, None)]
         if len(answers) > 1:
             missing = "" if own_id in found else f"{name} (id {own_id}) does not answer; "
             raise ServoError(
@@ -206,9 +249,93 @@ class ChainSetup:
         for each in dict.fromkeys((own_id, servo_id)):
             if self.shares_id(line, each):
                 raise ServoError(f"two servos answer to id {each}: {_alone(name)}")
+        if number is None:
+            raise ServoError("no servo answers at any baud rate; check its power and cable")
         if other := self._other_model(servo, number):
             raise ServoError(other[0])
         return self._plan(line, servo, servo_id, rate, baud_rate)
+
+    def find_unknown(self, port: str, first_rate: int) -> tuple[int, dict[int, str]]:
+        """Return the first baud rate at which servos answer, and their model names by id.
+
+        first_rate: the rate to try first. If no servo answers, all rates are tried once more, since
+        a computer that stalled misses answers. Raises ServoError where no servo answers, two have
+        one id or a model is unknown, and PortError.
+        """
+        rates = [first_rate, *self.rates]
+        found: Mapping[int, Any] = {}
+        doubled: list[int] = []
+        with self.unhurried_line(port, first_rate) as line:
+            for _, found in chain(self.scan(line, rates), self.scan(line, rates)):
+                if found or line.heard_noise:
+                    # New servos all have id 1: several may spoil each other's answers.
+                    doubled = [each for each in sorted({1, *found}) if self.shares_id(line, each)]
+                if found or doubled:
+                    break
+        if doubled:
+            raise ServoError(
+                f"two servos answer to id {doubled[0]}: connect one at a time and give each an id "
+                "of its own (`lipservo setup-servos`)"
+            )
+        if not found:
+            raise ServoError(
+                f"{port}: no {self.kind} servo answers at any baud rate; check power and cable; "
+                "for servos of another kind give --bus, such as --bus feetech"
+            )
+        models = {each: self.model_name(number) for each, number in sorted(found.items())}
+        for servo_id, name in models.items():
+            if name not in self.models():
+                raise ServoError(f"servo id {servo_id} is of {name}, which is not supported")
+        return line.baud_rate, models
+
+    def foreign_settings(self, port: str, rate: int, found: Mapping[int, str]) -> Foreign:
+        """Return, by id, registers set by another program that must be reset before a servo moves.
+
+        {}: none is set. found: model name by id. Raises PortError, and ServoError for a servo that
+        falls silent.
+        """
+        with self.unhurried_line(port, rate) as line:
+            return {
+                servo_id: changes
+                for servo_id, name in found.items()
+                if (changes := self.foreign(line, servo_id, self.models()[name]))
+            }
+
+    def clear_foreign_settings(
+        self, port: str, rate: int, found: Mapping[int, str], foreign: Foreign
+    ) -> None:
+        """Reset the registers in `foreign`, returned by `foreign_settings`; torque goes off.
+
+        found: model name by id. Raises PortError, ServoError.
+        """
+        with self.unhurried_line(port, rate) as line:
+            for servo_id, changes in foreign.items():
+                for _ in self.set_up(line, servo_id, self.models()[found[servo_id]], changes):
+                    pass  # each is read back
+
+    def lone_servo(
+        self, port: str, rate: int, servo_id: int, model_name: str, reach_deg: float
+    ) -> tuple[Any, Joint, int]:
+        """Return an unopened bus of one servo, its joint, and its present position in steps.
+
+        The joint's 0 degrees are the present position. reach_deg: how far the joint may move to
+        each side. rate: baud rate. Raises PortError, and ServoError for a servo that is silent, or
+        stands so near an end of its range that it cannot be moved to both sides.
+        """
+        model = self.models()[model_name]
+        joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, _CAREFUL_DEG_S)
+        with self.unhurried_line(port, rate) as line:
+            now = self.standing(line, joint, model)
+        place, reach = now["present_position"], reach_deg * model.pulses_per_deg
+        if not now[_LOW] + reach <= place <= now[_HIGH] - reach:
+            raise ServoError(
+                f"servo id {servo_id} stands at {place}, within {reach_deg:g} degrees of an end of "
+                f"its range; turn it by hand towards the middle ({model.center_pulse}), refit its "
+                "horn if the joint must stand there, and run this again"
+            )
+        offset_deg = (place - model.center_pulse) / model.pulses_per_deg
+        servo = MountedServo(joint, model, 1, offset_deg)
+        return self.make_bus([servo], SameAdapter(port, rate)), joint, place
 
     def set_up(
         self, line: Any, servo_id: int, model: Any, changes: Sequence[Difference]

@@ -8,6 +8,8 @@ import select
 import socket
 import sys
 import termios
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,9 +18,13 @@ from serial.serialposix import Serial as Tty
 
 from firmware_bridge.clock import Clock, MonotonicClock
 from firmware_bridge.errors import PortError, PortGone, RateError
+from firmware_bridge.transport import Transport
 
 #: More than the longest reply of 252 servos.
 _CHUNK: Final = 16_384
+#: A network connection that takes no bytes for so long is lost. Stalls of a busy computer are
+#: shorter; pyserial's RFC 2217 has a limit of its own, and accepts no other.
+_SEND_S: Final = 0.25
 #: How often to look for bytes where the kernel cannot wake this process when they come.
 _LOOKS_EACH_S: Final = 0.0005
 
@@ -197,7 +203,9 @@ def _open_url(url: str, baud_rate: int, clock: Clock) -> PyserialTransport:
             lock = undo.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
             lock.bind(f"\0lipservo {address.partition('?')[0].rstrip('/')}")
         handle = serial.serial_for_url(url, baud_rate, timeout=0, exclusive=True)
-        if scheme == "socket":  # pyserial leaves Nagle's algorithm on, which delays requests
+        if scheme == "socket":
+            handle.write_timeout = _SEND_S
+            # pyserial leaves Nagle's algorithm on, which delays requests.
             with socket.socket(fileno=os.dup(handle.fileno())) as wire:
                 wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         undo.pop_all()
@@ -255,12 +263,15 @@ class SameAdapter:
     A face whose adapter was unplugged must not take the servos that appear at its old port.
     """
 
-    def __init__(self, port: str, baud_rate: int) -> None:
+    def __init__(
+        self, port: str, baud_rate: int, opener: Callable[[str, int], Transport] = open_port
+    ) -> None:
+        """Open `port` at `baud_rate` by `opener`, as that of dynamixel-sdk."""
+        self._open = partial(opener, port, baud_rate)
         self._port = port
-        self._baud_rate = baud_rate
         self._identity: str | None = None
 
-    def __call__(self) -> PyserialTransport:
+    def __call__(self) -> Transport:
         """Open and return the port; remember at the first call which adapter was there.
 
         Raises PortError, also if another adapter than at the first call is at the port, or one
@@ -272,7 +283,7 @@ class SameAdapter:
                 f"{self._port}: another adapter is there ({found or 'not USB'}, not "
                 f"{self._identity}); plug the face's own one in where it was, or restart"
             )
-        transport = open_port(self._port, self._baud_rate)
+        transport = self._open()
         self._identity = found
         return transport
 

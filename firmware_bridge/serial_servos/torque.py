@@ -9,6 +9,7 @@ from firmware_bridge.bus_kinds import NOT_SEEN
 from firmware_bridge.errors import RateError
 from firmware_bridge.serial_servos.half_duplex import HalfDuplex
 from firmware_bridge.serial_servos.mounting import MountedServo, Mounting
+from firmware_bridge.transport import Transport
 
 #: Soft start: highest speed, and share of the full strength, for a while after torque comes on.
 SOFT_DEG_S: Final = 60.0
@@ -169,13 +170,12 @@ class SerialRelease(ABC, Generic[_Line]):
 
     confirms: Final = True
     torque_address: ClassVar[int]
+    #: Makes a line at an open port.
+    make_line: Callable[[Transport], _Line]
 
-    def __init__(self, line: _Line, rates: Sequence[int]) -> None:
-        """Set the baud rates at which servos may listen; the port of `line` is open at the first.
-
-        line: at an open port.
-        """
-        self._line = line
+    def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
+        """Set the baud rates at which servos may listen; `transport` is open at the first."""
+        self._line = self.make_line(transport)
         self._rates = tuple(dict.fromkeys(rates))
 
     def ask(self, address: int) -> str:

@@ -1,5 +1,6 @@
 """A chain of simulated Dynamixels on one half-duplex wire: bytes in and out, each at its time."""
 
+import struct
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -32,8 +33,7 @@ def sync_read(parameters: bytes) -> list[SpanWanted]:
     """
     if len(parameters) < 5:
         return []
-    address = parameters[0] | parameters[1] << 8
-    size = parameters[2] | parameters[3] << 8
+    address, size = struct.unpack_from("<HH", parameters)
     return [SpanWanted(servo_id, address, size) for servo_id in dict.fromkeys(parameters[4:])]
 
 
@@ -43,10 +43,9 @@ def bulk_read(parameters: bytes) -> list[SpanWanted]:
     parameters: five bytes for each servo: id, address (2), size (2); an unfinished rest is ignored.
     """
     wanted: dict[int, SpanWanted] = {}
-    for at in range(0, len(parameters) - 4, 5):
-        servo_id, low, high, size_low, size_high = parameters[at : at + 5]
-        span = SpanWanted(servo_id, low | high << 8, size_low | size_high << 8)
-        wanted.setdefault(servo_id, span)
+    whole = parameters[: len(parameters) // 5 * 5]
+    for span in map(SpanWanted._make, struct.iter_unpack("<BHH", whole)):
+        wanted.setdefault(span.servo_id, span)
     return list(wanted.values())
 
 
@@ -97,6 +96,8 @@ _GROUP_WRITES: Final = {
     int(Instruction.SYNC_WRITE): sync_write,
     int(Instruction.BULK_WRITE): bulk_write,
 }
+#: Servos that answer reads, by id; several if they have the same id.
+_ById = dict[int, list[SimulatedServo]]
 
 
 class SimulatedChain:
@@ -135,7 +136,7 @@ class SimulatedChain:
                 servo["baud_rate"] = code
                 servo["return_delay_time"] = 0
         faults = tuple(faults)
-        self._wire = Wire(rules or WireRules(), faults, seed)
+        self._wire = Wire(faults, seed)
         self.counts = self._wire.counts
         self._chain_stops = rules is not None and rules.chain_stops
         self._afflictions = FaultInjector(self.servos, self.motors, faults)
@@ -235,7 +236,6 @@ class SimulatedChain:
         """
         byte_s = BITS_PER_BYTE / baud_rate
         heard, start_s = self._wire.host_speaks(data, now_s, byte_s)
-        n_bad = self._parser.n_bad
         frames = self._parser.feed(heard)
         # First when the last packet ends; less all packets: when the first one begins.
         end_s = start_s + (len(heard) - len(self._parser.pending)) * byte_s
@@ -243,7 +243,6 @@ class SimulatedChain:
         for frame in frames:
             end_s += len(frame.raw) * byte_s
             self._hear(frame, max(end_s, start_s), byte_s, baud_rate)
-        self.counts.bad_instructions += self._parser.n_bad - n_bad
 
     def deliver(self, now_s: float) -> bytes:
         """Return and remove the bytes that have reached the computer by `now_s`; b"": none."""
@@ -254,10 +253,8 @@ class SimulatedChain:
 
         Only servos that listen at `baud_rate` execute it. byte_s: seconds a byte at that rate.
         """
-        self.counts.instructions += 1
         self.advance(end_s)
         listening = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
-        self.counts.unheard += not listening
         # Any packet, whichever servo it is for, restarts the bus watchdogs of all that receive it.
         for servo in listening:
             servo.heard_s = end_s
@@ -275,7 +272,8 @@ class SimulatedChain:
             wanted = take_apart(parameters)
             if frame.packet_id != BROADCAST_ID:  # other servos ignore the packet
                 wanted = [each for each in wanted if each.servo_id == frame.packet_id]
-            (self._read_together if fast else self._read_in_turn)(listening, wanted, byte_s)
+            answering = _by_id(listening)
+            (self._read_together if fast else self._read_in_turn)(answering, wanted, byte_s)
         elif frame.packet_id == BROADCAST_ID:
             self._broadcast(listening, instruction, parameters, byte_s)
         else:
@@ -300,15 +298,12 @@ class SimulatedChain:
                 slot_s = servo.servo_id * _PING_SLOT_BYTES * byte_s
                 self._wire.say(servo, servo.servo_id, answer, end_s + slot_s, byte_s)
 
-    def _read_in_turn(
-        self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
-    ) -> None:
+    def _read_in_turn(self, by_id: _ById, wanted: list[SpanWanted], byte_s: float) -> None:
         """Answer a group read for the spans `wanted`, one servo after another.
 
-        listening: servos that received the request; byte_s: seconds a byte. A silent servo leaves a
-        gap, or, by the rule `chain_stops`, ends the answers.
+        by_id: servos that received the request and answer; byte_s: seconds a byte. A silent servo
+        leaves a gap, or, by the rule `chain_stops`, ends the answers.
         """
-        by_id = _by_id(listening)
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
             if not answering:
@@ -322,15 +317,12 @@ class SimulatedChain:
                 data = servo.read_span(address, size)
                 self._wire.say(servo, servo_id, data, start_s, byte_s)
 
-    def _read_together(
-        self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
-    ) -> None:
+    def _read_together(self, by_id: _ById, wanted: list[SpanWanted], byte_s: float) -> None:
         """Answer a fast group read (spans `wanted`) in one frame, cut at the first silent servo.
 
-        listening: servos that received the request; byte_s: seconds a byte. An invalid span cuts
-        the frame as well; if the first servo is silent, there is no frame.
+        by_id: servos that received the request and answer; byte_s: seconds a byte. An invalid span
+        cuts the frame as well; if the first servo is silent, there is no frame.
         """
-        by_id = _by_id(listening)
         replies = []
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
@@ -345,9 +337,9 @@ class SimulatedChain:
             self._wire.say_together(replies, missing, self._wire.until_s, byte_s)
 
 
-def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
+def _by_id(listening: list[SimulatedServo]) -> _ById:
     """Return those of `listening` that answer reads, by id; several if they have the same id."""
-    by_id: dict[int, list[SimulatedServo]] = {}
+    by_id: _ById = {}
     for servo in listening:
         if servo.answers_reads:
             by_id.setdefault(servo.servo_id, []).append(servo)

@@ -38,11 +38,12 @@ class RegisterMemory:
         Indirect data: bytes that show those of the registers to which indirect addresses point.
         Call `Drive.refresh` before, for present values.
         """
-        data = bytes(self.bytes[address : address + size])
+        shown = self.bytes[address : address + size]
         for block in self._indirect:
-            if address < block.data + block.count and address + size > block.data:
-                data = self._through_indirect(block, address, data)
-        return data
+            end = min(address + size, block.data + block.count)
+            for at in range(max(address, block.data), end):
+                shown[at - address] = self.bytes[self._behind(block, at)]
+        return bytes(shown)
 
     def reset_indirect(self) -> None:
         """Map every indirect address to its own data byte, as after power-up."""
@@ -84,13 +85,10 @@ class RegisterMemory:
 
         Every register must be written whole.
         """
-        shown: dict[int, int] = {}  # the bytes to write, by the addresses pointed to
-        for offset, byte in enumerate(data):
-            number = address + offset - block.data
-            if number >= block.count:
-                return StatusError.ACCESS
-            at = block.addresses + 2 * number
-            shown[self.bytes[at] | self.bytes[at + 1] << 8] = byte
+        if address + len(data) > block.data + block.count:
+            return StatusError.ACCESS
+        # the bytes to write, by the addresses pointed to
+        shown = {self._behind(block, at): byte for at, byte in enumerate(data, start=address)}
         pieces = []
         for entry in self._registers.values():
             behind = [n for n in range(entry.address, entry.end) if n in shown]
@@ -117,19 +115,13 @@ class RegisterMemory:
             return StatusError.DATA_RANGE
         return []
 
-    def _through_indirect(self, block: IndirectBlock, address: int, data: bytes) -> bytes:
-        """Return the bytes of a read with the block's data bytes replaced by what they point to.
+    def _behind(self, block: IndirectBlock, at: int) -> int:
+        """Return the address to which the data byte at the address `at` of the block points.
 
-        data: the bytes in memory from `address` on.
+        The n-th data byte shows the byte to which the n-th indirect address points.
         """
-        shown = bytearray(data)
-        for offset in range(len(data)):
-            # The n-th data byte shows the byte to which the n-th indirect address points.
-            number = address + offset - block.data
-            if 0 <= number < block.count:
-                at = block.addresses + 2 * number
-                shown[offset] = self.bytes[self.bytes[at] | self.bytes[at + 1] << 8]
-        return bytes(shown)
+        pointer = block.addresses + 2 * (at - block.data)
+        return self.bytes[pointer] | self.bytes[pointer + 1] << 8
 
 
 #: Bits of drive_mode: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#drive-mode10
@@ -171,13 +163,11 @@ class Drive:
         self._memory = self.table.bytes
         self._model = model
         self._turn = model.n_positions
-        self._stall_ma = model.stall_a * 1e3
         self._has_current = "goal_current" in model.registers
         self._n_revolutions = 0
         self._sign, self._zero = 1.0, 0.0
         self._profile = Profile(False, 0, 0)
         self._profile_is_new = True
-        self._depends_on_distance = False
 
     @property
     def torque_on(self) -> bool:
@@ -222,7 +212,6 @@ class Drive:
         profile = Profile(timed, table["profile_velocity"], table["profile_acceleration"])
         self._profile_is_new |= profile != self._profile
         self._profile = profile
-        self._depends_on_distance = profile.depends_on_distance
         pwm = min(abs(table["goal_pwm"]), table["pwm_limit"]) / FULL_PWM
         motors.strength[i] = min(pwm, self._share_of_stall())
         motors.free_speed[i] = pwm * motors.no_load[i]
@@ -235,7 +224,7 @@ class Drive:
         if not self._has_current or self.table["operating_mode"] != CURRENT_BASED_POSITION:
             return 1.0
         units = min(abs(self.table["goal_current"]), self.table["current_limit"])
-        return min(1.0, units * (self._model.current_unit_ma or 0.0) / self._stall_ma)
+        return min(1.0, units * (self._model.current_unit_ma or 0.0) / (self._model.stall_a * 1e3))
 
     def count_one_turn(self) -> None:
         """Forget whole turns: the position is within the first again, plus the homing offset."""
@@ -255,7 +244,7 @@ class Drive:
             return
         motors, i = self.motors, self.index
         shaft = (goal - self._zero) * self._sign  # in the motor's pulses
-        if self._depends_on_distance:
+        if self._profile.depends_on_distance:
             way = shaft - float(motors.trajectory[i])
             speed = float(motors.trajectory_velocity[i])  # below: positive towards the goal
             course = self._profile.course(abs(way), math.copysign(speed, speed * way))

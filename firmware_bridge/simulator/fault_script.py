@@ -16,15 +16,17 @@ from firmware_bridge.simulator.faults import (
     LASTING,
     ON_INSTRUCTIONS,
     ON_REPLIES,
+    Bounds,
     Fault,
 )
 
 _LONGEST_S: Final = 1e9
-#: Least and greatest value of the keys that many kinds may have.
+_TIME: Final = Bounds(0.0, _LONGEST_S)
+#: Of the keys that many kinds may have.
 _BOUNDS: Final = {
-    "probability": (0.0, 1.0),
-    "every_s": (0.001, _LONGEST_S),
-    **dict.fromkeys(("from_s", "until_s", "lasts_s"), (0.0, _LONGEST_S)),
+    "probability": Bounds(0.0, 1.0),
+    "every_s": Bounds(0.001, _LONGEST_S),
+    **dict.fromkeys(("from_s", "until_s", "lasts_s"), _TIME),
 }
 #: A list of mappings of lists is 3 deep.
 _DEEPEST: Final = 20
@@ -126,22 +128,14 @@ class _Reader:
             self._check_times()
         values: dict[str, Any] = {}
         if "servos" in self._raw:
-            values["servos"] = tuple(
-                int(self._number("servos", each, 0, self._n_servos - 1, whole=True))
-                for each in self._several("servos")
-            )
+            values["servos"] = self._numbers("servos", Bounds(0, self._n_servos - 1, whole=True))
         if "at_s" in self._raw:
-            starts_s = (self._number("at_s", each, 0.0) for each in self._several("at_s"))
-            values["at_s"] = tuple(sorted(starts_s))
+            values["at_s"] = tuple(sorted(self._numbers("at_s", _TIME)))
         for key, bounds in _BOUNDS.items():
             if key in self._raw:
-                values[key] = self._number(key, self._raw[key], *bounds)
+                values[key] = self._number(key, self._raw[key], bounds)
         if amount is not None and ("amount" in self._raw or amount.needed):
-            given, bounds = self._raw.get("amount"), (amount.low, amount.high)
-            meaning = f" ({amount.meaning})"
-            values["amount"] = self._number(
-                "amount", given, *bounds, whole=amount.whole, meaning=meaning
-            )
+            values["amount"] = self._number("amount", self._raw.get("amount"), amount)
         if values.get("until_s", math.inf) <= values.get("from_s", 0.0):
             raise self._wrong("until_s", "must be later than from_s", self._raw["until_s"])
         return Fault(self._kind, **values)
@@ -149,16 +143,11 @@ class _Reader:
     def _allowed(self) -> list[str]:
         """Return the keys that an entry of this kind may have."""
         kind = self._kind
-        keys = ["kind"] if kind in ON_INSTRUCTIONS or kind == "unplug" else ["kind", "servos"]
-        if self._by_chance:
-            keys += ["probability", "from_s", "until_s"]
-        else:
-            keys += ["at_s", "every_s", "from_s", "until_s"]
-        if kind in LASTING:
-            keys.append("lasts_s")
-        if kind in AMOUNTS:
-            keys.append("amount")
-        return keys
+        servos = [] if kind in ON_INSTRUCTIONS or kind == "unplug" else ["servos"]
+        when = ["probability"] if self._by_chance else ["at_s", "every_s"]
+        lasts = ["lasts_s"] if kind in LASTING else []
+        amount = ["amount"] if kind in AMOUNTS else []
+        return ["kind", *servos, *when, "from_s", "until_s", *lasts, *amount]
 
     def _check_times(self) -> None:
         if "at_s" not in self._raw and "every_s" not in self._raw:
@@ -167,33 +156,24 @@ class _Reader:
             if key in self._raw and "every_s" not in self._raw:
                 raise FaultScriptError(f"{self._where}: {key} needs every_s; add it")
 
-    def _several(self, key: str) -> list[Any]:
+    def _numbers(self, key: str, bounds: Bounds) -> tuple[float, ...]:
+        """Return the value of `key`, a number or a list, as numbers. Raises FaultScriptError."""
         value = self._raw[key]
         several = value if isinstance(value, list) else [value]
         if not several:
             raise self._wrong(key, "must not be empty; leave it out", value)
-        return several
+        return tuple(self._number(key, each, bounds) for each in several)
 
-    def _number(
-        self,
-        key: str,
-        value: object,
-        low: float,
-        high: float = _LONGEST_S,
-        *,
-        whole: bool = False,
-        meaning: str = "",
-    ) -> float:
-        """Return `value` if it is a number in low..high; raise FaultScriptError otherwise.
-
-        whole: only integers. key: name of the value, and meaning: what it means, for the error.
-        """
-        kind = "a whole number" if whole else "a number"
-        bounds = f"from {low:g} on" if high == _LONGEST_S else f"between {low:g} and {high:g}"
-        allowed = f"must be {kind} {bounds}{meaning}"
+    def _number(self, key: str, value: object, bounds: Bounds) -> float:
+        """Return `value` if it is a number within `bounds`; raise FaultScriptError otherwise."""
+        low, high = bounds.low, bounds.high
+        kind = "a whole number" if bounds.whole else "a number"
+        span = f"from {low:g} on" if high == _LONGEST_S else f"between {low:g} and {high:g}"
+        meaning = f" ({bounds.meaning})" if bounds.meaning else ""
+        allowed = f"must be {kind} {span}{meaning}"
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._wrong(key, allowed, value)
-        if (whole and not isinstance(value, int)) or not low <= value <= high:
+        if (bounds.whole and not isinstance(value, int)) or not low <= value <= high:
             raise self._wrong(key, allowed, value)
         return value
 

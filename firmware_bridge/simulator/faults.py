@@ -23,15 +23,16 @@ _LAST: Final = 2 * CENTER_PULSE - 1
 
 
 @dataclass(frozen=True, slots=True)
-class Amount:
-    """The meaning of `amount` for one kind of fault, and its bounds.
+class Bounds:
+    """What a number in a script may be: from `low` to `high`.
 
-    whole: no fractions. needed: whether a script must give it.
+    meaning: of `amount`, for one kind of fault. whole: no fractions. needed: whether a script must
+    give it.
     """
 
-    meaning: str
     low: float
     high: float
+    meaning: str = ""
     whole: bool = False
     needed: bool = False
 
@@ -40,7 +41,7 @@ class Amount:
 class _Kind:
     """A kind of fault. lasts: it is over after `lasts_s`; others are a matter of a moment."""
 
-    amount: Amount | None = None
+    amount: Bounds | None = None
     lasts: bool = False
 
 
@@ -48,24 +49,24 @@ _SHARE: Final = "load as a share of the stall torque"
 _REPLY_KINDS: Final = {
     **dict.fromkeys(("drop_reply", "corrupt_reply", "truncate_reply", "duplicate_reply"), _Kind()),
     **dict.fromkeys(("wrong_id", "echo"), _Kind()),
-    "late_reply": _Kind(Amount("seconds late", 0.0, 10.0, needed=True)),
-    "error_reply": _Kind(Amount("error byte of the reply, else 1", 1, 255, whole=True)),
-    "babble": _Kind(Amount("bytes of noise, else 8", 1, 1000, whole=True)),
+    "late_reply": _Kind(Bounds(0.0, 10.0, "seconds late", needed=True)),
+    "error_reply": _Kind(Bounds(1, 255, "error byte of the reply, else 1", whole=True)),
+    "babble": _Kind(Bounds(1, 1000, "bytes of noise, else 8", whole=True)),
 }
 _SERVO_KINDS: Final = {
     **dict.fromkeys(("reboot", "shock", "torque_lost", "baud_reset", "watchdog_trip"), _Kind()),
     **dict.fromkeys(("silence", "brown_out", "answers_stop", "unplug"), _Kind(lasts=True)),
-    "overload": _Kind(Amount(f"{_SHARE}, else 0.9", 0.0, 1.0), lasts=True),
-    "overheat": _Kind(Amount("degC, else 5 above the limit", 0.0, 200.0), lasts=True),
-    "undervoltage": _Kind(Amount("volt, else 0.6 of nominal", 0.0, 60.0), lasts=True),
-    "overvoltage": _Kind(Amount("volt, else 1.5 of nominal", 0.0, 60.0), lasts=True),
-    "encoder_fault": _Kind(Amount("degrees that the reading jumps", -360.0, 360.0)),
-    "jam": _Kind(Amount(_SHARE, 0.0, 1.0), lasts=True),
-    "load": _Kind(Amount(_SHARE, 0.0, 1.0, needed=True), lasts=True),
-    "id_change": _Kind(Amount("the new id", 0, 252, whole=True, needed=True)),
-    "return_delay_drift": _Kind(Amount("register value, else 250", 1, 254, whole=True)),
-    "limits_drift": _Kind(Amount(f"max_position_limit, else {_LAST}", 1, _LAST, whole=True)),
-    "pushed": _Kind(Amount("degrees", -360.0, 360.0, needed=True)),
+    "overload": _Kind(Bounds(0.0, 1.0, f"{_SHARE}, else 0.9"), lasts=True),
+    "overheat": _Kind(Bounds(0.0, 200.0, "degC, else 5 above the limit"), lasts=True),
+    "undervoltage": _Kind(Bounds(0.0, 60.0, "volt, else 0.6 of nominal"), lasts=True),
+    "overvoltage": _Kind(Bounds(0.0, 60.0, "volt, else 1.5 of nominal"), lasts=True),
+    "encoder_fault": _Kind(Bounds(-360.0, 360.0, "degrees that the reading jumps")),
+    "jam": _Kind(Bounds(0.0, 1.0, _SHARE), lasts=True),
+    "load": _Kind(Bounds(0.0, 1.0, _SHARE, needed=True), lasts=True),
+    "id_change": _Kind(Bounds(0, 252, "the new id", whole=True, needed=True)),
+    "return_delay_drift": _Kind(Bounds(1, 254, "register value, else 250", whole=True)),
+    "limits_drift": _Kind(Bounds(1, _LAST, f"max_position_limit, else {_LAST}", whole=True)),
+    "pushed": _Kind(Bounds(-360.0, 360.0, "degrees", needed=True)),
 }
 #: What happens to a status packet on its way, by chance.
 ON_REPLIES: Final = frozenset(_REPLY_KINDS)

@@ -139,12 +139,10 @@ class PortLink:
         fresh = self._path.with_name(f"{self._path.name}.{secrets.token_hex(8)}")
         try:
             fresh.symlink_to(port)
-            try:
-                fresh.replace(self._path)
-            except OSError:
-                fresh.unlink()
-                raise
+            fresh.replace(self._path)
         except OSError as error:
+            with contextlib.suppress(OSError):
+                fresh.unlink()
             raise PortError(
                 f"--link {self._path}: this link cannot be made: {error.strerror}"
             ) from error
@@ -180,7 +178,11 @@ _EVENTS: Final = 16_384
 
 
 class ExclusiveAccess:
-    """The host's watch on one pseudo-terminal: clears the exclusive flag that clients leave."""
+    """The host's watch on one pseudo-terminal: clears the exclusive flag that clients leave.
+
+    watch: the descriptor that becomes readable once a client has closed the port; None: there is
+    none.
+    """
 
     def __init__(self, slave: int, port: str) -> None:
         """Watch `port`, of which `slave` is the host's own descriptor.
@@ -189,29 +191,24 @@ class ExclusiveAccess:
         """
         self._slave = slave
         self._port = port
-        self._watch = _watch_closes(port)
-
-    @property
-    def descriptors(self) -> list[int]:
-        """The descriptors that become readable once a client has closed the port; may be empty."""
-        return [] if self._watch is None else [self._watch]
+        self.watch = _watch_closes(port)
 
     def other_end_closed(self) -> None:
         """Clear the exclusive flag after a client's close, unless a client has the port open.
 
         A real port would lose the flag when closed; this one is kept open by the host.
         """
-        if self._watch is not None:
+        if self.watch is not None:
             with contextlib.suppress(BlockingIOError):
-                os.read(self._watch, _EVENTS)
+                os.read(self.watch, _EVENTS)
         if self._is_exclusive() and not self._is_held():
             fcntl.ioctl(self._slave, termios.TIOCNXCL)
 
     def close(self) -> None:
         """Stop watching, and close the watch's descriptor."""
-        if self._watch is not None:
-            os.close(self._watch)
-            self._watch = None
+        if self.watch is not None:
+            os.close(self.watch)
+            self.watch = None
 
     def _is_exclusive(self) -> bool:
         try:
@@ -239,7 +236,7 @@ class ExclusiveAccess:
 
 def _watch_closes(path: str) -> int | None:
     """Return an inotify descriptor that reports every close of file `path`; None: no inotify."""
-    try:
+    with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None, use_errno=True)
         watch = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
         if watch < 0:
@@ -247,8 +244,6 @@ def _watch_closes(path: str) -> int | None:
         if libc.inotify_add_watch(watch, os.fsencode(path), _IN_CLOSE) >= 0:
             return int(watch)
         os.close(watch)
-    except (OSError, AttributeError):
-        pass
     return None
 
 
@@ -308,15 +303,15 @@ class PtyHost:
             elif wait_s <= 0.0:
                 self._deliver(now_s)
                 continue
-            closed = [] if self._access is None else self._access.descriptors
-            watched = [fd for fd in (self._master, wake_fd, *closed) if fd is not None and fd >= 0]
+            closed = None if self._access is None else self._access.watch
+            watched = [fd for fd in (self._master, wake_fd, closed) if fd is not None and fd >= 0]
             longest_s = _LONGEST_SLEEP_S if self._master >= 0 else _LONGEST_SLEEP_S / 10
             ready = select.select(watched, [], [], min(max(wait_s, 0.0), longest_s))[0]
             if self._master in ready:
                 self._receive()
             if wake_fd in ready:
                 return
-            if self._access is not None and closed and closed[0] in ready:
+            if self._access is not None and closed in ready:
                 self._access.other_end_closed()
 
     def turn(self, index: int, by_deg: float) -> None:
@@ -381,5 +376,4 @@ def _baud_rate(terminal: int) -> int | None:
         settings = fcntl.ioctl(terminal, _TCGETS2, bytes(_TERMIOS2_SIZE))
     except OSError:  # other numbers on some machines
         return _RATES.get(termios.tcgetattr(terminal)[5])
-    rate: int = struct.unpack_from("I", settings, _OUTPUT_SPEED_AT)[0]
-    return rate
+    return int(struct.unpack_from("I", settings, _OUTPUT_SPEED_AT)[0])

@@ -90,8 +90,7 @@ class SimulatedServo:
         self.deaf_until_s = 0.0
         self.booted_s = 0.0
         self.heard_s = 0.0
-        self._factory_settings()
-        self["id"] = servo_id
+        self._factory_settings({"id": servo_id})
         self.power_up(0.0)
 
     def __getitem__(self, name: str) -> int:
@@ -177,8 +176,11 @@ class SimulatedServo:
         if instruction == Instruction.PING:
             return self._error(), struct.pack("<HB", self["model_number"], self["firmware_version"])
         if instruction == Instruction.READ:
-            reply = self._read(parameters)
-            return reply if self.answers_reads else None
+            if not self.answers_reads:
+                return None
+            if len(parameters) != 4:
+                return self._error(StatusError.DATA_LENGTH), b""
+            return self.read_span(*struct.unpack("<HH", parameters))
         level = self["status_return_level"]
         if instruction == Instruction.WRITE:
             error = self.write(parameters)
@@ -340,16 +342,11 @@ class SimulatedServo:
     def _error(self, error: int = 0) -> int:
         return error | (ALERT_BIT if self._memory[70] else 0)
 
-    def _read(self, parameters: bytes) -> Answer:
-        if len(parameters) != 4:
-            return self._error(StatusError.DATA_LENGTH), b""
-        return self.read_span(*struct.unpack("<HH", parameters))
-
-    def _factory_settings(self, keep: Mapping[str, int] | None = None) -> None:
+    def _factory_settings(self, keep: Mapping[str, int]) -> None:
         """Set all registers to the model's defaults; keep: values of registers that differ."""
         self._memory[:] = bytes(len(self._memory))
         identity = {"model_number": self.model.model_number, "firmware_version": 52}
-        for name, value in {**self.model.defaults, **identity, **(keep or {})}.items():
+        for name, value in {**self.model.defaults, **identity, **keep}.items():
             self._table[name] = value
 
     def power_up(self, now_s: float) -> None:

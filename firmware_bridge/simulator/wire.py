@@ -18,19 +18,13 @@ _ECHO: Final = b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42"
 
 @dataclass(slots=True)
 class WireCounts:
-    """Counts of packets and collisions on the wire so far.
+    """The number of collisions on the wire so far.
 
-    contention: two packets at once, though each was sent when it was due; talked_over_uninvited:
-    the computer sent over bytes that a fault made late, double or noise, which it could not
-    foresee; unheard: instructions that no servo listened to.
+    contention: two packets at once, though each was sent when it was due. Not counted is what the
+    computer sends over bytes that a fault made late, double or noise: it could not foresee them.
     """
 
-    instructions: int = 0
-    replies: int = 0
     contention: int = 0
-    talked_over_uninvited: int = 0
-    bad_instructions: int = 0
-    unheard: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,18 +32,15 @@ class WireRules:
     """Behaviour in which hardware may differ and the manual is silent.
 
     chain_stops: servos after a silent one do not answer a sync read.
-    latency_s: the delay that adapter and computer add to every reply.
     """
 
     chain_stops: bool = False
-    latency_s: float = 0.0
 
 
 @dataclass(slots=True, order=True)
 class _Reply:
-    deliver_s: float
+    end_s: float
     start_s: float = field(compare=False)
-    end_s: float = field(compare=False)
     data: bytes = field(compare=False)
     uninvited: bool = field(compare=False)
 
@@ -57,7 +48,7 @@ class _Reply:
 class Wire:
     """A half-duplex wire: carries packets at their speed, with faults by seeded chance."""
 
-    def __init__(self, rules: WireRules, faults: Iterable[Fault], seed: int) -> None:
+    def __init__(self, faults: Iterable[Fault], seed: int) -> None:
         """Make an idle wire; only the faults that hit packets count here.
 
         host_until_s, until_s: when the computer's, and the servos', last byte is over.
@@ -65,7 +56,6 @@ class Wire:
         self.counts = WireCounts()
         self.host_until_s = 0.0
         self.until_s = 0.0
-        self._rules = rules
         self._on_replies = [fault for fault in faults if fault.kind in ON_REPLIES]
         self._on_instructions = [fault for fault in faults if fault.kind in ON_INSTRUCTIONS]
         self._rng = random.Random(seed)
@@ -75,11 +65,11 @@ class Wire:
     @property
     def next_delivery_s(self) -> float:
         """The time in s of the next bytes to the computer; infinity: none are under way."""
-        return self._out[0].deliver_s if self._out else float("inf")
+        return self._out[0].end_s if self._out else float("inf")
 
     def deliver(self, now_s: float) -> bytes:
         """Return and remove the bytes that have reached the computer by `now_s`; b"": none."""
-        n = bisect_right(self._out, now_s, key=lambda reply: reply.deliver_s)
+        n = bisect_right(self._out, now_s, key=lambda reply: reply.end_s)
         arrived = b"".join(reply.data for reply in self._out[:n])
         del self._out[:n]
         return arrived
@@ -101,7 +91,6 @@ class Wire:
             r for r in self._out if r.start_s < self.host_until_s and start_s < r.end_s - _SAME_S
         ]
         self.counts.contention += any(not reply.uninvited for reply in hit)
-        self.counts.talked_over_uninvited += any(reply.uninvited for reply in hit)
         for reply in hit:
             reply.data = b"\x00" * len(reply.data)
         for fault in self._on_instructions:
@@ -131,6 +120,7 @@ class Wire:
             if not fault.hits(servo.index, after_s, self._rng):
                 continue
             kind = fault.kind
+            uninvited |= kind in ("late_reply", "babble", "echo")
             if kind == "drop_reply":
                 self.until_s = max(self.until_s, start_s + len(raw) * byte_s)
                 return
@@ -142,17 +132,14 @@ class Wire:
                 times = 2
             elif kind == "late_reply":
                 start_s += fault.amount
-                uninvited = True
             elif kind == "wrong_id":
                 raw = status((replied_id + 1) % 253, error, data)
             elif kind == "error_reply":
                 raw = status(replied_id, int(fault.amount) or 1, b"")
             elif kind == "babble":
                 raw += self._rng.randbytes(int(fault.amount) or 8)
-                uninvited = True
             elif kind == "echo":
                 raw = _ECHO + raw
-                uninvited = True
         for n in range(times):
             self._queue(raw, start_s, byte_s, uninvited=uninvited or n > 0 or self._disturbed)
             self._disturbed = self._disturbed or uninvited or n > 0
@@ -217,7 +204,5 @@ class Wire:
         if self.host_until_s > start_s + _SAME_S:  # the computer is still sending
             self.counts.contention += 1
             raw = b"\x00" * len(raw)
-        self.counts.replies += 1
         self.until_s = max(self.until_s, end_s)
-        reply = _Reply(end_s + self._rules.latency_s, start_s, end_s, raw, uninvited)
-        insort(self._out, reply)
+        insort(self._out, _Reply(end_s, start_s, raw, uninvited))

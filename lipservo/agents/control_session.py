@@ -183,9 +183,8 @@ class ControlSession:
             case StartFace():
                 return await _query(commands.changes, partial(start_face, path))
             case Say():
-                return await self._start_speech(
-                    given, commands.say and partial(commands.say, given), "say"
-                )
+                say = commands.say and partial(commands.say, given)
+                return await self._start_speech(given, say, "say")
             case Play():
                 play = commands.play and partial(commands.play, given)
                 return await self._start_speech(given, play, given.file)

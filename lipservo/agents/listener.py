@@ -169,9 +169,8 @@ def handshake(request: Request, settings: AgentSettings, n_connected: int) -> Ha
     because `n_connected` clients, too many, are connected already.
     """
     refused = _refused(request, settings, n_connected)
-    if refused is None or request.path != CONTROL_PATH or not request.is_websocket:
-        return Handshake(refused)
-    if refusal(request, settings.policy, is_stop=True) is None:
+    may_stop = request.path == CONTROL_PATH and request.is_websocket
+    if refused and may_stop and refusal(request, settings.policy, is_stop=True) is None:
         return Handshake(None, may_only_stop=refused)
     return Handshake(refused)
 

@@ -13,7 +13,7 @@ import json
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Final, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -308,30 +308,14 @@ StreamMessage = (
 )
 Command = AskStatus | Stop | StartFace | Set | Say | Play
 
-STREAM_MESSAGES: Final[dict[str, type[StreamMessage]]] = {
-    "hello": Hello,
-    "start": Start,
-    "audio": Audio,
-    "end": End,
-    "interrupt": Interrupt,
-    "clear": Clear,
-    "pause": Pause,
-    "resume": Resume,
-    "mark": Mark,
-    "position": Position,
-    "text": Text,
-    "words": Words,
-    "phonemes": Phonemes,
-    "visemes": Visemes,
-}
-COMMANDS: Final[dict[str, type[Command]]] = {
-    "status": AskStatus,
-    "stop": Stop,
-    "start": StartFace,
-    "set": Set,
-    "say": Say,
-    "play": Play,
-}
+
+def _by_type(kinds: Sequence[type[_Kind]]) -> dict[str, type[_Kind]]:
+    """Return message classes by their `type`, the one value that this field of each may have."""
+    return {get_args(kind.model_fields["type"].annotation)[0]: kind for kind in kinds}
+
+
+STREAM_MESSAGES: Final[dict[str, type[StreamMessage]]] = _by_type(get_args(StreamMessage))
+COMMANDS: Final[dict[str, type[Command]]] = _by_type(get_args(Command))
 
 
 def stream_message(text: str) -> StreamMessage | None:

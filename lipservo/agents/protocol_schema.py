@@ -89,7 +89,8 @@ class MovedBy(_OfStream):
     """Something else moves the mouth than before. moved_by: what; reason: why nothing better does.
 
     told: the sender sent it, and the sound agrees. not_told: nothing more precise is known of this
-    sound. not_said: the units or the text that were sent are not what is heard.
+    sound. not_said: the units or the text that were sent are not what is heard. not_followed: a
+    simpler recogniser has taken over, which follows no text.
     """
 
     type: Literal["moved_by"]

@@ -153,6 +153,15 @@ class StreamSession:
             }
         )
 
+    def _stream_unless_cut(self, refusal: str) -> AgentStream | None:
+        """Return the open stream; None: it was cut off, and its rest is ignored.
+
+        Raises MessageError, with the text `refusal`, if no stream is open.
+        """
+        if self._open_stream is None and not self._ignores_rest:
+            raise MessageError("no_stream", refusal)
+        return self._open_stream
+
     def _drop_open_stream(self) -> None:
         """Forget the open stream, whose rest is ignored from now on."""
         self._ignores_rest = self._ignores_rest or self._open_stream is not None
@@ -165,12 +174,8 @@ class StreamSession:
         dropped: silently after an `interrupt` or `clear`, else with a MessageError. Also raised if
         more than 5 minutes of speech would wait.
         """
-        stream = self._open_stream
-        if stream is None:
-            if self._ignores_rest:
-                return
-            raise MessageError("no_stream", "audio was dropped; send `start` first")
-        if stream.speech.ended:
+        stream = self._stream_unless_cut("audio was dropped; send `start` first")
+        if stream is None or stream.speech.ended:
             return
         self._streams.check_room(stream.decoder.n_samples(data) / stream.rate_hz)
         samples = stream.decoder.decode(data)
@@ -185,11 +190,9 @@ class StreamSession:
         Raises MessageError if no stream is open, unless it was cut off, and if the audio ended
         within a sample; then the stream is complete all the same.
         """
-        stream = self._open_stream
+        stream = self._stream_unless_cut("`end` without a stream; send `start` first")
         if stream is None:
-            if self._ignores_rest:
-                return
-            raise MessageError("no_stream", "`end` without a stream; send `start` first")
+            return
         self._open_stream = None
         stream.speech.end()
         if n_bytes := len(stream.decoder.partial_sample):
@@ -201,10 +204,9 @@ class StreamSession:
 
         Raises MessageError if no stream is open, unless it was cut off.
         """
-        if self._open_stream is not None:
-            self._open_stream.mark(name)
-        elif not self._ignores_rest:
-            raise MessageError("no_stream", "`mark` without a stream; send `start` first")
+        stream = self._stream_unless_cut("`mark` without a stream; send `start` first")
+        if stream is not None:
+            stream.mark(name)
 
     def _queue_units(self, units: SpeechUnits) -> None:
         """Start a task that applies a text, words, phonemes or visemes to their stream.
@@ -252,9 +254,7 @@ class StreamSession:
         Raises MessageError for a stream that was never started.
         """
         if name is None:
-            if self._open_stream is None and not self._ignores_rest:
-                raise MessageError("no_stream", "no stream is open; start or name one")
-            return self._open_stream
+            return self._stream_unless_cut("no stream is open; start or name one")
         stream = self._streams.stream_of(self._outbox, name)
         if stream is None and name not in self._started_ids:
             raise MessageError("no_stream", f"stream {name!r} does not exist; start it first")

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -132,8 +132,7 @@ def tracker_source(
     if source == CAMERA:
         eye_distance_mm = _eye_distance_mm(setup, mesh)
         tracker = mesh.open_tracker()
-        with ExitStack() as stack:
-            feed = stack.enter_context(CameraFeed(AvCamera(mesh.camera)))
+        with CameraFeed(AvCamera(mesh.camera)) as feed:
             say(PROTRUSION_IS_GUESSED)
             clock = MonotonicClock()
 

@@ -219,14 +219,12 @@ def _with_kept_trims(
     servo of `fresh` its number in `before`.
     """
     span_deg = fresh.max_deg - fresh.min_deg
-    trims: dict[str, Array] = {}
-    dropped: list[str] = []
-    for viseme, degrees in before.trim.items():
-        added_deg = degrees[rows]
-        if np.all(np.abs(added_deg) <= span_deg):
-            trims[viseme] = added_deg
-        else:
-            dropped.append(viseme)
+    trims = {
+        viseme: degrees[rows]
+        for viseme, degrees in before.trim.items()
+        if np.all(np.abs(degrees[rows]) <= span_deg)
+    }
+    dropped = [viseme for viseme in before.trim if viseme not in trims]
     lines = [f"trims are kept: {', '.join(trims)}"] if trims else []
     if dropped:
         lines.append(

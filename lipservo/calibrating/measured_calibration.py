@@ -342,9 +342,7 @@ def capture_face(
     """
     n_wanted, setup = setup.n_poses, setup.for_machine()
     n_joints = len(setup.servos.joints)
-    more = ""
-    if setup.n_poses != n_wanted:
-        more = f": {n_joints} joints need more than {n_wanted}"
+    more = "" if setup.n_poses == n_wanted else f": {n_joints} joints need more than {n_wanted}"
     say(
         f"about {setup.estimated_poses} poses{more}; {setup.estimated_s / 60.0:.0f} minutes and "
         "what the tracker needs"
@@ -450,8 +448,7 @@ def _drawn_robot(setup: CalibrationSetup, seed: int, family: RobotFamily | None)
     """
     rest_mm = setup.model.markers_mm(setup.model.rest[None])[0]
     robot = practice_robot(rest_mm, setup.servos, seed, family)
-    guessed = guessed_joints(setup.servos, family)
-    if guessed:
+    if guessed := guessed_joints(setup.servos, family):
         MESSAGES.print(
             f"what the servos {', '.join(guessed)} move is a guess: neither their names nor "
             "`positive` in the face's YAML say it",

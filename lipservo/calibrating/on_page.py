@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -14,8 +13,6 @@ from lipservo.terminal.page_line import END, Order, PageLine
 from lipservo.terminal.view import lip_loops_mm
 from lipsync.arrays import Array
 from lipsync.markers import INNER_LIP, OUTER_LIP
-
-_S_A_MINUTE: Final = 60.0
 
 
 class PageWatch:
@@ -39,7 +36,7 @@ class PageWatch:
             left_s = spent_s / done * (total - done) + self._chirps_s if done else None
         else:
             left_s = (total - done) * CHIRPS_S
-        left_min = None if left_s is None else round(left_s / _S_A_MINUTE, 2)
+        left_min = None if left_s is None else round(left_s / 60.0, 2)
         self._page.tell("progress", what=what, done=done, total=total, left_min=left_min)
 
     def arrived(self, reached_deg: Array) -> None:

@@ -97,13 +97,8 @@ def calibrate_by_eye(
     """
     memories = servo_memories(setup.settings)
     with held_servos(setup) as robot:
-        made_deg = make_poses(
-            setup.servos.joints,
-            landmark_poses(setup.model),
-            make_front(robot),
-            robot.lead,
-            setup.keep,
-        )
+        poses, joints = landmark_poses(setup.model), setup.servos.joints
+        made_deg = make_poses(joints, poses, make_front(robot), robot.lead, setup.keep)
         result = robot.hold_while(lambda: fit_by_eye(setup, made_deg)).with_memories(memories)
         save(result)
         return with_lags(setup, robot, result) if setup.lags else result

@@ -29,6 +29,8 @@ if TYPE_CHECKING:  # loads scikit-learn, and `calibrate show` does without it
 
     from calibration.fit.measured import MeasuredFit
 
+#: The phonemes of each viseme class, by the first of them.
+_PHONEMES_OF = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
 #: A viseme class with fewer of its shapes in reach than this is warned of.
 _WELL_REACHED = 0.9
 
@@ -144,11 +146,10 @@ def _small_openings_text(small_gaps_kept: float | None) -> str:
 
 def _reach_lines(calibration: Calibration) -> list[str]:
     """Return a line on the viseme classes of which over a tenth of the shapes are out of reach."""
-    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
     poor = {v: r for v, r in calibration.coverage.items() if r.reachable < _WELL_REACHED}
     if not poor:
         return ["every viseme class is within reach"]
-    shares = ", ".join(f"{phonemes[v]} {1 - reach.reachable:.0%}" for v, reach in poor.items())
+    shares = ", ".join(f"{_PHONEMES_OF[v]} {1 - reach.reachable:.0%}" for v, reach in poor.items())
     return [f"out of reach of the shapes of each class: {shares}; wider limits may help"]
 
 
@@ -204,22 +205,18 @@ Value = str | float | Sequence[float] | None
 def following_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
     """Return each servo's lag, backlash, speed and bandwidth, by name; None where not measured."""
     following = calibration.following
-    columns = (
-        {}
-        if following is None
-        else {
-            "lag_ms": np.round(following.lag_s * 1e3, 3),
-            "backlash_deg": following.backlash_deg,
-            "top_speed_deg_s": following.top_speed_deg_s,
-            "bandwidth_hz": following.bandwidth_hz,
-        }
-    )
+    if following is None:
+        names = ("lag_ms", "backlash_deg", "top_speed_deg_s", "bandwidth_hz")
+        return {servo: dict.fromkeys(names) for servo in calibration.servo_names}
+    columns = {
+        "lag_ms": np.round(following.lag_s * 1e3, 3),
+        "backlash_deg": following.backlash_deg,
+        "top_speed_deg_s": following.top_speed_deg_s,
+        "bandwidth_hz": following.bandwidth_hz,
+    }
     return {
-        name: {
-            key: _finite_or_none(columns[key][i]) if columns else None
-            for key in ("lag_ms", "backlash_deg", "top_speed_deg_s", "bandwidth_hz")
-        }
-        for i, name in enumerate(calibration.servo_names)
+        servo: {name: _finite_or_none(column[i]) for name, column in columns.items()}
+        for i, servo in enumerate(calibration.servo_names)
     }
 
 
@@ -365,9 +362,8 @@ def coverage_values(calibration: Calibration) -> dict[str, dict[str, float | Non
 
 def coverage_table(calibration: Calibration) -> Table:
     """Return a table of reach and errors, a row for each viseme class, a dash if unknown."""
-    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
     rows = {
-        phonemes[viseme]: [
+        _PHONEMES_OF[viseme]: [
             _figure_text(values[key], unit) for key, (_, unit) in _VISEME_COLUMNS.items()
         ]
         for viseme, values in coverage_values(calibration).items()

@@ -177,11 +177,9 @@ def _reached_share(
 def speed_line(found: WithinSpeeds) -> str:
     """Return `found`, how often speech exceeds joints' speeds, as one line for a person."""
     reached = found.reached_closures
-    closures = (
-        ""
-        if reached is None
-        else f"; behind the plan of joint motion {reached:.0%} of closures are met"
-    )
+    closures = ""
+    if reached is not None:
+        closures = f"; behind the plan of joint motion {reached:.0%} of closures are met"
     if found.beyond <= _WITHIN_SHARE:
         return (
             f"speeds: no more than {found.beyond:.0%} of speech asks a joint for too much{closures}"

@@ -3,11 +3,13 @@
 Quick commands such as `stop` import this module: it loads nothing that takes long.
 """
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import typer
 
+from firmware_bridge.errors import BusError
 from lipservo.settings.motion_names import (
     DEFAULT_STRATEGY,
     LONGEST_LOOKAHEAD_MS,
@@ -20,16 +22,24 @@ from lipservo.settings.motion_names import (
 from lipsync.audio.channels import checked_channel
 from lipsync.errors import UserError
 from lipsync.phoneme_files.label_file import LabelFile
-from lipsync.plugins import RECOGNIZERS, PluginError
+from lipsync.plugins import RECOGNIZERS
 
 DEFAULT_FACE = "face_sim"
 
 
-def _channel(text: str) -> str:
-    try:
-        return text and checked_channel(text)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
+def refusing(check: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return `check` for an option or a prompt, with its errors as BadParameter.
+
+    At that a prompt repeats its question.
+    """
+
+    def checked(value: Any) -> Any:
+        try:
+            return check(value)
+        except (UserError, BusError, ValueError) as error:
+            raise typer.BadParameter(str(error)) from error
+
+    return checked
 
 
 # ---- which face ----
@@ -85,9 +95,9 @@ Channel = Annotated[
     str,
     typer.Option(
         metavar="left|right|mix|N",
-        help="Channel of the sound: left, right, mix or 1 to 32; default: the face's, or mix.",
+        help="Channel of the sound: left, right, mix or 1 to 32; default: --config's, or mix.",
         show_default=False,
-        callback=_channel,
+        callback=refusing(lambda text: text and checked_channel(text)),
     ),
 ]
 Mic = Annotated[
@@ -190,16 +200,8 @@ OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the web p
 
 # ---- how sound becomes motion ----
 
-
-def _known_engine(name: str | None) -> str | None:
-    try:
-        return None if name is None else RECOGNIZERS.check(name)
-    except PluginError as error:
-        raise typer.BadParameter(str(error)) from error
-
-
 _ENGINE = typer.Option(
-    callback=_known_engine,
+    callback=refusing(lambda name: None if name is None else RECOGNIZERS.check(name)),
     help="Recogniser to start with: network, energy (loudness only) or an installed plug-in; if "
     "it fails, a simpler one takes over.",
     show_default=False,

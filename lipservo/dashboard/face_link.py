@@ -360,12 +360,10 @@ class FaceLink:
         """
         path = self.control_path
         try:
-            if path is None:
-                return call(self._find())
-            try:
-                return call(path)
-            except (FileNotFoundError, ConnectionError):
-                return call(self._find())
+            with contextlib.suppress(FileNotFoundError, ConnectionError):
+                if path is not None:
+                    return call(path)
+            return call(self._find())
         except (OSError, UserError, ControlError) as error:
             raise not_answering(error) from error
 

@@ -61,13 +61,6 @@ def state_words(state: str) -> dict[str, str] | None:
     return None if words is None else {"meaning": words[0], "remedy": words[1]}
 
 
-#: Meaning and remedy for a servo that did not confirm a person's stop; why: as far as is known.
-_UNCONFIRMED: Final = (
-    "has not confirmed that it is limp: {why}",
-    "keep your hands away; look at its plug, cable and power",
-)
-
-
 def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
     """Return every servo of a face's status with its readings, faults and remedies, for JSON.
 
@@ -118,8 +111,9 @@ def is_stopped(status: Mapping[str, Any] | None) -> bool:
 def _unconfirmed_trouble(why: str | None) -> dict[str, Any]:
     if why is None:
         return {}
-    meaning, remedy = _UNCONFIRMED
-    return {"trouble": {"meaning": meaning.format(why=why), "remedy": remedy}}
+    meaning = f"has not confirmed that it is limp: {why}"
+    remedy = "keep your hands away; look at its plug, cable and power"
+    return {"trouble": {"meaning": meaning, "remedy": remedy}}
 
 
 def _released_trouble(words: str) -> dict[str, Any]:

@@ -52,6 +52,14 @@ def named_file(speech: str) -> Path | None:
     return Path(speech) if Path(speech).suffix and " " not in speech else None
 
 
+def is_file(path: Path | None) -> bool:
+    """Return whether there is a file at `path`, which may be a text to speak; None: False."""
+    try:
+        return path is not None and path.is_file()
+    except OSError:  # a text, too long for a file's name
+        return False
+
+
 def check_film(path: Path) -> None:
     """Raise FilmError for a file name without a film's ending, MissingExtraError without PyAV."""
     if path.suffix.lower() not in FILM_ENDINGS:

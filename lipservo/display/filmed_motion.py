@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import soundfile
 
-from lipservo.display.film import named_file
+from lipservo.display.film import is_file, named_file
 from lipservo.rendering.line_expression import line_expression
 from lipservo.rendering.spoken_sound import SpokenSound, labels_of
 from lipservo.runtime.motion_options import MotionOptions
@@ -79,7 +79,7 @@ def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[Filmed
             sound = stack.enter_context(sound_file(performance.sound, path))
             yield FilmedMotion(_frames_of_performance(performance, rate_hz), sound)
             return
-        if not _is_file(path):
+        if not is_file(path):
             if named_file(speech) is not None:
                 raise UserError(f"{speech}: no such file; give a sound, or a text in quotes")
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="lipservo-")))
@@ -200,10 +200,3 @@ def _joined_phonemes(sentences: Sequence[SynthesizedSpeech]) -> Iterator[tuple[s
             end_s = sentence.duration_s if event.end_s is None else event.end_s
             yield event.phoneme, begins_s + event.start_s, begins_s + end_s
         begins_s += sentence.duration_s
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a text too long for a file's name
-        return False

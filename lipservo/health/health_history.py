@@ -6,7 +6,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
+from functools import reduce
 from itertools import combinations
+from operator import or_
 from pathlib import Path
 
 import numpy as np
@@ -221,9 +223,6 @@ def _summarize(day: date, readings: _DayReadings) -> ServoDay:
     values = {key: np.array(series) for key, series in readings.values.items()}
     is_on = values["torque_on"] > 0
     warm = values["temperature_degc"]
-    errors = 0
-    for bits in set(values["errors"].astype(int).tolist()):
-        errors |= bits
     return ServoDay(
         day=day,
         n_readings=int(is_on.sum()),
@@ -233,7 +232,7 @@ def _summarize(day: date, readings: _DayReadings) -> ServoDay:
         load=_of_finite(np.median, values["load"][is_on]),
         current_ma=_of_finite(np.median, values["current_ma"][is_on]),
         least_v=_of_finite(np.min, values["voltage_v"]),
-        errors=errors,
+        errors=int(np.bitwise_or.reduce(values["errors"].astype(int))),
         n_reboots=readings.counts["reboots"],
         n_unanswered=readings.counts["unanswered"],
     )
@@ -243,6 +242,11 @@ def _of_finite(function: Callable[[Array], np.float64], values: Array) -> float:
     """Return `function` applied to the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(function(finite)) if len(finite) else math.nan
+
+
+def errors_of(days: Sequence[ServoDay]) -> int:
+    """Return the error bits that a servo has reported on any of these days."""
+    return reduce(or_, (day.errors for day in days), 0)
 
 
 def findings(servos: Mapping[str, Sequence[ServoDay]]) -> list[str]:
@@ -286,10 +290,7 @@ def _failure_lines(name: str, days: Sequence[ServoDay]) -> list[str]:
     """Return a sentence each for recent errors, restarts and unanswered requests of a servo."""
     recent = days[-_RECENT_DAYS:]
     lines = []
-    errors = 0
-    for day in recent:
-        errors |= day.errors
-    if errors:
+    if errors := errors_of(recent):
         when = ", ".join(f"{day.day}" for day in recent if day.errors)
         lines.append(
             f"{name} reported {describe_errors(errors)} ({when}): feel whether it is hot, move the "

@@ -25,7 +25,7 @@ from firmware_bridge.bus import ServoHealth
 from firmware_bridge.port_names import ports_in
 
 _LOG: Final = logging.getLogger(__name__)
-#: What the shipped unit gives the service (`StateDirectory=lipservo`); readable for all.
+#: What the shipped unit gives the service (`StateDirectory=lipservo`); its group may read it.
 SERVICE_STATE = Path("/var/lib/lipservo")
 #: A month run through for 20 hours a day: ten servos make about 5 MB a day (`LifeCycle` reads
 #: every ten seconds). Then the oldest days go.
@@ -71,12 +71,10 @@ def folder_name(face: str) -> str:
 
 def logged_faces(environment: Mapping[str, str]) -> dict[str, list[Path]]:
     """Return the log folders of every face, by folder name: the user's own and the service's."""
-    own_state = _state_folder(environment)
-    places = [own_state] if environment.get("LIPSERVO_STATE") else [own_state, SERVICE_STATE]
     folders_of_face: dict[str, list[Path]] = {}
-    for place in [each for each in places if each is not None]:
+    for place in _health_folders(environment):
         try:
-            folders = sorted(each for each in (place / "health").iterdir() if each.is_dir())
+            folders = sorted(each for each in place.iterdir() if each.is_dir())
         except OSError:
             continue
         for folder in folders:
@@ -86,10 +84,18 @@ def logged_faces(environment: Mapping[str, str]) -> dict[str, list[Path]]:
 
 def places_searched(environment: Mapping[str, str]) -> str:
     """Return the folders in which logs are searched, for the message that no log was found."""
+    return " and ".join(
+        f"{each}"
+        if not each.exists() or os.access(each, os.R_OK | os.X_OK)
+        else f"{each} (only its group and root may read it)"
+        for each in _health_folders(environment)
+    )
+
+
+def _health_folders(environment: Mapping[str, str]) -> list[Path]:
     own = _state_folder(environment)
-    if environment.get("LIPSERVO_STATE"):
-        return f"{own}/health"
-    return " and ".join(f"{each}/health" for each in (own, SERVICE_STATE) if each is not None)
+    places = [own] if environment.get("LIPSERVO_STATE") else [own, SERVICE_STATE]
+    return [each / "health" for each in places if each is not None]
 
 
 def _state_folder(environment: Mapping[str, str]) -> Path | None:

@@ -88,7 +88,7 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
     line, line_notes = spoken_line(sound, script)
     began_s = time.perf_counter()
     faces, notes = rendered_faces(speaker, line, how.method, how.strength)
-    performed = performed_sound(sound, included=how.includes_sound)
+    performed = performed_sound(sound, included=how.includes_sound, channel=script.channel)
     performance = Performance(
         speaker.face.checksum,
         faces.astype(np.float32),

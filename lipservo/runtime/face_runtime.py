@@ -5,7 +5,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from functools import partial
 
@@ -109,12 +109,12 @@ def run_face(
                 from lipservo.runtime.voice_agents import voice_agents
 
                 serving = voice_agents(listener, speech.side, requested)
-                run.note_agents_url(stack.enter_context(serving))
+                run.agents_url = stack.enter_context(serving)
             zero_s = math.inf  # while nothing was heard
             try:
                 life.start()
                 run.notice.ready()
-                zero_s = street.start(clock.now())
+                zero_s = street.side.start(clock.now())
                 playout = source if isinstance(source, Playout) and not endless else None
                 end = _RunEnd(zero_s + length_s + delay.total_s, playout)
                 play(street, life, is_over=end.is_over, tally=tally, observers=observers)
@@ -189,11 +189,8 @@ class _Run:
         self._speech = speech
         self.commands = requested.commands()
         self.notice = ServiceNotice()
-        self._agents_url: str | None = None
-
-    def note_agents_url(self, url: str | None) -> None:
-        """Set the URL that the status reports for voice agents; None: no agents are served."""
-        self._agents_url = url
+        #: The URL that the status reports for voice agents; None: no agents are served.
+        self.agents_url: str | None = None
 
     def status(self, bridge: Bridge) -> Status:
         """Return the face's present status: of servos, as `bridge` drives them, and of speech."""
@@ -207,7 +204,7 @@ class _Run:
         return whole_status(bridge, self._speech_status())
 
     def _speech_status(self) -> SpeechStatus:
-        return self._speech.status(self.commands.values, self._agents_url)
+        return self._speech.status(self.commands.values, self.agents_url)
 
     def observers(
         self, bridge: Bridge, board: LiveBoard, stack: ExitStack, *, live: bool, on_time: bool
@@ -227,10 +224,8 @@ class _Run:
 
             file = TraceFile(request.trace, self._requested.trace_header(self._speech_status()))
             # In real time a slow disk must not delay a tick; else no tick may be dropped.
-            if on_time:
-                observers.append(stack.enter_context(BackgroundTrace(file)))
-            else:
-                observers.append(stack.enter_context(file))
+            trace: AbstractContextManager[TickObserver] = BackgroundTrace(file) if on_time else file
+            observers.append(stack.enter_context(trace))
         if request.avatars.is_any:
             from lipservo.runtime.avatar_stream import avatar_stream
 

@@ -1,7 +1,6 @@
 """The speech side of a requested face with its recogniser and synthesiser, and its status."""
 
 from collections.abc import Callable, Mapping
-from typing import Final
 
 from firmware_bridge.loop.targets import TargetChannel
 from lipservo.runtime.motion_options import make_synthesizer
@@ -15,11 +14,6 @@ from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Synthesizer
 from lipsync.recognition.recognizers import make_recognizer, no_recognizer
 from lipsync.text_to_speech.pronunciation import spoken_words
-
-#: In the status of a face that plays a performance, for recogniser, engine and weights; and for the
-#: strategy.
-_NO_STRATEGY: Final = "none"
-_PERFORMED: Final = "performed"
 
 
 class FaceSpeech:
@@ -84,8 +78,9 @@ class FaceSpeech:
             "weights": motion.weights,
             "strategy": motion.strategy,
         }
+        # Neither recogniser nor strategy works while a performance is played.
         if motion.performed:
-            named = {**dict.fromkeys(named, _NO_STRATEGY), "strategy": _PERFORMED}
+            named = {**dict.fromkeys(named, "none"), "strategy": "performed"}
         return SpeechStatus(
             **named,
             sound=source.name,

@@ -2,7 +2,7 @@
 
 import logging
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from firmware_bridge.process.commands import Setting
@@ -100,9 +100,7 @@ class MotionOptions:
         """
         if self.performed:
             return {}
-        style = self.style
-        named = {"lookahead_ms": style.lookahead_s * 1e3}
-        named |= {name: getattr(style, name) for name in STYLE_NAMES if name not in named}
+        named = {**asdict(self.style), "lookahead_ms": self.style.lookahead_s * 1e3}
         return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
 
     def live_settings(self) -> dict[str, Setting]:

@@ -80,7 +80,11 @@ def run_bridge_process(
         raise UserError(
             "request.port is missing; give the port, where the servo process finds its servos"
         )
-    face = RequestedFace(request)
+    try:
+        face = RequestedFace(request)
+    except UserError as error:
+        inherited.lifeline.tell(NotStarted(" ".join(str(error).split())))
+        raise
     with ExitStack() as stack:
         stack.enter_context(face_logs(face.settings.name, "bridge", quiet=request.quiet))
         targets_end = stack.enter_context(socket.socket(fileno=inherited.channel))
@@ -90,7 +94,7 @@ def run_bridge_process(
         if request.trace is not None:
             from lipservo.runtime.supervised_trace import SupervisedTrace
 
-            trace = stack.enter_context(SupervisedTrace(face, notes, live))
+            trace = stack.enter_context(SupervisedTrace(face, notes, live, inherited.lifeline.beat))
         if inherited.lifeline.is_cut():
             return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
         drive_options = DriveOptions(
@@ -167,13 +171,8 @@ def run_speech_process(
         is_file = request.sound.kind == "file"
         start_s = 0.0 if zero_s is None or not is_file else max(0.0, clock.now() - zero_s)
         source = stack.enter_context(entered_sound(request, start_s))
-        speech = FaceSpeech(
-            requested,
-            source,
-            SocketTargetChannel(targets_end),
-            board=live,
-            timer_s=time.perf_counter,
-        )
+        channel = SocketTargetChannel(targets_end)
+        speech = FaceSpeech(requested, source, channel, board=live, timer_s=time.perf_counter)
         side = speech.side
         avatars = entered_avatars(request.avatars, request.model, stack)
         # A file that the face only listens to continues on the old timeline; the face's own speech
@@ -256,12 +255,11 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
 
     def release(timeout_s: float) -> FaceRelease:
         """Return a release, to be stepped, that switches torque off at all ports of the face."""
-        return FaceRelease(
-            [
-                (TorqueRelease(opener, list(names), timeout_s=timeout_s), names)
-                for opener, names in port_releases
-            ]
-        )
+        releases = [
+            (TorqueRelease(opener, list(names), timeout_s=timeout_s), names)
+            for opener, names in port_releases
+        ]
+        return FaceRelease(releases)
 
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
@@ -287,7 +285,9 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         # The processes' command lines; each `{...}` becomes the number of an inherited descriptor.
         writer, reader = channel_pair()
         command = [sys.executable, "-P", "-m", "lipservo"]
-        request_text = request_json(replace(request, control=listener.path))
+        request_text = request_json(
+            replace(request, control=listener.path, servos=requested.servos)
+        )
         arguments = ["--request", request_text, "--lifeline", "{lifeline}"]
         arguments += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
         bridge = [*command, "bridge-process", *arguments, "--control", "{control}"]

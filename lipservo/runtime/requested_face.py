@@ -15,6 +15,8 @@ from lipservo.runtime.speech.expression import expression_settings
 from lipservo.runtime.status.face_status import SpeechStatus
 from lipservo.runtime.status.live_board import FACE_STATES, BoardLayout, LiveBoard
 from lipservo.settings.motion_names import FARTHEST_LIP_GAP_OFFSET_MM, LIP_GAP_OFFSET
+from lipservo.settings.settings import bus_of
+from lipservo.settings.strict_yaml import SettingsError
 from lipsync.phonemes import PHONEMES
 
 
@@ -22,12 +24,29 @@ class RequestedFace:
     """The settings, model, control options and live board of the face that a run request names."""
 
     def __init__(self, request: RunRequest) -> None:
-        """Load the settings of the request's face. Raises SettingsError."""
+        """Load the settings of the request's face.
+
+        Raises SettingsError, also where the servos in its YAML have changed since the face began.
+        """
         settings, self._folder = load_settings(request.config)
         self.request = request
         self.settings = settings if request.port is None else settings.at_port(request.port)
         self.rate_hz = request.rate_hz or settings.rate_hz
         self.control_path: Path = request.control or socket_path(settings.name)
+        if request.servos not in ("", self.servos):
+            raise SettingsError(
+                f"{request.config}: its servos have changed since this face began; "
+                "`lipservo stop --end`, then start it anew"
+            )
+
+    @property
+    def servos(self) -> str:
+        """The order, buses and addresses of the servos, by which the face's processes name them."""
+        buses = {name: (one.bus.kind, one.bus.board) for name, one in self.settings.alone.items()}
+        servos = {
+            name: (bus_of(servo), servo.address) for name, servo in self.settings.servos.items()
+        }
+        return f"{buses} {servos}"
 
     @cached_property
     def face(self) -> Face:

@@ -190,6 +190,7 @@ class RunRequest:
     control: path of the control socket; None: in the runtime folder. as_json: results are printed
     as JSON. quiet: no messages for people are printed. dry_run: servos are read and never moved.
     voice: for a robot that speaks; None: it only listens. avatars: on screens, get its frames.
+    servos: `RequestedFace.servos` when a supervised face began; "": it begins now.
     Raises RequestError.
     """
 
@@ -206,9 +207,10 @@ class RunRequest:
     dry_run: bool = False
     voice: VoiceOptions | None = None
     avatars: AvatarTargets = field(default_factory=AvatarTargets)
+    servos: str = ""
 
     def __post_init__(self) -> None:
-        """Raise RequestError for an impossible `rate_hz`, and for speech without a voice."""
+        """Raise RequestError for an impossible `rate_hz`, and speech or text that is not used."""
         if self.rate_hz is not None and not LOWEST_RATE_HZ <= self.rate_hz <= HIGHEST_RATE_HZ:
             raise RequestError(
                 f"--rate-hz {self.rate_hz:g} is outside the possible {LOWEST_RATE_HZ:g} to "
@@ -216,6 +218,8 @@ class RunRequest:
             )
         if self.voice is None and (self.sound.kind == "text" or self.sound.phonemes):
             raise RequestError(f"{self.sound.name}: a text, or a file of phonemes, needs a voice")
+        if self.sound.text and self.motion.engine == "energy":
+            raise RequestError("recogniser energy follows no text; leave --text out")
 
 
 def about_run(request: RunRequest) -> dict[str, object]:

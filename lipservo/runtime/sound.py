@@ -23,7 +23,7 @@ from lipservo.runtime.run_request import (
 )
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.settings.sections import SoundSettings
-from lipsync.audio.file import FileSource, checked_sound, log_once, sound_chunks
+from lipsync.audio.file import FileSource, checked_sound, log_once, played_chunks
 from lipsync.audio.playout import ListenedMicrophone, Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.silent_loudspeaker import SilentLoudspeaker
@@ -174,7 +174,8 @@ def spoken_file(
 
     playout: plays the speech later. name: of its stream; empty: the file's name. phonemes: a file
     with the sound's phonemes or words and their times. channel: the one that is played and moves
-    the mouth; "": a mix of all. Raises SoundError, LabelError.
+    the mouth; "": a mix of all. What is damaged after the first minute is silence, and counts as
+    lost sound. Raises SoundError, LabelError.
     """
     checked = checked_sound(path, channel)
     log_once(checked.warning)
@@ -186,8 +187,13 @@ def spoken_file(
     if words:
         units = tuple(SpokenUnit(each.label, round(each.start_s * rate_hz)) for each in words)
         _give_units(stream, SpokenText("word", units, rate_hz), _LANGUAGE)
-    left_s = max(0.0, checked.duration_s - start_s)
-    return spoken_chunks(sound_chunks(path, start_s, checked.mix), stream, left_s)
+
+    def lose(n_lost: int, trouble: str) -> None:
+        playout.lost.append(n_lost)
+        log_once(f"{path}: {trouble}")
+
+    chunks = played_chunks(path, checked, round(start_s * rate_hz), lose)
+    return spoken_chunks(chunks, stream, max(0.0, checked.duration_s - start_s))
 
 
 def spoken_text(text: str, playout: Playout, speaker: "Speaker", name: str = _TEXT) -> SpeechItem:
@@ -364,12 +370,9 @@ class SpeechQueue:
         """Do the next piece of an item's work; return False if none is left or the piece failed."""
         try:
             stream = next(item.pieces, None)
-        except UserError as error:
-            _LOG.error("%s; only the part before it is spoken", error)
-            item.is_cut_short = True
-            return False
         except Exception as error:  # ends this item; the others are still spoken
-            _LOG.error("%s: %s; only the part before it is spoken", type(error).__name__, error)
+            what = "" if isinstance(error, UserError) else f"{type(error).__name__}: "
+            _LOG.error("%s%s; only the part before it is spoken", what, error)
             item.is_cut_short = True
             return False
         if stream is not None and stream is not item.streams[-1]:

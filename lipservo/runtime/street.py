@@ -29,13 +29,6 @@ class Street:
         """Begin the sound at monotonic `zero_s`, without waiting for servos."""
         self.side.begin(zero_s)
 
-    def start(self, now_s: float) -> float:
-        """Begin as servos get torque at monotonic `now_s`; return the monotonic start of the sound.
-
-        Sound that can wait begins once all servos follow; see `SpeechSide.start`.
-        """
-        return self.side.start(now_s)
-
     def tick(self, time_s: float, late: int) -> StreetTick:
         """Advance speech and servos to monotonic `time_s`; return face shown and servo report.
 

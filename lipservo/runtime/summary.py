@@ -204,7 +204,8 @@ def seconds_since_process_start() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) - started_s
 
 
-_UNITS = {"_ms": "ms", "_s": "s", "_mb": "MB"}
+#: By the ends of figures' names.
+_UNITS = {"ms": "ms", "s": "s", "mb": "MB"}
 #: What a figure tells, and when it is good.
 _MEANINGS = {
     "duration_s": "of sound, silence included",
@@ -236,11 +237,9 @@ def print_summary(summary: Summary, console: Console) -> None:
     table = Table(title=summary.source, show_header=False, title_justify="left", box=None)
     for name, meaning in _MEANINGS.items():
         value = getattr(summary, name)
-        shown, unit = name, "x real time" if name == "speed" else ""
-        for suffix, symbol in _UNITS.items():
-            if name.endswith(suffix):
-                shown, unit = name.removesuffix(suffix), symbol
-                break
+        quantity, _, suffix = name.rpartition("_")
+        shown = quantity if suffix in _UNITS else name
+        unit = _UNITS.get(suffix, "x real time" if name == "speed" else "")
         text = f"{value:.2f}" if isinstance(value, float) else str(value)
         table.add_row(shown.replace("_", " "), f"{text} {unit}".rstrip(), meaning)
     console.print(table)

@@ -6,6 +6,7 @@ writes it a hundred times a second.
 
 import logging
 import threading
+from collections.abc import Callable
 from typing import Final, Self
 
 import numpy as np
@@ -28,15 +29,23 @@ _END_S: Final = 2.0
 class SupervisedTrace:
     """A trace (record) of every bridge tick, from the speech side's first status on."""
 
-    def __init__(self, requested: RequestedFace, notes: StatusBoard, live: LiveBoard) -> None:
+    def __init__(
+        self,
+        requested: RequestedFace,
+        notes: StatusBoard,
+        live: LiveBoard,
+        beat: Callable[[], None],
+    ) -> None:
         """Prepare the trace that `requested` names; its file is opened by a thread, within `with`.
 
         notes: the board from which the speech process's status is read, for the trace's header.
-        live: the board from which the frames of the face shown are read.
+        live: the board from which the frames of the face shown are read. beat: sends a heartbeat;
+        called while a slow disk takes the end of the trace.
         """
         self._requested = requested
         self._notes = notes
         self._live = live
+        self._beat = beat
         self._closed = threading.Event()
         self._trace: BackgroundTrace | None = None
         self._opener = threading.Thread(target=self._open, name="trace of a daemon", daemon=True)
@@ -87,4 +96,4 @@ class SupervisedTrace:
         except UserError as error:
             _LOG.error("%s", error)
             return
-        self._trace = BackgroundTrace(file)
+        self._trace = BackgroundTrace(file, self._beat)

@@ -21,6 +21,8 @@ from lipservo.runtime.sound import (
     spoken_text,
 )
 from lipservo.runtime.speech.performed_line import performed_line
+from lipsync.audio.channels import channel_or_mix
+from lipsync.audio.file import open_sound
 from lipsync.audio.playout import Playout
 from lipsync.errors import UserError
 from lipsync.offline.performance import SUFFIX, read_performance
@@ -105,6 +107,7 @@ class _AgentSpeech:
         self._playout = playout
         self._model = requested.face.model  # which performances must be rendered for
         self._speaker = requested.speaker
+        self._channel = requested.settings.sound.channel
         self._folder = Path(options.sounds or ".").resolve()
         self._queue = SpeechQueue(playout)
 
@@ -136,7 +139,9 @@ class _AgentSpeech:
             stream = line.stream(self._playout)
             item = spoken_chunks(line.chunks(), stream, performance.duration_s)
         else:
-            item = spoken_file(path, self._playout, name)
+            with open_sound(path) as sound:
+                channel = channel_or_mix(self._channel, sound.channels)
+            item = spoken_file(path, self._playout, name, channel=channel)
         return self._queued(item, path.name)
 
     def close(self) -> None:

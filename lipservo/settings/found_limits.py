@@ -24,6 +24,8 @@ WARNING: Final = (
 INSIDE_DEG: Final = 2.0
 #: A joint that was turned less was not turned.
 _LEAST_TURN_DEG: Final = 4.0
+#: An end this close to neutral is neutral: a hand and an encoder are no more exact.
+_SAME_DEG: Final = 0.5
 #: Joint limits are written with one decimal, inside of what was found.
 _TENTHS: Final = 10.0
 
@@ -36,10 +38,9 @@ def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float)
     this limit, and what `edited` raises.
     """
     settings = parse_face(read_face_text(path), path.name).servos.get(servo)
-    pulse = None if settings is None else settings.pulse
-    if settings is None or pulse is None:
+    if settings is None or settings.pulse is None:
         raise SettingsError(f"{path.name}: no hobby servo is called {servo!r}")
-    return edited(path, _places_of_servo(servo, pulse_values(pulse, limit, pulse_us)))
+    return with_ranges(path, {servo: pulse_values(settings.pulse, limit, pulse_us)})
 
 
 def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[str, float]:
@@ -77,18 +78,18 @@ def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[
 def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
     """Return `min_deg` and `max_deg` for a joint that a hand turned to both extreme angles.
 
-    The limits are `INSIDE_DEG` inside. Raises UserError for a joint that was not turned, or whose
-    range does not include its neutral, 0.
+    The limits are `INSIDE_DEG` inside, but never beyond neutral, 0, which may be at an end. Raises
+    UserError for a joint that was not turned, or whose range does not include its neutral.
     """
     if not most_deg - least_deg >= _LEAST_TURN_DEG:
         raise UserError("was not turned; turn it to both ends")
     low_deg, high_deg = _rounded_inwards(least_deg + INSIDE_DEG, most_deg - INSIDE_DEG)
-    if not low_deg <= 0.0 <= high_deg:
+    if not least_deg - _SAME_DEG <= 0.0 <= most_deg + _SAME_DEG:
         raise UserError(
             f"was turned from {least_deg:.1f} to {most_deg:.1f} deg, but its neutral, 0, must lie "
             "between; change zero_offset_deg"
         )
-    return {"min_deg": low_deg, "max_deg": high_deg}
+    return {"min_deg": min(low_deg, 0.0), "max_deg": max(high_deg, 0.0)}
 
 
 def turned_values(
@@ -109,8 +110,22 @@ def with_ranges(path: Path, ranges: Mapping[str, Mapping[str, float]]) -> Edited
     """Return the face YAML with values of servos, {servo: {key: value}}, set; not written yet."""
     places: dict[Place, float] = {}
     for servo, values in ranges.items():
-        places |= _places_of_servo(servo, values)
+        places |= {("servos", servo, key): value for key, value in values.items()}
     return edited(path, places)
+
+
+def pose_file(path: Path, step: str = "by_eye") -> Path:
+    """Return the file of poses that a `step` of the first hour captured and did not yet fit.
+
+    path: of the face's YAML.
+    """
+    return path.with_suffix(f".{step}.json")
+
+
+def forget_poses(path: Path) -> None:
+    """Delete captured poses of the face YAML `path`: their degrees are of its former neutral."""
+    for step in ("by_eye", "measure"):
+        pose_file(path, step).unlink(missing_ok=True)
 
 
 def own_yaml(config: str) -> Path:
@@ -130,10 +145,6 @@ def what_next(edit: EditedYaml) -> str:
     if before.calibration is not None and before.checksum != after.checksum:
         then += f"; {before.calibration} was made for other limits: calibrate again"
     return then
-
-
-def _places_of_servo(servo: str, values: Mapping[str, float]) -> dict[Place, float]:
-    return {("servos", servo, key): value for key, value in values.items()}
 
 
 def _rounded_inwards(low_deg: float, high_deg: float) -> tuple[float, float]:

@@ -168,15 +168,17 @@ class FaceSettings(Strict):
 
     @model_validator(mode="after")
     def _check_buses(self) -> Self:
-        """Raise ValueError for a bus without a servo, and for two with the same port and board."""
-        first_name: dict[tuple[str, str], str] = {}
+        """Raise ValueError for a bus without a servo, and for two with one board or one OE pin."""
+        first_name: dict[str, str] = {}
         for name, bus in self.buses.items():
             if name not in self.bus_of:
                 raise ValueError(f"buses.{name} has no servo (`bus: {name}`); remove it")
-            if bus.port is None:
-                continue
-            if (other := first_name.setdefault((bus.port, bus.board), name)) != name:
-                raise ValueError(f"buses {other} and {name} both have port {bus.port}")
+            own = [] if bus.port is None else [f"port {bus.port} {bus.board}".rstrip()]
+            if (pin := getattr(bus, "oe_gpio", None)) is not None:
+                own.append(f"oe_gpio {pin} of {getattr(bus, 'gpio_chip', '')}")
+            for what in own:
+                if (one := first_name.setdefault(what, name)) != name:
+                    raise ValueError(f"buses {one} and {name} both have {what}; give each its own")
         return self
 
     @property
@@ -442,9 +444,18 @@ def _no_bus_error(servo: Mapping[Any, Any], name: str, known: Sequence[str]) -> 
     return ValidationError.from_exception_data("ServoSettings", [details])
 
 
-def load_face(path: Path) -> FaceSettings:
-    """Read a face YAML. Raises SettingsError with one line for each error in it."""
-    return _read_face(path)
+def load_face(file: Path | Traversable) -> FaceSettings:
+    """Read a face YAML. Raises SettingsError with one line for each error in it.
+
+    Also for a file that cannot be read.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{file.name}: not UTF-8 text (byte {error.start})") from error
+    except OSError as error:
+        raise SettingsError(f"{file}: cannot be read: {error.strerror}") from error
+    return parse_face(text, file.name)
 
 
 def load_shipped_face(name: str) -> FaceSettings:
@@ -453,7 +464,7 @@ def load_shipped_face(name: str) -> FaceSettings:
         raise SettingsError(
             f"no shipped face is called {name!r}; use one of {', '.join(shipped_faces())}"
         )
-    return _read_face(_shipped() / f"{name}.yaml")
+    return load_face(_shipped() / f"{name}.yaml")
 
 
 def shipped_faces() -> tuple[str, ...]:
@@ -494,14 +505,3 @@ def parse_face(text: str, file_name: str) -> FaceSettings:
     except ValidationError as error:
         lines = explain(error, _schema_with_keys(schema, content), file_name)
         raise SettingsError("\n".join(lines)) from error
-
-
-def _read_face(file: Traversable) -> FaceSettings:
-    """Read and parse a face YAML. Raises SettingsError, also for a file that cannot be read."""
-    try:
-        text = file.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{file.name}: not UTF-8 text (byte {error.start})") from error
-    except OSError as error:
-        raise SettingsError(f"{file}: cannot be read: {error.strerror}") from error
-    return parse_face(text, file.name)

@@ -19,9 +19,6 @@ _END = "q"
 _CTRL_D = "\x04"
 #: What becomes of it in a line discipline that still collects lines when it is typed.
 _CTRL_D_TYPED_AHEAD = "\x00"
-#: The rest of an arrow comes at once; a person who presses Escape alone sends no more.
-_ARROW_S = 0.05
-_INPUT_ENDS = ("", "\x04")
 #: The rest of an arrow or a function key comes at once; a lone Escape has none.
 _ESCAPE, _ESCAPE_S, _LONGEST_ESCAPE = "\x1b", 0.05, 8
 
@@ -67,7 +64,7 @@ def _read_terminal_key(terminal_fd: int) -> str:
     try:
         tty.setcbreak(terminal_fd, termios.TCSANOW)  # the default forgets keys typed ahead
         key = os.read(terminal_fd, 1)
-        if key == b"\x1b" and select.select([terminal_fd], [], [], _ARROW_S)[0]:
+        if key == b"\x1b" and select.select([terminal_fd], [], [], _ESCAPE_S)[0]:
             key += os.read(terminal_fd, 2)
     except OSError:  # EIO: hung up
         return ""
@@ -100,7 +97,7 @@ class PressedKeys:
             key = os.read(self._input_fd, 1).decode(errors="replace")
         except OSError:  # EIO: hung up
             key = ""
-        if key in _INPUT_ENDS:
+        if key in ("", _CTRL_D):
             return self._end
         if key == _ESCAPE:
             if select.select([self._input_fd], [], [], _ESCAPE_S)[0]:

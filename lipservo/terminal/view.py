@@ -136,13 +136,7 @@ def _symmetrized(points_mm: Array) -> Array:
     """
     n = len(points_mm)
     mirrored = points_mm[(n // 2 - np.arange(n)) % n]
-    return np.stack(
-        [
-            (points_mm[:, 0] - mirrored[:, 0]) / 2.0,
-            (points_mm[:, 1] + mirrored[:, 1]) / 2.0,
-        ],
-        axis=1,
-    )
+    return np.asarray((points_mm + mirrored * [-1.0, 1.0]) / 2.0)
 
 
 def _braille(cell: int) -> str:
@@ -250,10 +244,8 @@ class TerminalView:
         tick = self._tick
         if tick is None:
             return Text(self._title)
-        torque = {True: "", False: "   torque off", None: "   torque unknown"}[
-            tick.report.torque_on
-        ]
-        title = Text(self._title + torque, style="bold")
+        torque = {True: "", False: "   torque off", None: "   torque unknown"}
+        title = Text(self._title + torque[tick.report.torque_on], style="bold")
         speech = self._status.speech
         fallback = f", fallback {speech.fallback_level}" if speech.fallback_level else ""
         stays_open = ", does not close" if speech.mouth_closes is False else ""

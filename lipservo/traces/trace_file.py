@@ -11,8 +11,9 @@ import logging
 import math
 import queue
 import threading
+import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ TRACE_VERSION = 1
 _VERSION_KEY = "lipservo_trace"
 #: Ticks that may wait for the disk: a minute at 200 Hz.
 _QUEUE_LENGTH = 12_000
+#: While the end of a trace waits for the disk, its face sends a heartbeat so often, for so long.
+_BEAT_S, _BEATS_S = 0.05, 10.0
 #: More than a day at 200 Hz, unpacked; a small file may unpack to any size.
 _MOST_BYTES = 8_000_000_000
 
@@ -114,11 +117,15 @@ class BackgroundTrace:
     When the disk is a minute late, ticks are dropped, and the last line has their number.
     """
 
-    def __init__(self, file: TraceFile) -> None:
-        """Start the thread; an error in writing is logged, and raised when the block ends."""
+    def __init__(self, file: TraceFile, beat: Callable[[], None] = lambda: None) -> None:
+        """Start the thread; an error in writing is logged, and raised when the block ends.
+
+        beat: called for 10 s at most while the end of the block waits for the disk.
+        """
         self._file = file
-        self._queue: queue.Queue[StreetTick | None] = queue.Queue(_QUEUE_LENGTH)
-        self._error: TraceError | None = None
+        self._beat = beat
+        self._queue: queue.SimpleQueue[StreetTick | None] = queue.SimpleQueue()
+        self._error: UserError | None = None
         self._dropped = 0
         self._thread = threading.Thread(target=self._write_queued, name="trace", daemon=True)
         self._thread.start()
@@ -128,9 +135,9 @@ class BackgroundTrace:
 
         It is dropped and counted if the queue is full.
         """
-        try:
-            self._queue.put_nowait(tick)
-        except queue.Full:
+        if self._queue.qsize() < _QUEUE_LENGTH:
+            self._queue.put(tick)
+        else:
             self._dropped += 1
 
     def __enter__(self) -> "BackgroundTrace":
@@ -138,13 +145,16 @@ class BackgroundTrace:
 
     def __exit__(self, *exc: object) -> None:
         self._queue.put(None)
-        self._thread.join()
+        give_up_s = time.monotonic() + _BEATS_S
+        while self._thread.is_alive():
+            if time.monotonic() < give_up_s:
+                self._beat()
+            self._thread.join(_BEAT_S)
         if self._error is not None:
             raise self._error
-        self._file.close(self._dropped)
 
     def _write_queued(self) -> None:
-        """Write queued ticks until the block ends. Runs in thread `trace`.
+        """Write queued ticks until the block ends, and end the file. Runs in thread `trace`.
 
         After a write fails all further ticks are dropped; the face goes on.
         """
@@ -155,6 +165,11 @@ class BackgroundTrace:
             except TraceError as error:  # a full disk must not stop the face
                 self._error = error
                 _LOG.error("%s; the face goes on", error)
+        try:
+            if self._error is None:
+                self._file.close(self._dropped)
+        except UserError as error:
+            self._error = error
 
 
 def _tick_record(number: int, tick: StreetTick) -> dict[str, object]:

@@ -4,7 +4,7 @@ from typing import Final
 
 #: The average of all channels.
 MIX: Final = "mix"
-_NAMED: Final = {"left": 1, "right": 2}
+_NAMED: Final = {MIX: 1, "left": 1, "right": 2}
 #: More than any recorder writes; a header that says more is damaged.
 MOST_CHANNELS: Final = 32
 
@@ -13,9 +13,14 @@ def checked_channel(text: str) -> str:
     """Return `text` if it names a channel. Raises ValueError."""
     text = text.strip().lower()
     number = int(text) if text.isdecimal() and len(text) < 4 else _NAMED.get(text, 0)
-    if text != MIX and not 1 <= number <= MOST_CHANNELS:
+    if not 1 <= number <= MOST_CHANNELS:
         raise ValueError(f"{text[:40]!r}: channels are left, right, mix, or 1 to {MOST_CHANNELS}")
     return text
+
+
+def channel_or_mix(channel: str, n_channels: int) -> str:
+    """Return a channel that `checked_channel` allows; `mix` for a sound with too few channels."""
+    return channel if (_NAMED.get(channel) or int(channel)) <= n_channels else MIX
 
 
 def channel_index(channel: str, n_channels: int, where: str) -> int | None:

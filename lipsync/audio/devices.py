@@ -207,14 +207,16 @@ def close_stream(stream: OpenStream) -> None:
 def restart_portaudio() -> bool:
     """Restart PortAudio so that it lists the devices again; return whether it was restarted.
 
-    A restart ends every open stream of this program: while any is open, nothing is done.
+    A restart ends every open stream of this program: while any is open, nothing is done. Raises
+    PortAudioError if it does not start; the next call tries again.
     """
     sounddevice = import_sounddevice()
     with _STREAMS.lock:
         if _STREAMS.n_open:
             return False
         # sounddevice has no public name for it; its documentation says to use these two.
-        sounddevice._terminate()
+        with contextlib.suppress(sounddevice.PortAudioError):  # it had not started the last time
+            sounddevice._terminate()
         sounddevice._initialize()
     return True
 
@@ -293,7 +295,9 @@ class DeviceWatch:
             self._n_losses += 1
             self._close()
         if self._stream is None and now_s - self._tried_s >= RETRY_S:
-            with portaudio_lock(), contextlib.suppress(SoundError):  # the next try may do better
+            self._tried_s = now_s
+            failures = SoundError, import_sounddevice().PortAudioError
+            with portaudio_lock(), contextlib.suppress(*failures):  # the next try may do better
                 restart_portaudio()
                 self._start()
 
@@ -303,10 +307,9 @@ class DeviceWatch:
         return not stream.active or (is_settled and now_s - self._called_s > SILENT_S)
 
     def _start(self) -> None:
-        """Open the stream, and note when it was tried and opened. Raises SoundError."""
-        self._tried_s = self._clock()
+        """Open the stream, and note when. Raises SoundError, and PortAudioError from its lists."""
         stream = self._open_stream()
-        self._opened_s = self._called_s = self._clock()
+        self._opened_s = self._tried_s = self._called_s = self._clock()
         self._stream = stream
 
     def _close(self) -> None:

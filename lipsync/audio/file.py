@@ -18,7 +18,7 @@ import math
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import islice
@@ -193,6 +193,7 @@ CHECKED_S = 60.0
 _COUNTED = 60
 #: Formats in which libsndfile 1.2 finds a sample exactly (measured: Vorbis and MP3 are off).
 _SEEKS_EXACTLY = {"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF", "FLAC"}
+_SILENT: Final = "; played as silence"
 #: Decoding starts so much early where a resampler needs to settle; soxr's filter is shorter.
 _RUN_IN_S = 0.25
 
@@ -221,10 +222,6 @@ class Mix:
         return mono
 
 
-#: The average of all channels, unscaled.
-_PLAIN_MIX: Final = Mix()
-
-
 def read_sound(path: str | PathLike[str], channel: str = MIX) -> tuple[Samples, int]:
     """Return a whole file as samples (n,) float32 mono in [-1, 1], and its sample rate in hertz.
 
@@ -234,12 +231,9 @@ def read_sound(path: str | PathLike[str], channel: str = MIX) -> tuple[Samples, 
     path = Path(path)
     checked = checked_sound(path, channel)
     log_once(checked.warning)
-    with open_sound(path) as sound:
-        mono = (checked.mix.mono(chunk) for chunk in _finite_chunks(path, sound))
-        samples = np.concatenate([np.zeros(0, np.float32), *mono])
-        sample_rate_hz = int(sound.samplerate)
-        _refuse_empty(path, len(samples) / sample_rate_hz, bool(np.any(samples)))
-    return samples, sample_rate_hz
+    samples = np.concatenate([np.zeros(0, np.float32), *sound_chunks(path, checked.mix)])
+    _refuse_empty(path, len(samples) / checked.sample_rate_hz, bool(np.any(samples)))
+    return samples, checked.sample_rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +247,7 @@ class CheckedSound:
     sample_rate_hz: int
     duration_s: float
     warning: str
-    mix: Mix = _PLAIN_MIX
+    mix: Mix
 
 
 def checked_sound(path: Path, channel: str = MIX) -> CheckedSound:
@@ -336,18 +330,42 @@ class Levels:
         return Mix(channel, gain), "; ".join(remarks)
 
 
-def sound_chunks(
-    path: str | PathLike[str], start_s: float = 0.0, mix: Mix = _PLAIN_MIX
-) -> Iterator[Samples]:
-    """Yield a file's sound from `start_s` on, mono (n,) at its own rate, in pieces of 1 s.
+def sound_chunks(path: Path, mix: Mix) -> Iterator[Samples]:
+    """Yield a file's sound, mono (n,) at its own rate, in pieces of 1 s.
 
     mix: of the file, as `checked_sound` found it. Raises SoundError where it is damaged or holds
     NaN or infinite samples.
     """
-    path = Path(path)
     with open_sound(path) as sound:
-        _seek_to(path, sound, round(start_s * sound.samplerate))
         yield from map(mix.mono, _finite_chunks(path, sound))
+
+
+def played_chunks(
+    path: Path, checked: CheckedSound, frame: int, lose: Callable[[int, str], None]
+) -> Iterator[Samples]:
+    """Yield what is played of a checked file from `frame` on, mono (n,) at its own rate, up to 1 s.
+
+    Samples that are NaN or infinite become 0; after damage all is silence. lose: gets the number of
+    samples at 16 kHz that were lost, and a line that says why.
+    """
+    with open_sound(path) as sound:
+        rate_hz = sound.samplerate
+        try:
+            _seek_to(path, sound, frame)
+            for chunk in _decode_chunks(path, sound):
+                broken = ~np.isfinite(chunk)
+                if broken.any():
+                    n_lost = round(broken.any(axis=1).sum() * SAMPLE_RATE_HZ / rate_hz)
+                    lose(n_lost, "samples that are no numbers" + _SILENT)
+                    chunk = np.where(broken, np.float32(0.0), chunk)
+                frame += len(chunk)
+                yield checked.mix.mono(chunk)
+        except SoundError as error:
+            n_left = max(0, round(checked.duration_s * rate_hz) - frame)
+            n_lost = round(n_left * SAMPLE_RATE_HZ / rate_hz)
+            lose(n_lost, str(error).removeprefix(f"{path}: ") + _SILENT)
+            for n_silent in range(n_left, 0, -rate_hz):
+                yield np.zeros(min(n_silent, rate_hz), np.float32)
 
 
 class FileSource:
@@ -376,8 +394,8 @@ class FileSource:
         self._path = Path(path)
         checked = checked_sound(self._path, channel)
         log_once(checked.warning)
-        self._duration_s, self._mix = checked.duration_s, checked.mix
-        self._n_unread = round(self._duration_s * SAMPLE_RATE_HZ)
+        self._checked = checked
+        self._n_unread = round(checked.duration_s * SAMPLE_RATE_HZ)
         first = math.floor(max(0.0, start_s) * SAMPLE_RATE_HZ + 1e-3)
         first = min(first // BLOCK_SAMPLES * BLOCK_SAMPLES, self._n_unread)
         self._n_unread -= first
@@ -394,7 +412,7 @@ class FileSource:
     @property
     def duration_s(self) -> float:
         """Length of the whole file in seconds, to the nearest sample at 16 kHz."""
-        return self._duration_s
+        return self._checked.duration_s
 
     @property
     def lost_blocks(self) -> int:
@@ -424,36 +442,17 @@ class FileSource:
 
     def _speech_chunks(self, first: int) -> Iterator[Samples]:
         """Yield pieces (n,) of the file at 16 kHz from sample `first` on, then endless silence."""
-        with open_sound(self._path) as sound:
-            yield from _resample_from(self._played_chunks(sound, first), sound.samplerate, first)
+        rate_hz = self._checked.sample_rate_hz
+        frame = _first_frame(rate_hz, first)
+        played = played_chunks(self._path, self._checked, frame, self._lose)
+        yield from _resample_from(played, rate_hz, first)
         while True:
             yield np.zeros(SAMPLE_RATE_HZ, np.float32)
 
-    def _played_chunks(self, sound: soundfile.SoundFile, first: int) -> Iterator[Samples]:
-        """Yield the file's sound mono (n,) at its own rate, until its end or the first damage.
-
-        The sound begins at the frame that `_first_frame` gives for `first`, a sample at 16 kHz.
-        Samples that are NaN or infinite become 0; these and all after damage are counted as lost.
-        """
-        n_played = _first_frame(sound.samplerate, first)
-        try:
-            _seek_to(self._path, sound, n_played)
-            for chunk in _decode_chunks(self._path, sound):
-                broken = ~np.isfinite(chunk)
-                if broken.any():
-                    lost = broken.any(axis=1)
-                    self._lose(int(lost.sum()) / sound.samplerate, "samples that are no numbers")
-                    chunk = np.where(broken, np.float32(0.0), chunk)
-                n_played += len(chunk)
-                yield self._mix.mono(chunk)
-        except SoundError as error:
-            missing_s = max(0.0, self._duration_s - n_played / sound.samplerate)
-            self._lose(missing_s, str(error).removeprefix(f"{self._path}: "))
-
-    def _lose(self, lost_s: float, trouble: str) -> None:
-        """Add `lost_s` seconds to the lost sound; keep the first `trouble`, for `__exit__`."""
-        self._n_lost += round(lost_s * SAMPLE_RATE_HZ)
-        self._decode_problem = self._decode_problem or f"{trouble}; played as silence"
+    def _lose(self, n_lost: int, trouble: str) -> None:
+        """Add `n_lost` samples to the lost sound; keep the first `trouble`, for `__exit__`."""
+        self._n_lost += n_lost
+        self._decode_problem = self._decode_problem or trouble
 
 
 def _resample_from(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[Samples]:

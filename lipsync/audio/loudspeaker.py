@@ -205,7 +205,7 @@ class LoudspeakerOutput:
         self._largest_ahead_s = 0.0
         self._last_dac_s = -np.inf
         self._stream: OpenStream
-        self._n_device_underruns = 0
+        self._n_late = self._n_device_underruns = 0
         self.watch = DeviceWatch(self._open, clock)
 
     @property
@@ -251,22 +251,16 @@ class LoudspeakerOutput:
         return self.watch.is_lost
 
     @property
-    def n_losses(self) -> int:
-        """The number of times that the device was lost so far."""
-        return self.watch.n_losses
-
-    @property
     def n_underruns(self) -> int:
-        """The number of times that too little was written when the device needed more."""
-        return self._ring.n_underruns
+        """The number of times that it had nothing to play in time: the computer was too slow.
 
-    @property
-    def n_device_underruns(self) -> int:
-        """The number of underruns inside the device: the computer was too slow for it."""
-        return self._n_device_underruns
+        The device itself, or what was written too late; not what nobody wrote any more.
+        """
+        return self._n_late + self._n_device_underruns
 
     def write(self, samples: Samples) -> None:
         """Write the next samples (n,) float32 mono of the timeline, scaled by the volume."""
+        self._n_late = self._ring.n_underruns
         self._ring.write(samples if self._volume == 1.0 else samples * self._volume)
 
     def silence_rest(self) -> float:

@@ -69,7 +69,8 @@ class MicrophoneSource:
             self._device = find_device(device, "input")
         # By name: a number may mean another device after one is plugged in.
         self._wanted_device = self._device.lasting_name if is_number(device) else device
-        self._channel = channel_index(channel, self._device.n_channels, self.name)
+        channel_index(channel, self._device.n_channels, self.name)
+        self._channel = channel
         self._clock = clock
         self._is_watched = is_watched
         self.watch = DeviceWatch(self._open, clock)
@@ -109,17 +110,14 @@ class MicrophoneSource:
         Adds the samples that arrived, of each opening of the device (capture) in turn; an older
         capture ends when a newer one follows. While the microphone is lost, silence is added.
         """
-        now_s = self._clock()
-        while self._captures:
-            capture = self._captures[0]
-            while capture.arrived:
-                self._add_arrival(capture, capture.arrived.popleft())
-            if len(self._captures) == 1:
-                break
-            self._add_rest(self._captures.popleft())
-        if self.watch.is_lost and self._captures:
-            self._add_rest(self._captures[0])
-        if self.watch.is_lost or (self.n_losses and self._captures[0].begins_s is None):
+        now_s, n_losses = self._clock(), self.n_losses
+        while len(self._captures) > 1:
+            self._add_arrivals(self._captures.popleft(), has_ended=True)
+        capture = self._captures[0]
+        # Not `is_lost`: while the device is reopened, its new capture may have begun.
+        has_ended = capture.n_losses < n_losses
+        self._add_arrivals(capture, has_ended=has_ended)
+        if has_ended or (n_losses and capture.begins_s is None):
             self._fill_silence(now_s)
         return self._cutter.take(until_s)
 
@@ -150,8 +148,10 @@ class MicrophoneSource:
 
         Called by `watch`, at first and after each loss; waits for the device. Raises SoundError.
         """
-        self._device = find_device(self._wanted_device, "input")
-        rate_hz, n_channels = self._rate_and_channels()
+        device = find_device(self._wanted_device, "input")
+        channel = channel_index(self._channel, device.n_channels, device.name)
+        self._device = device
+        rate_hz, n_channels = self._rate_and_channels(1 if channel is None else device.n_channels)
         make_stream = partial(
             self._sounddevice.InputStream,
             device=self._device.index,
@@ -162,7 +162,7 @@ class MicrophoneSource:
             latency="low",
         )
         try:
-            capture = _Capture(make_stream, rate_hz, self._clock, self.watch, self._channel)
+            capture = _Capture(make_stream, rate_hz, self._clock, self.watch, channel)
             self._captures.append(capture)
             start_stream(capture.stream)
         except self._sounddevice.PortAudioError as error:
@@ -171,15 +171,13 @@ class MicrophoneSource:
             ) from error
         return capture.stream
 
-    def _rate_and_channels(self) -> tuple[int, int]:
+    def _rate_and_channels(self, n_wanted: int) -> tuple[int, int]:
         """Return rate in Hz and number of channels to open the device with.
 
-        The first that the device accepts: 16 kHz with one channel, its own rate with one channel,
-        else its own rate with all channels. All channels are taken in each case if one of them was
-        chosen.
+        The first that the device accepts: 16 kHz, or its own rate, with `n_wanted` channels, else
+        its own rate with all channels.
         """
-        own_rate_hz, all_channels = self._device.sample_rate_hz, self._device.n_channels
-        n_wanted = 1 if self._channel is None else all_channels
+        own_rate_hz = self._device.sample_rate_hz
         for rate_hz, n_channels in ((SAMPLE_RATE_HZ, n_wanted), (own_rate_hz, n_wanted)):
             try:
                 self._sounddevice.check_input_settings(
@@ -191,7 +189,14 @@ class MicrophoneSource:
             except self._sounddevice.PortAudioError:
                 continue
             return rate_hz, n_channels
-        return own_rate_hz, all_channels
+        return own_rate_hz, self._device.n_channels
+
+    def _add_arrivals(self, capture: "_Capture", *, has_ended: bool) -> None:
+        """Add all that `capture` has queued; if it has ended, also what its resampler held."""
+        while capture.arrived:
+            self._add_arrival(capture, capture.arrived.popleft())
+        if has_ended:
+            self._push_samples(capture.rest())
 
     def _add_arrival(self, capture: "_Capture", arrival: "_Arrival") -> None:
         """Add the samples of one callback, after silence for those lost before them, to the blocks.
@@ -201,7 +206,7 @@ class MicrophoneSource:
         if capture.begins_s is None:
             if self.n_losses:  # the device was away
                 self._fill_silence(arrival.called_s - len(arrival.samples) / capture.rate_hz)
-            capture.begin(self._n_pushed / SAMPLE_RATE_HZ)
+            capture.begins_s = self._n_pushed / SAMPLE_RATE_HZ
         n_missing = arrival.first_sample - capture.n_taken
         if n_missing:
             lost = capture.convert(np.zeros(n_missing, dtype=np.float32))
@@ -209,11 +214,8 @@ class MicrophoneSource:
             self._push_samples(lost)
         self._push_samples(capture.convert(arrival.samples))
         self._until_s = arrival.called_s
-        self._captured = (arrival.captured_s, capture.sound_s(arrival.first_sample))
-
-    def _add_rest(self, capture: "_Capture") -> None:
-        """Add the last samples that the resampler of `capture`, a lost device, has held back."""
-        self._push_samples(capture.rest())
+        sound_s = capture.begins_s + arrival.first_sample / capture.rate_hz
+        self._captured = (arrival.captured_s, sound_s)
 
     def _fill_silence(self, until_s: float) -> None:
         """Add silence to the blocks for a device that is away, up to the clock time `until_s`."""
@@ -260,6 +262,8 @@ class _Capture:
         callback; channel: the one that is heard, from 0, None: all are mixed.
         """
         self._channel = channel
+        #: Times that the device had been lost before; more: this capture has ended.
+        self.n_losses = watch.n_losses
         self.rate_hz = rate_hz
         self.arrived: deque[_Arrival] = deque(maxlen=round(QUEUE_S / BLOCK_S))
         #: Changed by the reading thread alone: first sample's sound time, samples taken so far.
@@ -279,15 +283,6 @@ class _Capture:
             )
         )
         self.stream = make_stream(callback=self.enqueue)
-
-    def begin(self, sound_s: float) -> None:
-        """Set the sound time of the device's first sample, when the reading thread comes to it."""
-        self.begins_s = sound_s
-
-    def sound_s(self, sample: int) -> float:
-        """Return the sound time of the sample with this number; `begin` must have been called."""
-        assert self.begins_s is not None
-        return self.begins_s + sample / self.rate_hz
 
     def enqueue(self, frames: Samples, n_frames: int, timing: "_Timing", status: "_Status") -> None:
         """Queue the frames (n, channels), mixed to mono; PortAudio calls it in its own thread.

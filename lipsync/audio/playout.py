@@ -14,7 +14,6 @@ mouth shows its own words, never those of the person it talks to, nor its own ec
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 from weakref import WeakSet
@@ -76,7 +75,8 @@ class ListenedMicrophone:
     def __init__(self, microphone: AudioSource) -> None:
         """Create the queue of blocks. microphone: live, already entered as a context manager."""
         self._microphone = microphone
-        self._blocks: deque[Samples] = deque(maxlen=_MOST_BLOCKS)
+        self._blocks: deque[Samples] = deque()
+        self._n_dropped = 0
         self._is_primed = False
 
     @property
@@ -86,17 +86,19 @@ class ListenedMicrophone:
 
     @property
     def lost_blocks(self) -> int:
-        """The number of blocks that the device or the computer dropped."""
-        return self._microphone.lost_blocks
+        """The number of blocks that the device or the computer dropped, or that were left out."""
+        return self._microphone.lost_blocks + self._n_dropped
 
-    def take(self) -> Samples | None:
+    def take(self, n_more: int) -> Samples | None:
         """Remove and return the next 10 ms (160,) at 16 kHz; None while 40 ms are being gathered.
 
-        They are gathered at the beginning, and again whenever the sound ran out.
+        They are gathered at the beginning, and again whenever the sound ran out. n_more: blocks
+        that are taken right after it, as after a stall: so much sound is kept besides.
         """
-        for block in self._microphone.blocks(float("inf")):
-            if len(block.samples) == BLOCK_SAMPLES:
-                self._blocks.append(block.samples)
+        self._blocks.extend(each.samples for each in self._microphone.blocks(float("inf")))
+        while len(self._blocks) > _MOST_BLOCKS + n_more:
+            self._blocks.popleft()
+            self._n_dropped += 1
         if not self._is_primed and len(self._blocks) < _HELD_BLOCKS:
             return None
         self._is_primed = bool(self._blocks)
@@ -137,6 +139,9 @@ class Playout:
         #: (monotonic seconds, stream, samples of it that had left the loudspeaker by then), from
         #: who plays a stream elsewhere; any thread appends.
         self.reports: deque[tuple[float, str, int]] = deque(maxlen=_MOST_REQUESTS)
+        #: Samples at 16 kHz of speech that could not be decoded; any thread appends.
+        self.lost: deque[int] = deque()
+        self._n_lost = 0
         #: What has happened; one other thread removes.
         self.events: deque[PlayoutEvent] = deque(maxlen=_MOST_EVENTS)
         self._playing: deque[PlayingStream] = deque()
@@ -168,11 +173,9 @@ class Playout:
 
     @property
     def lost_blocks(self) -> int:
-        """The number of blocks that the microphone lost; 0 without a microphone.
-
-        Blocks of speech are never lost: they are played later.
-        """
-        return 0 if self._microphone is None else self._microphone.lost_blocks
+        """The number of blocks that the microphone lost, or that were damaged in a file."""
+        n_unheard = 0 if self._microphone is None else self._microphone.lost_blocks
+        return n_unheard - (-self._n_lost // BLOCK_SAMPLES)
 
     @property
     def microphone_s(self) -> float | None:
@@ -202,7 +205,7 @@ class Playout:
     @property
     def n_underruns(self) -> int:
         """The number of times that a stream or the loudspeaker had nothing to play in time."""
-        return self._n_underruns + (self.loudspeaker.n_device_underruns if self.loudspeaker else 0)
+        return self._n_underruns + (self.loudspeaker.n_underruns if self.loudspeaker else 0)
 
     @property
     def committed_s(self) -> float:
@@ -309,8 +312,11 @@ class Playout:
                 self._drop_uncommitted(request.name)
             elif request.kind == "pause":
                 is_cut = self._pause() or is_cut
-            elif request.kind == "resume":
-                self._resume()
+            elif request.kind == "resume" and self._is_paused:
+                self._is_paused = False
+                self._report_for_all("resumed")
+        while self.lost:
+            self._n_lost += self.lost.popleft()
         self._report_progress()
         self._known_phonemes.forget(self.committed_s)
         return is_cut
@@ -329,7 +335,16 @@ class Playout:
         is for the recogniser, the second is the sound as it is spoken. They differ where phonemes
         are known: the recogniser gets silence there.
         """
-        return list(self._commit(int(samples_before(max(0.0, until_s))) // BLOCK_SAMPLES))
+        n_until = int(samples_before(max(0.0, until_s))) // BLOCK_SAMPLES
+        pairs = []
+        while self._n_blocks < n_until:
+            start_s = self.committed_s
+            self._n_blocks += 1
+            heard, played, spoken = self._next_block(start_s, n_until - self._n_blocks)
+            if self.loudspeaker is not None:
+                self.loudspeaker.write(played)
+            pairs.append((AudioBlock(heard, start_s), AudioBlock(spoken, start_s)))
+        return pairs
 
     def known_phonemes(self, from_s: float) -> list[KnownStretch]:
         """Return stretches (start_s, end_s, phonemes) of known phonemes that end after `from_s`."""
@@ -374,18 +389,8 @@ class Playout:
     def __exit__(self, *exc: object) -> None:
         """Do nothing: the loudspeaker is closed by the caller that opened it."""
 
-    def _commit(self, n_until: int) -> Iterator[tuple[AudioBlock, AudioBlock]]:
-        """Commit blocks up to number `n_until`: write each to the loudspeaker, yield its pair."""
-        while self._n_blocks < n_until:
-            start_s = self.committed_s
-            self._n_blocks += 1
-            heard, played, spoken = self._next_block(start_s)
-            if self.loudspeaker is not None:
-                self.loudspeaker.write(played)
-            yield AudioBlock(heard, start_s), AudioBlock(spoken, start_s)
-
-    def _next_block(self, start_s: float) -> tuple[Samples, Samples, Samples]:
-        """Return the next 10 ms, from `start_s` on, as three blocks.
+    def _next_block(self, start_s: float, n_more: int) -> tuple[Samples, Samples, Samples]:
+        """Return the next 10 ms, from `start_s` on, as three blocks; `n_more` follow at once.
 
         The blocks are for the recogniser, the loudspeaker and the prosody tracker. All are of the
         first stream that has sound, but the recogniser's is silent if the stream's phonemes are
@@ -400,7 +405,7 @@ class Playout:
             if playing is not None and playing.segments and not playing.is_starved:
                 self._note_underrun(playing)
             self._queue_timed_units(TimedUnits("", start_s))
-            from_microphone = self._microphone_block(start_s)
+            from_microphone = self._microphone_block(start_s, n_more)
             return from_microphone, self._played_silence, from_microphone
         stream = playing.stream
         self._known_phonemes.note_playing(playing, start_s)
@@ -454,7 +459,7 @@ class Playout:
             self._started_words.append(StartedWords("text", (), is_new=True))
         self._words_stream = None
 
-    def _microphone_block(self, start_s: float) -> Samples:
+    def _microphone_block(self, start_s: float, n_more: int) -> Samples:
         """Return 10 ms (160,) of the microphone, for the recogniser, from `start_s` on; or silence.
 
         Silence without a microphone, while too little has come, while the robot speaks, and until
@@ -467,7 +472,7 @@ class Playout:
                 self._microphone.discard()
             return _SILENCE
         self._known_phonemes.note_playing(None, start_s)
-        samples = self._microphone.take()
+        samples = self._microphone.take(n_more)
         return _SILENCE if samples is None else samples
 
     def _note_underrun(self, playing: PlayingStream) -> None:
@@ -515,12 +520,6 @@ class Playout:
         self._report_for_all("paused")
         self._note_silence(cut_s)
         return True
-
-    def _resume(self) -> None:
-        """Continue after a pause, and append the event `resumed` for every stream."""
-        if self._is_paused:
-            self._is_paused = False
-            self._report_for_all("resumed")
 
     def _silence_loudspeaker(self) -> float:
         """Silence the loudspeaker, append the events due; return where silence begins, in s."""

@@ -327,8 +327,9 @@ EventKind = Literal[
 
 
 #: Why the mouth is moved by what moves it: the sender gave it (told), gave nothing better for this
-#: sound (not_told), or gave what is not in the sound (not_said).
-MoverReason = Literal["told", "not_told", "not_said"]
+#: sound (not_told), gave what is not in the sound (not_said), or gave words that a recogniser that
+#: fell back does not follow (not_followed).
+MoverReason = Literal["told", "not_told", "not_said", "not_followed"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ class SilentLoudspeaker:
 
     #: No sound is resampled for it.
     name, rate_hz = "silent", 16_000
-    is_lost, latency_s, n_device_underruns = False, 0.02, 0
+    is_lost, latency_s, n_underruns = False, 0.02, 0
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock

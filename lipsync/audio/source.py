@@ -66,8 +66,8 @@ class Loudspeaker(Protocol):
         """Seconds from writing a sample to its being heard, at the least."""
 
     @property
-    def n_device_underruns(self) -> int:
-        """The number of underruns inside the device: the computer was too slow for it."""
+    def n_underruns(self) -> int:
+        """The number of times that it had nothing to play in time: the computer was too slow."""
 
     def write(self, samples: NDArray[np.float32]) -> None:
         """Write the next samples of the timeline.

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.array_archive import UNREADABLE, ArrayArchive, about_in
+from lipsync.audio.channels import MIX, checked_channel
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
 from lipsync.output_file import write_whole
@@ -48,14 +49,16 @@ class PerformedSound:
     name: of that file, without folders. sha256: of its bytes, 64 hex digits. content: the bytes
     that are to be written into the performance file; None where the sound stays a file beside the
     performance, and in every performance read from a file: `sound_file` gives access to its sound.
+    channel: the one that was rendered, and is played; "": all are mixed.
     """
 
     name: str
     sha256: str
     content: bytes | None
+    channel: str = ""
 
 
-def performed_sound(path: Path, *, included: bool) -> PerformedSound:
+def performed_sound(path: Path, *, included: bool, channel: str = "") -> PerformedSound:
     """Return the name and SHA-256 of the sound file `path`, and its bytes if `included`, else None.
 
     Raises PerformanceError if the file cannot be read.
@@ -65,7 +68,7 @@ def performed_sound(path: Path, *, included: bool) -> PerformedSound:
     except OSError as error:
         raise PerformanceError(f"{path}: cannot be read ({error.strerror})") from error
     digest = hashlib.sha256(content).hexdigest()
-    return PerformedSound(path.name, digest, content if included else None)
+    return PerformedSound(path.name, digest, content if included else None, channel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +156,7 @@ def performance_bytes(performance: Performance) -> bytes:
             "name": sound.name,
             "sha256": sound.sha256,
             "included": sound.content is not None,
+            "channel": sound.channel or MIX,
         },
     }
     if performance.expression:
@@ -201,13 +205,14 @@ def read_performance(path: Path) -> Performance:
             )
         if about["sound"]["included"] != (_SOUND in archive):
             raise ValueError("its sound is not at the place that it names")
+        channel = checked_channel(about["sound"].get("channel", MIX))
         faces = _checked_faces(archive["coefficients"])
         return Performance(
             face_checksum=str(about["face"]),
             coefficients=faces,
             phonemes=_checked_phonemes(about["phonemes"], len(faces)),
             sound=PerformedSound(
-                _checked_name(about["sound"]["name"]), str(about["sound"]["sha256"]), None
+                _checked_name(about["sound"]["name"]), str(about["sound"]["sha256"]), None, channel
             ),
             method=str(about["method"]),
             expression=_checked_expression(about, archive, len(faces)),

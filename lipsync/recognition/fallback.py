@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from statistics import median
-from typing import Final
+from typing import Final, TypeVar
 
 from lipsync.arrays import Array
 from lipsync.audio_block import BLOCK_S, AudioBlock
@@ -30,6 +30,8 @@ from lipsync.recognition.energy_recognizer import NeutralRecognizer
 from lipsync.recognition.streaming import PreparingRecognizer
 from lipsync.recognition.text_decoder import MovedBy, TextError, TextFollower
 from lipsync.spoken_text import PronouncedWord
+
+Result = TypeVar("Result")
 
 #: So much sound may wait for a recogniser without being called a backlog.
 _BACKLOG_S = 0.3
@@ -163,9 +165,8 @@ class LadderLevel:
         """Give a recogniser that follows text words whose sound began `behind_s` seconds ago."""
         if self._follower is None:
             return
-        offset_s = self._offset_s
         shifted = [
-            word if word.start_s is None else replace(word, start_s=word.start_s - offset_s)
+            word if word.start_s is None else replace(word, start_s=word.start_s - self._offset_s)
             for word in words
         ]
         self._follower.tell(shifted, behind_s)
@@ -232,9 +233,8 @@ class Trial:
                 self._waiting.popleft()
         self.level.updates()
         if self._waiting:
-            since_s = self._began_s if self._ready_since_s is None else self._ready_since_s
             waits_long = len(self._waiting) * BLOCK_S > 2.0 * _LONGEST_TRY_S
-            is_late = self._ready_since_s is None and now_s > since_s + _LONGEST_TRY_S
+            is_late = self._ready_since_s is None and now_s > self._began_s + _LONGEST_TRY_S
             self.failed = waits_long or is_late or self.level.pace.is_too_slow_to_be_tried
             return
         if self._ready_since_s is None:
@@ -325,7 +325,7 @@ class FallbackRecognizer:
         self._usable = tuple(n for n, reason in enumerate(self._why_not) if reason is None)
         self._final_until_s = 0.0
         self._recent: deque[AudioBlock] = deque(maxlen=round(WARM_UP_S / BLOCK_S))
-        self._restart()
+        self.reset()
 
     @property
     def latency_s(self) -> float:
@@ -365,10 +365,7 @@ class FallbackRecognizer:
 
     def forget(self) -> None:
         """Drop the words given to the recogniser in use by `tell` that are not spoken yet."""
-        try:
-            self._level.forget()
-        except Exception as error:  # whatever a recogniser raises
-            self._fall_back(_describe(error))
+        self._or_fall_back(self._level.forget)
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """Give the recogniser in use the next words of a text. Raises TextError for too many.
@@ -384,10 +381,7 @@ class FallbackRecognizer:
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Pass the servos' speeds (n_servos,), deg/s, to the recognisers in use and on trial."""
-        try:
-            self._level.note_servo_speeds(sound_s, speeds_deg_s)
-        except Exception as error:  # whatever a recogniser raises
-            self._fall_back(_describe(error))
+        self._or_fall_back(lambda: self._level.note_servo_speeds(sound_s, speeds_deg_s))
         try:
             if self._trial is not None:
                 self._trial.level.note_servo_speeds(sound_s, speeds_deg_s)
@@ -396,7 +390,15 @@ class FallbackRecognizer:
 
     def reset(self) -> None:
         """Switch to the best usable recogniser, ready for a new stream at sound time 0."""
-        self._restart()
+        self._current = self._usable[0]
+        self._final_until_s = 0.0
+        self._recent.clear()
+        self._trial: Trial | None = None
+        self._next_trial = 0
+        self._wait_s = _FIRST_WAIT_S
+        self._calm_since_s = self._try_at_s = self._best_left_s = 0.0
+        self._switched_s = -math.inf
+        self._level.begin(0.0)
 
     def feed(self, block: AudioBlock) -> None:
         """Feed the next block; a recogniser that raises is replaced by the next lower one."""
@@ -415,18 +417,11 @@ class FallbackRecognizer:
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Let the recogniser in use compute ahead on the next blocks; replace it if it raises."""
-        try:
-            self._level.prepare(blocks)
-        except Exception as error:  # whatever a recogniser raises
-            self._fall_back(_describe(error))
+        self._or_fall_back(lambda: self._level.prepare(blocks))
 
     def updates(self) -> list[PhonemeUpdate]:
         """Return the recogniser's new updates, final phonemes unchanged; [] if it raises."""
-        try:
-            updates = self._level.updates()
-        except Exception as error:  # whatever a recogniser raises
-            self._fall_back(_describe(error))
-            return []
+        updates = self._or_fall_back(self._level.updates) or []
         revisable = [_without_final_part(update, self._final_until_s) for update in updates]
         for update in revisable:
             self._final_until_s = max(self._final_until_s, update.final_until_s)
@@ -435,6 +430,14 @@ class FallbackRecognizer:
     @property
     def _level(self) -> LadderLevel:
         return self._levels[self._current]
+
+    def _or_fall_back(self, call: Callable[[], Result]) -> Result | None:
+        """Return the result of a call of the recogniser in use; None: it raised, is replaced."""
+        try:
+            return call()
+        except Exception as error:  # whatever a recogniser raises
+            self._fall_back(_describe(error))
+            return None
 
     def _add_level(self, level: FallbackLevel) -> None:
         """Make and add the recogniser `level`; one that cannot be made is marked unusable."""
@@ -450,18 +453,6 @@ class FallbackRecognizer:
         self._why_not.append(reason)
         if reason is not None:
             _LOG.warning("recogniser %s cannot be used: %s", level.name, reason)
-
-    def _restart(self) -> None:
-        """Reset all state and begin the best usable recogniser at sound time 0."""
-        self._current = self._usable[0]
-        self._final_until_s = 0.0
-        self._recent.clear()
-        self._trial: Trial | None = None
-        self._next_trial = 0
-        self._wait_s = _FIRST_WAIT_S
-        self._calm_since_s = self._try_at_s = self._best_left_s = 0.0
-        self._switched_s = -math.inf
-        self._level.begin(0.0)
 
     def _feed_on_clock(self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float]) -> None:
         """Feed blocks, in a backlog several at once; replace a recogniser that is too slow.

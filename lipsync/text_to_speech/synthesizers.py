@@ -2,10 +2,12 @@
 
 from collections.abc import Iterator
 
+from lipsync.audio.playout_stream import MOST_WAITING_S
 from lipsync.plugins import DEFAULT_SYNTHESIZER, SYNTHESIZERS
 from lipsync.text_to_speech.spoken_form import spoken_form
 from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
+    SynthesisError,
     SynthesizedSpeech,
     Synthesizer,
     UnspeakableTextError,
@@ -34,7 +36,7 @@ def speak_in_pieces(
     The text is spoken in its `spoken_form`. The first sentence sounds soon, and no more than
     one is in memory. Pieces in which nothing can be spoken, such as a line of dashes, are left
     out. Raises UnspeakableTextError at the end if all were left out, and SynthesisError as
-    `speak` does.
+    `speak` does, and for a sentence of more than five minutes.
     """
     is_spoken = False
     for piece in pieces(spoken_form(text, voice.language), LONGEST_PIECE):
@@ -42,6 +44,8 @@ def speak_in_pieces(
             spoken = synthesizer.speak(piece, voice)
         except UnspeakableTextError:
             continue
+        if spoken.duration_s > MOST_WAITING_S:
+            raise SynthesisError(f"{piece[:40]!r}: over {MOST_WAITING_S:g} s long; check the voice")
         is_spoken = True
         yield spoken
     if not is_spoken:

@@ -254,9 +254,9 @@ def test_a_port_that_is_lost_lets_go_of_the_others_and_the_face_comes_back_when_
     assert face.neck.is_held == [False, False]
     assert face.bridge.troubles == (
         "servo 'jaw' (id 0) cannot be reached: the port is gone",
-        "servo 'yaw' (id 0) let go: a port of the face is gone",
+        "servo 'yaw' (id 0) limp: a port of the face is gone",
         "servo 'lip' (id 1) cannot be reached: the port is gone",
-        "servo 'pitch' (id 1) let go: a port of the face is gone",
+        "servo 'pitch' (id 1) limp: a port of the face is gone",
     )
     assert "bus lips: /dev/x: gone; plug the adapter in again" in face.bus.remarks()
     drive(face, 100)
@@ -290,6 +290,44 @@ def test_a_frozen_face_goes_on_holding_when_one_port_is_lost_until_it_is_stopped
     drive_until(face, lambda: face.bridge.state is FaceState.ENDED)
     assert face.bridge.stop_report().complete
     assert face.lips.is_held == [False, False]
+
+
+@pytest.mark.parametrize(("back", "gone"), [("lips", "neck"), ("neck", "lips")])
+def test_of_two_ports_lost_at_once_the_one_that_comes_back_is_let_go(face, back, gone):
+    face.bridge.start()
+    drive(face, 50)
+    face.lips.plugged = face.neck.plugged = False
+    drive(face, 50)
+    assert not any("limp:" in line for line in face.bridge.troubles)
+
+    getattr(face, back).plugged = True
+    drive_until(face, lambda: getattr(face, back).is_held == [False, False])
+    drive(face, 2)
+    returned = [JOINTS[n].name for n in (LIPS if back == "lips" else NECK)]
+    assert [name for name in returned for line in face.bridge.troubles if name in line] == returned
+    assert sum("limp: a port of the face is gone" in line for line in face.bridge.troubles) == 2
+    assert not face.bridge.plugged
+
+    getattr(face, gone).plugged = True
+    drive_until(face, lambda: all_driven(face))
+
+
+def test_what_a_frozen_face_holds_at_its_other_port_is_said_to_be_held_and_is_switched_off(face):
+    face.bridge.start()
+    drive(face, 100)
+    face.bridge.stop(StopLevel.FREEZE)
+    face.lips.plugged = False
+    drive_until(face, lambda: not face.bridge.plugged)
+    held = "held: a port of the face is gone"
+    assert face.bridge.troubles[1::2] == (
+        f"servo 'yaw' (id 0) {held}",
+        f"servo 'pitch' (id 1) {held}",
+    )
+
+    for name in ("jaw", "yaw"):  # what cannot be reached keeps no other on
+        assert not face.bridge.obey(ServoOrder(name, ServoSwitch.OFF), face.clock.now())
+    drive_until(face, lambda: servos(face)["yaw"] == "off")
+    assert face.neck.is_held == [False, True]
 
 
 @pytest.mark.parametrize(("hung", "reached"), [("lips", "neck"), ("neck", "lips")])

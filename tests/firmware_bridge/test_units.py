@@ -1,13 +1,16 @@
 """Ticks and degrees: each path between them, for every model of servo, by the model's own table."""
 
+import contextlib
 import json
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from calibration.capture.lerobot_ranges import read_ranges
+from firmware_bridge.bus_kinds import bus_kind
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel import control_table as dynamixel
 from firmware_bridge.errors import ServoError
@@ -54,6 +57,27 @@ def test_degrees_come_back_from_ticks_within_half_a_step(name, deg, offset_deg, 
     pulses = there.pulses(np.array([deg]))
     assert pulses[0] == pytest.approx(servo.pulse(deg), abs=1)
     assert there.joint_deg(pulses)[0] == pytest.approx(deg, abs=0.51 * reach_deg / n_positions)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ["XL330-M288", "STS3215", "SCS0009"])
+def test_every_end_that_a_yaml_may_have_is_a_position_of_the_servo(name, sign):
+    """Half a step below the full turn rounds to a position that no servo has."""
+    kind = "dynamixel" if name in dynamixel.servo_models() else "feetech"
+    keys = {"id": 1, "model": name, "positive": "opens", "max_speed_deg_s": 60.0, "sign": sign}
+    n_positions, reach_deg = MANUALS[name]
+    accepted = []
+    for end_deg in np.linspace(reach_deg / 2 - 1.0, reach_deg / 2, 500).tolist():
+        ends = (
+            {"min_deg": -end_deg, "max_deg": 0.0}
+            if sign < 0
+            else {"min_deg": 0.0, "max_deg": end_deg}
+        )
+        with contextlib.suppress(ValidationError):
+            bus_kind(kind).servo(**keys, **ends)
+            accepted.append(mounted(MODELS[name], sign).pulse(sign * end_deg))
+
+    assert max(accepted) == n_positions - 1
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -1,21 +1,25 @@
 """The command `new-face`, which writes a face's YAML from found or named servos."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from lipservo.commands.options import OpenPage, Sim
+from firmware_bridge.errors import BusError
+from lipservo.commands.options import OpenPage, Sim, refusing
 from lipservo.terminal.output import MESSAGES, RESULTS
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole
 
 if TYPE_CHECKING:
-    from lipservo.runtime.servos.new_face import NewBus, WiredJoint
+    from lipservo.runtime.servos.new_face import NewBus
+
+#: The baud rate that is tried first when servos are searched for.
+FIRST_BAUD_RATE: Final = 1_000_000
 
 
 def new_face(
@@ -36,7 +40,7 @@ def new_face(
             "the port. For several buses NAME=KIND, once for each bus.",
         ),
     ] = None,
-    baud_rate: Annotated[int, typer.Option(help="Baud rate to try first.")] = 1_000_000,
+    baud_rate: Annotated[int, typer.Option(help="Baud rate to try first.")] = FIRST_BAUD_RATE,
     ranges: Annotated[
         Path | None,
         typer.Option(help="LeRobot range file with the joints' names and limits by servo id."),
@@ -72,7 +76,13 @@ def new_face(
     limits, calibration and first words; an existing YAML is continued there.
     """
     if page:
-        _serve_setup(output, port or [], sim, open_page=open_page)
+        others = {
+            "--baud-rate": baud_rate != FIRST_BAUD_RATE, "--ranges": ranges, "--board": board,
+            "--channel": channel, "--yes": yes,
+        }  # fmt: skip
+        if unfit := [name for name, value in others.items() if value]:
+            raise typer.BadParameter(f"{', '.join(unfit)}: not with --page; leave it out")
+        _serve_setup(output, port or [], bus or [], sim, open_page=open_page)
         return
     if open_page or sim:
         raise typer.BadParameter("--open and --sim need --page")
@@ -100,37 +110,45 @@ def new_face(
     text = face_on_buses(output.stem, texts) if len(texts) > 1 else next(iter(texts.values()))
     parse_face(text, output.name)
     write_whole(output, text)
-    is_wired = any(part.kind.board_key for part in parts.values())
-    then = (
-        "neutral and limits, as its first lines say"
-        if is_wired
-        else "set limits in it, `lipservo setup-servos`"
-    )
+    then = "set limits in it, `lipservo setup-servos`"
+    if any(part.kind.board_key for part in parts.values()):
+        then = "neutral and limits, as its first lines say"
     RESULTS.print(f"{output}: {len(names)} joints. Next: {then}")
 
 
-def _serve_setup(output: Path, ports: Sequence[str], sim: str | None, *, open_page: bool) -> None:
+def _serve_setup(
+    output: Path, ports: Sequence[str], kinds: Sequence[str], sim: str | None, *, open_page: bool
+) -> None:
     """Serve the setup page of a new face until Ctrl-C; then its running step ends, torque off.
 
-    output: the face's YAML. ports: one at most. sim: `pty`: simulated servos.
+    output: the face's YAML. ports, kinds: of the bus, one each at most. sim: `pty`: simulated
+    servos.
     """
+    from firmware_bridge.bus_kinds import bus_kind
     from lipservo.access.token_file import read_token
     from lipservo.commands.run.dashboard import check_dashboard, serve_page
     from lipservo.commands.run.voice_choice import access_file
 
     check_dashboard()
-    if len(ports) > 1:
+    if len(ports) > 1 or len(kinds) > 1:
         raise UserError("--page sets up one bus; leave --page out for several")
-    if sim not in (None, "pty") or (sim and ports):
-        raise UserError("--sim only accepts `pty`, and not together with --port")
+    port, kind = next(iter(ports), None), next(iter(kinds), None)
+    if sim not in (None, "pty") or (sim and (port or kind)):
+        raise UserError("--sim only accepts `pty`, and not together with --port or --bus")
+    if kind and output.exists():
+        raise UserError(f"{output} names its bus already; leave --bus out")
+    if kind and not (bus_kind(kind).board_key or port):
+        raise UserError(f"no port: give --port, where the servos of --bus {kind} are")
     from lipservo.dashboard.child import bound_dashboard
     from lipservo.dashboard.face_link import FaceLink
     from lipservo.dashboard.first_hour.first_hour import FirstHour
 
     token_file = access_file(None, open_to_this_computer=False)
     token = read_token(None if token_file is None else str(token_file))
-    setup = FirstHour(output, next(iter(ports), None), token_file, simulated=sim is not None)
+    setup = FirstHour(output, None if kind else port, token_file, simulated=sim is not None)
     with closing(setup) as hour, bound_dashboard(None, token) as bound:
+        if kind:
+            hour.choose_port(port, kind, simulated=False)
         link = FaceLink(hour.control_path, let_go=hour.let_go)
         serve_page(bound, link, token, open_page=open_page, hour=hour)
 
@@ -141,18 +159,34 @@ def _wired_yaml(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool
     output: the YAML, whose stem names the face. part: the bus. taken: names of joints on other
     buses. yes: no prompts.
     """
-    from lipservo.runtime.servos.new_face import check_wiring, parse_channel, pulse_face_yaml
+    from lipservo.runtime.servos.new_face import (
+        WiredJoint,
+        check_wiring,
+        parse_channel,
+        pulse_face_yaml,
+    )
 
     joints: list[WiredJoint] = []
     kind, board = part.kind, part.board
+
+    def wired(board: str, joints: Sequence[WiredJoint]) -> str:
+        """Return the YAML of joints on a board. Raises UserError or BusError if it lacks one."""
+        text = pulse_face_yaml(output.stem, kind, part.port, board, joints)
+        check_wiring(text, output.name)
+        return text
+
+    def check_board(board: str) -> str:
+        wired(board, joints or [WiredJoint("jaw", 0, "opens")])
+        return board
+
     for each in part.channels:
         joints.append(parse_channel(each, joints, taken))
     if yes and not joints:
         raise UserError("no servos given; add --channel jaw=0:opens for each of them")
     if board is None:
-        usual = kind.usual_board
+        usual, check = kind.usual_board, refusing(check_board)
         what = f"Which {kind.board_key} has the {kind.name}"
-        board = usual if yes else typer.prompt(what, default=usual, err=True)
+        board = usual if yes else typer.prompt(what, default=usual, value_proc=check, err=True)
     while not part.channels:
         text = typer.prompt(
             "A servo, as in jaw=0:opens (Enter: no more)", "", err=True, show_default=False
@@ -160,12 +194,12 @@ def _wired_yaml(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool
         if not text and joints:
             break
         try:
-            joints.append(parse_channel(text, joints, taken))
-        except UserError as error:
+            joint = parse_channel(text, joints, taken)
+            wired(board, [*joints, joint])
+            joints.append(joint)
+        except (UserError, BusError) as error:
             MESSAGES.print(str(error))
-    text = pulse_face_yaml(output.stem, kind, part.port, board or "", joints)
-    check_wiring(text, output.name)
-    return text
+    return wired(board, joints)
 
 
 def _found_yaml(
@@ -178,7 +212,6 @@ def _found_yaml(
     """
     from calibration.capture.lerobot_ranges import by_id, read_ranges
     from lipservo.runtime.servos.new_face import FoundJoint, check_joint_name, face_yaml, nudge
-    from lipservo.settings.settings import parse_face
 
     kind, port = part.kind, part.port
     if port is None:
@@ -195,13 +228,11 @@ def _found_yaml(
     joints: list[FoundJoint] = []
     for servo_id, model in found.items():
         tick, motion, _ = nudge(tools, port, rate, servo_id, model)
-        joint_range = recorded.get(servo_id)
+        joint_range, names = recorded.get(servo_id), [*taken, *(joint.name for joint in joints)]
         name = typer.prompt(
             f"id {servo_id} ({model}) {motion}. Which joint",
             default=joint_range.name if joint_range else None,
-            value_proc=partial(
-                _check_name, check_joint_name, [*taken, *(joint.name for joint in joints)]
-            ),
+            value_proc=refusing(partial(check_joint_name, taken=names)),
             err=True,
         )
         word = typer.prompt("What should a positive angle do (opens, raises, widens ...)", err=True)
@@ -218,9 +249,7 @@ def _found_yaml(
             )
             joint = joint.within(joint_range, tick, servo_model, turns_all_the_way=turns)
         joints.append(joint)
-    text = face_yaml(output.stem, kind, port, rate, joints)
-    parse_face(text, output.name)
-    return text
+    return face_yaml(output.stem, kind, port, rate, joints)
 
 
 def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -> None:
@@ -238,14 +267,3 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
     if not typer.confirm(question, default=True, err=True):
         raise UserError("nothing was written; with these settings the servos cannot be moved")
     tools.clear_foreign_settings(port, rate, found, foreign)
-
-
-def _check_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
-    """Return `text` as a joint's name, checked by `check`, with the names already `taken`.
-
-    Raises BadParameter, so that the prompt repeats, for an invalid or taken name.
-    """
-    try:
-        return check(text, taken)
-    except UserError as error:
-        raise typer.BadParameter(str(error)) from None

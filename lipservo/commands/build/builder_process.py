@@ -15,6 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from firmware_bridge.bus_kinds import bus_kind
+from lipservo.commands.build.builder import FIRST_BAUD_RATE
+from lipservo.commands.options import port_of
 from lipservo.runtime.servos.face_stopped import exit_status
 from lipsync.errors import UserError
 
@@ -24,8 +27,6 @@ if TYPE_CHECKING:
     from lipservo.terminal.page_line import PageLine
 
 Request = Mapping[str, Any]
-#: The baud rate that is tried first when servos are searched for.
-_FIRST_BAUD_RATE: Final = 1_000_000
 
 
 def builder_process(
@@ -42,9 +43,11 @@ def builder_process(
         raise typer.Exit(1)
     from lipservo.terminal.page_line import PageLine
 
-    page = PageLine()
+    page, parsed = PageLine(), json.loads(request)
     try:
-        _STEPS[step](json.loads(request), page)
+        if step != "drawn":  # which needs no servos
+            port_of(parsed["port"], None)
+        _STEPS[step](parsed, page)
     finally:
         page.finish()
 
@@ -54,10 +57,8 @@ def _find_servos(request: Request, page: "PageLine") -> None:
 
     With `clear` in the request these settings are reset.
     """
-    from firmware_bridge.bus_kinds import bus_kind
-
     tools, port = bus_kind(request["kind"]).workshop(), request["port"]
-    rate, found = tools.find_unknown(port, _FIRST_BAUD_RATE)
+    rate, found = tools.find_unknown(port, FIRST_BAUD_RATE)
     foreign = tools.foreign_settings(port, rate, found)
     if request.get("clear"):
         tools.clear_foreign_settings(port, rate, found, foreign)
@@ -72,7 +73,6 @@ def _find_servos(request: Request, page: "PageLine") -> None:
 
 def _nudge_servo(request: Request, page: "PageLine") -> None:
     """Move one servo by 3 degrees and back, and send the event `nudged` to the page."""
-    from firmware_bridge.bus_kinds import bus_kind
     from lipservo.runtime.servos.new_face import nudge
 
     tools, servo_id = bus_kind(request["kind"]).workshop(), request["id"]
@@ -131,9 +131,7 @@ def _jog_joints(request: Request, _page: "PageLine") -> None:
     settings = load_settings(request["config"])[0].at_port(request["port"])
     clock = MonotonicClock()
     bus = bus_for(settings, clock, may_jump=bool(request.get("may_jump")))
-    status = exit_status(*drive_by_hand(settings, request["config"], clock, bus=bus))
-    if status:
-        raise typer.Exit(status)
+    raise typer.Exit(exit_status(*drive_by_hand(settings, request["config"], clock, bus=bus)))
 
 
 def _write_servo_limits(request: Request, _page: "PageLine") -> None:
@@ -154,7 +152,7 @@ def _calibration_setup(request: Request, page: "PageLine") -> "CalibrationSetup"
     from lipservo.commands.calibrate.making import check_files, load_setup
 
     config = request["config"]
-    keep = None if request.get("keep") is None else Path(request["keep"])
+    keep = Path(request["keep"])
     check_files(Path(request["output"]), keep=keep)
     setup = load_setup(
         config,
@@ -221,8 +219,7 @@ def _save_calibration(
     calibration, kept_notes = saved(setup, result, output)
     edited(Path(request["config"]), {("calibration",): output.name}).write()
     # The file of the measurements so far is not needed any more.
-    if setup.keep is not None:
-        setup.keep.unlink(missing_ok=True)
+    Path(request["keep"]).unlink(missing_ok=True)
     lines = report_lines(calibration, output.name, result.fit)
     lines.append(speed_line(within_speeds(setup.model, calibration, setup.settings)))
     page.tell(

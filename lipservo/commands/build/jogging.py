@@ -182,13 +182,15 @@ def _write_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
     hand: the joint. limit: `min`, `neutral` or `max`. The line reports what was written, or why
     nothing was.
     """
-    from lipservo.settings.found_limits import own_yaml, what_next, with_pulse_limit
+    from lipservo.settings.found_limits import forget_poses, own_yaml, what_next, with_pulse_limit
 
     if hand.pulse is None:
         return "limits in degrees are found with torque off: `lipservo jog --limp`"
     try:
         edit = with_pulse_limit(own_yaml(config), hand.name, limit, hand.place)
         edit.write()
+        if limit == "neutral":
+            forget_poses(edit.path)
     except UserError as error:
         return str(error)
     return f"{hand.name}: {limit} is {hand.place:.0f} us in {edit.path.name}; it {what_next(edit)}"
@@ -284,12 +286,7 @@ def _write_ranges(turned: "TurnedRange", config: str) -> None:
     A joint whose range is refused stays as it is, and is printed. Raises UserError if no joint is
     left.
     """
-    from lipservo.settings.found_limits import (
-        own_yaml,
-        range_values,
-        what_next,
-        with_ranges,
-    )
+    from lipservo.settings.found_limits import own_yaml, range_values, what_next, with_ranges
 
     found = {}
     for name, (least_deg, most_deg) in turned.ends().items():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from firmware_bridge.errors import BusError
+from firmware_bridge.errors import BusError, ServoError
 from lipservo.commands.options import DEFAULT_FACE, Bus, Config, Json, Port, port_of
 from lipservo.terminal.output import RESULTS, complain, print_json
 from lipsync.errors import UserError
@@ -25,7 +25,7 @@ class _Work:
     """The set-up of some servos: the planned changes of their registers, and those done.
 
     tools: functions that set up servos on this kind of bus (`BusKind.workshop`). servos: to be set
-    up, each with its joint. plans: of one servo each, for the servos reached so far. done: (joint,
+    up, each with its joint. plans: of one servo each, for the first of `servos`. done: (joint,
     register) of each change that was written.
     """
 
@@ -49,9 +49,8 @@ class _Work:
             for each in plan.changes
             if ((plan.servo.joint.name, each.name) in self.done) == done
         ]
-        reached = [plan.servo.joint.name for plan in self.plans]
-        names = [servo.joint.name for servo in self.servos if not done]
-        return changes + [f"{name}: not reached" for name in names if name not in reached]
+        unreached = [] if done else self.servos[len(self.plans) :]
+        return changes + [f"{servo.joint.name}: not reached" for servo in unreached]
 
     def say(self, line: str) -> None:
         """Print a result line, unless the result is printed as JSON."""
@@ -112,8 +111,7 @@ def setup_servos(
             status, error = 1, _INPUT_ENDED
         with contextlib.suppress(StopRequested), signals.finish_first():
             _print_result(work, error)
-    if status:
-        raise typer.Exit(status)
+    raise typer.Exit(status)
 
 
 def _set_up_servos(work: _Work, signals: "DeferredSignals", *, ask: bool) -> None:
@@ -134,15 +132,29 @@ def _set_up_servos(work: _Work, signals: "DeferredSignals", *, ask: bool) -> Non
             work.plans = [tools.plan_alone(line, missing[0], found, work.baud_rate)]
         for plan in work.plans:
             _write_changes(work, line, plan, signals)
-    if work.plans:
-        return
-    for servo in servos:
+    while len(work.plans) < len(servos):
+        servo = servos[len(work.plans)]
         question = f"Connect the servo of {servo.joint.name!r} alone, then press Enter"
         typer.prompt(question, "", show_default=False, err=True)
         with tools.unhurried_line(work.port, work.baud_rate) as line:
             found = tools.find_servos(line, [servo.joint.servo_id], work.baud_rate)
+            if name := _still_connected(work, line, found):
+                typer.echo(f"this is the servo of {name!r}, set up just now", err=True)
+                continue
             work.plans.append(tools.plan_alone(line, servo, found, work.baud_rate))
             _write_changes(work, line, work.plans[-1], signals)
+
+
+def _still_connected(work: _Work, line: Any, found: Any) -> str:
+    """Return the joint whose servo, set up just now, is the one connected; "": another one is.
+
+    found: all servos that answer. Registers are compared: a new servo may have the id of a joint.
+    """
+    for servo in (plan.servo for plan in work.plans if plan.servo.joint.servo_id in found):
+        with contextlib.suppress(ServoError):  # several answer, or of another model
+            if not work.tools.plan_alone(line, servo, found, work.baud_rate).changes:
+                return str(servo.joint.name)
+    return ""
 
 
 def _write_changes(work: _Work, line: Any, plan: Any, signals: "DeferredSignals") -> None:

@@ -70,15 +70,6 @@ def align(
         raise UserError(f"{sound}: is a folder; `lipservo lines align-folder` aligns its texts")
     check_inputs(sound)
     check_extra("pocketsphinx", "`lines align`")
-    _align_one(sound, text, output, as_json=as_json)
-
-
-def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) -> None:
-    """Find when each phone of `text` is spoken in a sound file; write or print the phones.
-
-    output: file to write; None: they are printed. as_json: print JSON. Warns of a text that fits
-    badly, and of guessed pronunciations. Raises AlignmentError if the sound is not this text.
-    """
     from lipservo.rendering.spoken_line import given_text
     from lipsync.audio.file import read_speech
     from lipsync.recognition.alignment import (

@@ -1,7 +1,7 @@
 """The command `lines render`, which renders a sound to a performance file."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -9,10 +9,6 @@ from lipservo.commands.options import Alphabet, Channel, Json, Model, Tier, labe
 from lipservo.settings.motion_names import STRONGEST
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
-
-if TYPE_CHECKING:
-    from lipservo.rendering.rendered import Rendering
-    from lipservo.rendering.spoken_line import Script
 
 Method = Literal["heard", "model-based", "live"]
 
@@ -92,29 +88,13 @@ def render(
     if method == "model-based":
         check_extra("dtaidistance", "render --method model-based")
     labels = label_file(textgrid, tier, alphabet)
-    from lipservo.rendering.spoken_line import Script, given_text
-
-    script = Script(labels, None if text is None else given_text(text), channel)
-    _render_one(audio, script, output, how, as_json=as_json)
-
-
-def _render_one(
-    audio: Path,
-    script: "Script",
-    output: Path,
-    how: "Rendering",
-    *,
-    as_json: bool,
-) -> None:
-    """Render a sound file to the performance file `output`; print duration, phonemes and method.
-
-    script: the words or phones of the sound, if known. how: method and models.
-    """
     from lipservo.rendering.rendered import render as render_line
+    from lipservo.rendering.spoken_line import Script, given_text
     from lipsync.offline.performance import is_performance
     from lipsync.output_file import check_output
 
-    inputs = [audio, None if script.phones is None else script.phones.path, how.model, how.offline]
+    script = Script(labels, None if text is None else given_text(text), channel)
+    inputs = [audio, None if labels is None else labels.path, model, offline]
     check_output(output, replaces=is_performance, kind="performance", inputs=inputs)
     done = render_line(audio, script, output, how)
     for note in done.notes:

@@ -11,9 +11,7 @@ from typing import Literal
 import numpy as np
 
 from lipservo.rendering.spoken_sound import SpokenSound, spoken_sound
-from lipservo.runtime.motion_options import (
-    ChosenMotion,
-)
+from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.settings.motion_names import ON_STAGE
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array

@@ -86,7 +86,7 @@ def film(
 
     The film has the sound. It is made faster than real time; no incomplete file is left.
     """
-    from lipservo.display.film import check_film, is_film, named_file
+    from lipservo.display.film import check_film, is_file, is_film, named_file
     from lipsync.output_file import check_output
 
     if speech is None and trace is None:
@@ -95,20 +95,13 @@ def film(
         raise typer.BadParameter("give --trace or --beside, not both")
     if landmarks is not None and face in (_TWIN, _ROBOT, _BESIDE):
         raise UserError(f"--landmarks: {face} does not use them; give a photograph as --face")
-    inputs = [
-        Path(face),
-        trace,
-        phonemes,
-        model,
-        landmarks,
-        None if speech is None else Path(speech),
-    ]
+    inputs = [Path(face), Path(speech or ""), trace, phonemes, model, landmarks]
     check_inputs(trace, phonemes, model, landmarks, named_file(speech or ""))
     check_film(output)
     from lipservo.display.filmed_faces import FilmRequest, make_film
 
     check_output(
-        output, replaces=is_film, kind="film", inputs=[each for each in inputs if _is_file(each)]
+        output, replaces=is_film, kind="film", inputs=[each for each in inputs if is_file(each)]
     )
     request = FilmRequest(
         speech, output, face, _size(size), rate_hz, config, model,
@@ -122,13 +115,6 @@ def film(
         print_json({"output": str(output), **done})
     else:
         MESSAGES.print(f"{output}: {done['duration_s']:.1f} s, filmed in {done['seconds']:.1f} s")
-
-
-def _is_file(path: Path | None) -> bool:
-    try:
-        return path is not None and path.is_file()
-    except OSError:  # a text, too long for a file's name
-        return False
 
 
 def _size(text: str) -> tuple[int, int]:

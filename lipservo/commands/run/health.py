@@ -12,7 +12,7 @@ from rich.table import Table
 
 from firmware_bridge.bus import describe_errors
 from lipservo.commands.options import Json
-from lipservo.health.health_history import History, ServoDay, findings, read_history
+from lipservo.health.health_history import History, ServoDay, errors_of, findings, read_history
 from lipservo.health.health_log import MOST_DAYS, folder_name, logged_faces, places_searched
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
@@ -96,16 +96,13 @@ def _print_history(name: str, history: History) -> None:
 
 def _servo_cells(days: Sequence[ServoDay]) -> list[str]:
     """Return a servo's table cells: newest figures, and extremes, errors and counts of all days."""
-    errors = 0
-    for day in days:
-        errors |= day.errors
     return [
         _cell(_last_known([day.latest_degc for day in days]), "{:.0f}"),
         _cell(max(_without_nan([day.hottest_degc for day in days]), default=math.nan), "{:.0f}"),
         _cell(_last_known([day.load for day in days]), "{:.0%}"),
         _cell(_last_known([day.current_ma for day in days]), "{:.0f}"),
         _cell(min(_without_nan([day.least_v for day in days]), default=math.nan), "{:.1f}"),
-        describe_errors(errors),
+        describe_errors(errors_of(days)),
         str(sum(day.n_reboots for day in days)),
         str(sum(day.n_unanswered for day in days)),
     ]

@@ -125,7 +125,7 @@ def _await_driven(face: RunningFace) -> dict[str, Any]:
             current = {"state": _STARTING_STATES[0]}
         state, servos = current.get("state"), dict(current.get("servos") or {})
         troubles = "; ".join(current.get("troubles") or ())
-        if state == "driven" and servos and set(servos.values()) - {"off"} == {"driven"}:
+        if state == "driven" and servos and set(servos.values()) <= {"driven", "off"}:
             return {"state": state, "servos": servos, "torque": current.get("torque")}
         if state not in _STARTING_STATES:
             return {"error": troubles or f"not driven: {state}"}

@@ -39,7 +39,7 @@ from lipservo.runtime.servos.new_face import (
     pulse_face_yaml,
 )
 from lipservo.runtime.servos.sim_process import SimulatedServos, simulated_servos
-from lipservo.settings.found_limits import turned_values, with_ranges
+from lipservo.settings.found_limits import forget_poses, pose_file, turned_values, with_ranges
 from lipservo.settings.settings import FaceSettings, ServoSettings, parse_face
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole
@@ -101,6 +101,7 @@ class FirstHour:
         self._step: StepProcess | None = None
         self._page_seen_s = time.monotonic()
         self._step_times_s: dict[str, float] = {}
+        self._ended_well: dict[str, bool] = {}
         self._note: str | None = None
         self._calibration_report: Mapping[str, Any] | None = None
         #: What was read last of the face's YAML and of its calibration, with the file's stamp.
@@ -109,7 +110,7 @@ class FirstHour:
         if simulated:
             self._port = self._start_simulation()
         if self._port is not None and not path.exists():
-            self.choose_port(self._port, "dynamixel" if simulated else None, simulated=False)
+            self.choose_port(self._port, None, simulated=simulated)
 
     # ---- what is so ----
 
@@ -118,8 +119,8 @@ class FirstHour:
 
         works: the step that runs; drives: whether it has a control socket; moved: ids of servos
         that were nudged; ends: limits set by hand; keeps: whether captured poses await a fit;
-        graded: of a calibration; robot_min: minutes by step. A step in which servos hold for a
-        person ends 15 s after the last call.
+        graded: of a calibration; robot_min: minutes by step; ended_well: by step, of the last time.
+        A step in which servos hold for a person ends 15 s after the last call.
         """
         self._page_seen_s = time.monotonic()
         with self._lock:
@@ -140,13 +141,14 @@ class FirstHour:
                 "moved": sorted(self._nudged),
                 "face": None if settings is None else self._face_values(settings),
                 "ends": self._ends,
-                "keeps": self._pose_file().exists(),
+                "keeps": pose_file(self.path).exists(),
                 "step": None if step is None else _step_values(step),
                 "drives": self._find_socket() is not None,
                 "works": step.step if step is not None and is_running else None,
                 "note": self._note,
                 "graded": self._calibration_report,
                 "robot_min": {k: round(s / _S_A_MINUTE, 2) for k, s in self._step_times_s.items()},
+                "ended_well": self._ended_well,
             }
 
     def control_path(self) -> Path:
@@ -196,6 +198,9 @@ class FirstHour:
                 raise FaceError("refused", str(error)) from error
             if port is None and not chosen.board_key:
                 raise FaceError("refused", "no port is chosen; choose the servos' port")
+            if not simulated:
+                self._stack.close()
+                self._simulated = None
             self._port, self._kind = port, chosen.name
             self._found, self._named, self._wired = None, {}, []
         if not chosen.board_key:
@@ -224,7 +229,7 @@ class FirstHour:
                     "config": str(self.path),
                     "port": self._port or settings.servo_port,
                     "output": str(self.path.with_suffix(".calibration.yaml")),
-                    "keep": str(self._pose_file(step)),
+                    "keep": str(pose_file(self.path, step)),
                     "simulated": self._simulated is not None,
                     "token_file": None if self._token_file is None else str(self._token_file),
                 }
@@ -309,8 +314,9 @@ class FirstHour:
     def write_limits(self) -> None:
         """Write the limits of joints with min and max into the YAML, all or none, then into servos.
 
-        The step `limits` is ended first; captured poses, made with other limits, are deleted. The
-        step `set_up` writes into the servos. Raises FaceError while another step runs.
+        The step `limits` is ended first; captured poses, made with other limits, are deleted. What
+        other joints have set stays to be completed. The step `set_up` writes into the servos.
+        Raises FaceError while another step runs.
         """
         step = self._step
         if step is not None and step.step == "limits" and step.runs:
@@ -327,9 +333,8 @@ class FirstHour:
             with _refused_errors():
                 values = {name: _limit_values(name, ends, settings) for name, ends in ready.items()}
                 with_ranges(self.path, values).write()
-            for step_name in ("by_eye", "measure"):  # poses with the former limits and neutral
-                self._pose_file(step_name).unlink(missing_ok=True)
-            self._ends = {}
+            forget_poses(self.path)
+            self._ends = {name: each for name, each in self._ends.items() if name not in ready}
             if settings.capabilities.set_up:
                 self.start("set_up")
 
@@ -443,10 +448,6 @@ class FirstHour:
         except BusError:
             return None
 
-    def _pose_file(self, step: str = "by_eye") -> Path:
-        """Return the file of a step's captured poses that are not yet fitted."""
-        return self.path.with_suffix(f".{step}.json")
-
     def _check_port(self) -> None:
         if self._port is None:
             raise FaceError("refused", "no port is chosen; choose the servos' port")
@@ -473,6 +474,7 @@ class FirstHour:
             if step.was_killed:  # it cannot have switched torque off, and the port is free
                 self._release_servos(step)
             self._step_times_s[step.step] = self._step_times_s.get(step.step, 0.0) + step.duration_s
+            self._ended_well[step.step] = step.is_limp and step.error is None
             if (bus := step.events.get("found")) is not None:
                 self._found = dict(bus)
                 self._named, self._nudged = {}, set()
@@ -482,7 +484,8 @@ class FirstHour:
             if (report := step.events.get("graded")) is not None:
                 self._calibration_report = report
             if step.was_unwatched:
-                self._note = "no browser had this page open: servos were let go; kept values stay"
+                let_go = "servos were let go; " if step.is_limp else ""
+                self._note = f"no browser had this page open: {let_go}kept values stay"
 
     def _start_simulation(self) -> str:
         if self._simulated is None:

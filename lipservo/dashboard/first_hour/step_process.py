@@ -183,13 +183,15 @@ class StepProcess:
                 f"the step did not end within {self._end_s:g} s and was killed: its servos may "
                 "still hold; switch their supply off"
             )
+        last = f": {self.notes[-1]}" if self.notes else ""
+        if status == ExitStatus.UNCONFIRMED and not self._complaint:
+            return f"its servos may still hold, keep your hands away{last}"
         if status in (0, ExitStatus.STOPPED_EARLY) or (signalled and not self._complaint):
             return None  # a person's stop is no error; the page shows beside STOP what it did
         # Of the program's error message the first two lines, the cause, and the last, the advice.
         if self._complaint:
             cause, rest = self._complaint[:_MOST_SHOWN], self._complaint[_MOST_SHOWN:]
             return "; ".join([*cause, *(["..."] if len(rest) > 1 else []), *rest[-1:]])
-        last = f": {self.notes[-1]}" if self.notes else ""
         end = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         return f"the step {end}{last}"
 

@@ -87,10 +87,8 @@ def _add_page(
         config = None if status is None else status.get("config")
         if config is None and new_config is not None and new_config.exists():
             config = str(new_config)
-        facts = {
-            **await asyncio.to_thread(page_facts, config),
-            "firstHour": new_config is not None,
-        }
+        facts = await asyncio.to_thread(page_facts, config)
+        facts["firstHour"] = new_config is not None
         with page_frame(path, status, facts, scripts):
             await fill(status, config)
 

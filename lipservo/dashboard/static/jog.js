@@ -84,13 +84,13 @@ class FaceJog extends HTMLElement {
     this.beyond.hidden = true;
     if (!isAgreed) return;
     this.agreed.add(this.asked);
-    if (!this.isArmed) await this.begin(); // reading takes longer than the switch waits
-    this.touch();
+    await (this.isArmed ? this.touch() : this.begin()); // reading takes longer than the switch waits
     this.say("", `${spoken(this.asked)} may go beyond its limits now, 10 µs at a time.`);
   }
 
   /** Arm the sliders, each at its servo's present position; those of servos in trouble stay disabled. */
   async begin() {
+    const beganMs = performance.now();
     try {
       await postJson("/api/jog", { action: "arm" });
     } catch (error) {
@@ -104,19 +104,31 @@ class FaceJog extends HTMLElement {
     });
     this.say("", "");
     this.touched.clear();
-    this.armedUntilMs = performance.now() + ARMED_MS;
+    this.armedUntilMs = beganMs + ARMED_MS;
     this.wasArmed = true;
     return this.count();
   }
 
-  touch() {
-    if (this.isArmed) this.armedUntilMs = performance.now() + ARMED_MS;
+  /** Renew the arming, here and at the face. */
+  async touch() {
+    if (!this.isArmed) return;
+    try {
+      await this.renew({ action: "arm" });
+    } catch (error) {
+      this.say("bad", error.message);
+    }
+  }
+
+  /** Send an order to the face that is armed; the switch then waits no longer than the face does. */
+  async renew(order) {
+    const beganMs = performance.now();
+    await postJson("/api/jog", order);
+    if (this.isArmed) this.armedUntilMs = beganMs + ARMED_MS;
   }
 
   /** Ask for a servo's new place, {deg} or {pulse_us}; the newest of each servo is sent. */
   want(name, place) {
     if (!this.isArmed) return;
-    this.touch();
     this.touched.add(name);
     this.wanted.set(name, place);
     this.send();
@@ -130,7 +142,7 @@ class FaceJog extends HTMLElement {
       const [[name, place]] = this.wanted;
       this.wanted.delete(name);
       try {
-        await postJson("/api/jog", { action: "move", servo: name, ...place });
+        await this.renew({ action: "move", servo: name, ...place });
         this.say("", "");
       } catch (error) {
         this.say("bad", `${spoken(name)}: ${error.message}`);

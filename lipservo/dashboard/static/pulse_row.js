@@ -8,6 +8,7 @@ const STEP_US = 10; // the longest step that the face accepts beyond the limits
 const ENDS_US = [500, 2500]; // and nothing outside of these
 const REPEAT_MS = 250; // of a button that is held down: as fast as the servo may follow
 const LIMITS = ["min", "neutral", "max"]; // may be set to the servo's present pulse
+const saved = new Map(); // servo -> limits that were written since the page was loaded
 
 /**
  * The row of a hobby servo. jog: the FaceJog that it belongs to; us: the pulse sent last, null: not known;
@@ -42,7 +43,7 @@ export class PulseRow {
       button.addEventListener("click", () => this.set(button.dataset.limit));
     }
     const { pulse, least_deg, most_deg } = facts.servos[name];
-    this.tellSaved({ ...pulse, min_deg: least_deg, max_deg: most_deg });
+    this.tellSaved(saved.get(name) ?? { ...pulse, min_deg: least_deg, max_deg: most_deg });
   }
 
   /** The servo's pulses {neutral_us, us_per_deg, min_us, max_us} as the running face has them. */
@@ -112,6 +113,7 @@ export class PulseRow {
     this.jog.touch();
     try {
       const told = await postJson("/api/pulse-limits", { servo: this.name, limit, pulse_us });
+      saved.set(this.name, told.set);
       this.tellSaved(told.set);
       this.jog.say("good", `${spoken(this.name)}: ${limit} is ${pulse_us} µs in the YAML; it ${told.note}.`);
     } catch (error) {

@@ -28,29 +28,32 @@ class FaceSettings extends HTMLElement {
     this.wanted = {};
     this.save.addEventListener("click", () => this.keep());
     this.undo = onStatus((status) => this.tell(status));
-    this.load();
   }
 
   disconnectedCallback() {
     this.undo();
   }
 
-  /** Request whether the settings may be saved, and show into which file, or why not. */
+  /** Request whether the settings may be saved, and show into which file, or why not. Until the face
+   * has told where its YAML is, that is not known. */
   async load() {
     const where = this.querySelector(".where");
+    this.isAsking = true;
     try {
       const answer = await getJson("/api/settings");
-      this.canSave = answer.can_save;
+      if (answer.config !== null) this.canSave = answer.can_save;
       where.textContent = answer.can_save
         ? `writes them into ${answer.config}, whole or not at all`
         : `Cannot be saved: ${answer.why_not}.`;
     } catch (error) {
       where.textContent = error.message;
     }
+    this.isAsking = false;
   }
 
   /** Show the settings that a status has, making a slider for each new one. */
   tell(status) {
+    if (status && this.canSave === undefined && !this.isAsking) this.load();
     const now = { ...status?.settings, ...status?.expression };
     const names = Object.keys(SETTINGS).filter((name) => name in now);
     if (isStopped(status) && !names.length && !this.rows.size) {

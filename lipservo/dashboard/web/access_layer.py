@@ -249,7 +249,8 @@ class AccessLayer:
         if policy.token is None or token is None or not request.is_page:
             return refused
         gets_cookie = is_same_token(token, policy.token) and refused is None
-        may_use_code = _lacks_token(refused) and request.method == "GET"
+        lacks_token = refused is not None and refused.status == HTTPStatus.UNAUTHORIZED
+        may_use_code = lacks_token and request.method == "GET"
         if not gets_cookie and self._code is not None and may_use_code:
             client, server = scope.get("client"), scope.get("server")
             ports = (client[1], server[1]) if client and server else (0, 0)
@@ -269,11 +270,6 @@ def cors_headers(request: Request, policy: Policy) -> Headers:
     if origin not in policy.origins:
         return []
     return [(b"access-control-allow-origin", origin.encode("latin-1")), (b"vary", b"origin")]
-
-
-def _lacks_token(refused: Refusal | None) -> bool:
-    """Return whether a request is refused for its missing or wrong token (HTTP status 401)."""
-    return refused is not None and refused.status == HTTPStatus.UNAUTHORIZED
 
 
 def _shows_stop(request: Request, policy: Policy) -> bool:

@@ -18,7 +18,7 @@ from calibration.calibration import (
 )
 from calibration.files.calibration_file import parse_calibration
 from firmware_bridge.bus import ServoBus
-from firmware_bridge.bus_kinds import Wiring, bus_kind
+from firmware_bridge.bus_kinds import bus_kind
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.gate.ramp import StaleRule
@@ -122,10 +122,13 @@ def bus_for(
     unknown position may jump to neutral; a person must have agreed before.
     """
     if not face.buses:
-        # Recorded, so that torque at the port can be switched off without the face's settings.
+        wiring = replace(face.wiring, may_jump=may_jump)
         if face.servo_port is not None:
+            # Recorded, so that torque at the port can be switched off without the face's settings.
             note_port(face.bus)
-        wiring = replace(wiring_of(face), may_jump=may_jump)
+            # The file in which the last pulses of hobby servos are kept.
+            pulses_file = kept_pulses_path(face.name, face.servo_port, os.environ)
+            wiring = replace(wiring, kept=pulses_file)
         return face.bus_kind.open(wiring, clock, strict=strict)
     if face.capabilities.in_memory:
         # All simulated servos share one bus, with one clock and no thread: the same sound gives the
@@ -139,16 +142,6 @@ def bus_for(
     from firmware_bridge.several_buses import SeveralBuses
 
     return SeveralBuses(buses, face.bus_of, clock, face.rate_hz)
-
-
-def wiring_of(face: FaceSettings) -> Wiring:
-    """Return the wiring of a face, which must have one bus.
-
-    With the file in which the last pulses of hobby servos are kept; None for simulated servos.
-    """
-    port = face.servo_port
-    pulses_file = None if port is None else kept_pulses_path(face.name, port, os.environ)
-    return replace(face.wiring, kept=pulses_file)
 
 
 def simulated_wire(face: FaceSettings) -> tuple[ServoBus, ManualClock]:

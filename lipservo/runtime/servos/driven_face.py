@@ -142,18 +142,14 @@ def guarded(settings: FaceSettings) -> Iterator[list[int]]:
     that all of them have ended.
     """
     with ExitStack() as stack:
+        kept_open = []
         # `alone` has each bus as a face of its own.
-        yield [
-            stack.enter_context(
-                port_guard(
-                    settings.name,
-                    one.bus,
-                    {joint.servo_id: joint.name for joint in one.joints()},
-                )
-            )
-            for one in settings.alone.values()
-            if one.servo_port is not None
-        ]
+        for one in settings.alone.values():
+            if one.servo_port is not None:
+                names = {joint.servo_id: joint.name for joint in one.joints()}
+                guard = port_guard(settings.name, one.bus, names)
+                kept_open.append(stack.enter_context(guard))
+        yield kept_open
 
 
 @contextmanager

@@ -14,12 +14,7 @@ from firmware_bridge.clock import Clock
 from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
-from firmware_bridge.stopping import (
-    ArmJog,
-    JogPulse,
-    JogTo,
-    StopReport,
-)
+from firmware_bridge.stopping import ArmJog, JogPulse, JogTo, StopReport
 from lipservo.runtime.servos.driven_face import ControlOptions, DriveOptions, driven_face
 from lipservo.runtime.servos.held_face import SPEED_DEG_S
 from lipservo.runtime.status.silent_board import SilentBoard
@@ -82,7 +77,7 @@ class KeyedJoint:
         """Create the state of the face's joint `name`, with its goal at neutral."""
         joint = next(each for each in settings.joints() if each.name == name)
         self.name, self.joint, self.pulse = name, joint, joint.pulse
-        self.place = 0.0 if joint.pulse is None else joint.pulse.neutral_us
+        self.place = self._neutral = 0.0 if joint.pulse is None else joint.pulse.neutral_us
         # Beyond the limits of its pulses: whether a person has agreed, and whether that was asked.
         self._may_go_beyond = self._may_confirm = False
         # Monotonic time of the present jog order; -inf: there is none.
@@ -104,7 +99,7 @@ class KeyedJoint:
             self._may_go_beyond = True
             return ""
         if key == NEUTRAL_KEY:
-            return self._jog(0.0 if self.pulse is None else self.pulse.neutral_us, bridge, time_s)
+            return self._jog(self._neutral, bridge, time_s)
         if key not in STEPS:
             return None
         pulse_step, degree_step = STEPS[key]
@@ -120,7 +115,7 @@ class KeyedJoint:
         if self.name not in bridge.jogged:
             had_order, self._ordered_s = np.isfinite(self._ordered_s), -np.inf
             if had_order:
-                self.place = 0.0 if self.pulse is None else self.pulse.neutral_us
+                self.place = self._neutral
             return not had_order
         if self._is_within(self.place) and time_s - self._ordered_s >= _RENEW_S:
             self._ordered_s = time_s

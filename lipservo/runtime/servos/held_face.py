@@ -270,11 +270,8 @@ class HeldFace:
 
             Called between two ticks. FaceStopped is also raised here, which ends `work`.
             """
-            while True:
-                try:
-                    call, result = queued_calls.get_nowait()
-                except queue.Empty:
-                    return
+            while not queued_calls.empty():
+                call, result = queued_calls.get()
                 try:
                     result.set_result(call())
                 except Exception as error:  # raised in the job, which made the call
@@ -282,14 +279,13 @@ class HeldFace:
                     if isinstance(error, FaceStopped):
                         raise
 
-        answers: list[Answer] = []
-        errors: list[BaseException] = []
+        answer: Future[Answer] = Future()
 
         def run_job() -> None:
             try:
-                answers.append(job(in_servo_thread))
+                answer.set_result(job(in_servo_thread))
             except BaseException as error:
-                errors.append(error)
+                answer.set_exception(error)
 
         thread = threading.Thread(target=run_job, daemon=True)
         thread.start()
@@ -299,9 +295,7 @@ class HeldFace:
                 self._tick()
         finally:
             is_over.set()
-        if errors:
-            raise errors[0]
-        return answers[0]
+        return answer.result()
 
     def drive(self, goals_deg: Array, rate_hz: float) -> Array:
         """Send goals, one a tick, through the gate, and return the positions measured after each.

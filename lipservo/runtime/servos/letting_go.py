@@ -259,31 +259,34 @@ def _release_board(
 ) -> Outcome:
     """Switch torque off on one board at a port and return the outcome.
 
-    kind: of the board's bus. driven_settings: of the bus when it was driven last; None: not known.
-    wiring: its joints; None: not known. shared: other boards use the same port, so each servo is
-    named with its board.
+    kind: of the board's bus; if none of its servos answers and `wiring` is not known, those of
+    another kind that answer are released. driven_settings: of the bus when it was driven last;
+    None: not known. wiring: its joints; None: not known. shared: other boards use the same port, so
+    each servo is named with its board.
     """
-    from firmware_bridge.bus_kinds import AT_A_PORT, Wiring
+    from firmware_bridge.bus_kinds import AT_A_PORT, Wiring, kind_found
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.process.torque_release import release_port
 
-    outcome = Outcome(port, port)
     board = f" at {driven_settings.board}" if shared and driven_settings is not None else ""
     if wiring is None and driven_settings is not None and kind.name != AT_A_PORT:
         wiring = Wiring(driven_settings, (), (), 1.0)  # no joints: all servos of the board
     ids = [] if wiring is None else [joint.servo_id for joint in wiring.joints]
     try:
         result = release_port(kind.port_release(port, wiring), ids, timeout_s=_PORT_S)
+        is_empty = not (result.confirmed or result.unconfirmed or result.released)
+        if is_empty and wiring is None and (other := kind_found(port, kind.name)):
+            return _release_board(port, other, None, None, shared=shared)
     except BusError as error:
-        outcome.problem = str(error)
-        return outcome
+        return Outcome(port, port, problem=str(error))
+    outcome = Outcome(port, port)
     outcome.confirmed = [f"id {each}{board}" for each in result.confirmed]
     outcome.unconfirmed = {f"id {each}{board}": why for each, why in result.unconfirmed.items()}
     if result.released:
         outcome.released = [f"{kind.servo.address_key} {each}{board}" for each in result.released]
         can = kind.capabilities(driven_settings or BusSettings(kind=kind.name, port=port))
         outcome.released_words = can.released_words
-    if not (result.confirmed or result.unconfirmed or result.released):
+    if is_empty:
         outcome.problem = f"no servo answers there{board}"
     return outcome
 
@@ -361,10 +364,11 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outc
     if level is StopLevel.FREEZE:
         outcome.problem = "hangs: does not answer, and was not frozen; `lipservo stop --limp`"
         return outcome
-    pids = with_children(holders_of_socket(face.path))
-    if not pids or not all(is_ours(pid) for pid in pids):
+    holders = holders_of_socket(face.path)
+    if not holders or not all(is_ours(pid) for pid in holders):
         outcome.problem = "hangs: does not answer, and is not ours to end; use sudo"
         return outcome
+    pids = with_children(holders)
     ports = {port for pid in pids for port in ports_held_by(pid)}
     _LOG.warning("%s hangs: it does not answer; processes %s are killed", face.name, pids)
     unkilled = end_hung(pids)

@@ -68,14 +68,12 @@ class LimpServos:
         confirmed, unconfirmed = [], {}
         for name, index in zip(self.names, self._indices, strict=True):
             try:
-                limp = any(self._bus.disable_torque(index) for _ in range(_TRIES))
+                if any(self._bus.disable_torque(index) for _ in range(_TRIES)):
+                    confirmed.append(name)
+                else:
+                    unconfirmed[name] = _SILENT
             except PortError as error:
                 unconfirmed[name] = str(error)
-                continue
-            if limp:
-                confirmed.append(name)
-            else:
-                unconfirmed[name] = _SILENT
         return StopReport(tuple(confirmed), unconfirmed)
 
     def read_pose(self) -> LimpPose:

@@ -46,7 +46,8 @@ def move_to(
     """
     joints = settings.joints()
     names = [joint.name for joint in joints]
-    for name, angle_deg in (wanted_deg or {}).items():
+    wanted_deg = dict.fromkeys(names, 0.0) if wanted_deg is None else wanted_deg
+    for name, angle_deg in wanted_deg.items():
         joint = joints[names.index(name)]
         if not joint.min_deg <= angle_deg <= joint.max_deg:
             raise UserError(
@@ -60,9 +61,7 @@ def move_to(
     ) as face:
         # Joints that are not named stay where they are measured, else at their goals.
         goal_deg = np.where(has_place, face.stands_deg, face.goal_deg)
-        if wanted_deg is None:
-            goal_deg = np.zeros(len(joints))
-        for name, angle_deg in (wanted_deg or {}).items():
+        for name, angle_deg in wanted_deg.items():
             goal_deg[names.index(name)] = angle_deg
         face.move(goal_deg)
         face.hold(hold_s)

@@ -34,7 +34,6 @@ _MOUTH = "mouth"
 NUDGE_DEG = 3.0
 #: Seconds for each of the two ways.
 _NUDGE_S = 0.25
-_NUDGE_RATE_HZ = 50.0
 #: Narrow limits and a low speed at first; the builder of the robot widens them.
 _LIMIT_DEG, _SPEED_DEG_S = 10.0, 200.0
 #: Pulses of hobby servos: the middle of nearly all of them, and 9 degrees to either side of it.
@@ -161,7 +160,7 @@ def nudge(
     bus, joint, start_tick = tools.lone_servo(port, rate, servo_id, model_name, NUDGE_DEG + 1.0)
     start_deg, away_deg, moved_deg = np.zeros(1), np.array([NUDGE_DEG]), 0.0
     with bus:
-        bridge = Bridge(bus, [joint], channel, BridgeSettings(_NUDGE_RATE_HZ))
+        bridge = Bridge(bus, [joint], channel, BridgeSettings(rate_hz=50.0))
         with face_life("new-face", port, bridge, clock, DriveOptions(quiet=True)) as life:
             life.start()
             ramp_out = Ramp(start_deg, away_deg, clock.now(), _NUDGE_S)

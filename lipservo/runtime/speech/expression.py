@@ -29,10 +29,6 @@ from lipsync.prosody.voice_tracker import VoiceTracker
 #: Farther to the side than a person looks without turning round.
 _FARTHEST_YAW_DEG: Final = 60.0
 _FARTHEST_PITCH_DEG: Final = 40.0
-_LONGEST_TAU_S: Final = 600.0
-_SHORTEST_TAU_S: Final = 0.1
-#: Monotonic seconds of a computer that runs for thirty years.
-_LATEST_S: Final = 1e9
 
 
 def expression_settings(amount: float) -> dict[str, Setting]:
@@ -49,8 +45,8 @@ def expression_settings(amount: float) -> dict[str, Setting]:
         "look_pitch_deg": Setting(0.0, -_FARTHEST_PITCH_DEG, _FARTHEST_PITCH_DEG),
         "affect_valence": Setting(0.0, -1.0, 1.0),
         "affect_arousal": Setting(0.0, -1.0, 1.0),
-        "affect_tau_s": Setting(10.0, _SHORTEST_TAU_S, _LONGEST_TAU_S),
-        "affect_at_s": Setting(0.0, 0.0, _LATEST_S),
+        "affect_tau_s": Setting(10.0, 0.1, 600.0),
+        "affect_at_s": Setting(0.0, 0.0, 1e9),  # of a computer that runs for thirty years
     }
 
 
@@ -246,7 +242,6 @@ class PerformedExpression:
 _PAUSE_S: Final = 0.3
 #: After so long a silence, head motion without a target counts as idle, no longer as expression.
 _IDLE_AFTER_S: Final = 4.0
-_LEAST_MOUTH_GAIN: Final = 0.85
 
 
 class ExpressionLayer:
@@ -294,7 +289,7 @@ class ExpressionLayer:
     @property
     def mouth_gain(self) -> float:
         """The factor on the mouth's motion for the arousal, 0.85 to 1.2; closed lips excepted."""
-        return max(_LEAST_MOUTH_GAIN, 1.0 + 0.2 * self.arousal)
+        return max(0.85, 1.0 + 0.2 * self.arousal)
 
     def change(self, settings: Mapping[str, float]) -> None:
         """Apply changed settings, by the names of `expression_settings`; a change ends resting."""

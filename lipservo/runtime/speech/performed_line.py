@@ -92,7 +92,7 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
 
     with sound_file(sound, path) as file:
         try:
-            checked = checked_sound(file)
+            checked = checked_sound(file, sound.channel)
             if checked.warning:
                 log_once(_with_names(checked.warning, file))
         except SoundError as error:

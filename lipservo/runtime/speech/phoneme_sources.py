@@ -9,7 +9,7 @@ from typing import Final
 from lipservo.runtime.speech.timed_units import FollowedUnits, MoverNews
 from lipsync.arrays import Array
 from lipsync.audio.playout import Playout
-from lipsync.audio.playout_stream import KnownStretch, StartedWords
+from lipsync.audio.playout_stream import KnownStretch, MoverReason, StartedWords
 from lipsync.audio.source import AudioSource
 from lipsync.audio_block import BLOCK_S, AudioBlock
 from lipsync.phonemes import (
@@ -60,22 +60,16 @@ class HeardVoice:
         return [self.at(n * BLOCK_S).peak for n in range(max(first, last - most) + 1, last + 1)]
 
 
-class RecognizedPhonemes:
-    """A `PhonemeSource` that feeds the sound of a source to a recogniser."""
+class _Ears:
+    """A recogniser that is fed sound, and what it reports of it."""
 
-    def __init__(
-        self, source: AudioSource, recognizer: LiveRecognizer, voice: HeardVoice | None = None
-    ) -> None:
-        """Connect a source to a recogniser. voice: analyses its sound as well, if given."""
+    def __init__(self, recognizer: LiveRecognizer, voice: HeardVoice | None) -> None:
+        """Keep a recogniser, and the analysis of the same sound's voice, if given."""
         self._voice = voice
-        self._source = source
         self._recognizer = recognizer
         self._listener = recognizer if isinstance(recognizer, Listener) else None
         self._follower = recognizer if isinstance(recognizer, TextFollower) else None
-        self._sound = SoundAhead(source, recognizer)
         self._recognition = RecognizerStream(recognizer)
-        #: The sound time until which sound was recognised, in s.
-        self.heard_until_s = 0.0
 
     @property
     def latency_s(self) -> float:
@@ -96,6 +90,20 @@ class RecognizedPhonemes:
     def saying(self) -> tuple[tuple[str, ...], int]:
         """The words around the one spoken now, and its index in them; ((), 0): no text is known."""
         return ((), 0) if self._follower is None else self._follower.saying
+
+
+class RecognizedPhonemes(_Ears):
+    """A `PhonemeSource` that feeds the sound of a source to a recogniser."""
+
+    def __init__(
+        self, source: AudioSource, recognizer: LiveRecognizer, voice: HeardVoice | None = None
+    ) -> None:
+        """Connect a source to a recogniser. voice: analyses its sound as well, if given."""
+        super().__init__(recognizer, voice)
+        self._source = source
+        self._sound = SoundAhead(source, recognizer)
+        #: The sound time until which sound was recognised, in s.
+        self.heard_until_s = 0.0
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Pass servo speeds to the recogniser if the source is live: servo noise is in its sound.
@@ -128,20 +136,17 @@ class RecognizedPhonemes:
 _AHEAD_S = 1.0
 
 
-class SpokenPhonemes:
+class SpokenPhonemes(_Ears):
     """A `PhonemeSource` of a playout: phonemes are recognised, or known with the streams."""
 
     def __init__(
         self, playout: Playout, recognizer: LiveRecognizer, voice: HeardVoice | None = None
     ) -> None:
         """Connect a playout to a recogniser. voice: analyses all spoken sound as well, if given."""
-        self._voice = voice
+        super().__init__(recognizer, voice)
         self._playout = playout
-        self._recognizer = recognizer
-        self._listener = recognizer if isinstance(recognizer, Listener) else None
-        self._follower = recognizer if isinstance(recognizer, TextFollower) else None
-        self._recognition = RecognizerStream(recognizer)
         self._followed_kind: UnitKind = "text"
+        self._awaits_words = False  # words were told, and not all of them were followed so far
         self._sent_units, self._mover_news = FollowedUnits(playout), MoverNews(playout)
         # All recognised phonemes: while units came with times, they become final later than the
         # recogniser says, and those in between must be passed on again.
@@ -149,19 +154,9 @@ class SpokenPhonemes:
         self._final_s = 0.0
 
     @property
-    def latency_s(self) -> float:
-        """The recogniser's latency: at sound time t phonemes before t - latency_s are final."""
-        return self._recognizer.latency_s
-
-    @property
     def heard_until_s(self) -> float:
         """The sound time, s, until which the playout's sound is committed (fixed, recognised)."""
         return self._playout.committed_s
-
-    @property
-    def hearing(self) -> Hearing | None:
-        """The recogniser's class of the sound (speech, noise, ...); None: it reports none."""
-        return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
@@ -175,9 +170,8 @@ class SpokenPhonemes:
             return "phonemes"
         if (units := self._sent_units.kind_at(now_s)) is not None:
             return units
-        if self._follower is None or (moved_by := self._follower.moved_by) != "text":
-            return None if self._follower is None else moved_by
-        return _MOVER_OF_KIND[self._followed_kind]
+        moved_by = super().moved_by
+        return _MOVER_OF_KIND[self._followed_kind] if moved_by == "text" else moved_by
 
     @property
     def units_shifted_s(self) -> float | None:
@@ -190,10 +184,7 @@ class SpokenPhonemes:
 
         Found by the words' times where they have some, else by the recogniser that follows them.
         """
-        timed = self._playout.timed_words()
-        if timed is not None or self._follower is None:
-            return timed or ((), 0)
-        return self._follower.saying
+        return self._playout.timed_words() or super().saying
 
     def note_servo_speeds(self, _sound_s: float, speeds_deg_s: Array) -> None:
         """Pass servo speeds to a recogniser that listens to the microphone, which has servo noise.
@@ -229,11 +220,14 @@ class SpokenPhonemes:
         updates = [self._with_sent_units(update) for update in step.updates]
         if (shifted := self._sent_units.newly_shifted()) is not None:
             self._mover_news.report_shift(*shifted)
-        has_text = self._follower is not None and bool(self._follower.saying[0])
+        known, present = super().saying
+        if known:
+            self._awaits_words = present < len(known)
+        unknown: MoverReason = "not_followed" if self._awaits_words else "not_told"
         self._mover_news.report_mover(
             self.moved_by,
             is_speech=self.hearing == "speech",
-            has_text=has_text,
+            why_sound="not_said" if known else unknown,
             are_spoken=self._sent_units.is_believed,
         )
         return updates
@@ -266,6 +260,7 @@ class SpokenPhonemes:
         """Give the recogniser the words that come next, instead of earlier ones if they are new."""
         if words.is_new:
             follower.forget()
+        self._awaits_words = bool(words.words) or (self._awaits_words and not words.is_new)
         self._followed_kind = words.kind
         with suppress(TextError):  # too many words wait: these are recognised like any others
             follower.tell(words.words, words.behind_s)

@@ -58,10 +58,6 @@ class Delay:
         """The seconds of sound needed after an instant before its face can be computed."""
         return self.recognizer_s + self.lookahead_s + self.sound_block_s + self.loudspeaker_s
 
-    def at_least(self, delay_s: float) -> "Delay":
-        """Return a copy whose `loudspeaker_s` makes the total at least `delay_s`."""
-        return replace(self, loudspeaker_s=max(0.0, delay_s - self.total_s))
-
     @property
     def total_s(self) -> float:
         """The whole delay: time at which a face is shown minus time of its sound, s."""
@@ -207,9 +203,8 @@ class LipGapOffset:
             # Two first-order low-passes in a row, until both are at the wanted offset.
             self._halfway_mm += self._share * (self.wanted_mm - self._halfway_mm)
             self._shown_mm += self._share * (self._halfway_mm - self._shown_mm)
-            if max(abs(self.wanted_mm - mm) for mm in (self._halfway_mm, self._shown_mm)) < (
-                _SETTLED_MM
-            ):
+            left_mm = [abs(self.wanted_mm - mm) for mm in (self._halfway_mm, self._shown_mm)]
+            if max(left_mm) < _SETTLED_MM:
                 self._halfway_mm = self._shown_mm = self.wanted_mm
         return self.shifted(face)
 
@@ -302,11 +297,9 @@ class Speech:
             backlash_deg = calibration.following.backlash_deg
         self._lag = LagCompensation(lag_s, PUBLISH_PERIOD_S, look_ahead_s=_MOST_ADVANCE_S)
         self._backlash = BacklashCompensation(backlash_deg)
-        self.delay = Delay(
-            phonemes.latency_s,
-            synthesizer.lookahead_s,
-            actuation_s=self._lag.advance_s,
-        ).at_least(options.least_delay_s)
+        delay = Delay(phonemes.latency_s, synthesizer.lookahead_s, actuation_s=self._lag.advance_s)
+        wait_s = max(0.0, options.least_delay_s - delay.total_s)
+        self.delay = replace(delay, loudspeaker_s=wait_s)
         self._cut_off = CutOff(len(self.mouth), PUBLISH_PERIOD_S)
         self.expression = options.expression
         self.lip_gap = options.lip_gap
@@ -401,7 +394,10 @@ class Speech:
         After a stall, targets that are too old to be shown are not published, and the oldest of
         them not computed. While speech is cut off, poses on the path to rest are published instead.
         """
-        self._update_phonemes(now_s)
+        updates = self._phonemes.updates(self._clock.sound_s(now_s))
+        self._clock.arrived(now_s, self._phonemes.heard_until_s)
+        for update in updates:
+            self._synthesizer.push(update)
         heard_s = self._clock.sound_s(now_s)
         if self._cut_off.is_closing and heard_s - self.delay.synthesis_s < self._cut_off.until_s:
             self._publish_closing(now_s)
@@ -488,13 +484,6 @@ class Speech:
         event = self._synthesizer.event_at(sound_s)
         phoneme = SILENCE if event is None else event.phoneme
         return phoneme, self._synthesizer.frame_at(sound_s)
-
-    def _update_phonemes(self, now_s: float) -> None:
-        """Recognise the sound due at monotonic `now_s`; pass its phonemes to the synthesiser."""
-        updates = self._phonemes.updates(self._clock.sound_s(now_s))
-        self._clock.arrived(now_s, self._phonemes.heard_until_s)
-        for update in updates:
-            self._synthesizer.push(update)
 
     def _publish_closing(self, now_s: float) -> None:
         """Publish poses on the path to rest up to monotonic `now_s`, even if the sound stalls."""

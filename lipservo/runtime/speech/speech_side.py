@@ -130,7 +130,11 @@ class OwnVoice:
         Closes the mouth when speech is cut off or the loudspeaker stalls.
         """
         self.follow(now_s)
-        self._wake_if_resting()
+        # A resting face with sound to play wakes, and its speech waits for the servos.
+        expression = self._speech.expression
+        if expression is not None and expression.is_resting and not self.playout.is_over:
+            expression.wake()
+            self.be_quiet()
         position_s = self._clock.sound_s(now_s) - self._clock.lead_s
         if self.playout.advance(position_s):
             self._speech.cut_off(now_s, self._rest, self.playout.committed_s)
@@ -154,13 +158,6 @@ class OwnVoice:
         """Drop all speech that was not heard yet, because the face is stopped."""
         self.playout.requests.append(PlayoutRequest("interrupt"))
         self.playout.advance(self.playout.position_s)
-
-    def _wake_if_resting(self) -> None:
-        """Wake a resting face and delay its speech for the servos, if there is sound to play."""
-        expression = self._speech.expression
-        if expression is not None and expression.is_resting and not self.playout.is_over:
-            expression.wake()
-            self.be_quiet()
 
     def follow(self, now_s: float) -> None:
         """Pass the loudspeaker's position to the clock; close the mouth while it stalls."""
@@ -201,7 +198,6 @@ class SpeechBoard:
         self._rest = face.rest
         self._width = lip_width_of(face)
         self._rounding = 0.0
-        self._numbers = {phoneme: number for number, phoneme in enumerate(PHONEMES)}
         self._shown_until_s = 0.0
 
     def tell(self, now_s: float, speech: Speech) -> None:
@@ -216,7 +212,7 @@ class SpeechBoard:
             [] if heard is None else heard.peaks(self._shown_until_s, sound_s, MOST_PEAKS),
             time_s=now_s,
             sound_s=sound_s,
-            phoneme=self._numbers[phoneme],
+            phoneme=PHONEMES.index(phoneme),
             is_cut_off=is_cut_off,
             is_speech=heard is not None and heard.at(sound_s).is_speech,
             arousal=0.0 if expression is None else expression.arousal,
@@ -325,8 +321,9 @@ class SpeechSide:
         speech side computes only every 50 ms; the periods put off are computed before False is
         returned, with the same result as if computed in time.
         """
-        voice, is_still = self.voice, self.speech.is_still
-        if not is_still or voice is None or has_news or not (voice.is_idle and self._is_settled):
+        voice = self.voice
+        is_still = self.speech.is_still and (self._mouth is None or self._mouth.is_settled)
+        if has_news or not is_still or voice is None or not voice.is_idle:
             if self._put_off_s is not None:
                 self.speech.advance(self._put_off_s)
                 self._put_off_s = None
@@ -340,10 +337,6 @@ class SpeechSide:
         self._advance_parts(now_s)
         voice.advance(now_s)
         return True
-
-    @property
-    def _is_settled(self) -> bool:
-        return self._mouth is None or self._mouth.is_settled
 
     def _advance_parts(self, now_s: float) -> None:
         """Advance speech to monotonic `now_s`, pass on gain and valence, and write the board."""

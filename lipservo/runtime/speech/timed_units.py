@@ -178,13 +178,14 @@ class MoverNews:
         self._append_event("units_shifted", stream, shifted_s=by_s)
 
     def report_mover(
-        self, moved_by: MovedBy | None, *, is_speech: bool, has_text: bool, are_spoken: bool
+        self, moved_by: MovedBy | None, *, is_speech: bool, why_sound: MoverReason, are_spoken: bool
     ) -> None:
         """Report what moves the mouth if it has changed for 0.3 s, and a text that is not spoken.
 
-        Call after each commit of sound. moved_by: what moves the mouth; None: not known. has_text:
-        words are known that may come next. are_spoken: units sent with times, if there are any,
-        agree with the sound. A text is reported once, after 1 s of speech that it did not move.
+        Call after each commit of sound. moved_by: what moves the mouth; None: not known. why_sound:
+        the reason if the sound does; `not_said`: words are known that may come next. are_spoken:
+        units sent with times, if there are any, agree with the sound. A text is reported once,
+        after 1 s of speech that it did not move.
         """
         stream, now_s = self._playout.speaking, self._playout.committed_s
         passed_s, self._seen_until_s = now_s - self._seen_until_s, now_s
@@ -197,10 +198,9 @@ class MoverNews:
             self._mover_since = moved_by, now_s
         if moved_by != self._reported and now_s >= self._mover_since[1] + _HELD_S:
             self._reported = moved_by
-            is_unsaid = not are_spoken or (moved_by == "sound" and has_text)
-            reason: MoverReason = "not_told" if moved_by == "sound" else "told"
-            self._append_event("moved_by", stream, moved_by, "not_said" if is_unsaid else reason)
-        if moved_by == "sound" and is_speech and has_text:
+            reason = why_sound if moved_by == "sound" else "told"
+            self._append_event("moved_by", stream, moved_by, reason if are_spoken else "not_said")
+        if moved_by == "sound" and is_speech and why_sound == "not_said":
             before_s, self._unspoken_s = self._unspoken_s, self._unspoken_s + passed_s
             if before_s < _UNSAID_S <= self._unspoken_s:
                 self._append_event("text_dropped", stream)

@@ -251,7 +251,6 @@ class ServoBoard:
         self._board = board
         self._bridge = bridge
         self._never = np.full(len(bridge.names), np.nan)
-        self._numbers = {state: FACE_STATES.index(state.value) for state in FaceState}
 
     def observe(self, tick: "StreetTick") -> None:
         """Write the servo record of one tick of the live pipeline (`Street`)."""
@@ -266,7 +265,7 @@ class ServoBoard:
             goal_deg=report.sent_deg,
             encoder_deg=self._never if feedback is None else _answered_deg(feedback),
             effort=self._never if feedback is None else feedback.effort,
-            state=self._numbers[self._bridge.state],
+            state=FACE_STATES.index(self._bridge.state.value),
             torque_on=report.torque_on is not False,  # what is not known may hold
             n_ticks=counts.n_ticks,
             n_late=counts.n_late,

@@ -85,6 +85,9 @@ def test_servos_of_which_only_some_have_a_model_are_loaded_as_they_were(calibrat
     loaded = load_calibration(tmp_path / "c.yaml")
     assert loaded.origin.servo_models == models
     check_servo_models(loaded, models)
+    words = r"calibrated as a servo without a model and is a XC330-M181 in"
+    with pytest.raises(CalibrationError, match=words):
+        check_servo_models(loaded, (*models[:-1], "XC330-M181"))
 
 
 def test_many_frames_are_still_a_whole_number_in_the_file(calibration):

@@ -134,6 +134,15 @@ def test_two_servos_of_one_id_that_answer_in_step_are_seen_by_what_differs():
     ]
 
 
+def test_a_face_of_one_joint_whose_id_two_servos_have_is_told_so():
+    face = MemoryFace(1)
+    face.chain = SimulatedChain([servo_models()["XL330-M288"]] * 2, [1, 1], baud_rate=BAUD_RATE)
+
+    assert examined(face)[Severity.BAD] == [
+        "answers of id 1 are spoilt: two servos may have this id"
+    ]
+
+
 def test_two_servos_of_one_id_that_answer_one_after_another_are_seen():
     """A new one waits 500 us, one that is set up answers at once: two whole answers to a ping."""
     chain = SimulatedChain([servo_models()["XL330-M288"]] * 2, [2, 2], baud_rate=BAUD_RATE)

@@ -12,6 +12,8 @@ from firmware_bridge.dynamixel.doctor import Severity, examine
 from firmware_bridge.dynamixel.mounting import identify_all
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
+    find_unknown,
+    lone_servo,
     read_settings,
     scan,
     set_up,
@@ -98,6 +100,45 @@ def test_the_scan_finds_servos_at_any_rate():
 
 def test_the_scan_leaves_no_rate_out():
     assert set(SCANNED_RATES) == set(baud_rates().values())
+
+
+@pytest.fixture
+def at_port(monkeypatch):
+    """A chain of new servos with these ids at the port `here`."""
+
+    def wired(*ids):
+        chain, clock = SimulatedChain([servo_models()["XL330-M288"]] * len(ids), ids), ManualClock()
+        monkeypatch.setattr(
+            "firmware_bridge.serial_servos.provisioning.open_port",
+            lambda _port, rate: MemoryTransport(chain, clock, rate),
+        )
+        return chain
+
+    return wired
+
+
+@pytest.mark.parametrize("ids", [(1, 1), (1, 1, 2)])
+def test_servos_from_the_box_in_one_chain_are_not_taken_for_none_or_left_out(at_port, ids):
+    at_port(*ids)
+
+    with pytest.raises(ServoError, match="two servos answer to id 1: connect one at a time and"):
+        find_unknown("here", 1_000_000)
+
+
+def test_servos_without_a_face_are_found_by_their_ids(at_port):
+    at_port(1, 5)
+    assert find_unknown("here", 1_000_000) == (57_600, {1: "XL330-M288", 5: "XL330-M288"})
+
+
+def test_a_servo_at_the_end_of_its_range_is_not_nudged_beyond_it(at_port):
+    chain = at_port(1)
+    chain.motors.position[0] = 4060
+    with pytest.raises(ServoError, match="id 1 stands at 4060, within 4 degrees of an end of its"):
+        lone_servo("here", 57_600, 1, "XL330-M288", 4.0)
+    chain.motors.position[0] = 4040
+    _, joint, place = lone_servo("here", 57_600, 1, "XL330-M288", 4.0)
+
+    assert (joint.min_deg, joint.max_deg, place) == (-4.0, 4.0, 4040)
 
 
 class SlowAdapter(MemoryTransport):

@@ -14,7 +14,9 @@ from firmware_bridge.feetech.line import Line
 from firmware_bridge.feetech.provisioning import (
     clear_foreign_settings,
     find_servos,
+    find_unknown,
     foreign_settings,
+    lone_servo,
     plan_alone,
     plan_chain,
     set_up,
@@ -102,6 +104,38 @@ def test_limits_of_another_face_are_foreign_and_are_widened(monkeypatch, model, 
     assert {each.name for each in foreign[1]} == {"min_position_limit", "max_position_limit"}
     assert (servo["min_position_limit"], servo["max_position_limit"]) == (0, highest)
     assert foreign_settings(*how) == {}
+
+
+@pytest.mark.parametrize("ids", [(1, 1), (1, 1, 2)])
+def test_servos_from_the_box_in_one_chain_are_not_taken_for_none_or_left_out(monkeypatch, ids):
+    _, line = fresh(ids=ids)
+    monkeypatch.setattr(
+        "firmware_bridge.serial_servos.provisioning.open_port", lambda *_: line.transport
+    )
+    with pytest.raises(ServoError, match="two servos answer to id 1: connect one at a time and"):
+        find_unknown("here", RATE)
+
+
+def test_two_servos_from_the_box_are_not_set_up_as_one_joint():
+    _, line = fresh(ids=(1, 1))
+    with pytest.raises(ServoError, match="two servos answer to id 1: connect the servo of "):
+        plan_alone(line, SERVO, find_servos(line, [2], RATE), RATE)
+
+
+@pytest.mark.parametrize("place", [20, 1000])
+def test_a_servo_at_the_end_of_its_range_is_not_nudged_beyond_it(monkeypatch, place):
+    chain, line = fresh(model="SCS0009")
+    chain.servos[0]["min_position_limit"], chain.servos[0]["max_position_limit"] = 20, 1003
+    monkeypatch.setattr(
+        "firmware_bridge.serial_servos.provisioning.open_port",
+        lambda _port, rate: MemoryTransport(chain, line.transport.clock, rate),
+    )
+    chain.servos[0].stand_at(place)
+    with pytest.raises(ServoError, match=rf"at {place}, .*by hand towards the middle \(512\)"):
+        lone_servo("here", RATE, 1, "SCS0009", 4.0)
+    chain.servos[0].stand_at(40)
+
+    assert lone_servo("here", RATE, 1, "SCS0009", 4.0)[2] == 40
 
 
 def test_two_alike_at_one_id_are_noticed():

@@ -178,6 +178,17 @@ def test_only_joints_with_a_limit_of_acceleration_are_slowed_by_it():
     np.testing.assert_array_equal(limited.rate_hits, [True, False])
 
 
+def test_a_limp_joint_is_not_counted_as_slowed():
+    limiter, at_deg = started(QUICK, QUICK), np.array([0.0, 4.0])
+    for n in range(1, 4):
+        limiter.follow(np.array([False, True]), at_deg)
+        limited = limiter.apply(np.array([20.0, 20.0]), n * PERIOD_S)
+
+    np.testing.assert_array_equal(limited.rate_hits, [True, False])
+    np.testing.assert_array_equal(limiter.counts.rate_hits, [3, 0])
+    assert limited.positions_deg[1] == 4.0
+
+
 def test_nobody_is_slowed_in_the_moment_of_the_start():
     limited = started(SLOW, QUICK).apply(np.array([2.0, 2.0]), 0.0)
 

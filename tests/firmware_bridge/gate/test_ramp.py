@@ -49,6 +49,7 @@ def test_an_eased_ramp_rests_at_both_ends_and_is_fastest_in_the_middle(start, go
 
 
 JOINTS = [Joint("jaw", 0, -30.0, 30.0, 300.0), Joint("lip", 1, -30.0, 30.0, 30.0)]
+BOTH = np.array([True, True])
 
 
 @pytest.mark.parametrize(
@@ -57,18 +58,18 @@ JOINTS = [Joint("jaw", 0, -30.0, 30.0, 300.0), Joint("lip", 1, -30.0, 30.0, 30.0
 def test_a_soft_stop_has_arrived_where_rounding_alone_is_left_of_the_way(left_deg, arrives):
     easing = EaseToNeutral(JOINTS, np.array([30.0, 0.0]), 10.0)
     sent_deg = np.array([0.0, left_deg])
-    assert not easing.over(sent_deg, 10.499)
-    assert easing.over(sent_deg, 10.5) is arrives
+    assert not easing.over(sent_deg, BOTH, 10.499)
+    assert easing.over(sent_deg, BOTH, 10.5) is arrives
     assert easing.arrived is arrives
 
 
 def test_a_soft_stop_takes_the_time_of_its_slowest_joint_and_two_seconds_at_most():
     easing = EaseToNeutral(JOINTS, np.array([30.0, -30.0]), 10.0)
     assert easing.at(10.75)[1] == pytest.approx(-15.0)
-    assert not easing.over(np.zeros(2), 11.499)
-    assert easing.over(np.zeros(2), 11.5)
+    assert not easing.over(np.zeros(2), BOTH, 11.499)
+    assert easing.over(np.zeros(2), BOTH, 11.5)
 
     far_deg = np.array([0.0, -9.0])
-    assert not easing.over(far_deg, 11.999)
-    assert easing.over(far_deg, 12.0)
+    assert not easing.over(far_deg, BOTH, 11.999)
+    assert easing.over(far_deg, BOTH, 12.0)
     assert not easing.arrived

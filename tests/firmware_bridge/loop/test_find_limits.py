@@ -42,6 +42,8 @@ class Pulses:
         self.sent.append(np.array(pulses_us))
         return True
 
+    is_blocked = False
+
     def sending(self, index):
         return float(self.sent[-1][index]) if self.sent else float("nan")
 

@@ -306,17 +306,19 @@ def test_a_second_signal_with_the_plug_out_lets_go_once_it_is_back_in():
     assert 10.0 < robot.face.clock.now() < 12.0
 
 
-def test_a_third_signal_with_the_plug_out_ends_the_waiting_and_claims_nothing():
+@pytest.mark.parametrize("ended_by_itself", [False, True])
+def test_a_third_signal_with_the_plug_out_ends_the_waiting_and_claims_nothing(ended_by_itself):
     robot = Robot(Fault("unplug", at_s=(2.0,), lasts_s=1000.0))
-    pressed = []
+    pressed, end = [], {2.4: robot.life.stop} if ended_by_itself else {}
 
     def press(line):
         if "one more signal" in line:  # a person reads this
             pressed.append(interrupt())
 
     robot.on_log = press
-    report = robot.live(60.0, {2.5: interrupt, 2.6: interrupt})
+    report = robot.live(60.0, {**end, 2.5: interrupt, 2.6: interrupt})
 
+    assert any("the third signal leaves them as they are" in line for line in robot.log)
     assert len(pressed) == 1
     assert not report.confirmed
     assert robot.face.clock.now() < 3.0

@@ -43,6 +43,17 @@ def test_a_servo_given_up_by_an_earlier_process_stays_limp():
     assert any(torque[0] for _, torque, _ in robot.seen)
 
 
+def test_a_soft_stop_waits_for_no_limp_servo_and_does_not_call_it_at_rest():
+    robot = Robot(stops=[(4.0, "soft")], given_up={2: "does not follow"})
+    robot.face.chain.motors.position[2] += 1800.0  # its way to neutral would take .8 s
+    report = robot.live(60.0)
+
+    assert 4.5 < robot.face.clock.now() < 4.75
+    assert report.complete
+    assert not report.at_rest
+    assert np.abs(robot.sent_deg[-1][1][:2]).max() < 1e-6
+
+
 @pytest.mark.parametrize(
     ("register", "value", "why"),
     [

@@ -16,7 +16,6 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.maestro.controller import MaestroController
 from firmware_bridge.maestro.kind import BAUD_RATE
-from firmware_bridge.maestro.release import MaestroRelease
 from firmware_bridge.maestro.simulator import PulseFault, Shaft, read_faults, serve
 from firmware_bridge.pulse_bus import STAGGER_S, KeptPulses
 from firmware_bridge.several_buses import SeveralBuses
@@ -120,6 +119,16 @@ def test_the_first_start_is_refused_until_a_person_allows_it(tmp_path):
     face = put_together(kept=kept, may_jump=False)
     with face.bus:
         assert face.bus.enable_torque(0) == ""
+
+
+def test_the_voltage_of_an_input_is_no_pulse_that_allows_the_first_start(tmp_path):
+    kept = tmp_path / "pulses.json"
+    face = put_together(kept=kept, may_jump=False)
+    face.maestro.channels[1].position = face.maestro.channels[1].target = 200
+    with face.bus:
+        assert "calibrate neutral --yes" in face.bus.enable_torque(1)
+        assert not face.bus.keep_torque(1)
+    assert not kept.exists()
 
 
 def test_only_what_was_sent_is_filed_as_known(tmp_path):
@@ -318,6 +327,26 @@ def test_the_serial_timeout_stops_the_pulses_where_it_is_set():
         assert last_us(face) == [0.0] * N
 
 
+@pytest.mark.parametrize("is_frozen", [False, True])
+def test_after_a_tick_later_than_the_serial_timeout_servos_do_not_start_all_at_once(is_frozen):
+    face = put_together(serial_timeout_s=0.5, port="/dev/x")
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        if is_frozen:
+            face.bridge.stop(StopLevel.FREEZE)
+        face.clock.advance(0.8)
+        face.maestro.advance(face.clock.now())
+        n_pulses = len(face.maestro.pulses)
+        drive(face, 3.0)
+        pulses = [each for each in list(face.maestro.pulses)[n_pulses:] if each.pulse_us]
+        first_s = {each.channel: each.time_s for each in reversed(pulses)}
+
+        assert len(first_s) == (0 if is_frozen else N)
+        assert (np.diff(sorted(first_s.values())) >= 0.24).all()
+        assert len(face.bridge.torque_by_name()["holds"]) == len(first_s)
+
+
 def test_a_stop_sends_no_pulse_and_a_dry_run_sends_nothing_at_all():
     face = put_together()
     with face.bus:
@@ -406,48 +435,6 @@ def test_a_channel_that_misses_one_pulse_is_not_accused():
 
         assert missed
         assert face.bridge.troubles == ()
-
-
-@pytest.mark.parametrize("knows", [False, True])
-@pytest.mark.parametrize("model", ["micro6", "mini18"])
-def test_whatever_is_at_a_port_is_let_go(knows, model):
-    face = put_together(model=model)
-    for number in range(len(face.maestro.channels)):
-        face.maestro.receive(bytes((0x84, number, 0x70, 0x2E)), 0.0, BAUD_RATE)
-    release = MaestroRelease(face.opener(), "port", face.wiring.settings, knows=knows)
-    found = release.find([] if knows else [2])
-    release.close()
-
-    assert list(found) == list(range(len(face.maestro.channels)))
-    assert {channel.position for channel in face.maestro.channels} == {0.0}
-
-
-def test_a_maestro_that_does_not_hear_is_never_said_to_be_let_go():
-    face = put_together(deaf=True)
-    with pytest.raises(PortError, match="no Maestro answers"):
-        MaestroRelease(face.opener(), "port", face.wiring.settings, knows=True).tell_all([0])
-
-
-@pytest.mark.parametrize("lost", [3, 4])
-def test_pulses_that_end_at_the_last_repeat_are_no_failure(lost):
-    """Four times it is told in all; a line that loses the first three loses nothing."""
-    face = put_together()
-    face.maestro.receive(bytes((0x84, 0, 0x70, 0x2E)), 0.0, BAUD_RATE)
-    release = MaestroRelease(face.opener(), "port", face.wiring.settings, knows=True)
-    heard, told = face.maestro.receive, []
-
-    def lossy(data, now_s, baud_rate):
-        told.extend([data] if data[0] == 0x84 else [])
-        if data[0] != 0x84 or len(told) > lost:
-            heard(data, now_s, baud_rate)
-
-    face.maestro.receive = lossy
-    if lost == 3:
-        release.tell_all([0])
-    else:
-        with pytest.raises(PortError, match=r"still drives channels \[0\]; switch"):
-            release.tell_all([0])
-    assert (face.maestro.channels[0].position == 0.0) == (lost == 3)
 
 
 def test_of_a_maestro_that_hangs_no_servo_is_said_to_have_no_pulses():

@@ -110,6 +110,24 @@ def test_a_bridge_that_is_killed_leaves_the_pin_high_until_the_next_takes_it(bri
     wait_for(lambda: _is_released(pin))
 
 
+def test_a_guard_holds_the_pin_of_a_board_whose_registers_may_be_on_when_its_bridge_ends(
+    guard, pin, tmp_path
+):
+    guard.beat(passes=False)
+    guard.beat(passes=False, is_off=False)
+    process = guard._process
+    guard.close()
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.5)
+    assert pin.is_high()
+    assert not _is_released(pin)
+    next_one = OeGuard(str(tmp_path / "oe"), 17, MonotonicClock())
+    next_one.start()  # sends the other guard away
+    process.wait(PATIENCE_S)
+    next_one.close()
+    wait_for(lambda: _is_released(pin))
+
+
 def test_a_bridge_that_hangs_has_its_pulses_ended(bridge, pin):
     os.kill(bridge.pid, signal.SIGSTOP)
     wait_for(pin.is_high)

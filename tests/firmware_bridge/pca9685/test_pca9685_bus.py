@@ -21,6 +21,7 @@ from firmware_bridge.pca9685 import i2c
 from firmware_bridge.pca9685.controller import NO_GUARD, Pca9685, check_identity
 from firmware_bridge.pca9685.i2c import READ, I2cChip, open_chip
 from firmware_bridge.pca9685.kind import PCA9685, BoardRelease
+from firmware_bridge.pca9685.oe_guard import HOLD_S, OeGuard
 from firmware_bridge.pca9685.simulator import MemoryTransfers, SimulatedPca9685, chip_for
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.stopping import StopLevel
@@ -52,13 +53,13 @@ def face_at(frequency_hz):
     return parse_face(on_pca9685(load_shipped_face("face_four"), frequency_hz=frequency_hz), "f")
 
 
-def board_of(face, chip=None, clock=None):
+def board_of(face, chip=None, clock=None, guard=None):
     wiring, clock = face.wiring, clock or ManualClock()
     chip = chip or chip_for(wiring)
     tap = Tapped(chip, clock)
     opener = lambda: I2cChip(tap, 0x40, "simulated")  # noqa: E731
     controller = Pca9685(
-        opener, wiring.settings.timing, [each.channel for each in wiring.servos], clock
+        opener, wiring.settings.timing, [each.channel for each in wiring.servos], clock, guard
     )
     bus = PulseBus(
         wiring.servos, controller, clock, PCA9685.capabilities(wiring.settings), may_jump=True
@@ -69,6 +70,51 @@ def board_of(face, chip=None, clock=None):
         face=face, clock=clock, chip=chip, tap=tap, bus=bus, bridge=bridge, channel=channel,
         opener=opener,
     )  # fmt: skip
+
+
+class Pin(OeGuard):
+    """Has no process: its heartbeats go to an OE pin in memory."""
+
+    def __init__(self, clock):
+        super().__init__("chip", 17, clock)
+        self.low_until_s, self.heard, self._echoes = 0.0, [], []
+
+    def start(self):
+        if self._link is None:
+            self._link = self
+            self.beat(passes=False)
+
+    def send(self, heartbeat, _flags):
+        self.low_until_s = self._clock.now() + HOLD_S if heartbeat == b"1" else 0.0
+        self.heard.append(heartbeat)
+        self._echoes.append(heartbeat)
+
+    def recv(self, _size):
+        if not self._echoes:
+            raise BlockingIOError
+        return self._echoes.pop()
+
+    def close(self):
+        self._link = None
+
+    def is_high(self):
+        return self._clock.now() >= self.low_until_s
+
+
+@pytest.fixture
+def guarded():
+    """The same board with a guard at its OE pin."""
+    face, clock = face_at(50.0), ManualClock()
+    pin = Pin(clock)
+    chip = chip_for(face.wiring, oe_is_high=pin.is_high)
+    return SimpleNamespace(**vars(board_of(face, chip, clock, pin)), pin=pin)
+
+
+def stand_still(board, seconds):
+    """The process is stopped, and the board goes on."""
+    for _ in range(int(seconds * RATE_HZ)):
+        board.clock.advance(1.0 / RATE_HZ)
+        board.chip.advance(board.clock.now())
 
 
 def drive(board, seconds, goal_deg=(6.0, -3.0, 3.0, -2.0)):
@@ -276,6 +322,75 @@ def test_pulses_of_a_chip_that_another_program_set_up_are_not_said_to_be_off(boa
         board.chip.transfer([(0x40, 0, b"\x00\x31")], board.clock.now())  # asleep
         with board_of(board.face, board.chip, board.clock).bus as again:
             assert again.torque.as_json() == [False] * 4
+
+
+def test_a_frozen_face_whose_guard_blocked_its_pulses_while_the_wire_was_out_gets_none_back(
+    guarded,
+):
+    with guarded.bus:
+        guarded.bridge.start()
+        drive(guarded, 3.0)
+        guarded.bridge.stop(StopLevel.FREEZE)
+        drive(guarded, 0.5)
+        guarded.chip.nacks = 1_000_000
+        drive(guarded, 3.0)
+        guarded.chip.nacks, back_s = 0, guarded.clock.now()
+        drive(guarded, 1.0)
+
+        assert guarded.bridge.plugged
+        assert not widths_us(guarded, back_s)
+        assert guarded.bridge.torque_by_name()["holds"] == []
+
+
+def test_pulses_that_a_guard_ended_with_its_bridge_do_not_go_on_by_the_next_one(guarded):
+    guarded.bus.__enter__()
+    guarded.bridge.start()
+    drive(guarded, 3.0)
+    stand_still(guarded, 1.0)
+    killed_s, pin = guarded.clock.now(), guarded.pin
+    pin.close()
+    again = board_of(guarded.face, guarded.chip, guarded.clock, pin)
+    with again.bus:
+        again.bridge.start_frozen()
+        drive(again, 1.0)
+
+        assert not widths_us(again, killed_s)
+        assert again.bridge.torque_by_name()["holds"] == []
+        np.testing.assert_allclose(again.bus.read().goals_deg, [6.0, -3.0, 3.0, -2.0], atol=0.3)
+    assert pin.heard[-1] == b"2", "the registers are on: the pin stays held"
+
+
+def test_after_a_stop_of_the_process_within_a_transfer_servos_come_on_one_after_another(guarded):
+    transfer = guarded.tap.transfer
+
+    def slow(messages):
+        found = transfer(messages)
+        guarded.tap.transfer = transfer
+        stand_still(guarded, 2.0)
+        return found
+
+    with guarded.bus:
+        guarded.bridge.start()
+        drive(guarded, 3.0)
+        guarded.tap.transfer = slow
+        drive(guarded, 1.0 / RATE_HZ)
+        late_s, first_s = guarded.clock.now(), {}
+        drive(guarded, 1.5)
+        for pulse in guarded.chip.log():
+            if pulse.start_s > late_s:
+                first_s.setdefault(pulse.channel, pulse.start_s)
+
+        assert list(first_s) == [0, 1, 2, 3]
+        assert (np.diff(list(first_s.values())) > 0.2).all()
+
+
+@pytest.mark.parametrize("is_out", [False, True])
+def test_the_guard_holds_the_pin_after_an_end_where_the_registers_may_be_on(guarded, is_out):
+    with guarded.bus:
+        guarded.bridge.start()
+        drive(guarded, 3.0)
+        guarded.chip.nacks = 1_000_000 * is_out
+    assert guarded.pin.heard[-1] == (b"2" if is_out else b"0")
 
 
 def test_another_chip_at_the_address_is_refused_unharmed():

@@ -145,3 +145,19 @@ def test_a_stop_that_ends_the_daemon_outlives_it_and_a_signal_does_not(tmp_path,
     assert face.exit_status == 0
     expected = StopRequest(StopLevel.LIMP, "process 7 of user 1000")
     assert left == (expected if way == "stop --end" else None)
+
+
+def test_a_freeze_on_the_way_to_the_end_is_held_until_the_next_signal(face):
+    face.n_signals = 1
+    face.play(1.0)
+    face.bridge.said.append(Stopped(StopLevel.FREEZE, False, "a person"))
+
+    assert face.play(10.0) is None
+    assert signal.SIGKILL not in face.bridge.signals
+    assert face.torque == [1, 1, 1]
+    face.n_signals = 2
+    face.play(4.9)
+    assert signal.SIGKILL not in face.bridge.signals
+    face.bridge.status = 0
+    face.play(1.0)
+    assert face.exit_status == 0

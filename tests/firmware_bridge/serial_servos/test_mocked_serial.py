@@ -144,6 +144,19 @@ def test_what_a_serial_server_sends_at_once_is_read_at_once():
         transport.close()
 
 
+def test_a_serial_server_that_takes_nothing_any_more_is_a_port_that_is_gone():
+    """As one that lost its power: a write would wait for ever."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        transport = open_port(f"socket://127.0.0.1:{listener.getsockname()[1]}", BAUD)
+        client, _ = listener.accept()
+        began_s = time.monotonic()
+        gone = pytest.raises(PortGone, match=r"gone \(Write timeout")
+        with client, contextlib.closing(transport), gone:
+            transport.write(bytes(100_000_000))
+
+    assert time.monotonic() - began_s < 5.0
+
+
 def test_a_serial_server_is_used_by_one_program_of_this_computer(server):
     """Until it closes the port or dies: here a process of its own, shot dead."""
     code = f"from {open_port.__module__} import open_port; t = open_port({server!r}, {BAUD})"

@@ -10,10 +10,12 @@ import tty
 
 import pytest
 
+from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.dynamixel.control_table import baud_rates
 from firmware_bridge.dynamixel.wire.sdk_line import SdkTransport
-from firmware_bridge.errors import PortError
+from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.serial_servos.serial_transport import SameAdapter, adapter_identity, open_port
+from lipservo.settings.settings import parse_face
 
 #: asm-generic/ioctls.h of Linux: is the terminal exclusive; all of its settings, rates as numbers.
 TIOCGEXCL, TCGETS2 = 0x80045440, 0x802C542A
@@ -153,3 +155,28 @@ def test_another_adapter_at_the_old_port_is_not_opened(port, monkeypatch, own, o
         opener()
     present[0] = own
     opener().close()
+
+
+FACE = """\
+name: f
+rate_hz: 30
+bus: {kind: dynamixel, port: PORT, backend: BACKEND}
+servos:
+  jaw: {id: 1, model: XL330-M288, positive: opens, min_deg: 0, max_deg: 9, max_speed_deg_s: 60}
+"""
+
+
+@pytest.mark.parametrize("backend", ["own", "dynamixel-sdk"])
+def test_a_face_leaves_the_servos_of_an_adapter_alone_that_took_its_port(
+    port, monkeypatch, backend
+):
+    present = ["serial number FT4THUXY"]
+    module = "firmware_bridge.serial_servos.serial_transport.adapter_identity"
+    monkeypatch.setattr(module, lambda _port: present[0])
+    face = parse_face(FACE.replace("PORT", port).replace("BACKEND", backend), "f.yaml")
+    bus = face.bus_kind.open(face.wiring, MonotonicClock())
+    with pytest.raises(ServoError, match="does not answer"), bus:
+        pass
+    present[0] = "serial number FT999999"
+    with pytest.raises(PortError, match="another adapter is there"), bus:
+        pass

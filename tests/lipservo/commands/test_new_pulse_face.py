@@ -1,5 +1,6 @@
 """A face of hobby servos from nothing: its YAML, and what commands say that have nothing to do."""
 
+import io
 import json
 
 import pytest
@@ -68,6 +69,48 @@ def test_bad_input_is_one_line_and_no_file(tmp_path, arguments, words):
     assert words in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert not path.exists()
+
+
+def test_a_board_or_channel_that_is_not_there_is_asked_for_again_and_no_answer_is_lost(
+    tmp_path, monkeypatch
+):
+    path = tmp_path / "mine.yaml"
+    answers = "micro7\nmini12\njaw=9:opens\nlip=12:raises\nlip=3:raises\n\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(answers))
+    done = lipservo("new-face", "-o", path, "--bus", "maestro")
+
+    assert done.returncode == 0, done.stderr
+    assert "'micro7' is not known here" in done.stderr
+    assert "lip: a Maestro mini12 has channels 0 to 11" in done.stderr
+    face = load_face(path)
+    assert face.bus.model == "mini12"
+    assert {name: servo.channel for name, servo in face.servos.items()} == {"jaw": 9, "lip": 3}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--ranges", "x.json", "--yes"), "--ranges, --yes: not with --page"),
+        (("--board", "micro6"), "--board: not with --page"),
+        (("--baud-rate", "57600"), "--baud-rate: not with --page"),
+        (JAW, "--channel: not with --page"),
+        (("--bus", "feetech"), "no port: give --port, where the servos of --bus feetech are"),
+        (("--bus", "parrot"), "'parrot' is not known here"),
+        (("--bus", "maestro", "--sim", "pty"), "not together with --port or --bus"),
+    ],
+)
+def test_what_the_page_does_not_take_is_refused(tmp_path, arguments, words):
+    done = lipservo("new-face", "--page", "-o", tmp_path / "mine.yaml", *arguments)
+
+    assert done.returncode in (1, 2)
+    assert words in done.stderr
+
+
+def test_the_page_leaves_the_bus_of_a_yaml_as_it_is(face):
+    done = lipservo("new-face", "--page", "-o", face, "--bus", "pca9685")
+
+    assert done.returncode == 1
+    assert "names its bus already; leave --bus out" in done.stderr
 
 
 TWO = ("--bus", "lips=maestro", "--bus", "eyes=pca9685", "--yes")

@@ -167,6 +167,27 @@ def test_without_joints_and_with_nobody_there_it_asks_for_one_after_another(monk
     assert f"{NAMES[0]}: set up as id {IDS[0]}" in done.stdout
 
 
+def test_a_servo_that_was_not_exchanged_is_not_renumbered_as_the_next_joint(monkeypatch):
+    chain = SimulatedChain([SERVOS[0].model], [1])
+    done = Bench(monkeypatch, chain).run(input="\n\n\n\n")
+
+    assert done.exit_code == 1
+    assert done.stderr.count(f"this is the servo of {NAMES[0]!r}, set up just now") == 3
+    assert f"{NAMES[1]}: not reached" in done.stderr
+    assert chain.servos[0].servo_id == IDS[0]
+
+
+@pytest.mark.parametrize("joints", [(), (NAMES[1],)])
+def test_two_new_servos_connected_together_are_told_apart_from_none(monkeypatch, joints):
+    """Both have id 1: what one answers spoils what the other does."""
+    chain = SimulatedChain([SERVOS[0].model] * 2, [1, 1])
+    chain.motors.position[1] += 100
+    done = Bench(monkeypatch, chain).run(*joints, input="\n")
+
+    assert done.exit_code == 1
+    assert "two servos answer to id 1: connect the servo of " in done.stderr
+
+
 def mixed(n_fresh_id, rate):
     """The face, whose last servo was replaced by a new one."""
     chain = chain_for(SERVOS, BAUD_RATE)

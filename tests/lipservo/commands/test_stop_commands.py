@@ -16,6 +16,9 @@ from places import short_folder
 from typer.testing import CliRunner
 
 from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.feetech.control_table import TORQUE_ENABLE
+from firmware_bridge.feetech.line import Line as FeetechLine
+from firmware_bridge.feetech.torque import torque_verified
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.process.runtime_folder import (
@@ -71,6 +74,7 @@ def face(name, unconfirmed=None, status=SERVOS, held=HELD):
                     )
 
     with ControlSocket(path, {"name": name, "port": f"/dev/{name}"}) as control:
+        control.attend(lambda _order: "")
         thread = threading.Thread(target=loop, args=(control,))
         thread.start()
         try:
@@ -360,6 +364,14 @@ def test_status_of_a_face_without_its_plug_counts_no_servos():
     assert "0 of 2" not in shown
 
 
+def test_a_start_of_a_face_whose_only_servo_is_switched_off_is_over_at_once():
+    off = {"state": "driven", "servos": {"jaw": "off"}, "torque": {"jaw": {"on": False}}}
+    with face("tom", status=off):
+        shown = invoke("start")
+
+    assert shown.exit_code == 0, shown.output
+
+
 @pytest.fixture(scope="module")
 def port():
     arguments = ["--servos", "3", "--first-id", "5", "--baud-rate", "2000000", "--on-time"]
@@ -383,6 +395,22 @@ def test_limp_lets_go_of_whatever_hangs_on_a_port_at_any_rate(port):
     assert done.exit_code == 0, done.output
     assert faces(done)[0]["confirmed"] == ["id 5", "id 6", "id 7"]
     assert torque == [b"\0"] * 3
+
+
+def test_limp_lets_go_of_feetech_servos_that_nothing_is_known_of():
+    """As after the plug was pulled, which leaves them holding: what drove them is forgotten."""
+    with simulated_port(["--kind", "feetech", "--servos", "2", "--on-time"]) as port:
+        with closing(open_port(port, 1_000_000)) as transport:
+            assert torque_verified(FeetechLine(transport), 1, on=True)
+            assert torque_verified(FeetechLine(transport), 2, on=True)
+        done = invoke("limp", "--port", port, "--json")
+        with closing(open_port(port, 1_000_000)) as transport:
+            line = FeetechLine(transport)
+            torque = [line.read(each, TORQUE_ENABLE, 1).data for each in (1, 2)]
+
+    assert done.exit_code == 0, done.output
+    assert faces(done)[0]["confirmed"] == ["id 1", "id 2"]
+    assert torque == [b"\0"] * 2
 
 
 def test_limp_of_a_face_whose_servos_are_not_there_names_each_and_fails(port):

@@ -69,6 +69,7 @@ requests = st.builds(
     quiet=st.booleans(),
     dry_run=st.booleans(),
     avatars=st.builds(AvatarTargets, st.none() | addresses, st.none() | addresses),
+    servos=names,
 )
 WHOLE = json.loads(request_json(RunRequest("face_sim", CLIP)))
 
@@ -127,6 +128,13 @@ def test_a_request_without_a_field_is_refused(name):
         (
             {"motion": {**WHOLE["motion"], "recognizer_latency_s": 60.0}},
             "request.motion: recognizer_latency_s is 60.0; allowed: above 0 to 1.0",
+        ),
+        (
+            {
+                "sound": {**WHOLE["sound"], "kind": "file", "text": "Hi."},
+                "motion": {**WHOLE["motion"], "engine": "energy"},
+            },
+            "request: recogniser energy follows no text; leave --text out",
         ),
     ],
 )

@@ -229,6 +229,23 @@ def test_words_of_a_file_are_told_where_it_is_taken_up(face, tmp_path):
     assert (told.label, told.start_s) == ("morning", 0.5)
 
 
+def test_a_file_goes_on_after_samples_that_are_no_numbers_and_they_count_as_lost(
+    face, queue, tmp_path, caplog
+):
+    path = tmp_path / "long.wav"
+    samples = np.full(70 * 4_000, 0.3, np.float32)
+    samples[62 * 4_000 : 62 * 4_000 + 400] = np.nan
+    soundfile.write(path, samples, 4_000, subtype="FLOAT")
+    spoken = spoken_file(path, face.playout, start_s=60.0)
+    queue.add(spoken, "long.wav")
+    face.play(lambda: face.playout.is_over)
+
+    assert not spoken.is_cut_short
+    assert spoken.streams[-1].n_received == 10 * 4_000
+    assert face.playout.lost_blocks == 10
+    assert caplog.messages == [f"{path}: samples that are no numbers; played as silence"]
+
+
 def test_a_voice_that_is_a_file_beside_the_yaml_is_found_there(tmp_path):
     (tmp_path / "joe.onnx").touch()
     sound = SoundSettings(synthesizer="piper", voice="joe.onnx")

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import soundfile
 from lipservo_client.protocol import FaceError
 from running_daemon import (
     LIPSERVO,
@@ -30,6 +31,8 @@ from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import SILENCE, RunRequest, VoiceOptions
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.runtime.voice_agents import bound_listener, voice_agents
+from lipservo.settings.sections import SoundSettings
+from lipsync.audio.playout import Playout
 from lipsync.errors import UserError
 
 RATE_HZ = 24_000
@@ -173,6 +176,34 @@ def test_a_speech_process_that_finds_no_token_any_more_serves_none_and_goes_on(t
         assert url is None
     (line,) = caplog.messages
     assert "none are served" in line
+
+
+@pytest.mark.parametrize(("n_channels", "level"), [(1, 0.1), (2, 0.2)])
+def test_a_file_that_an_agent_lets_play_sounds_by_the_channel_of_the_face(
+    tmp_path, n_channels, level
+):
+    """One that has no such channel is played as it is."""
+    soundfile.write(tmp_path / "line.wav", np.tile([0.1, 0.2][:n_channels], (8_000, 1)), 16_000)
+    voice = VoiceOptions(sounds=str(tmp_path))
+    requested = RequestedFace(RunRequest("face_jaw", SILENCE, voice=voice))
+    sound = SoundSettings(channel="right")
+    requested.settings = requested.settings.model_copy(update={"sound": sound})
+    playout = Playout()
+    side = SimpleNamespace(
+        voice=SimpleNamespace(playout=playout),
+        speech=SimpleNamespace(delay=SimpleNamespace(total_s=0.0)),
+    )
+    with (
+        bound_listener("127.0.0.1:0", None) as listener,
+        voice_agents(listener, side, requested) as url,
+        lipservo.connect(url) as agent,
+    ):
+        agent.play("line.wav")
+        wait_for(lambda: playout.requests[0].stream.ended)
+        playout.advance(0.0)
+        heard = np.concatenate([block.samples for block in playout.blocks(0.5)])
+
+    assert heard.max() == pytest.approx(level, abs=1e-3)
 
 
 def test_a_second_face_takes_another_port():

@@ -169,6 +169,14 @@ def test_joints_turned_by_hand_get_limits_two_degrees_inside():
         range_values(5.0, 30.0)
 
 
+@pytest.mark.parametrize(
+    ("least_deg", "most_deg", "limits"),
+    [(0.0, 27.0, (0.0, 25.0)), (-1.0, 27.0, (0.0, 25.0)), (-20.0, -0.3, (-18.0, 0.0))],
+)
+def test_a_joint_that_rests_at_an_end_of_its_range_has_its_limit_there(least_deg, most_deg, limits):
+    assert tuple(range_values(least_deg, most_deg).values()) == limits
+
+
 def test_ranges_of_several_joints_are_written_together(path):
     found = {"jaw": range_values(-8.0, 11.0), "lip": range_values(-7.0, 9.0)}
     with_ranges(path, found).write()

@@ -84,6 +84,13 @@ def test_two_chips_may_share_an_i2c_bus_by_their_addresses():
         face(CHIPS.replace("0x41", "0x40"))
 
 
+def test_two_boards_do_not_share_an_oe_pin_unless_it_is_of_another_gpio_chip():
+    text = CHIPS.replace("i2c_bus: 1", "i2c_bus: 1, oe_gpio: 17")
+    with pytest.raises(SettingsError, match="buses a and b both have oe_gpio 17 of /dev/gpiochip0"):
+        face(text)
+    assert face(text.replace("17, address", "17, gpio_chip: /dev/gpiochip1, address")).buses
+
+
 def test_ports_are_one_text_and_one_without_a_name_is_refused():
     whole = face()
 

@@ -47,3 +47,20 @@ def test_a_trace_that_breaks_off_is_one_line_at_once_and_an_error_at_the_end():
         with pytest.raises(TraceError), trace:
             pass
     assert lines == ["trace: the trace stopped: No space left on device; the face goes on"]
+
+
+def test_a_face_beats_on_while_a_slow_disk_takes_the_end_of_its_trace():
+    taken, beats = threading.Event(), []
+
+    class SlowDisk:
+        def close(self, _dropped):
+            assert taken.wait(PATIENCE_S)
+
+    def beat():
+        beats.append(1)
+        if len(beats) == 3:
+            taken.set()
+
+    with BackgroundTrace(SlowDisk(), beat):
+        pass
+    assert len(beats) >= 3

@@ -76,6 +76,20 @@ def test_portaudio_starts_again_only_while_no_stream_is_open(monkeypatch):
     assert card.n_looks == 1
 
 
+def test_portaudio_that_does_not_start_is_tried_again_each_second(monkeypatch):
+    card = install_sound_card(monkeypatch)
+    with MicrophoneSource(clock=card.clock, is_watched=False) as microphone:
+        card.inputs[0].active, card.refuses_to_run = False, True
+        for _ in range(35):
+            card.now_s += 0.1
+            microphone.watch.check()
+        assert (microphone.is_lost, card.n_looks) == (True, 3)
+        card.refuses_to_run = False
+        card.now_s += 1.0
+        microphone.watch.check()
+        assert not microphone.is_lost
+
+
 def test_portaudio_does_not_start_again_while_another_thread_opens_a_device(monkeypatch):
     """Between the making of a stream and its start it would be ended unseen."""
     card = install_sound_card(monkeypatch)

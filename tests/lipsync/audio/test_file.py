@@ -7,7 +7,7 @@ import pytest
 import soundfile
 from speech import CLIP_PATH, cut_short, tone
 
-from lipsync.audio.file import FileSource, read_sound, sound_chunks
+from lipsync.audio.file import FileSource, checked_sound, played_chunks, read_sound
 from lipsync.audio.source import AudioSource, SilenceAfter, SilentSource
 from lipsync.audio_block import samples_before
 
@@ -205,4 +205,5 @@ def test_silence_goes_on_for_ever_in_blocks_of_10_ms():
 
 
 def test_a_file_that_is_begun_after_its_end_has_no_sound():
-    assert not any(len(chunk) for chunk in sound_chunks(CLIP_PATH, 3_600.0))
+    chunks = played_chunks(CLIP_PATH, checked_sound(CLIP_PATH), 3_600 * 48_000, pytest.fail)
+    assert not any(len(chunk) for chunk in chunks)

@@ -1,6 +1,7 @@
 """A robot with a microphone that speaks: it listens to nobody, itself included, while it does."""
 
 import numpy as np
+import pytest
 
 from lipsync.audio.playout import ListenedMicrophone, Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
@@ -121,6 +122,20 @@ def test_what_the_microphone_heard_while_the_robot_spoke_is_never_heard_later():
     stream.end()
     robot.ask("say", stream)
     assert not np.any(robot.run(3.0)[101:] == np.float32(SAID))
+
+
+def test_what_is_said_while_the_loop_stalls_is_heard_and_what_is_too_much_is_counted():
+    robot = Robot(Microphone(lambda time_s: 0.1 + 0.01 * time_s))
+    robot.run(0.5)
+    robot.microphone.now_s = 1.5
+    robot.playout.advance(1.4)
+    heard = [float(each.samples[0]) for each in robot.playout.blocks(1.5)]
+    assert heard[0] == pytest.approx(robot.heard[-1] + 1e-4)
+    np.testing.assert_allclose(np.diff(heard), 1e-4, atol=1e-6)
+    assert robot.playout.lost_blocks == 3
+    robot.microphone.now_s = 2.0  # half a second of it the timeline stood still
+    robot.playout.blocks(1.51)
+    assert robot.playout.lost_blocks == 3 + 43
 
 
 def test_its_name_and_its_losses_are_those_of_the_microphone():

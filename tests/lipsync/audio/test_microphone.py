@@ -225,6 +225,45 @@ def test_what_the_resampler_held_is_heard_before_the_silence(install):
     assert not np.any(samples[16_000:])
 
 
+def test_a_microphone_that_is_read_while_it_is_opened_again_sounds_as_fast_as_before(install):
+    card = install(rates_hz=(48_000,))
+    heard_blocks = []
+
+    def hear(n_blocks):
+        for _ in range(n_blocks):
+            card.now_s += 0.01
+            card.inputs[-1].deliver(np.full(480, 0.5))
+            card.now_s += 0.004
+            heard_blocks.extend(microphone.blocks(math.inf))
+            card.now_s -= 0.004
+
+    with listen(card) as microphone:
+        hear(100)
+        card.inputs[0].active = False
+        card.now_s += 1.0
+        card.while_starting = lambda: hear(100)  # it calls back before `start` returns
+        microphone.watch.check()
+        hear(100)
+
+    assert len(heard_blocks) == pytest.approx(400, abs=3)
+
+
+def test_another_microphone_without_the_chosen_channel_is_not_taken(install):
+    card = install(devices=[device(0, "USB array", n_inputs=4)])
+    microphone = MicrophoneSource("USB", channel="4", clock=card.clock, is_watched=False)
+    with microphone:
+        card.inputs[0].active = False
+        card.plugged = [device(0, "USB mic", n_inputs=1)]
+        card.now_s += 1.0
+        microphone.watch.check()
+        assert (microphone.is_lost, microphone.name, len(card.inputs)) == (True, "USB array", 1)
+        card.plugged = [device(0, "USB array", n_inputs=4)]
+        card.now_s += 1.0
+        microphone.watch.check()
+        card.inputs[1].deliver(np.tile([0.1, 0.2, 0.3, 0.4], (160, 1)))
+        assert microphone.blocks(math.inf)[-1].samples[0] == np.float32(0.4)
+
+
 def test_a_device_that_refuses_at_the_start_is_an_error_in_one_line(install):
     card = install()
     card.refuses_to_start = True

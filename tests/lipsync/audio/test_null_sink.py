@@ -43,8 +43,8 @@ with MicrophoneSource() as microphone, LoudspeakerOutput() as speaker:
         if microphone.captured is not None:
             captured.append(microphone.captured)
         time.sleep(0.005)
-    underruns = speaker.n_device_underruns
-    assert (microphone.n_losses, speaker.n_losses, speaker._ring.n_lost) == (0, 0, 0)
+    underruns = speaker.n_underruns
+    assert (microphone.n_losses, speaker.watch.n_losses, speaker._ring.n_lost) == (0, 0, 0)
 np.savez(sys.argv[2], heard=np.concatenate(heard), reports=reports, captured=captured,
          counts=[underruns, microphone.lost_blocks])
 """
@@ -75,7 +75,7 @@ with MicrophoneSource() as microphone, LoudspeakerOutput() as speaker:
     wait_for(lambda: not speaker.is_lost and not microphone.is_lost)
     wait_for(lambda: speaker.position()[1] > stood_s + 0.3)
     assert microphone.lost_blocks > n_lost
-    assert (speaker.n_losses, microphone.n_losses) == (1, 1)
+    assert (speaker.watch.n_losses, microphone.n_losses) == (1, 1)
 print("found", flush=True)
 """
 

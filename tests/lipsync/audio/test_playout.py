@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from fake_sound_card import install_sound_card
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lipsync.audio.loudspeaker import LoudspeakerOutput
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import (
     MOST_WAITING_S,
@@ -21,7 +23,7 @@ class Recorder:
     """A loudspeaker that keeps what was written; it takes nothing back."""
 
     name, is_lost, rate_hz, latency_s = "recorder", False, 16_000, 0.05
-    n_device_underruns = 2
+    n_underruns = 2
 
     def __init__(self) -> None:
         self.written: list[np.ndarray] = []
@@ -282,6 +284,18 @@ def test_underruns_of_the_device_count_too():
     assert Playout(Recorder()).n_underruns == 2
 
 
+def test_a_loop_that_is_late_is_an_underrun_and_a_face_that_has_ended_is_none(monkeypatch):
+    card = install_sound_card(monkeypatch)
+    with LoudspeakerOutput(clock=card.clock, is_watched=False) as speaker:
+        playout = Playout(speaker)
+        playout.blocks(0.1)
+        for _ in range(20):
+            card.outputs[0].ask()
+        assert playout.n_underruns == 0, "nothing more may come"
+        playout.blocks(0.2)
+        assert playout.n_underruns == 1
+
+
 class Device(Recorder):
     """A loudspeaker that is silent at once, from where the test says it is."""
 
@@ -379,4 +393,4 @@ def test_a_mark_is_heard_though_the_stream_goes_on(rate_hz):
         ("mark", 2 * n_samples),
         ("finished", 2 * n_samples),
     ]
-    assert playout.n_underruns == Recorder.n_device_underruns
+    assert playout.n_underruns == Recorder.n_underruns

@@ -2,7 +2,9 @@
 
 from itertools import islice
 
+import numpy as np
 import pytest
+import soundfile
 from spoken_phonemes import check_spoken
 
 from lipsync.plugins import SYNTHESIZERS
@@ -69,3 +71,11 @@ def test_a_text_in_which_nothing_can_be_spoken_is_one_line(text):
 def test_a_language_that_is_not_spoken_is_told_at_the_first_piece():
     with pytest.raises(SynthesisError, match="does not speak"):
         next(speak_in_pieces(synthesizer_for(), "Hello.", Voice("xx")))
+
+
+def test_a_sentence_that_a_voice_makes_longer_than_can_wait_is_one_line(tmp_path):
+    soundfile.write(tmp_path / "said.wav", np.full(4_000 * 301, 0.1), 4_000)
+    voice = Voice(name=f"cat {tmp_path}/said.wav")
+
+    with pytest.raises(SynthesisError, match=r"'Hello\.': over 300 s long; check the voice"):
+        next(speak_in_pieces(synthesizer_for("command"), "Hello.", voice))

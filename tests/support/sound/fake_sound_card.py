@@ -33,6 +33,7 @@ class FakeStream:
         if self.card.refuses_to_start:
             raise FakePortAudioError("Device unavailable")
         self.active = True
+        self.card.while_starting()
 
     def abort(self):
         self.active = False
@@ -82,7 +83,9 @@ class FakeSoundDevice:
         self.now_s = 100.0
         self.n_looks = 0
         self.refuses_to_start = False
-        self.while_opening = lambda: None
+        self.while_opening = self.while_starting = lambda: None
+        self.is_running = True  # PortAudio itself, where it was not refused its start
+        self.refuses_to_run = False
 
     def clock(self):
         return self.now_s
@@ -131,9 +134,14 @@ class FakeSoundDevice:
     def _terminate(self):
         for stream in (*self.inputs, *self.outputs):
             assert stream.is_closed, "PortAudio ends open streams when it ends"
+        if not self.is_running:
+            raise FakePortAudioError("PortAudio not initialized")
 
     def _initialize(self):
         self.n_looks += 1
+        self.is_running = not self.refuses_to_run
+        if not self.is_running:
+            raise FakePortAudioError("Unanticipated host error")
         self.devices = self.devices if self.plugged is None else self.plugged
 
 

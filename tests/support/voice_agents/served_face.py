@@ -35,7 +35,7 @@ class KeptSound:
 
     rate_hz = RATE_HZ
     latency_s = 0.0
-    n_device_underruns = 0
+    n_underruns = 0
 
     def __init__(self):
         self.samples = np.zeros(0, dtype=np.float32)

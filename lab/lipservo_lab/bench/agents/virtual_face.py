@@ -32,7 +32,7 @@ class CountingLoudspeaker:
 
     name, is_lost, rate_hz = "virtual", False, RATE_HZ
     latency_s = 0.0
-    n_device_underruns = 0
+    n_underruns = 0
 
     def __init__(self) -> None:
         self.position_s = 0.0

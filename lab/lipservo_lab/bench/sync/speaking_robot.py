@@ -72,7 +72,6 @@ class SimulatedLoudspeaker:
     #: It cannot be lost, only stand still.
     is_lost = False
     name = "simulated loudspeaker"
-    n_device_underruns = 0
 
     @property
     def rate_hz(self) -> int:

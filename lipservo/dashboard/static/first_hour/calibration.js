@@ -185,7 +185,12 @@ export class Calibration {
     const body = { step: "measure", tracker: chosen === "file" ? value("path") : chosen, lags: form.elements.lags?.checked ?? false, accept };
     if (chosen === "camera") {
       if (value("camera")) body.camera = value("camera");
-      if (value("eye_distance_mm")) body.eye_distance_mm = Number(value("eye_distance_mm"));
+      const distance = value("eye_distance_mm");
+      if (distance) body.eye_distance_mm = Number(distance.replace(",", "."));
+      if (Number.isNaN(body.eye_distance_mm)) {
+        this.hour.refuse(`Between the outer corners of the eyes, mm: "${distance}" is no number; give one such as 92.5.`);
+        return;
+      }
     }
     this.hour.post("start", body);
   }

@@ -6,7 +6,7 @@ import { escaped } from "../words.js";
 import { write } from "./dom.js";
 import { Calibration } from "./calibration.js";
 import { FirstWords } from "./first_words.js";
-import { hasOwnLimits, Limits } from "./limits.js";
+import { hasOwnLimits, isWhole, Limits } from "./limits.js";
 import { Servos } from "./servos.js";
 
 const LIVELY_MS = 200; // while something moves, or is turned by hand
@@ -32,12 +32,17 @@ export class Hour {
       this.take(await postJson(`${HERE}/${path}`, body, { patienceMs: 25_000 }));
       return true;
     } catch (error) {
-      this.failure = error.message;
-      this.show();
-      return false;
+      return this.refuse(error.message);
     } finally {
       this.starts = false;
     }
+  }
+
+  /** Show why something was not done; return false. */
+  refuse(text) {
+    this.failure = text;
+    this.show();
+    return false;
   }
 
   /** Request the state, take it, and do so again for ever: five times a second while a step runs. */
@@ -76,10 +81,11 @@ export function sectionOf(state) {
   const running = { find: 0, nudge: 0, limits: 1, jog: 1, set_up: 1, by_eye: 2, measure: 2, drawn: 2, speak: 3 };
   if (state.works !== null) return running[state.works];
   if (state.face === null) return 0;
-  if (Object.keys(state.ends).length) return 1;
+  const { set_up, jog } = state.ended_well;
+  if (Object.values(state.ends).some(isWhole) || set_up === false || jog === false) return 1;
   if (state.face.calibration) return 3;
   const found = Object.values(state.face.servos).some(hasOwnLimits);
-  return found || state.robot_min.set_up || state.robot_min.jog ? 2 : 1;
+  return found || set_up || jog ? 2 : 1;
 }
 
 /** What a person has done, in robot minutes by step, as a sentence; "" before the first. Pure. */

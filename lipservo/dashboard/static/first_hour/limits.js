@@ -12,6 +12,11 @@ export function hasOwnLimits({ min_deg, max_deg }) {
   return !(min_deg === -max_deg && (max_deg === 10 || max_deg === 9));
 }
 
+/** Whether both ends of a joint are set, so that they can be written. Pure. */
+export function isWhole(ends) {
+  return "min" in ends && "max" in ends;
+}
+
 export class Limits {
   static title = "Limits";
 
@@ -45,7 +50,7 @@ export class Limits {
     const kept = set.length
       ? `<p>Set, and not written yet:</p><ul>${set.join("")}</ul><button type="button" class="act first" data-do="write">Write the limits</button> `
       : "";
-    const skip = state.robot_min.set_up || state.face.calibration ? "" : `<button type="button" class="act" data-do="set-up">Keep the limits as they are</button>`;
+    const skip = state.ended_well.set_up ? "" : `<button type="button" class="act" data-do="set-up">Keep the limits as they are</button>`;
     draw(
       this.body,
       '<p>The servos are let go, and you turn each joint by hand to where it may go at most. <b>What they hold falls: hold the jaw.</b></p>' +
@@ -69,7 +74,7 @@ export class Limits {
         '<div class="buttons end"><button type="button" class="act first" data-do="write">Write the limits</button><button type="button" class="act" data-do="end">Leave them</button></div>',
     );
     for (const name of names) this.live(name, turned, state);
-    const whole = Object.values(state.ends).filter((ends) => "min" in ends && "max" in ends).length;
+    const whole = Object.values(state.ends).filter(isWhole).length;
     const button = this.body.querySelector("[data-do=write]");
     button.disabled = whole === 0;
     write(button, whole ? `Write the limits of ${whole === names.length ? "all" : whole} ${whole === 1 ? "joint" : "joints"}` : "Write the limits");

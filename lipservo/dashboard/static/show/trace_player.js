@@ -112,6 +112,7 @@ class FaceTrace extends HTMLElement {
   end() {
     cancelAnimationFrame(this.playing);
     face.held = null;
+    this.told.textContent = "The live face is shown.";
   }
 
   /** Draw the plots: gap between the lips, one servo's angle, phonemes, and the present tick. */

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from lipservo.cli import app
 from lipservo.rendering import rendered
+from lipservo.runtime.speech.performed_line import performed_line
 from lipsync.face.model import load_face
 from lipsync.offline.offline_model_file import load_offline_model
 from lipsync.offline.performance import read_performance, sound_file
@@ -117,6 +118,17 @@ def test_a_line_becomes_a_performance(made, tmp_path, method):
         assert kept.read_bytes() == sound.read_bytes()
     assert found.phonemes[0].phoneme == "SIL"
     assert np.ptp(found.coefficients[:, 0]) > 1.0
+
+
+def test_the_channel_that_was_rendered_is_the_one_that_is_played(made, tmp_path):
+    sound, output = tmp_path / "line.wav", tmp_path / "line.perf"
+    mono, rate_hz = soundfile.read(one(made)[0])
+    soundfile.write(sound, np.stack([0.1 * mono, 0.5 * mono], axis=1), rate_hz)
+    channel = ["--channel", "right", "--textgrid", one(made)[1]]
+    assert invoke("lines", "render", sound, "-o", output, *channel, *of(made)).exit_code == 0
+
+    played = np.concatenate(list(performed_line(read_performance(output), output).sounds()))
+    assert played == pytest.approx(0.5 * mono, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The state of a face that is being made: what may be named, wired, limited and written."""
 
+import contextlib
 import json
 import os
 import signal
@@ -116,6 +117,32 @@ def test_limits_that_nobody_set_are_not_written(path):
         hour.write_limits()
 
 
+def test_what_joints_have_set_that_are_not_complete_outlasts_the_writing_of_others(path):
+    found = [FoundJoint(name, n, "XL330-M288", "opens", 1) for n, name in enumerate(("jaw", "lip"))]
+    from firmware_bridge.bus_kinds import bus_kind
+
+    path.write_text(face_yaml("tom", bus_kind("dynamixel"), "/dev/none", 1_000_000, found))
+    hour = FirstHour(path)
+    hour._ends = {"jaw": {"min": 0.0, "neutral": 0.0, "max": 27.0}, "lip": {"neutral": 3.0}}
+
+    hour.write_limits()
+
+    assert hour.state()["ends"] == {"lip": {"neutral": 3.0}}
+    jaw, lip = load_face(path).servos.values()
+    assert (jaw.min_deg, jaw.max_deg, lip.zero_offset_deg) == (0.0, 25.0, 0.0)
+    hour.close()
+
+
+@pytest.mark.parametrize(("face", "step"), [("face_jaw_maestro", "speak"), ("face_sim", "limits")])
+def test_without_a_port_no_step_moves_servos_in_memory_as_if_they_were_real(path, face, step):
+    path.write_text(ROOT.joinpath("config", f"{face}.yaml").read_text())
+    with contextlib.closing(FirstHour(path)) as hour:
+        hour.start(step)
+        hour._step.wait()
+
+        assert hour.state()["step"]["error"].startswith("no port: give --port, or write `port:`")
+
+
 def test_a_calibration_of_other_limits_is_none(path):
     shipped = load_shipped_face("face_jaw")
     path.write_text(ROOT.joinpath("config/face_jaw.yaml").read_text())
@@ -216,21 +243,85 @@ COMPLAINTS = {
 }
 
 
+@pytest.fixture
+def does(monkeypatch):
+    """Let each step's process run a script of the test's in place of its own."""
+    real = subprocess.Popen
+
+    def run(script):
+        monkeypatch.setattr(
+            "lipservo.dashboard.first_hour.step_process.subprocess.Popen",
+            lambda _command, **how: real([sys.executable, "-c", script], **how),
+        )
+
+    return run
+
+
 @pytest.mark.parametrize(("lines", "shown"), COMPLAINTS.values(), ids=COMPLAINTS)
-def test_why_a_step_failed_is_its_cause_and_then_the_advice(monkeypatch, lines, shown):
+def test_why_a_step_failed_is_its_cause_and_then_the_advice(does, lines, shown):
     said = "".join(f"lipservo: {line}\n" for line in lines)
     said = f"busy\nlipservo: not that\nbusy\n{said}"
-    script = f"import sys; sys.stderr.write({said!r}); sys.exit(1)"
-    real = subprocess.Popen
-    monkeypatch.setattr(
-        "lipservo.dashboard.first_hour.step_process.subprocess.Popen",
-        lambda _command, **how: real([sys.executable, "-c", script], **how),
-    )
+    does(f"import sys; sys.stderr.write({said!r}); sys.exit(1)")
 
     step = StepProcess("find", {})
     step.wait()
 
     assert step.error == shown
+
+
+#: Ends by SIGTERM as a face does one of whose servos does not confirm torque off.
+UNCONFIRMED = """
+import os, signal, time
+def end(*_):
+    os.write(2, b"ended; torque off confirmed by 0 servos, NOT by jaw")
+    os._exit(3)
+signal.signal(signal.SIGTERM, end)
+print('{"event": "ready"}', flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_step_whose_servos_do_not_confirm_that_they_are_limp_says_so(wired, does):
+    wired.change_wiring("jaw=0:opens")
+    wired.write_face()
+    does(UNCONFIRMED)
+    wired.start("jog")
+    while not wired._step.events:
+        time.sleep(0.01)
+
+    wired._page_seen_s = time.monotonic() - 20.0
+    wired._step.wait()
+
+    state = wired.state()
+    assert "keep your hands away: ended; torque off" in state["step"]["error"]
+    assert state["step"]["error"].endswith("NOT by jaw")
+    assert "no browser had this page open" in state["note"]
+    assert "let go" not in state["note"]
+    assert state["ended_well"] == {"jog": False}
+
+
+@pytest.mark.parametrize(("status", "well"), [(0, True), (1, False)])
+def test_a_step_counts_as_done_where_it_ended_well_the_last_time(wired, does, status, well):
+    wired.change_wiring("jaw=0:opens")
+    wired.write_face()
+    does(f"raise SystemExit({status})")
+    wired.start("jog")
+    wired._step.wait()
+
+    assert wired.state()["ended_well"] == {"jog": well}
+
+
+def test_a_real_port_that_is_chosen_ends_the_rehearsal(path):
+    hour = FirstHour(path, simulated=True)
+    servos = hour._simulated.process
+    hour.end_step()  # while it searches
+    hour._step.wait()
+    assert hour.state()["simulated"] is True
+
+    hour.choose_port("/dev/no_such_port", "maestro", simulated=False)
+
+    assert hour.state()["simulated"] is False
+    assert servos.poll() is not None
 
 
 def test_a_step_that_hangs_when_it_should_end_is_killed_and_says_what_may_still_hold():

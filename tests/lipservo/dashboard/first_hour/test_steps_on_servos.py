@@ -9,7 +9,7 @@ from running_daemon import torque, wait_for
 
 from firmware_bridge.bus_kinds import bus_kind
 from lipservo.runtime.servos.new_face import FoundJoint, face_yaml
-from lipservo.runtime.servos.sim_process import simulated_servos
+from lipservo.runtime.servos.sim_process import simulated_port, simulated_servos
 
 #: Whole processes, and half a minute each.
 pytestmark = pytest.mark.slow
@@ -126,3 +126,14 @@ def test_a_stop_that_finds_no_servo_to_let_go_of_says_what_is_wrong(server, serv
     assert stopped["is_limp"] is False
     assert servos.port in stopped["nothing_driven"]
     assert "switch their supply off" in stopped["nothing_driven"]
+
+
+def test_servos_of_the_kind_that_is_given_are_searched_for_at_the_port_that_is_given(tmp_path):
+    with (
+        simulated_port(["--kind", "feetech", "--servos", "1", "--model", "STS3215"]) as port,
+        served(tmp_path / "new.yaml", "--bus", "feetech", "--port", port) as server,
+    ):
+        state = server.until(lambda state: state["works"] is None)
+
+    assert (state["kind"], state["port"]) == ("feetech", port)
+    assert state["found"]["servos"] == {"1": "STS3215"}, state["step"]

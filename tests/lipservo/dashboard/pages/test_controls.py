@@ -83,6 +83,33 @@ def test_an_armed_slider_moves_its_servo_within_its_limits_until_it_is_let_alone
     assert len(bodies) == 2
 
 
+def test_a_touch_renews_the_arming_at_the_face_too(opened):
+    page = opened("/servos")
+    bodies = asked_of(page, "/api/jog")
+
+    arm_and(
+        page,
+        "document.querySelector('.slider input').dispatchEvent(new PointerEvent('pointerdown'));",
+    )
+    wait_for(page, lambda: len(bodies) == 2)
+
+    assert bodies == [{"action": "arm"}, {"action": "arm"}]
+
+
+def test_moves_that_the_face_refuses_do_not_keep_the_sliders_armed(opened):
+    page = opened("/servos")
+    asked_of(page, "/api/jog")
+    arm_and(page, "")
+    page.route("**/api/jog", lambda route: route.fulfill(status=422, json={"error": "not armed"}))
+
+    page.evaluate(
+        "setInterval(() => document.querySelector('face-jog').want('jaw', { deg: 1 }), 100)"
+    )
+
+    page.locator("face-jog .said", has_text="not armed").wait_for()
+    page.locator("face-jog .switch", has_text="Arm the sliders").wait_for(timeout=5000)
+
+
 def test_leaving_the_page_disarms(opened):
     page = opened("/servos")
     bodies = asked_of(page, "/api/jog")
@@ -120,6 +147,21 @@ def test_a_setting_changes_while_it_is_dragged_and_a_shipped_face_cannot_be_save
     assert face.commands.values["strength"] == 0.5
     assert page.locator("face-settings .save").is_disabled()
     assert "is shipped with lipservo" in page.inner_text("face-settings .where")
+
+
+def test_settings_can_be_saved_once_the_face_has_told_where_its_yaml_is(opened):
+    answers = [
+        {"config": None, "can_save": False, "why_not": "try again"},
+        {"config": "mine.yaml", "can_save": True, "why_not": None},
+    ]
+    page = opened()
+    page.route(
+        "**/api/settings", lambda route: route.fulfill(json=answers.pop(0) if answers else {})
+    )
+    page.goto(page.url.rstrip("/") + "/settings")
+
+    page.locator("face-settings .save:enabled").wait_for()
+    assert "writes them into mine.yaml" in page.inner_text("face-settings .where")
 
 
 def test_a_value_between_the_steps_of_its_slider_is_saved_as_it_is(opened, face):
@@ -187,6 +229,20 @@ def test_lines_come_are_refused_and_go(opened, sounds):
     button.click()
     page.locator("face-lines .files", has_text="No sound files").wait_for()
     assert not (sounds / "welcome.flac").exists()
+
+
+def test_of_two_lines_only_the_one_that_plays_is_marked(opened, sounds):
+    files = [sounds / "1.wav", sounds / "11.wav"]
+    for file in files:
+        file.touch()
+    page = opened("/lines")
+    page.locator("li[data-file='11.wav']").wait_for()
+    for file in files:
+        file.unlink()
+
+    marked = "[...document.querySelectorAll('li.playing')].map((item) => item.dataset.file)"
+    told = f"document.querySelector('face-lines').tell({{ speaking: '11.wav #3' }}); {marked}"
+    assert page.evaluate(told) == ["11.wav"]
 
 
 def test_what_is_said_of_lines_that_could_not_be_loaded_goes_with_the_next_that_could(opened):

@@ -82,6 +82,8 @@ def test_a_limit_is_found_a_little_beyond_the_one_that_was_and_written(page, con
 
     page.locator("face-jog .said", has_text="max is 1610 µs in the YAML").wait_for()
     assert load_face(config).servos["jaw"].max_us == 1610.0
+    page.evaluate("document.querySelector('face-jog').build(['jaw'])")  # as the socket comes back
+    assert "max 1610 µs" in page.inner_text(f"{JAW} .saved")
     arrived(page, "1500")  # nobody touched it for 3 s: back to what is wanted of it
 
 

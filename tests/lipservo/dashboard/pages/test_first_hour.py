@@ -49,6 +49,55 @@ def page(browser, path):
     assert errors == []
 
 
+#: A finished face, as the page of its first hour gets it.
+STATE = {
+    "works": None, "graded": None, "step": None, "simulated": False, "keeps": False, "ends": {},
+    "face": {"has_place": True, "calibration": "t.yaml", "servos": {}}, "ended_well": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("part", "section"),
+    [
+        ({}, 3),
+        ({"ended_well": {"set_up": True}}, 3),
+        ({"ended_well": {"set_up": False}}, 1),
+        ({"ended_well": {"jog": False}}, 1),
+        ({"ends": {"jaw": {"min": 0, "max": 9}}}, 1),
+        ({"ends": {"jaw": {"neutral": 0}}}, 3),
+    ],
+)
+def test_limits_are_ticked_as_done_once_all_are_written(module_page, part, section):
+    script = "async state => (await import('/static/first_hour/first_hour.js')).sectionOf(state)"
+    assert module_page.evaluate(script, {**STATE, **part}) == section
+
+
+MEASURED = """async ([state, typed]) => {
+  const { Calibration } = await import("/static/first_hour/calibration.js");
+  const told = {};
+  const post = (_path, body) => (told.sent = body.eye_distance_mm);
+  const hour = { post, refuse: (text) => (told.refused = text), runs: () => false };
+  const body = document.createElement("div");
+  const section = new Calibration(hour, body);
+  section.update(state);
+  body.querySelector("[name=tracker]").value = "camera";
+  body.querySelector("[name=eye_distance_mm]").value = typed;
+  section.measure(body.querySelector("form"), false);
+  return told;
+}"""
+
+
+def test_an_eye_distance_that_is_no_number_is_refused_in_one_line(module_page):
+    def told(typed):
+        return module_page.evaluate(MEASURED, [STATE, typed])
+
+    assert told("92,5") == {"sent": 92.5}
+    assert told("") == {"sent": None}
+    refused = told("92 mm")
+    assert "sent" not in refused
+    assert '"92 mm" is no number; give one such as 92.5' in refused["refused"]
+
+
 def name_servos(page):
     """Choose simulated servos on the page, name each after it has moved, and write the YAML."""
 

@@ -236,6 +236,7 @@ def test_a_trace_is_scrubbed_back_and_forth_in_place_of_the_live_face(opened):
         settled(page, f"Math.abs(twin.pose.targets.c0 - {wanted[0]}) < 1e-6")
     page.click("face-trace .live")
     settled(page, "dashboard.held === null && twin.last === dashboard.frame")
+    assert "recorded" not in page.inner_text("face-trace .told")
 
 
 def test_what_is_no_trace_is_said_in_one_line(opened):

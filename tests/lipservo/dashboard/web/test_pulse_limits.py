@@ -60,6 +60,18 @@ def test_a_limit_is_written_and_all_of_them_are_answered(path):
     assert load_face(path).servos["jaw"].max_us == 1730.0
 
 
+def test_poses_that_await_their_fit_are_forgotten_with_the_neutral_they_were_made_from(path):
+    kept = path.with_name("tom.by_eye.json"), path.with_name("tom.measure.json")
+    for file in kept:
+        file.write_text("{}")
+    with watched(path) as (_, client):
+        assert limit(client, "max", 1730.0).status_code == 200
+        assert all(file.exists() for file in kept)  # their degrees mean what they meant
+        assert limit(client, "neutral", 1510.0).status_code == 200
+
+    assert not any(file.exists() for file in kept)
+
+
 def test_of_two_pages_that_set_at_once_both_are_written(path):
     with watched(path) as (dashboard, client):
         answers = []

@@ -105,3 +105,23 @@ def test_a_hung_face_none_of_whose_ports_is_found_is_not_called_limp(monkeypatch
 
     assert not outcome.is_confirmed
     assert outcome.text() == f"tim: {words}"
+
+
+def test_a_hung_face_is_ended_with_its_children_that_have_other_names(monkeypatch):
+    """The command lines of its voice's process and of a pin's guard do not say `lipservo`."""
+
+    def hang(*_given, **_named):
+        raise TimeoutError
+
+    ended = []
+    for name, found in {
+        "stop_and_wait": hang, "send_stop": lambda *_a, **_k: None,
+        "holders_of_socket": lambda _path: [7], "with_children": lambda _pids: [7, 8],
+        "is_ours": lambda pid: pid == 7, "ports_held_by": lambda _pid: [],
+        "end_hung": lambda pids: ended.extend(pids) or [],
+    }.items():  # fmt: skip
+        monkeypatch.setattr(letting_go, name, found)
+
+    stop_faces([RunningFace("tim", 7, Path("/none/tim-7.sock"))], StopLevel.LIMP)
+
+    assert ended == [7, 8]

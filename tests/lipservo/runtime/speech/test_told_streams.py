@@ -10,6 +10,8 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream, PlayoutTextError
 from lipsync.phonemes import PHONEMES as INVENTORY
 from lipsync.phonemes import FramePosteriors, PhonemeEvent, PhonemeUpdate
+from lipsync.recognition.energy_recognizer import EnergyRecognizer
+from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.spoken_text import PronouncedWord, SpokenText, SpokenUnit
 from lipsync.timeline import PhonemeTimeline
 
@@ -228,6 +230,31 @@ def test_a_text_that_is_not_said_is_told_to_be_dropped_once():
 
     assert [kind for kind, *_ in told_events(face)].count("text_dropped") == 1
     assert ("moved_by", "sound", "not_said") in told_events(face)
+
+
+class Fails(Evident):
+    """Follows the text until it fails at 0.6 s."""
+
+    moved_by, saying = "text", (("ma", "ma"), 0)
+
+    def feed(self, block):
+        if block.start_s >= 0.6:
+            raise FloatingPointError("a fault")
+        super().feed(block)
+
+
+@pytest.mark.parametrize("network", [Fails(SAID), None])
+def test_a_text_that_a_simpler_recogniser_does_not_follow_is_told_to_its_sender_as_such(network):
+    levels = [FallbackLevel("network", lambda: network), FallbackLevel("energy", EnergyRecognizer)]
+    face = Face(FallbackRecognizer(levels[network is None :], 0.1))
+    face.say(1.5).tell(told("text", ("ma ma",)), [MAMA, MAMA])
+    face.go_on(1.4)
+    assert told_events(face)[-1] == ("moved_by", "sound", "not_followed")
+    assert len(told_events(face)) == 1 + (network is not None)
+
+    face.say(1.0, "without a text")
+    face.go_on(2.4)
+    assert told_events(face)[-1] == ("moved_by", "sound", "not_told")
 
 
 def test_a_text_that_comes_late_and_a_correction_from_the_beginning_which_says_how_late():
