@@ -9,7 +9,6 @@ port when the port is opened.
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -220,29 +219,24 @@ def bus_kind(name: str) -> BusKind:
     return kind
 
 
-def kind_answering(transport: "Transport", own: str) -> BusKind | None:
-    """Return the kind whose servos answer at an open port; None if none answers. Only reads.
-
-    `own`: the name of the kind that is not tried. Raises PortError when the port fails.
-    """
-    kinds = (bus_kind(name) for name in _BUILT_IN if name != own)
-    return next((each for each in kinds if not each.at_port and each.answers_at(transport)), None)
-
-
-def kind_found(port: str, own: str) -> BusKind | None:
-    """Open a port and return the kind, other than `own`, that is `kind_answering` at 1 Mbaud."""
-    from firmware_bridge.serial_servos.serial_transport import open_port
-
-    with closing(open_port(port, 1_000_000)) as transport:
-        return kind_answering(transport, own)
+def other_line_kinds(own: str) -> Iterator[BusKind]:
+    """Yield the built-in kinds of servos with ids on a serial line, but the kind named `own`."""
+    for name in _BUILT_IN:
+        kind = bus_kind(name)
+        if name != own and not kind.at_port and kind.servo.address_key == "id":
+            yield kind
 
 
 def other_kind_at(transport: "Transport", own: str) -> str:
-    """Return a message naming the kind, other than `own`, that is `kind_answering`; "": none."""
-    other = kind_answering(transport, own)
-    if other is None:
-        return ""
-    return f"no servo answers as `kind: {own}`, but as `kind: {other.name}`; correct the YAML"
+    """Return a message naming the kind whose servos answer at an open port; "" if none answers.
+
+    `own`: the name of the kind that is not tried. Raises PortError when the port fails.
+    """
+    for other in other_line_kinds(own):
+        if other.answers_at(transport):
+            why = f"no servo answers as `kind: {own}`, but as `kind: {other.name}`"
+            return f"{why}; correct the YAML"
+    return ""
 
 
 def kind_at(port: str) -> BusKind:

@@ -425,7 +425,11 @@ class PulseBus:
         self._wrong = [""] * len(self._wrong)
         self._n_failed[:] = 0
         self._heard_s = self._clock.now()
-        self._begin()
+        try:
+            self._begin()
+        except BaseException:
+            self._controller.close()  # what guards it must know that registers may be on
+            raise
 
     def __enter__(self) -> Self:
         """Read the pulses that earlier processes sent last, and open the controller."""
@@ -475,7 +479,7 @@ class PulseBus:
             if self._controller.send(self._goal_us):
                 self._last_us[:] = self._goal_us
             else:
-                self._begin()  # the controller has lost its pulses
+                self._begin_anew()
             return
         on = self._held & (self._on_s <= now_s)
         if any_set(self._slow):
@@ -494,7 +498,7 @@ class PulseBus:
         changed = np.flatnonzero(on != self._pulsed).tolist()
         self.torque.forget(changed)
         if not self._controller.send(np.where(on, sent_us, 0.0)):
-            self._begin()  # the controller has lost its pulses
+            self._begin_anew()
             return
         self._pulsed = on
         np.copyto(self._last_us, sent_us, where=on)
@@ -502,6 +506,11 @@ class PulseBus:
         for index in changed:
             if on[index]:
                 self._check_first(index)
+
+    def _begin_anew(self) -> None:
+        """Mark all servos as not started: the controller has lost its pulses, or will end them."""
+        self._begin()
+        self._left_on[:] = self._pulsed[:] = False
 
     def _begin(self) -> None:
         """Mark all servos as not started; those that get a pulse now are left with it.

@@ -28,16 +28,16 @@ Handler = Callable[[int, FrameType | None], None]
 PreviousHandlers = dict[signal.Signals, Any]
 
 
-def install_handler(handler: Handler, *, leave_ignored: bool = False) -> PreviousHandlers:
+def install_handler(handler: Handler) -> PreviousHandlers:
     """Install `handler` for all signals that stop a program; return the handlers before it.
 
-    To be called in the main thread. leave_ignored: signals that the parent process ignores stay
-    ignored, as with `nohup`.
+    To be called in the main thread. A SIGHUP that the parent ignores, as `nohup` does, stays
+    ignored.
     """
     return {
         number: signal.signal(number, handler)
         for number in STOP_SIGNALS
-        if not (leave_ignored and signal.getsignal(number) is signal.SIG_IGN)
+        if number.name != "SIGHUP" or signal.getsignal(number) is not signal.SIG_IGN
     }
 
 
@@ -72,7 +72,7 @@ class SignalCounter:
                 pass
 
     def __enter__(self) -> Self:
-        self._previous = install_handler(self._note, leave_ignored=True)
+        self._previous = install_handler(self._note)
         self._previous_fd = signal.set_wakeup_fd(self._wake.fileno(), warn_on_full_buffer=False)
         return self
 

@@ -159,8 +159,7 @@ def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
 
 def plan_rows(plan: PosePlan, rows: Sequence[int]) -> PosePlan:
     """Return a plan of the poses in `rows` only, in that order."""
-    chosen = list(rows)
-    return PosePlan(plan.servo_names, *(each[chosen] for each in _arrays(plan)))
+    return PosePlan(plan.servo_names, *(each[list(rows)] for each in _arrays(plan)))
 
 
 def joined(first: PosePlan, second: PosePlan) -> PosePlan:
@@ -300,18 +299,20 @@ class KeptPoses:
     """Captured poses in a file, a JSON line each; the latest line of a pose counts.
 
     path: None: nothing is kept. first: the number of the plan's first pose in the file, for poses
-    that are taken after those of another plan.
+    that are taken after those of another plan. mounting: a text that differs for servos that are
+    mounted otherwise, whose poses are refused.
     """
 
     path: Path | None = None
     first: int = 0
+    mounting: str = ""
 
     def read(self, plan: PosePlan, marker_names: tuple[str, ...]) -> list[CapturedPose]:
         """Return the poses of `plan` in the file; remove an unfinished last line from the file.
 
         Empty if there is no file. Lines from the first pose beyond the plan on are ignored, because
         a capture extends its plan after the first poses. Raises CalibrationError for a damaged
-        file, or one of another plan.
+        file, or one of another plan or mounting.
         """
         poses: dict[int, CapturedPose] = {}
         for number, content in self._lines():
@@ -320,7 +321,7 @@ class KeptPoses:
                 if index >= len(plan):
                     break
                 if index >= 0:
-                    poses[index] = _parse_pose(content, index, plan, marker_names)
+                    poses[index] = self._parse_pose(content, index, plan, marker_names)
             except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
                 raise self._not_a_pose_error(number) from error
         return list(poses.values())
@@ -336,6 +337,7 @@ class KeptPoses:
         line = {
             "pose": self.first + pose.index,
             "servos": plan.servo_names,
+            "mounting": self.mounting,
             "markers": marker_names,
             "goals_deg": [float(f"{v:.4f}") for v in plan.goals_deg[pose.index]],
             "reached_deg": [float(f"{v:.4f}") for v in pose.reached_deg],
@@ -406,32 +408,32 @@ class KeptPoses:
 
     def _not_a_pose_error(self, number: int) -> CalibrationError:
         return CalibrationError(
-            f"{self.path}, line {number}: not a pose of this face and plan; name another file or "
-            "delete this one"
+            f"{self.path}, line {number}: not a pose of this face, as its servos are mounted now, "
+            "and plan; name another file or delete this one"
         )
+
+    def _parse_pose(
+        self, line: Mapping[str, Any], index: int, plan: PosePlan, marker_names: tuple[str, ...]
+    ) -> CapturedPose:
+        """Return the captured pose that one parsed JSON line of the file holds.
+
+        index: the pose's row in `plan`. Raises ValueError for a pose of another face, mounting or
+        plan, or with another number of markers. Lines of older versions name no mounting.
+        """
+        face = line["servos"], line["markers"], line.get("mounting", self.mounting)
+        if face != (list(plan.servo_names), list(marker_names), self.mounting):
+            raise ValueError("the pose is of another face, or of servos mounted otherwise")
+        if not _has_goals(line, plan.goals_deg[index]):
+            raise ValueError("the pose is of another plan")
+        points = np.array(line["markers_mm"], dtype=np.float64)  # null becomes NaN
+        if points.shape != (len(marker_names), 3):
+            raise ValueError("the pose has another number of markers")
+        return CapturedPose(index, np.array(line["reached_deg"], dtype=np.float64), points)
 
 
 def _has_goals(line: Mapping[str, Any], goals_deg: Array) -> bool:
     file_deg = np.array(line["goals_deg"], dtype=np.float64)
     return file_deg.shape == goals_deg.shape and np.allclose(file_deg, goals_deg, atol=_SAME_DEG)
-
-
-def _parse_pose(
-    line: Mapping[str, Any], index: int, plan: PosePlan, marker_names: tuple[str, ...]
-) -> CapturedPose:
-    """Return the captured pose that one parsed JSON line of the file holds.
-
-    index: the pose's row in `plan`. Raises ValueError for a pose of another face or plan, or with
-    another number of markers.
-    """
-    if line["servos"] != list(plan.servo_names) or line["markers"] != list(marker_names):
-        raise ValueError("the pose is of another face")
-    if not _has_goals(line, plan.goals_deg[index]):
-        raise ValueError("the pose is of another plan")
-    points = np.array(line["markers_mm"], dtype=np.float64)  # null becomes NaN
-    if points.shape != (len(marker_names), 3):
-        raise ValueError("the pose has another number of markers")
-    return CapturedPose(index, np.array(line["reached_deg"], dtype=np.float64), points)
 
 
 #: Nothing is kept.

@@ -169,21 +169,12 @@ def check_frame(
     CalibrationError
         Wrong axes, or an odd size that is not accepted.
     """
-    return _warnings_of(_frame_findings(marker_names, usual_mm, model), accept=accept)
-
-
-def _frame_findings(
-    marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel
-) -> Iterator[Finding]:
-    """Yield a refusal each for wrong axes and for an odd size of the markers.
-
-    usual_mm: (n_markers, 3) mm, the usual position of each.
-    """
     axes, size = frame_faults(marker_names, usual_mm, model)
     if axes is not None:
-        yield Finding("", f"{axes}; correct the tracker's axes and capture again")
-    if size is not None:
-        yield Finding(size, f"{size} If the robot is that large, add --accept", is_judgement=True)
+        raise CalibrationError(f"{axes}; correct the tracker's axes and capture again")
+    if size is not None and not accept:
+        raise CalibrationError(f"{size} If the robot is that large, add --accept")
+    return () if size is None else (size,)
 
 
 def _likeness(robot: Array, human: Array) -> float:
@@ -375,7 +366,8 @@ def _faulty_joints(record: _Record) -> Iterator[Finding]:
         elif word and _is_reversed(capture, lines, joint, _known_word(name, word)):
             turned = (
                 f"is reversed: a positive angle should {word.removesuffix('s')}, and does the "
-                "opposite; change its `sign` in the face YAML"
+                "opposite; change its `sign` (hobby servos: that of `us_per_deg`) in the face "
+                "YAML, delete the poses captured so far and capture again"
             )
             remarks.append((turned, True))
         elif joint_signal(lines, joint) < WEAK:

@@ -154,8 +154,6 @@ class Place:
 
 #: A calibration needs five levels.
 _DEEPEST = 20
-#: What the previous file is kept as.
-PREVIOUS_SUFFIX = ".previous"
 
 
 def save_calibration(calibration: Calibration, path: Path, *, keeps_previous: bool = True) -> None:
@@ -173,7 +171,7 @@ def save_calibration(calibration: Calibration, path: Path, *, keeps_previous: bo
             f"nothing is written, since this calibration is unusable: {error}; check the markers"
         ) from error
     if keeps_previous and path.exists():
-        write_whole(path.with_name(path.name + PREVIOUS_SUFFIX), path.read_bytes())
+        write_whole(path.with_name(f"{path.name}.previous"), path.read_bytes())
     write_whole(path, text)
 
 

@@ -161,35 +161,29 @@ class Procedure:
         """Return a plan of `n_poses` poses of speech, in whole degrees.
 
         They are chosen by the face that is learnt from `checked`, a capture of the joints' ranges.
+        First come poses that close the lips in steps, then the widest opening, then centres of the
+        speaker's other mouth shapes.
         """
         with threadpool_limits(limits=1):  # as `fit_measured`
-            return self._speech_plan(checked.capture, checked.still, n_poses)
-
-    def _speech_plan(self, capture: Capture, still: Sequence[int], n_poses: int) -> PosePlan:
-        """Return a plan of `n_poses` poses of speech, in whole degrees, chosen by the learnt face.
-
-        still: numbers of joints that stay at 0. First come poses that close the lips in steps, then
-        the widest opening, then centres of the speaker's other mouth shapes.
-        """
-        learnt = self._learn_face(capture, still)
-        retargeting, from_rest = learnt.retargeting, learnt.from_rest
-        mouth, face = retargeting.mouth, learnt.face
-        closed = retargeting.closing(from_rest) >= 1.0
-        n_closed = self._n_closed(n_poses) if closed.any() else 0
-        usual_closed = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]
-        heights_mm = _closing_heights_mm(retargeting, face.contact is not None, n_closed)
-        # One pose with the widest opening: the robot's scale is better learnt from seeing it than
-        # from extrapolation.
-        n_widest = int(n_poses > n_closed)
-        n_others = n_poses - n_closed - n_widest
-        goals_deg = np.concatenate(
-            [
-                *(retargeting.at_gap(usual_closed, height_mm) for height_mm in heights_mm),
-                np.repeat(widest_pose_deg(mouth)[None], n_widest, axis=0),
-                _centre_poses(retargeting.poses_deg(from_rest[~closed]), n_others),
-            ]
-        )
-        return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
+            learnt = self._learn_face(checked.capture, checked.still)
+            retargeting, from_rest = learnt.retargeting, learnt.from_rest
+            mouth, face = retargeting.mouth, learnt.face
+            closed = retargeting.closing(from_rest) >= 1.0
+            n_closed = self._n_closed(n_poses) if closed.any() else 0
+            usual_closed = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]
+            heights_mm = _closing_heights_mm(retargeting, face.contact is not None, n_closed)
+            # One pose with the widest opening: the robot's scale is better learnt from seeing it
+            # than from extrapolation.
+            n_widest = int(n_poses > n_closed)
+            n_others = n_poses - n_closed - n_widest
+            goals_deg = np.concatenate(
+                [
+                    *(retargeting.at_gap(usual_closed, height_mm) for height_mm in heights_mm),
+                    np.repeat(widest_pose_deg(mouth)[None], n_widest, axis=0),
+                    _centre_poses(retargeting.poses_deg(from_rest[~closed]), n_others),
+                ]
+            )
+            return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
 
     def _learn_face(self, capture: Capture, still: Sequence[int]) -> "_Learnt":
         """Learn the face from a capture; return it with some of the speaker's frames of speech.
@@ -224,8 +218,10 @@ class Procedure:
         of the plan, at the end; each pose in which the tracker exchanged two names, again. kept:
         file of poses, from which an interrupted capture is resumed; report: called with lines for
         the user. Once a servo is strained, lips are closed no farther. Raises CalibrationError for
-        a capture with faults.
+        a capture with faults, and at once where a marker that poses of speech need is missing.
         """
+        if self.n_of_speech:
+            correspond(marker_names)
         poses: list[CapturedPose] = []
         left_out: set[int] = set()
         # Rows are taken in order: one that the file lacks before its last was left out.
@@ -328,9 +324,8 @@ def take_grade(
     wanted = graded_poses(fit, servos)
     plan = wanted.plan
     kept = kept.after(n_captured, plan)
-    earlier = kept.read(plan, marker_names)
     numbered = replace(robot, arrived=lambda row, deg: robot.arrived(kept.first + row, deg))
-    poses = take_poses(plan, marker_names, numbered, earlier, kept)
+    poses = take_poses(plan, marker_names, numbered, kept.read(plan, marker_names), kept)
     poses = retake_swaps(plan, marker_names, numbered, poses, kept, expected_mm=wanted.targets_mm)
     calibration, remarks = graded(fit.calibration, wanted, gather(plan, marker_names, poses))
     return replace(fit, calibration=calibration, warnings=(*fit.warnings, *remarks))

@@ -56,7 +56,8 @@ class AsyncSpeech:
         self.is_complete = False
         self._error: FaceError | None = None
         loop = asyncio.get_running_loop()
-        self._ready: asyncio.Future[float] = loop.create_future()
+        #: The delay in ms, once the face has answered the start of the stream.
+        self.ready: asyncio.Future[float] = loop.create_future()
         self._end_of_play: asyncio.Future[Played] = loop.create_future()
         self._wire = face.wire
         self.rate_hz = int(str(start["sample_rate"]))
@@ -98,8 +99,9 @@ class AsyncSpeech:
 
     async def mark(self, name: str) -> None:
         """Request a `mark` event for when all samples written so far have been played."""
-        await self._send_unsent()
-        await self._wire.send("mark", name=name)
+        if not self.is_over:  # as for `end`
+            await self._send_unsent()
+            await self._wire.send("mark", name=name)
 
     async def tell(
         self, units: SpeechUnits, *, alphabet: str | None = None, language: str | None = None
@@ -110,8 +112,8 @@ class AsyncSpeech:
         label, or (label, start, end) in samples of the stream; start and end are None if unknown.
         They are added to earlier units; if the first has a start, they replace those from there on.
         alphabet: of the labels, as docs/text.md names it; None: ARPAbet. language: as `en-us`, the
-        default. A face that cannot use the units sends an `error` event `bad_text`, and recognises
-        phonemes in the sound.
+        default. A face that cannot use the units sends an `error` event, `bad_text` or
+        `bad_message`, and recognises phonemes in the sound.
         """
         for message in unit_messages(units):
             about = {"alphabet": alphabet, "language": language}
@@ -123,8 +125,8 @@ class AsyncSpeech:
 
     async def end(self) -> None:
         """Send the end of the stream, once; the face plays what was written to its end."""
-        if not self.is_complete:
-            self.is_complete = True
+        was_complete, self.is_complete = self.is_complete, True
+        if not (was_complete or self.is_over):  # `end` names no stream: it would end the next one
             await self._send_unsent()
             await self._wire.send("end")
 
@@ -151,7 +153,7 @@ class AsyncSpeech:
     async def __aenter__(self) -> Self:
         await self._wire.send("start", stream=self.stream, **self._start)
         async with _time_limit("start", PATIENCE_S):
-            self.delay_ms = await self._ready
+            self.delay_ms = await self.ready
         return self
 
     async def __aexit__(self, kind: type[BaseException] | None, *rest: object) -> None:
@@ -170,12 +172,12 @@ class AsyncSpeech:
             self._progress_s = asyncio.get_running_loop().time()
             self._progressed.set()
         match event["type"]:
-            case "ready" if not self._ready.done():
-                self._ready.set_result(float(event["delay_ms"]))
+            case "ready" if not self.ready.done():
+                self.ready.set_result(float(event["delay_ms"]))
             case "finished" | "interrupted" if not self.is_over:
                 self._end_of_play.set_result(played_of(event))
                 self._progressed.set()
-            case "error" if event.get("code") != "bad_text":  # the sound is played all the same
+            case "error" if event.get("code") not in ("bad_text", "bad_message"):  # sound plays on
                 self.fail(error_of(event))
 
     def fail(self, error: FaceError) -> None:
@@ -183,8 +185,8 @@ class AsyncSpeech:
 
         If the stream has not started yet, starting it raises the error.
         """
-        if not self._ready.done():
-            _set_answer(self._ready, error)
+        if not self.ready.done():
+            _set_answer(self.ready, error)
             if not self.is_over:  # it never began: `interrupt` must not wait for its end
                 self._end_of_play.set_result(Played(finished=False, played_s=0.0))
         else:
@@ -196,11 +198,6 @@ class AsyncSpeech:
         if not self.is_over:
             _set_answer(self._end_of_play, error)
             self._progressed.set()
-
-    @property
-    def is_starting(self) -> bool:
-        """Whether the face has not yet answered the start of the stream."""
-        return not self._ready.done()
 
     async def _has_room(self) -> bool:
         """Wait until at most 30 s are unplayed; return True, or False if the stream is over."""
@@ -224,7 +221,7 @@ class AsyncSpeech:
 
     async def _send_unsent(self) -> None:
         data, self._unsent = self._unsent, b""
-        if data and not self.is_over:
+        if data:
             await self._send(data)
 
     def _raise_error(self) -> None:
@@ -431,7 +428,7 @@ class AsyncFace:
     async def _request_speech(self, kind: str, *, wait: bool, **fields: object) -> dict[str, Any]:
         """Send `say` or `play` and return the answer; with `wait` once the speech has ended.
 
-        Raises FaceError: 60 s without an answer, or no end of the speech 310 s after its duration.
+        Raises FaceError: 60 s without an answer, or no end of it long after the face last spoke.
         """
         number = next(self._numbers)
         ended_event: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
@@ -440,9 +437,11 @@ class AsyncFace:
             answer = await self._request(kind, number, _READING_S, **fields)
             if not wait:
                 return answer
-            done, _ = await asyncio.wait([ended_event], timeout=STILL_S + answer["duration_s"])
-            if not done:
-                raise FaceError("not_answering", f"the face did not report the end of {kind}")
+            is_speaking, limit_s = True, STILL_S + answer["duration_s"]
+            while not (await asyncio.wait([ended_event], timeout=limit_s))[0]:
+                if not is_speaking:  # not even at the last look
+                    raise FaceError("not_answering", f"the face did not report the end of {kind}")
+                is_speaking = (await self._request("status")).get("speaking") is not None
             event = ended_event.result()
         finally:
             del self._ends_of_speech[number]
@@ -466,9 +465,18 @@ class AsyncFace:
                 async with self._connecting:
                     if self._control_wire is None:
                         url, take, lose = f"{self._url}/control", self._complete, self._lose_control
-                        self._control_wire = await connected(url, self._token, take, lose, limit_s)
+                        # `/control` admits a wrong token, too, but to stop the face alone.
+                        wire = self._stream_wire
+                        token = self._token if wire is None else wire.token
+                        self._control_wire = await connected(url, token, take, lose, limit_s)
                 await self._control_wire.send(kind, id=number, **fields)
                 return await answer
+        except FaceError as error:
+            # This connection may only stop the face, for good; the next command opens another.
+            wire = self._control_wire
+            if error.code == "unauthorized" and wire is not None and len(self._pending) == 1:
+                await wire.close()
+            raise
         finally:
             del self._pending[number]
 
@@ -536,7 +544,7 @@ class AsyncFace:
         if speech is not None:
             speech.hear(event)
         elif event["type"] == "error":
-            starting = [each for each in self._speeches.values() if each.is_starting]
+            starting = [each for each in self._speeches.values() if not each.ready.done()]
             for each in starting[:1]:
                 each.fail(error_of(event))
         self._emit(event)

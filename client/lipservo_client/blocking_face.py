@@ -3,7 +3,8 @@
 import asyncio
 import threading
 from collections.abc import Coroutine, Iterator
-from concurrent.futures import CancelledError
+from concurrent import futures
+from contextlib import suppress
 from typing import Any, Final, Literal, Self, TypeVar
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech, Events
@@ -182,15 +183,11 @@ class Face:
         """
         answer = asyncio.run_coroutine_threadsafe(call, self._loop)
         try:
-            while True:
-                try:
-                    return answer.result(_CHECK_EVERY_S)
-                except TimeoutError:
-                    if answer.done():
-                        raise
-                    # A call made while the connection ended is never completed.
-                    if not self._thread.is_alive():
-                        raise EOFError("the connection to the face has ended") from None
+            while not futures.wait([answer], _CHECK_EVERY_S).done:
+                # A call made while the connection ended is never completed.
+                if not self._thread.is_alive():
+                    raise EOFError("the connection to the face has ended")
+            return answer.result()
         except BaseException:
             answer.cancel()  # for example at Ctrl-C: the caller does not wait for it any more
             raise
@@ -201,14 +198,9 @@ class Face:
         async def next_event() -> Event | None:
             return await anext(events, None)
 
-        while not self._loop.is_closed():
-            try:
-                event = self.wait_for(next_event())
-            except (EOFError, CancelledError):
-                return
-            if event is None:
-                return
-            yield event
+        with suppress(EOFError, futures.CancelledError):
+            while not self._loop.is_closed() and (event := self.wait_for(next_event())):
+                yield event
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)

@@ -28,10 +28,6 @@ class SpokenWords:
         self.n_samples = n_samples
         self._pieces: list[tuple[str, int | None, int | None]] = []
 
-    def extend(self, n_samples: int) -> None:
-        """Add `n_samples` to the samples that the stream has."""
-        self.n_samples += n_samples
-
     def add(self, text: str, start: int | None = None, end: int | None = None) -> int:
         """Append a piece, a text or word, and return its number.
 

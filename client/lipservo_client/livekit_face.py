@@ -6,7 +6,7 @@ Needs the extra `livekit`.
 import asyncio
 import logging
 import time
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Iterator
 from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import dataclass
@@ -56,7 +56,6 @@ class LiveKitFace(AudioOutput):
         self._speech: AsyncSpeech | None = None
         self._turn = _Turn(None)
         self._words = SpokenWords(1)
-        self._session: AgentSession[Any] | None = None
         # Whether the present segment was cut off, so that its rest, until `flush`, is dropped.
         self._is_cut_off = False
         self._is_paused = False
@@ -97,13 +96,15 @@ class LiveKitFace(AudioOutput):
                 self._words.add(text, start)
                 if word := text.strip():
                     await speech.tell(text if start is None else ("words", [(word, start)]))
-            self._words.extend(frame.samples_per_channel)
+            self._words.n_samples += frame.samples_per_channel
             self._is_cut_off = not await speech.write(mono_pcm(frame.data, frame.num_channels))
-        except FaceError as error:
-            _LOG.warning("not said: %s", error)
+        except (FaceError, asyncio.CancelledError) as error:
             self._is_cut_off = True
             if self._speech is None:  # its stream did not start, so no task reports its end
                 self._report(self._turn, self._words, 0, is_whole=False)
+            if isinstance(error, asyncio.CancelledError):  # barge-in
+                raise
+            _LOG.warning("not said: %s", error)
 
     async def _start_stream(self, rate_hz: int) -> AsyncSpeech:
         """Start a stream for a new segment, after earlier calls were sent, and return it.
@@ -124,7 +125,7 @@ class LiveKitFace(AudioOutput):
         return speech
 
     def _note_context(self) -> None:
-        """Store the speech handle and the session of the segment that begins.
+        """Store the speech handle of the segment that begins, and listen to its session.
 
         LiveKit calls `capture_frame` in a task whose context variables contain both.
         """
@@ -133,9 +134,8 @@ class LiveKitFace(AudioOutput):
         if handle is None or handle is not self._turn.handle:
             self._turn = _Turn(handle)
         for session in (getattr(each, "session", None) for each in values):
-            if isinstance(session, AgentSession) and session is not self._session:
-                self._session = session
-                session.on("conversation_item_added", self._cut_to_heard)
+            if isinstance(session, AgentSession):
+                session.on("conversation_item_added", self._cut_to_heard)  # once, however often
 
     def flush(self) -> None:
         """Mark the current segment of the agent's speech as complete; it is played to its end."""
@@ -235,14 +235,12 @@ class LiveKitFace(AudioOutput):
         self._last_call = self._start_task(run())
 
 
-def _frame_words(frame: rtc.AudioFrame) -> list[tuple[str, int | None]]:
-    """Return the words that the synthesiser sent with a frame's sound, as (word, start sample).
+def _frame_words(frame: rtc.AudioFrame) -> Iterator[tuple[str, int | None]]:
+    """Yield the words that the synthesiser sent with a frame's sound, as (word, start sample).
 
     Samples count from the beginning of the segment; None: not known.
     """
-    words: list[tuple[str, int | None]] = []
     for word in frame.userdata.get(USERDATA_TIMED_TRANSCRIPT, ()):
         start_s = getattr(word, "start_time", NOT_GIVEN) if word.strip() else NOT_GIVEN
         start = max(0, round(start_s * frame.sample_rate)) if is_given(start_s) else None
-        words.append((str(word), start))
-    return words
+        yield str(word), start

@@ -42,6 +42,7 @@ class _FaceProcessor(FrameProcessor):
     def __init__(self, url: str, token: str | None) -> None:
         super().__init__()
         self._face = AsyncFace(url, token)
+        self._speech: AsyncSpeech | None = None
         self._tasks: list[asyncio.Task[None]] = []
 
     async def cleanup(self) -> None:
@@ -59,6 +60,13 @@ class _FaceProcessor(FrameProcessor):
         except FaceError as error:
             await self._push_face_error(error)
             self._face.keep_trying()
+
+    async def _end_speech(self) -> None:
+        """Send the end of the open stream, if any, and forget the stream."""
+        speech, self._speech = self._speech, None
+        if speech is not None:
+            with suppress(FaceError):
+                await speech.end()
 
     async def _push_face_error(self, error: Exception) -> None:
         """Push an error of the face upstream, as a Pipecat error frame."""
@@ -113,17 +121,13 @@ class _Waiting:
 
     @property
     def may_go_on(self) -> bool:
-        """Whether the frame's turn has come: its sound was played.
+        """Whether the frame's turn has come: its sound was played, or never will be.
 
         A frame that is no sound also waits until the stream is over, once its end was sent.
         """
-        is_last = self.speech is not None and self.speech.is_complete and not self.speech.is_over
-        return self.is_heard and (self.is_sound or not is_last)
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the frame's sound will never be played, because the stream was cut off."""
-        return self.speech is not None and self.speech.is_over and not self.is_heard
+        if self.speech is None or self.speech.is_over:
+            return True
+        return self.is_heard and (self.is_sound or not self.speech.is_complete)
 
     def as_heard(self) -> frames.Frame | None:
         """Return the frame to push on; of text only the words that were heard.
@@ -160,9 +164,7 @@ class PipecatFace(_FaceProcessor):
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
         super().__init__(url, token)
-        self._speech: AsyncSpeech | None = None
-        # Samples of the open stream; and the frames that wait until sound before them was played.
-        self._n_samples = 0
+        #: The frames that wait until sound before them was played.
         self._line: list[_Waiting] = []
         self._releasing = asyncio.Lock()
         self._spoken_words = SpokenWords(1)
@@ -273,11 +275,11 @@ class PipecatFace(_FaceProcessor):
         pcm = mono_pcm(frame.audio, frame.num_channels)
         try:
             speech = await self._open_stream(frame.sample_rate)
+            words = self._spoken_words
             if _TIMED_FROM in frame.metadata:
-                self._contexts[frame.context_id] = (self._n_samples, frame.metadata[_TIMED_FROM])
-            self._n_samples += len(pcm) // 2
-            self._spoken_words.extend(len(pcm) // 2)
-            self._line.append(_Waiting(speech, self._n_samples, frame, self._spoken_words))
+                self._contexts[frame.context_id] = (words.n_samples, frame.metadata[_TIMED_FROM])
+            words.n_samples += len(pcm) // 2
+            self._line.append(_Waiting(speech, words.n_samples, frame, words))
             texts, self._unsent_texts = self._unsent_texts, []
             for text in texts:
                 await speech.tell(text)
@@ -299,7 +301,7 @@ class PipecatFace(_FaceProcessor):
             speech = None
         if speech is None:
             speech = self._face.stream(rate_hz)
-            self._speech, self._n_samples, self._n_spoken = speech, 0, 0
+            self._speech, self._n_spoken = speech, 0
             self._spoken_words = SpokenWords(rate_hz)
             self._contexts.clear()
             await speech.__aenter__()
@@ -354,7 +356,7 @@ class PipecatFace(_FaceProcessor):
             piece = words.add(frame.text, n)
             self._line.insert(index, _Waiting(speech, n, frame, words, piece, is_timed=True))
             return
-        n = self._n_samples if speech is self._speech else self._line[-1].n
+        n = words.n_samples if speech is self._speech else self._line[-1].n
         # No frame in the line may wait for a later sample than one behind it.
         for each in self._line:
             each.n = min(each.n, n) if each.speech is speech else each.n
@@ -369,7 +371,7 @@ class PipecatFace(_FaceProcessor):
             speech = self._speech
             if self._is_complete and all(each.is_heard for each in self._line if each.is_sound):
                 await self._end_speech()
-            while self._line and (self._line[0].may_go_on or self._line[0].is_lost):
+            while self._line and self._line[0].may_go_on:
                 if (heard := self._line.pop(0).as_heard()) is not None:
                     await self.push_frame(heard)
             if speech is not None and speech.is_over:
@@ -377,13 +379,6 @@ class PipecatFace(_FaceProcessor):
                 await self._end_speech()
             if self._speech is None and not self._line:
                 await self._broadcast_speaking(False)
-
-    async def _end_speech(self) -> None:
-        """Send the end of the open stream, if any, and forget the stream."""
-        speech, self._speech = self._speech, None
-        if speech is not None:
-            with suppress(FaceError):
-                await speech.end()
 
     async def _broadcast_speaking(self, is_speaking: bool) -> None:
         """Broadcast that the bot starts or stops speaking, unless that was broadcast last."""
@@ -399,12 +394,11 @@ class PipecatFace(_FaceProcessor):
         are dropped too.
         """
         async with self._releasing:
-            # Unplayed sound, and of that the part that must not be interrupted. The face is not
-            # interrupted if there is no other speech.
+            # The face is not interrupted if all of its unplayed sound must not be.
             sound = [each for each in self._line if each.is_sound and not each.is_heard]
-            kept = [each for each in sound if not (each.frame.interruptible or everything)]
-            is_spoken = bool(sound) or self._speech is not None
-            is_cut = is_spoken and self._face.is_connected and (not kept or len(kept) < len(sound))
+            may_cut = any(each.frame.interruptible or everything for each in sound)
+            is_spoken = may_cut or (not sound and self._speech is not None)
+            is_cut = self._face.is_connected and is_spoken
             self.last_played = await self._interrupt_face() if is_cut else None
             line, self._line = self._line, []
             resent: list[_Waiting] = []
@@ -454,10 +448,11 @@ class PipecatFollower(_FaceProcessor):
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
         super().__init__(url, token)
-        self._speech: AsyncSpeech | None = None
-        #: (event loop time at which it is pushed, frame); and the streams not yet played.
+        self._has_turn_begun = False
+        #: (event loop time at which it is pushed, frame); and the streams of the turns
+        #: not yet played, None where no face took one.
         self._line: deque[tuple[float, frames.Frame]] = deque()
-        self._unplayed: deque[AsyncSpeech] = deque()
+        self._unplayed: deque[AsyncSpeech | None] = deque()
         self._frame_came = asyncio.Event()
         #: Event loop time since which the transport plays the bot's speech; None: it does not.
         self._began_s: float | None = None
@@ -473,7 +468,7 @@ class PipecatFollower(_FaceProcessor):
             await self._connect_face(self._push_delayed_frames(), self._report_positions())
         elif isinstance(frame, (frames.InterruptionFrame, frames.CancelFrame)):
             self._line = deque(each for each in self._line if not each[1].interruptible)
-            self._speech, self._began_s = None, None
+            self._speech, self._began_s, self._has_turn_begun = None, None, False
             self._unplayed.clear()
             if self._face.is_connected:
                 await self._interrupt_face()
@@ -486,7 +481,7 @@ class PipecatFollower(_FaceProcessor):
         elif not isinstance(frame, frames.SystemFrame) and direction == FrameDirection.DOWNSTREAM:
             with suppress(FaceError):
                 await self._send_to_face(frame)
-            delay_s = 1e-3 * self._unplayed[-1].delay_ms if self._unplayed else 0.0
+            delay_s = 1e-3 * self._speech.delay_ms if self._speech is not None else 0.0
             last_s = self._line[-1][0] if self._line else 0.0
             self._line.append((max(last_s, now_s + delay_s), frame))
             self._frame_came.set()
@@ -495,16 +490,21 @@ class PipecatFollower(_FaceProcessor):
 
     async def _send_to_face(self, frame: frames.Frame) -> None:
         """Send a frame's sound to a connected face, in one stream per turn. Raises FaceError."""
-        if isinstance(frame, frames.TTSStoppedFrame) and self._speech is not None:
-            speech, self._speech = self._speech, None
-            await speech.end()
-        elif isinstance(frame, frames.TTSAudioRawFrame) and self._face.is_connected:
-            if self._speech is None:
-                speech = self._face.stream(frame.sample_rate, "client")
-                await speech.__aenter__()
-                self._speech = speech
-                self._unplayed.append(speech)
-            await self._speech.write(mono_pcm(frame.audio, frame.num_channels))
+        if isinstance(frame, frames.TTSStoppedFrame):
+            self._has_turn_begun = False
+            await self._end_speech()
+        elif isinstance(frame, frames.TTSAudioRawFrame):
+            if not self._has_turn_begun:
+                # Where no face takes the turn now, none shows it: a stream that began later would
+                # not fit what the transport reports of the turn.
+                with suppress(FaceError):
+                    speech = self._face.stream(frame.sample_rate, "client")
+                    await speech.__aenter__()
+                    self._speech = speech
+                self._unplayed.append(self._speech)
+                self._has_turn_begun = True
+            if self._speech is not None:
+                await self._speech.write(mono_pcm(frame.audio, frame.num_channels))
 
     async def _push_delayed_frames(self) -> None:
         """Push each delayed frame at its time, until cancelled."""
@@ -524,8 +524,10 @@ class PipecatFollower(_FaceProcessor):
             if self._began_s is not None and self._unplayed:
                 await self._report_played(self._unplayed[0])
 
-    async def _report_played(self, speech: AsyncSpeech, *, whole: bool = False) -> None:
+    async def _report_played(self, speech: AsyncSpeech | None, *, whole: bool = False) -> None:
         """Report to the face how many s of a stream the transport has played; all if `whole`."""
+        if speech is None:
+            return
         now_s, sent_s = asyncio.get_running_loop().time(), speech.n_sent / speech.rate_hz
         played_s = sent_s if whole or self._began_s is None else now_s - self._began_s
         with suppress(FaceError):

@@ -5,7 +5,7 @@ docs/agents.md is the protocol.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, Protocol, runtime_checkable
+from typing import Any, Final, Literal, Protocol
 
 #: The version that this client speaks; a face of another says so, and so do we, in one line.
 PROTOCOL: Final = 2
@@ -73,7 +73,6 @@ def _unit(unit: Unit) -> dict[str, object]:
     return {name: value for name, value in named if value is not None}
 
 
-@runtime_checkable
 class SampleArray(Protocol):
     """A NumPy array, by two of its attributes; numpy is loaded only where an array is written."""
 

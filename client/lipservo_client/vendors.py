@@ -62,12 +62,14 @@ class VendorUnits:
     def stream_units(self, rate_hz: int) -> SpeechUnits:
         """Return the units with times in samples, for a stream's `tell`, beside `alphabet`.
 
-        A unit that overlaps the next ends where the next begins.
+        A unit that overlaps the next ends where the next begins. A blank label, a pause, is left
+        out: a face refuses it.
         """
         starts_s = (*(each.start_s for each in self.units[1:]), _LONGEST_S)
         return _PLURAL[self.kind], [
             (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz, next_s))
             for each, next_s in zip(self.units, starts_s, strict=True)
+            if each.label.strip()
         ]
 
 
@@ -300,17 +302,14 @@ class _UnitCollector:
         last_end_s = (rows[-1].end_s or rows[-1].start_s) if rows else self.from_s
         if times[0] is None and not isinstance(here.start, list | None):
             last_end_s = max(last_end_s, self.from_s + _seconds(here.start, 1.0, here.place))
-        units: list[TimedUnit] = []
         unit_rows = zip(*(each if len(each) == n else each * n for each in columns), strict=True)
         for number, (name, *values) in enumerate(unit_rows):
             place = f"{here.place}[{number}]" if n > 1 else here.place or "message"
             text = _label(name, kind, place)
-            is_blank = shape.kind == "word" and text is not None and not text.strip()
-            if text is not None and not is_blank:
+            if text is not None and (shape.kind != "word" or text.strip()):
                 start_s, end_s = self._times(values, unit_s, last_end_s, place)
-                units.append(TimedUnit(text, start_s, end_s))
+                rows.append(TimedUnit(text, start_s, end_s))
                 last_end_s = start_s if end_s is None else end_s
-        rows += units
 
     def _times(
         self, values: list[object], unit_s: float, last_end_s: float, place: str

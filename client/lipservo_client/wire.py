@@ -26,11 +26,16 @@ class Wire:
     def __init__(
         self,
         socket: ClientConnection,
+        token: str | None,
         on_event: Callable[[Event], None],
         on_close: Callable[[FaceError], None],
     ) -> None:
-        """Read from an open `socket` in a task: `on_event` gets each event, `on_close` the end."""
+        """Read from an open `socket` in a task: `on_event` gets each event, `on_close` the end.
+
+        token: that opened it; None: none.
+        """
         self._socket = socket
+        self.token = token
         self._on_event = on_event
         self._on_close = on_close
         self._reading = asyncio.get_running_loop().create_task(self._read())
@@ -88,9 +93,9 @@ async def connected(
     tokens = [token] if token is not None else await asyncio.to_thread(found_tokens, url)
     for each in tokens[:-1]:
         with contextlib.suppress(_UnauthorizedError):
-            return Wire(await _open(url, each, patience_s), on_event, on_close)
+            return Wire(await _open(url, each, patience_s), each, on_event, on_close)
     last = tokens[-1] if tokens else None
-    return Wire(await _open(url, last, patience_s), on_event, on_close)
+    return Wire(await _open(url, last, patience_s), last, on_event, on_close)
 
 
 class _UnauthorizedError(FaceError):

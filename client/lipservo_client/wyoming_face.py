@@ -23,10 +23,8 @@ from lipservo_client.protocol import FaceError
 _LOG: Final = logging.getLogger(__name__)
 _ABOUT: Final = Attribution(name="lipservo", url="")
 _FORMAT: Final = AudioFormat(rate=22_050, width=2, channels=1)
-#: A satellite that sends nothing for so long within an announcement has ended it: the handler then
-#: reads `_STOP` as if it had been sent.
+#: A satellite that sends nothing for so long within an announcement has ended it.
 _SILENT_S: Final = 5.0
-_STOP: Final = b'{"type": "audio-stop"}\n'
 
 
 class _Handler(AsyncEventHandler):
@@ -53,30 +51,39 @@ class _Handler(AsyncEventHandler):
         self._error: FaceError | None = None
         self._convert = AudioChunkConverter(width=2, channels=1)
         self._silence_timer: asyncio.TimerHandle | None = None
+        self._ending: asyncio.Task[None] | None = None
 
     async def handle_event(self, event: Event) -> bool:
         """Handle an event; return False, which disconnects, if it cannot be read."""
-        if self._silence_timer is not None:
-            self._silence_timer.cancel()
+        await self._end_silence()
         try:
             await self._dispatch(event)
         except (KeyError, TypeError, ValueError) as error:
             _LOG.warning("an event of a client cannot be read: %s", error)
             return False
         if self._is_announcing:
-            loop = asyncio.get_running_loop()
-            self._silence_timer = loop.call_later(_SILENT_S, self.reader.feed_data, _STOP)
+            self._silence_timer = asyncio.get_running_loop().call_later(_SILENT_S, self._end_silent)
         return True
 
     async def disconnect(self) -> None:
         """Disconnect from the face, which cuts off unfinished speech; let the next client speak."""
-        if self._silence_timer is not None:
-            self._silence_timer.cancel()
         try:
             await self._face.__aexit__()
+            await self._end_silence()
         finally:
             self._release_turn()
             self.writer.close()
+
+    def _end_silent(self) -> None:
+        # In a task of its own: the connection may be reading an event whose rest never comes.
+        self._ending = asyncio.get_running_loop().create_task(self._end_announcement())
+
+    async def _end_silence(self) -> None:
+        """Cancel the silence timer; wait until an announcement that it has ended is answered."""
+        if self._silence_timer is not None:
+            self._silence_timer.cancel()
+        if self._ending is not None:
+            await asyncio.gather(self._ending, return_exceptions=True)
 
     async def _dispatch(self, event: Event) -> None:
         """Answer `describe`, or begin, play or end an announcement; other events are ignored."""

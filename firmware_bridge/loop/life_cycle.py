@@ -212,7 +212,7 @@ class LifeCycle:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            self._previous_handlers = install_handler(self._on_signal, leave_ignored=True)
+            self._previous_handlers = install_handler(self._on_signal)
         if self._links.control is not None:
             self._links.control.attend(self._refusal)
         return self

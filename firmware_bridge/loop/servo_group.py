@@ -99,8 +99,12 @@ _REQUESTED = 60
 _BRAKES_S = 0.02
 #: The state of a servo that is to be driven, and is not known to have torque yet.
 STARTING_WORD: Final = "starting"
-#: How a servo waits on a bus whose port is open, while another port of the face is gone.
-_MEANWHILE: Final = {Torque.ON: "held", Torque.OFF: "limp"}
+#: Why a servo waits while a port of the face is gone; its torque is known where its own is not.
+_MEANWHILE: Final = {
+    Torque.ON: "held: a port of the face is gone",
+    Torque.OFF: "limp: a port of the face is gone",
+    Torque.UNKNOWN: PORT_GONE,
+}
 _DRIVEN: Final = int(ServoState.DRIVEN)
 _ON: Final = int(Torque.ON)
 _HEALTH = tuple(each.name for each in fields(ServoHealth))
@@ -195,12 +199,9 @@ class ServoGroup:
             self.supervision.keep_off(time_s, self.gate)
             if lets_go:
                 self.torque_off.go_on(time_s)
-        # A servo whose torque is known can be reached: it has another reason to wait.
-        waits = self.supervision.states == ServoState.WAITING
-        for torque, how in _MEANWHILE.items():
-            for index in np.flatnonzero(waits & (self.torque.states == torque)).tolist():
-                why = f"{how}: a port of the face is gone"
-                self.supervision.note_attempt(index, why, time_s)
+        for index in np.flatnonzero(self.supervision.states == ServoState.WAITING).tolist():
+            why = _MEANWHILE[Torque(int(self.torque.states[index]))]
+            self.supervision.note_attempt(index, why, time_s)
 
     def read(self) -> Readings:
         """Read and return all servos' positions; up to five times, until every servo answers.

@@ -219,7 +219,9 @@ class MaestroController:
         now_s = maestro.transport.clock.now()
         # The timeout ends all pulses together; a late write would start all together.
         is_late = 0.0 < timeout_s < 2.0 * (now_s - self._sent_s)
-        has_ended = is_late and any(not self.sending(index) > 0.0 for index in self._on[:1])
+        # Of a lost answer another is asked: without one nothing is known to hold.
+        asked = (self.sending(index) for index in self._on[:1] * 2)
+        has_ended = is_late and bool(self._on) and not any(each > 0.0 for each in asked)
         if has_ended:
             pulses_us = np.zeros_like(pulses_us)
         if self._commands is None:

@@ -122,8 +122,9 @@ class Pca9685:
     def sending(self, index: int) -> float:
         """Return the pulse in us that the channel of servo `index` makes, read from its registers.
 
-        0: none, also while the chip sleeps. The guard of the OE pin, if any, gets its
-        last heartbeat again. Raises PortError, and ServoError when the guard is dead or hangs.
+        0: none, also while the chip sleeps. The guard of the OE pin, if any, gets its last
+        heartbeat again, or one that blocks after a lapse. Raises PortError, and ServoError when the
+        guard is dead or hangs.
         """
         chip, channel = self._opened, self._channels[index]
         if self._guard is not None:
@@ -153,10 +154,13 @@ class Pca9685:
             self._chip = None
 
     def _switch_off(self) -> None:
-        if self._guard is not None:
-            with contextlib.suppress(ServoError):  # the next heartbeat raises it again
-                self._guard.beat(passes=False)
+        with contextlib.suppress(ServoError):  # the next heartbeat raises it again
+            if self._guard is not None:
+                self._guard.beat(passes=False, is_off=False)
         self._opened.write([ALL_OFF])
+        with contextlib.suppress(ServoError):
+            if self._guard is not None:
+                self._guard.beat(passes=False)
 
     def _beat(self, guard: OeGuard, *, passes: bool) -> None:
         """Send the guard a heartbeat that lets pulses through (`passes`) or blocks them.

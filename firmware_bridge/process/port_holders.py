@@ -19,6 +19,8 @@ END_OF_HUNG: Final = getattr(signal, "SIGUSR2", signal.SIGTERM)  # Windows has n
 #: A process dies in some milliseconds, unless a driver holds it.
 _DEATH_S: Final = 0.5
 _LOOK_S: Final = 0.01
+#: In the command line of the guard of an OE pin.
+_PIN_GUARD: Final = b"firmware_bridge.pca9685.oe_guard"
 
 
 def ports_held_by(pid: int) -> list[str]:
@@ -49,10 +51,16 @@ def is_ours(pid: int) -> bool:
         return False
     try:
         owner = (_PROC / str(pid)).stat().st_uid
-        command = (_PROC / str(pid) / "cmdline").read_bytes()
     except OSError:
         return False
-    return os.geteuid() in (0, owner) and "lipservo" in command.decode("utf-8", "replace")
+    return os.geteuid() in (0, owner) and b"lipservo" in _command_line(pid)
+
+
+def _command_line(pid: int) -> bytes:
+    try:
+        return (_PROC / str(pid) / "cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def supervisor_of(pid: int) -> int | None:
@@ -65,8 +73,8 @@ def supervisor_of(pid: int) -> int | None:
     parent = _parent(pid)
     if parent is None or not is_ours(parent):
         return None
+    words = _command_line(pid).decode("utf-8", "replace").split("\0")
     try:
-        words = (_PROC / str(pid) / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
         # As `lipservo daemon` starts the process that owns the port.
         fd = words[words.index("--control") + 1] if "bridge-process" in words else ""
         control = os.readlink(_PROC / str(pid) / "fd" / fd) if fd.isdigit() else ""
@@ -83,7 +91,11 @@ def with_children(pids: Iterable[int]) -> list[int]:
 
 
 def end_hung(pids: list[int]) -> list[int]:
-    """End hung processes by SIGUSR2, then SIGKILL; return the ids of those that still run."""
+    """End hung processes by SIGUSR2, then SIGKILL; return the ids of those that still run.
+
+    Guards of OE pins are left: once their face is dead they hold the pin, until the board is off.
+    """
+    pids = [pid for pid in pids if _PIN_GUARD not in _command_line(pid)]
     for number in (END_OF_HUNG, signal.SIGKILL):
         for pid in pids:
             with contextlib.suppress(OSError):

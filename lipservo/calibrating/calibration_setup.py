@@ -1,6 +1,7 @@
 """The setup of a calibration: the robot's face, the recorded speaker's model, options, servos."""
 
 import datetime
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -10,7 +11,7 @@ from typing import Final
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from calibration.capture.capture import LEAD_IN_DEG
+from calibration.capture.capture import LEAD_IN_DEG, KeptPoses
 from calibration.fit.procedure import Procedure, machine_poses
 from calibration.mouth_servos import JointRange, MouthServos
 from firmware_bridge.capabilities import BusCapabilities
@@ -28,6 +29,8 @@ N_POSES = 60
 #: Seconds until servos are still after a move, and that a joint chirps.
 _SETTLES_S: Final = 0.4
 CHIRPS_S: Final = 14.0
+#: Keys of a servo that say, with a joint's angle, which servo turns to where; not all have all.
+_MOUNTING: Final = ("address", "sign", "zero_offset_deg", "us_per_deg", "neutral_us")
 #: What is seen from the side alone.
 _FORWARD_WORDS = ("protrudes", "retracts")
 
@@ -94,18 +97,33 @@ class CalibrationSetup:
         return self.n_poses + self.procedure().n_usual_more
 
     @property
-    def estimated_s(self) -> float:
-        """Seconds that the servos need for these poses, and for chirps, without the tracker's."""
+    def pose_s(self) -> float:
+        """Seconds that the servos need for a pose, without the tracker's."""
         plan = self.procedure().range_plan()
         turns_deg = np.abs(np.diff(plan.goals_deg, axis=0)).max(axis=1)
-        pose_s = (float(turns_deg.mean()) + LEAD_IN_DEG) / self.speed_deg_s + 2 * _SETTLES_S
-        chirps_s = CHIRPS_S * len(self.servos.joints) if self.lags and self.has_place else 0.0
-        return pose_s * self.estimated_poses + chirps_s
+        return (float(turns_deg.mean()) + LEAD_IN_DEG) / self.speed_deg_s + 2 * _SETTLES_S
+
+    @property
+    def chirps_s(self) -> float:
+        """Seconds of the chirps and steps by which lags are measured."""
+        return CHIRPS_S * len(self.servos.joints) if self.lags and self.has_place else 0.0
+
+    @property
+    def kept(self) -> KeptPoses:
+        """The file `keep`; poses in it of servos that were mounted otherwise are refused."""
+        servos = self.settings.mouth_servos.values()
+        mounting = [[getattr(servo, key, None) for key in _MOUNTING] for servo in servos]
+        return KeptPoses(self.keep, mounting=json.dumps(mounting))
 
     @property
     def has_place(self) -> bool:
         """Whether every servo of the mouth reports its position; else goals count as positions."""
         return all(can.place for can in self._mouth_buses)
+
+    @property
+    def has_any_place(self) -> bool:
+        """Whether any servo of the mouth reports its position."""
+        return any(can.place for can in self._mouth_buses)
 
     @property
     def has_load(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Capture, KeptPoses
+from calibration.capture.capture import Capture
 from calibration.capture.dots import (
     PROTRUSION_IS_UNSEEN,
     DotsFolder,
@@ -151,7 +151,7 @@ def tracker_source(
     else:
         if not folder.is_dir() and folder.suffix.lower() not in (".csv", ".json"):
             raise CalibrationError(f"--tracker {source} must be a .csv or .json file, or a folder")
-        names, kept = setup.servos.names, KeptPoses(setup.keep).markers_mm()
+        names, kept = setup.servos.names, setup.kept.markers_mm()
 
         def reader(face: HeldFace) -> Tracker:
             # All files are read at every look: longer than servos may go without goals.

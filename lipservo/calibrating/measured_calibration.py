@@ -18,7 +18,7 @@ from calibration.calibration import (
     check_calibration,
     check_servo_memories,
 )
-from calibration.capture.capture import Capture, KeptPoses, Robot
+from calibration.capture.capture import Capture, Robot
 from calibration.capture.sanity import is_flat
 from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker
 from calibration.fit.jaw import fit_jaw, jaw_agreement, jaw_markers
@@ -73,9 +73,8 @@ class CalibrationResult:
         """
         if self.fit is None:
             return self
-        kept = KeptPoses(setup.keep)
         names = self.fit.face.marker_names
-        fit = take_grade(self.fit, setup.servos, names, robot, kept, n_captured)
+        fit = take_grade(self.fit, setup.servos, names, robot, setup.kept, n_captured)
         graded = fit.calibration
         calibration = replace(self.calibration, grade=graded.grade, coverage=graded.coverage)
         return CalibrationResult(calibration, fit, fit.warnings)
@@ -156,7 +155,7 @@ def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibrati
     calibration of another face or model, or of servos that were set up anew since.
     """
     check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
-    if setup.settings.capabilities.in_memory:
+    if setup.settings.capabilities.in_memory and not setup.settings.buses:
         held = _on_simulated_wire(setup)
     else:
         check_servo_memories(calibration, servo_memories(setup.settings))
@@ -296,6 +295,7 @@ def calibrate_on_servos(
 
             def measure() -> Array:
                 seen_mm: Array = here(tracker.measure)
+                here(face.check_sent_whole)
                 setup.watch.seen(tracker.marker_names, seen_mm)
                 return seen_mm
 
@@ -343,14 +343,14 @@ def capture_face(
     n_wanted, setup = setup.n_poses, setup.for_machine()
     n_joints = len(setup.servos.joints)
     more = "" if setup.n_poses == n_wanted else f": {n_joints} joints need more than {n_wanted}"
+    minutes = (setup.pose_s * setup.estimated_poses + setup.chirps_s) / 60.0
     say(
-        f"about {setup.estimated_poses} poses{more}; {setup.estimated_s / 60.0:.0f} minutes and "
-        "what the tracker needs"
+        f"about {setup.estimated_poses} poses{more}; {minutes:.0f} minutes and what the tracker "
+        "needs"
     )
     with progress_bar(setup, "poses", setup.n_poses) as done:
-        kept = KeptPoses(setup.keep)
         robot = replace(robot, progress=done)
-        return setup.procedure(seed).capture(marker_names, robot, kept=kept, report=say)
+        return setup.procedure(seed).capture(marker_names, robot, kept=setup.kept, report=say)
 
 
 def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:

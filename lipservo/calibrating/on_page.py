@@ -21,19 +21,23 @@ class PageWatch:
     def __init__(self, page: PageLine, setup: CalibrationSetup) -> None:
         self._page = page
         self._names = setup.servos.names
-        self._estimated_poses = setup.for_machine().estimated_poses
-        self._chirps_s = CHIRPS_S * len(self._names) if setup.lags and setup.has_place else 0.0
+        machine = setup.for_machine()
+        self._estimated_poses, self._pose_s = machine.estimated_poses, machine.pose_s
+        self._chirps_s = machine.chirps_s
         self._began_s = time.monotonic()
+        self._done = self._n_kept = 0
         self.watch = Watch(self.progress, self.arrived, self.seen)
 
     def progress(self, what: str, done: int, total: int) -> None:
         """Send the page how many of the `total` poses or chirps (`what`) are done; minutes left."""
-        spent_s = time.monotonic() - self._began_s
-        if not done:
-            self._began_s, spent_s = time.monotonic(), 0.0
+        if not done or done > self._done + 1:  # poses of the file took no time
+            self._began_s, self._n_kept = time.monotonic(), done
+        self._done = done
         if what == "poses":
             total = max(self._estimated_poses, done + 1)
-            left_s = spent_s / done * (total - done) + self._chirps_s if done else None
+            n_new = done - self._n_kept
+            pose_s = (time.monotonic() - self._began_s) / n_new if n_new else self._pose_s
+            left_s = pose_s * (total - done) + self._chirps_s if done else None
         else:
             left_s = (total - done) * CHIRPS_S
         left_min = None if left_s is None else round(left_s / 60.0, 2)

@@ -104,6 +104,7 @@ def touch_by_eye(
                 face.move(plan.goals_deg[row])
                 MESSAGES.print(f"shape {shape}, step {row - rows[0] + 1} of {len(rows)}: meet?")
                 key = face.hold_while(read_key)
+                face.check_sent_whole()
                 if key == "q":
                     raise CalibrationError("stopped with q; the calibration stays as it is")
                 if key in ("\r", "\n"):
@@ -137,10 +138,16 @@ def _take_pressing_poses(
 
     The remaining poses are left out once a servo draws 90 % of its `max_current_ma`.
     """
+
+    def measure() -> Array:
+        seen_mm = tracker.measure()
+        face.check_sent_whole()
+        return seen_mm
+
     with progress_bar(setup, "steps", len(plan)) as done:
         robot = Robot(
             face.move,
-            tracker.measure,
+            measure,
             tracker.arrived,
             done,
             lambda: strained_servo(setup, face.effort),

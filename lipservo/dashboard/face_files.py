@@ -44,7 +44,7 @@ def set_pulse_limit(
     with face_errors():
         edit = found_limits.with_pulse_limit(path, servo, limit, pulse_us)
         edit.write()
-        if limit == "neutral":
+        if limit == "neutral" and edit.text != edit.before:
             found_limits.forget_poses(path)
         new_servo = parse_face(edit.text, path.name).servos[servo]
     degrees = {"min_deg": new_servo.min_deg, "max_deg": new_servo.max_deg}

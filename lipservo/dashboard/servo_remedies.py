@@ -44,7 +44,7 @@ _OF_STATE: Final = {
 def error_words(bits: int | None) -> list[dict[str, str]]:
     """Return {error, meaning, remedy} of each hardware error bit that is set; [] for None."""
     found = [
-        {"error": _error_name(error), "meaning": meaning, "remedy": remedy}
+        {"error": str(error.name).lower().replace("_", " "), "meaning": meaning, "remedy": remedy}
         for error, (meaning, remedy) in _OF_ERROR.items()
         if (bits or 0) & error
     ]
@@ -160,7 +160,3 @@ def _servo_values(
         "errors": error_words(bits),
         "trouble": state_words(state),
     }
-
-
-def _error_name(error: HardwareError) -> str:
-    return str(error.name).lower().replace("_", " ")

@@ -177,15 +177,16 @@ def _right_motion(
         speech = _speech_request(request, chosen)
         right = stack.enter_context(filmed(request.beside, speech, request.rate_hz))
     else:
-        if first.sound is None or (request.speech or "").endswith(SUFFIX):
+        if first.heard is None:
             raise UserError(f"--beside {request.beside}: needs a performance, as the first is one")
         strategy = next((each for each in STRATEGIES if each == request.beside), None)
         if strategy is None:
             raise UserError(
                 f"--beside {request.beside}: name a performance (.perf), or {', '.join(STRATEGIES)}"
             )
-        speech = _speech_request(request, replace(chosen, strategy=strategy))
-        right = stack.enter_context(filmed(request.speech or "", speech, request.rate_hz))
+        other = _speech_request(request, replace(chosen, strategy=strategy))
+        speech = replace(first.heard, motion=other.motion)
+        right = stack.enter_context(filmed(str(first.sound), speech, request.rate_hz))
     frames = right.frames[: len(first.frames)]
     frames += (frames[-1],) * (len(first.frames) - len(frames))
     return replace(right, frames=frames)

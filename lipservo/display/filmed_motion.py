@@ -37,13 +37,14 @@ class FilmedMotion:
     """A motion to film: one frame per picture, frame n at n / rate s of sound time.
 
     sound: the sound file; None: a silent film. servos, sent_deg (n, n_servos): the goals that a
-    traced run sent to its servos; else (), None.
+    traced run sent to its servos; else (), None. heard: how a sound or text was heard; else None.
     """
 
     frames: tuple[Frame, ...]
     sound: Path | None
     servos: tuple[str, ...] = ()
     sent_deg: Array | None = None
+    heard: "SpeechRequest | None" = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +86,9 @@ def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[Filmed
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="lipservo-")))
             path, script = _synthesise_text(speech, request.config, folder)
             labels = None if script is None else LabelFile(script, "phones")
-            request = replace(request, script=labels, text="" if script else speech)
-        yield FilmedMotion(_frames_of_sound(path, request, rate_hz), path)
+            text = "" if script else speech
+            request = replace(request, script=labels, text=text, channel="")
+        yield FilmedMotion(_frames_of_sound(path, request, rate_hz), path, heard=request)
 
 
 def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: int) -> FilmedMotion:

@@ -85,11 +85,19 @@ def logged_faces(environment: Mapping[str, str]) -> dict[str, list[Path]]:
 def places_searched(environment: Mapping[str, str]) -> str:
     """Return the folders in which logs are searched, for the message that no log was found."""
     return " and ".join(
-        f"{each}"
-        if not each.exists() or os.access(each, os.R_OK | os.X_OK)
-        else f"{each} (only its group and root may read it)"
+        f"{each}" if _may_read(each) else f"{each} (only its group and root may read it)"
         for each in _health_folders(environment)
     )
+
+
+def _may_read(folder: Path) -> bool:
+    try:
+        os.listdir(folder)
+    except PermissionError:
+        return False
+    except OSError:  # it is not there
+        return True
+    return True
 
 
 def _health_folders(environment: Mapping[str, str]) -> list[Path]:

@@ -2,9 +2,10 @@
 
 import hashlib
 import json
+import os
 import time
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 from importlib import resources
 from importlib.metadata import version
 from importlib.resources.abc import Traversable
@@ -82,8 +83,11 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
     """Compute the performance of a sound (a line) without writing it; return it and its figures.
 
     As there is no output file yet, `output` of the figures holds `sound`. script: the line's phones
-    or text, if known; how: options. Raises UserError.
+    or text, if known; how: options. Raises UserError, also if a file changed meanwhile.
     """
+    labels = None if script.phones is None else script.phones.path
+    files = (sound, labels, how.model, how.offline, how.expression)
+    stamps = _stamps(*files)
     speaker = load_speaker(how.model, how.offline)
     line, line_notes = spoken_line(sound, script)
     began_s = time.perf_counter()
@@ -98,6 +102,10 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
         {} if how.expression is None else line_expression(how.expression, line, len(faces)),
         _origin(performed, script, how),
     )
+    if _stamps(*files) != stamps:
+        raise UserError(
+            f"{sound}: it, its labels or a model changed while it was rendered; render it again"
+        )
     seconds = time.perf_counter() - began_s
     duration_s = len(line.samples) / SAMPLE_RATE_HZ
     all_notes = (*line_notes, *notes)
@@ -135,28 +143,32 @@ def _origin(sound: PerformedSound, script: Script, how: Rendering) -> str:
         [sound.name, sound.sha256],
         phones,
         [script.text, script.channel],
-        _common_origin(how),
+        _common_origin(how, *_stamps(how.model, how.offline, how.expression)),
     ]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
-@cache
-def _common_origin(how: Rendering) -> list[object]:
+@lru_cache(maxsize=8)
+def _common_origin(how: Rendering, *_stamps: tuple[int, ...]) -> list[object]:
     """Return what all lines with these options depend on: version, options, digests of models.
 
-    It is computed once per process for equal options, as the models are loaded once, too.
+    It is computed once per process for equal options and unchanged files, as the models are loaded
+    once, too.
     """
     models = resources.files("lipsync.models")
-    expression: object = None
-    if how.expression is not None:
-        settings, _ = load_settings(how.expression)
-        expression = settings.model_dump_json()
+    expression = how.expression and load_settings(how.expression)[0].model_dump_json()
     return [
         version("lipservo"),
         [how.method, how.strength, how.includes_sound, expression],
         _digest(how.model or models / f"{SHIPPED_MODEL}.npz"),
         _digest(how.offline or models / f"{SHIPPED}.npz"),
     ]
+
+
+def _stamps(*paths: Path | str | None) -> tuple[tuple[int, ...], ...]:
+    """Return for each path at which there is a file what changes when that file is replaced."""
+    stats = [os.stat(path) for path in paths if path and os.path.exists(path)]
+    return tuple((each.st_mtime_ns, each.st_size, each.st_ino) for each in stats)
 
 
 def _digest(place: Traversable) -> str:
@@ -190,12 +202,17 @@ def rendered_faces(
     return shown_faces(synthesizer, np.arange(n_frames) / RATE_HZ), tuple(notes)
 
 
-@cache
 def load_speaker(model: Path | None, offline: Path | None) -> Speaker:
-    """Load the face model and the offline model from files, once per process; None: shipped ones.
+    """Load the face model and the offline model, unless they are those loaded before.
 
-    Raises ModelError, and OfflineModelError for an offline model that was made for another face.
+    None: the shipped ones. Raises ModelError, and OfflineModelError for an offline model that was
+    made for another face.
     """
+    return _loaded_speaker(model, offline, *_stamps(model, offline))
+
+
+@lru_cache(maxsize=2)
+def _loaded_speaker(model: Path | None, offline: Path | None, *_stamps: tuple[int, ...]) -> Speaker:
     with open_model(model) as file:
         face = read_face(file)
         expectation = read_expectation(file, face.n_components)

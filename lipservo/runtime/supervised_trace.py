@@ -77,7 +77,11 @@ class SupervisedTrace:
 
     def __exit__(self, *exc: object) -> None:
         self._closed.set()
-        self._opener.join(_END_S)
+        for _ in range(round(_END_S / _POLL_S)):
+            self._beat()
+            self._opener.join(_POLL_S)
+            if not self._opener.is_alive():
+                break
         if self._trace is not None:
             self._trace.__exit__(*exc)
 

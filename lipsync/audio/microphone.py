@@ -197,6 +197,7 @@ class MicrophoneSource:
             self._add_arrival(capture, capture.arrived.popleft())
         if has_ended:
             self._push_samples(capture.rest())
+            capture.arrived = deque(maxlen=0)  # its resampler is gone, should the device wake late
 
     def _add_arrival(self, capture: "_Capture", arrival: "_Arrival") -> None:
         """Add the samples of one callback, after silence for those lost before them, to the blocks.

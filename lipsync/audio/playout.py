@@ -249,6 +249,8 @@ class Playout:
         silence. quiet_s: no speech is played before this position of the timeline, in s.
         """
         self._mute_until_s = quiet_s
+        if self._microphone is not None:
+            self._microphone.discard()  # what it captured while the face was being made
         if self.loudspeaker is None:
             return
         n_blocks = round((lead_s - self.loudspeaker.latency_s) / BLOCK_S)

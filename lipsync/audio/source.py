@@ -33,7 +33,7 @@ class AudioSource(Protocol):
 
     @property
     def lost_blocks(self) -> int:
-        """The number of blocks that the device or the computer dropped (overruns)."""
+        """The number of blocks that were dropped (overruns), or could not be decoded."""
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """Return the blocks, not returned before, that end at or before sound time `until_s`."""

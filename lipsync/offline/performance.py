@@ -49,7 +49,7 @@ class PerformedSound:
     name: of that file, without folders. sha256: of its bytes, 64 hex digits. content: the bytes
     that are to be written into the performance file; None where the sound stays a file beside the
     performance, and in every performance read from a file: `sound_file` gives access to its sound.
-    channel: the one that was rendered, and is played; "": all are mixed.
+    channel: the one that was rendered, and that a face plays; "": all are mixed.
     """
 
     name: str

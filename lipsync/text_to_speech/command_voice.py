@@ -17,7 +17,6 @@ from typing import Final
 
 import numpy as np
 import soundfile
-from lipservo_client.vendors import TimedUnit
 
 from lipsync.audio.file import Levels, open_sound
 from lipsync.audio.source import SoundError
@@ -70,13 +69,11 @@ class CommandVoice:
         return speech_of(sound, answer["sample_rate_hz"], written, answer["words"])
 
 
-def speech_of(
-    sound: bytes, sample_rate_hz: int, text: str, words: str, name: str = _WORDS
-) -> SynthesizedSpeech:
+def speech_of(sound: bytes, sample_rate_hz: int, text: str, words: str) -> SynthesizedSpeech:
     """Return the speech with `text` and int16 samples as bytes, timed by `words`.
 
-    words: JSON as in docs/text.md, or "" for no times; name: of its origin, for errors. Raises
-    SynthesisError for words that cannot be used, UnspeakableTextError for no sound.
+    words: JSON as in docs/text.md, or "" for no times. Raises SynthesisError for words that cannot
+    be used, or end long after the sound, UnspeakableTextError for no sound.
     """
     samples = np.frombuffer(sound, np.int16).astype(np.float32) / np.float32(_FULL_SCALE)
     if not len(samples):
@@ -86,21 +83,17 @@ def speech_of(
     if not words.strip():
         return speech
     try:
-        labels = labels_in(words.encode(), LabelFile(Path(name)))
+        labels = labels_in(words.encode(), LabelFile(Path(_WORDS)), end_s := speech.duration_s)
         if labels.phones:
-            return replace(speech, phonemes=labels.phones, units=None)
-        return replace(speech, units=_timed_words(labels.words, sample_rate_hz))
+            phones = (each for each in labels.phones if each.start_s < end_s)
+            cut = tuple(replace(each, end_s=min(each.end_s or end_s, end_s)) for each in phones)
+            return replace(speech, phonemes=cut, units=None)
+        units = tuple(
+            SpokenUnit(unit.label, round(unit.start_s * sample_rate_hz)) for unit in labels.words
+        )
+        return replace(speech, units=SpokenText("word", units, sample_rate_hz))
     except (LabelError, SpokenTextError) as error:
         raise SynthesisError(str(error)) from None
-
-
-def _timed_words(words: tuple[TimedUnit, ...], sample_rate_hz: int) -> SpokenText:
-    """Return words with times in s as units that start at sample numbers."""
-    return SpokenText(
-        "word",
-        tuple(SpokenUnit(unit.label, round(unit.start_s * sample_rate_hz)) for unit in words),
-        sample_rate_hz,
-    )
 
 
 def _check_voice(voice: Voice) -> None:

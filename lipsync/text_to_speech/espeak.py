@@ -86,9 +86,8 @@ def refine_times(
         before, after = timed[index - 1], timed[index]
         # A stop begins where the silence before its burst begins, a vowel where the sound jumps.
         if after.phones[0] in _STOPS:
-            earliest_s = before.start_s
             if before.phones[-1] == SILENCE:
-                earliest_s = max(earliest_s, after.start_s - _CLOSURE_AFTER_PAUSE_S)
+                earliest_s = max(before.start_s, after.start_s - _CLOSURE_AFTER_PAUSE_S)
             else:
                 earliest_s = min(events_s[index - 1] + _CONSONANT_AT_LEAST_S, after.start_s)
             boundary_s = max(earliest_s, _closure_start_s(after.start_s, loud_s))
@@ -244,14 +243,10 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
         if not phones.phones and last.phones == (SILENCE,):
             continue
         last.end_s = start_s
-        is_pause = not phones.phones
         timed.append(
-            TimedPhones(
-                (SILENCE,) if is_pause else phones.phones,
-                start_s,
-                duration_s,
-                -1 if is_pause else word,
-            )
+            TimedPhones(phones.phones, start_s, duration_s, word)
+            if phones.phones
+            else TimedPhones((SILENCE,), start_s, duration_s)
         )
     return timed, tuple(guessed)
 
@@ -264,13 +259,11 @@ def _with_ends(spoken: Synthesis) -> list[tuple[PhonemeMark | WordMark, int]]:
     result: list[tuple[PhonemeMark | WordMark, int]] = []
     end = len(spoken.samples)
     for mark in reversed(spoken.marks):
+        if isinstance(mark, PhonemeMark) and mark.ipa.startswith(_SWITCH):
+            continue
+        result.append((mark, end))
         if isinstance(mark, PhonemeMark):
-            if mark.ipa.startswith(_SWITCH):
-                continue
-            result.append((mark, end))
             end = mark.sample
-        else:
-            result.append((mark, end))
     return result[::-1]
 
 

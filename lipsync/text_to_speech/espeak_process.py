@@ -5,10 +5,9 @@ process that moves the mouth that would be the end of the face.
 """
 
 import threading
-from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -54,7 +53,9 @@ class EspeakProcess:
         """
         answer, sound = self._process.request({"text": text, "voice": asdict(voice)})
         samples = np.frombuffer(sound, np.int16).astype(np.float32) / np.float32(_FULL_SCALE)
-        marks = tuple(_parse_mark(each) for each in answer["marks"])
+        marks = tuple(
+            PhonemeMark(**each) if "ipa" in each else WordMark(**each) for each in answer["marks"]
+        )
         return Synthesis(samples, answer["sample_rate_hz"], marks)
 
     def close(self) -> None:
@@ -74,10 +75,6 @@ def espeak() -> EspeakProcess:
 @cache
 def _single_process() -> EspeakProcess:
     return EspeakProcess()
-
-
-def _parse_mark(mark: Mapping[str, Any]) -> PhonemeMark | WordMark:
-    return PhonemeMark(**mark) if "ipa" in mark else WordMark(**mark)
 
 
 def _languages_or_speech(request: Request) -> tuple[dict[str, object], bytes]:

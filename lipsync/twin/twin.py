@@ -101,7 +101,9 @@ def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[s
     given_mm = np.zeros((len(places), 4, 3))
     for eye_index, rim in enumerate(rims):
         given_mm[rim, eye_index] = _lid_shutting(places[rim])
-        given_mm[rim, 3, 1] = _SMILING_LID_MM * _lower_lid(len(rim))
+        # Round an eye: 0 on the upper lid, up to 1 and back on the lower one.
+        lower_lid = np.maximum(0.0, -np.sin(2 * np.pi * (np.arange(len(rim)) / len(rim))))
+        given_mm[rim, 3, 1] = _SMILING_LID_MM * lower_lid
     given_mm[brows, 2, 1] = np.tile(_BROW_UP_MM, 4)
     for landmark in MARKERS_47.landmarks:
         given_mm[landmark, 3] = _smile_mm(landmark)
@@ -134,11 +136,6 @@ def _lip_tuck(surface: HeadSurface) -> Array:
     is_given = np.zeros(len(places), dtype=bool)
     is_given[surface.anchors] = is_given[[*OUTER_LIP, *INNER_LIP, *CHIN, *_NOSTRILS]] = True
     return spread(surface.stiffness, np.flatnonzero(is_given), given_mm[is_given])
-
-
-def _lower_lid(n: int) -> Array:
-    """Return weights (n,) round an eye: 0 on the upper lid, 0 up to 1 and back on the lower lid."""
-    return np.maximum(0.0, -np.sin(2 * np.pi * (np.arange(n) / n)))
 
 
 def _smile_mm(landmark: int) -> tuple[float, float, float]:

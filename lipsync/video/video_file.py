@@ -63,7 +63,8 @@ def video_sound(path: Path) -> VideoSound:
     """
     separate = path.with_suffix(".wav")
     if separate.is_file():
-        sound = VideoSound(read_speech(separate), _first_picture_s(path))
+        first_picture_s = next((time_s for time_s, _ in video_pictures(path)), 0.0)
+        sound = VideoSound(read_speech(separate), first_picture_s)
     else:
         sound = _own_sound(path)
     if not sound.samples.any():
@@ -107,11 +108,6 @@ def _own_sound(path: Path) -> VideoSound:
     if rate_hz != SAMPLE_RATE_HZ:
         samples = np.clip(soxr.resample(samples, rate_hz, SAMPLE_RATE_HZ), -1.0, 1.0)
     return VideoSound(samples.astype(np.float32), begins_s)
-
-
-def _first_picture_s(path: Path) -> float:
-    """Return the time in s of the first picture, 0 without one. Raises VideoError."""
-    return next((time_s for time_s, _ in video_pictures(path)), 0.0)
 
 
 def _upright(frame: Any, aspect: float) -> Picture:

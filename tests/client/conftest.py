@@ -40,12 +40,12 @@ def traffic_by_the_schema(monkeypatch):
             sent.append(json.loads(message))
         await send(self, message)
 
-    def taking(self, socket, on_event, on_close):
+    def taking(self, socket, token, on_event, on_close):
         def noted(event):
             received.append(event)
             on_event(event)
 
-        take(self, socket, noted, on_close)
+        take(self, socket, token, noted, on_close)
 
     monkeypatch.setattr(Wire, "send_message", sending)
     monkeypatch.setattr(Wire, "__init__", taking)

@@ -1,16 +1,25 @@
 """`lipservo.connect_async`: an agent with an event loop speaks through a face."""
 
 import asyncio
+import contextlib
+import itertools
 import subprocess
 import sys
 import threading
+from collections import deque
 
+import numpy as np
 import pytest
+from lipservo_client import async_face, wire
 from lipservo_client.protocol import FaceError, Played, unit_messages
 from places import ROOT
-from voice_agents.served_face import DELAY_MS, ServedFace, tone
+from voice_agents.served_face import DELAY_MS, RATE_HZ, ServedFace, tone, until
 
 import lipservo
+from lipservo.access.admission import Policy
+from lipservo.agents.listener import AgentSettings
+from lipservo.runtime.sound import SpeechItem
+from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.spoken_text import LONGEST_LABEL
 
 
@@ -54,6 +63,33 @@ def test_barge_in_from_another_task_ends_the_writing(served):
     assert n_written > 0
     assert not played.finished
     assert 0.0 < played.played_s < 0.5 * n_written
+
+
+def test_the_late_end_of_an_interrupted_stream_does_not_end_the_next(served):
+    async def talk():
+        async with lipservo.connect_async(served.url) as face, face.stream() as old:
+            await old.write(tone(20.0))
+            await face.interrupt()
+            events = face.events()
+            async with face.stream() as reply:
+                await reply.write(tone(0.1))
+                await old.mark("late")
+                await old.end()
+                await reply.write(tone(0.1))
+                played = await reply.wait()
+            return played, {event["type"] async for event in until_finished(events)}
+
+    played, kinds = asyncio.run(talk())
+
+    assert played == Played(finished=True, played_s=0.2)
+    assert not kinds & {"error", "mark"}
+
+
+async def until_finished(events):
+    async for event in events:
+        yield event
+        if event["type"] == "finished":
+            return
 
 
 def test_a_client_that_plays_the_sound_gets_the_delay_and_reports(served):
@@ -107,11 +143,12 @@ def test_a_client_needs_nothing_but_websockets():
     assert done.stdout == "\n\n"
 
 
-def test_a_text_that_the_face_cannot_use_does_not_end_the_speech(served):
+@pytest.mark.parametrize(("language", "code"), [("qq", "bad_text"), ("en_US", "bad_message")])
+def test_a_text_that_the_face_cannot_use_does_not_end_the_speech(served, language, code):
     async def talk():
         async with lipservo.connect_async(served.url) as face, face.stream() as speech:
             events = face.events()
-            await speech.tell("a", language="qq")
+            await speech.tell("a", language=language)
             await speech.write(tone(0.1))
             async for event in events:
                 if event["type"] == "error":
@@ -119,7 +156,67 @@ def test_a_text_that_the_face_cannot_use_does_not_end_the_speech(served):
             await speech.write(tone(0.1))
             return event["code"], await speech.wait()
 
-    assert asyncio.run(talk()) == ("bad_text", Played(finished=True, played_s=0.2))
+    assert asyncio.run(talk()) == (code, Played(finished=True, played_s=0.2))
+
+
+def test_commands_are_sent_with_the_token_that_the_face_admitted_and_not_with_a_stale_one(
+    monkeypatch,
+):
+    monkeypatch.setattr(wire, "found_tokens", lambda _url: ["stale", "right"])
+
+    async def talk():
+        async with lipservo.connect_async(face.url) as client:
+            return await client.set("strength", 0.8)
+
+    with ServedFace(AgentSettings(policy=Policy("right"))) as face:
+        assert asyncio.run(talk())["value"] == 0.8
+
+
+def test_a_client_that_came_to_a_full_face_may_do_more_than_stop_it_once_others_have_left(served):
+    async def talk():
+        async with (
+            contextlib.AsyncExitStack() as others,
+            lipservo.connect_async(served.url) as face,
+        ):
+            for _ in range(7):
+                await others.enter_async_context(lipservo.connect_async(served.url))
+            with pytest.raises(FaceError) as refused:
+                await face.set("strength", 0.7)
+            await others.aclose()
+            await asyncio.to_thread(until, lambda: served.server.status()["n_clients"] == 1)
+            return refused.value.code, (await face.set("strength", 0.8))["value"]
+
+    assert asyncio.run(talk()) == ("unauthorized", 0.8)
+
+
+def test_a_text_of_many_sentences_is_waited_for_as_long_as_the_face_speaks(monkeypatch):
+    """Its duration is known of the first sentence alone; limit and speech are a thousandth."""
+    monkeypatch.setattr(async_face, "STILL_S", 0.31)
+
+    def say(given, name):
+        rates_hz = RATE_HZ, face.playout.output_rate_hz
+        streams = [PlayoutStream(name, *rates_hz) for _ in range(20)]
+        for stream in streams:
+            stream.push(np.frombuffer(tone(1.0), "<i2").astype(np.float32) / 32_768)
+            stream.end()
+
+        def pieces():
+            for last, stream in itertools.pairwise(streams):
+                face.playout.requests.append(PlayoutRequest("say", stream, after=last))
+                yield stream
+
+        spoken = SpeechItem(pieces(), deque(streams[:1]), 2.0, 0.05)
+        face._queue.add(spoken, given.text)
+        return spoken
+
+    async def talk():
+        async with lipservo.connect_async(face.url) as client:
+            return await client.say("twenty sentences", wait=True)
+
+    with ServedFace(say=say) as face:
+        answer = asyncio.run(talk())
+
+    assert (answer["finished"], round(answer["played_s"])) == (True, 20)
 
 
 def test_a_label_longer_than_a_face_takes_is_cut_short():

@@ -1,6 +1,7 @@
 """A face as the audio output of a LiveKit agent session without a room."""
 
 import asyncio
+import socket
 import warnings
 
 import numpy as np
@@ -173,6 +174,26 @@ def test_without_a_face_segments_end_at_once_with_nothing_heard():
 
     ended = asyncio.run(talk())
     assert (ended.playback_position, ended.interrupted) == (0.0, True)
+
+
+def test_a_barge_in_before_the_face_has_taken_the_segment_ends_it():
+    """As LiveKit's forwarding task ends: the robot is off, and connecting takes until then."""
+
+    async def talk():
+        with socket.create_server(("127.0.0.1", 0)) as silent:
+            output = LiveKitFace(f"ws://127.0.0.1:{silent.getsockname()[1]}", token="t")
+            output._face.keep_trying()
+            saying = asyncio.ensure_future(captured(output, 0.2))
+            await asyncio.sleep(0.1)
+            saying.cancel()
+            await asyncio.wait([saying])
+            output.flush()
+            output.clear_buffer()
+            ended = await asyncio.wait_for(output.wait_for_playout(), 10.0)
+            await output.__aexit__()
+            return saying.cancelled(), ended.interrupted, ended.playback_position
+
+    assert asyncio.run(talk()) == (True, True, 0.0)
 
 
 def test_a_face_that_goes_while_it_speaks_ends_the_segment():

@@ -9,6 +9,7 @@ from lipservo_lab.bench.agents.remembered_words import WORD_S
 from voice_agents.remembered import heard_words, numbered, sound, wrong
 from voice_agents.served_face import RATE_HZ, ServedFace, tone
 
+import lipservo
 from lipsync.text_to_speech.pronunciation import pronounced
 
 # Its own imports warn of what it will drop one day.
@@ -222,6 +223,33 @@ def test_a_follower_shows_the_sound_hands_it_on_in_order_and_reports_what_is_pla
     reported = [n_samples for _, _, n_samples in face.reported]
     assert reported == sorted(reported)
     assert reported[-1] == round(0.4 * RATE_HZ)
+
+
+def test_a_follower_shows_no_turn_whose_beginning_the_face_refused_and_the_next_whole():
+    def frames(face, client):
+        speech = client.stream()
+        speech.__enter__()
+        first, second = spoken(1.0), spoken(0.4)
+        yield from first[:13]
+        yield SleepFrame(0.3)  # until it was refused
+        speech.wait()
+        face.hold()
+        yield from (*first[13:], *second)
+        for _ in range(2):  # of the first turn, then of the second
+            yield BotStartedSpeakingFrame()
+            yield SleepFrame(0.3)
+            yield BotStoppedSpeakingFrame()
+        yield SleepFrame(0.2)
+
+    with ServedFace() as face, lipservo.connect(face.url) as client:
+        down, _ = piped(PipecatFollower(face.url), frames(face, client))
+        refused = face.server.status()["n_streams_refused"]
+
+    sound = [frame for frame in down if isinstance(frame, TTSAudioRawFrame)]
+    assert b"".join(frame.audio for frame in sound) == tone(1.0) + tone(0.4)
+    assert len({name for _, name, _ in face.reported}) == 1
+    assert face.reported[-1][2] == round(0.4 * RATE_HZ)
+    assert refused == 1
 
 
 def words_of(frames):

@@ -250,6 +250,12 @@ def test_of_a_stream_what_reaches_into_the_next_ends_where_that_begins():
     assert vendor_units(rows)[0].stream_units(1000)[1] == [("m", 0, 200), ("a", 200, 400)]
 
 
+def test_a_phoneme_without_a_name_is_a_pause_and_not_told():
+    rows = [{"phoneme": each, "start": n} for n, each in enumerate(("m", "", " ", "a"))]
+
+    assert vendor_units(rows)[0].stream_units(1000)[1] == [("m", 0, 1000), ("a", 3000, None)]
+
+
 @pytest.mark.parametrize(
     ("message", "error"),
     [

@@ -194,3 +194,27 @@ def test_a_satellite_that_falls_silent_within_an_announcement_holds_up_no_other(
 
     assert [answer.type for answer in answers] == ["played", "played"]
     assert heard_s == pytest.approx(0.4, abs=0.02)
+
+
+def test_a_satellite_that_is_lost_within_a_chunk_holds_up_no_other_and_speaks_again(
+    unused_port, monkeypatch
+):
+    monkeypatch.setattr(wyoming_face, "_SILENT_S", 0.3)
+
+    async def talk(url):
+        async with two_satellites(url, unused_port) as (lost, other):
+            await said(lost, tone(0.2), ends=False)
+            header = b'{"type": "audio-chunk", "data": {"rate": 24000, "width": 2, "channels": 1}'
+            lost._writer.write(header + b', "payload_length": 2400}\n' + tone(0.02))
+            last = await said(other, tone(0.2))
+            lost._writer.write(tone(0.03))
+            await lost.write_event(AudioStop().event())
+            answers = [await asyncio.wait_for(lost.read_event(), 60.0) for _ in range(2)]
+            return last, *answers
+
+    with ServedFace() as face:
+        answers = asyncio.run(talk(face.url))
+        heard_s = sounding_s(face)
+
+    assert [answer.type for answer in answers] == ["played"] * 3
+    assert heard_s == pytest.approx(0.45, abs=0.02)

@@ -176,7 +176,7 @@ def _wired_yaml(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool
         return text
 
     def check_board(board: str) -> str:
-        wired(board, joints or [WiredJoint("jaw", 0, "opens")])
+        wired(board, [WiredJoint("jaw", 0, "opens")])
         return board
 
     for each in part.channels:

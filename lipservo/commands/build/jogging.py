@@ -189,7 +189,7 @@ def _write_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
     try:
         edit = with_pulse_limit(own_yaml(config), hand.name, limit, hand.place)
         edit.write()
-        if limit == "neutral":
+        if limit == "neutral" and edit.text != edit.before:
             forget_poses(edit.path)
     except UserError as error:
         return str(error)

@@ -96,7 +96,7 @@ def setup_servos(
             "limits with `lipservo jog JOINT`, or on the page Servos of `lipservo jog --dashboard`"
         )
         return
-    chosen = [servos[name] for name in joints or servos]
+    chosen = [servos[name] for name in dict.fromkeys(joints or servos)]
     servo_port, rate = port_of(port, settings.bus.port), getattr(settings.bus, "baud_rate", 0)
     work = _Work(tools, chosen, servo_port, rate, dry_run, as_json)
     status, error = 0, ""

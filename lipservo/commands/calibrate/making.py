@@ -178,7 +178,12 @@ def check_files(
 
 def keep_beside(output: Path, keep: Path | None) -> Path:
     """Return the file of captured poses: `keep`, or else one beside the calibration `output`."""
-    return output.with_name(f"{output.name}.poses") if keep is None else keep
+    return _beside(output, "poses") if keep is None else keep
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    """Return the path of a file that goes with another: FILE and `previous` give FILE.previous."""
+    return path.with_name(f"{path.name}.{suffix}")
 
 
 @contextmanager
@@ -202,7 +207,7 @@ def resumable_poses(output: Path, keep: Path | None) -> Iterator[Path]:
             "or delete that file to begin anew"
         ) from error
     if keep is None and poses_file.exists():
-        poses_file.replace(poses_file.with_name(f"{poses_file.name}.previous"))
+        poses_file.replace(_beside(poses_file, "previous"))
 
 
 @contextmanager
@@ -233,12 +238,11 @@ def saved(
     is too bad, unless `setup.accept`; an unfinished form of this calibration in `output` is then
     replaced by the file that was there before, or removed.
     """
-    from calibration.files.calibration_file import PREVIOUS_SUFFIX
-
     calibration, notes, fault = _with_kept_parts(setup, result, output)
+    earlier = _earlier_form(calibration, output)
     if fault is not None:
-        if calibration.grade is not None and _is_unfinished(calibration, output):
-            previous = output.with_name(output.name + PREVIOUS_SUFFIX)
+        if calibration.grade is not None and earlier is not None and earlier.grade is None:
+            previous = _beside(output, "previous")
             if previous.exists():
                 previous.replace(output)
             else:
@@ -247,19 +251,24 @@ def saved(
             f"{output} is not written: {fault}; read the warnings, capture again, or save it "
             "anyway with --accept"
         )
-    _save(calibration, output)
+    _save(calibration, output, earlier)
     return calibration, notes
 
 
 def save_so_far(setup: "CalibrationSetup", result: "CalibrationResult", output: Path) -> None:
     """Save a calibration that is usable though not yet graded, or without the servos' lags.
 
-    What would be refused in the end is not saved.
+    What would be refused in the end is not saved; nor is what is graded there already.
     """
     calibration, _, fault = _with_kept_parts(setup, result, output)
-    if fault is None:
-        _save(calibration, output)
-        MESSAGES.print(f"{output} is saved, and usable; what follows is added to it")
+    if fault is not None:
+        return
+    earlier, previous = _earlier_form(calibration, output), _beside(output, "previous")
+    if calibration.grade is not None or earlier is None or earlier.grade is None:
+        if previous.exists() and not output.exists():  # `saved` must not restore what was deleted
+            previous.replace(_beside(previous, "previous"))
+        _save(calibration, output, earlier)
+    MESSAGES.print(f"{output} is saved, and usable; what follows is added to it")
 
 
 def _with_kept_parts(
@@ -277,27 +286,24 @@ def _with_kept_parts(
     return calibration, notes, None if is_accepted else too_bad(calibration)
 
 
-def _save(calibration: "Calibration", output: Path) -> None:
+def _save(calibration: "Calibration", output: Path, earlier: "Calibration | None") -> None:
+    """Save a calibration; the file there becomes `.previous`, but not its own form `earlier`."""
     from calibration.files.calibration_file import save_calibration
 
-    unfinished = _is_unfinished(calibration, output)
+    unfinished = earlier is not None and earlier.grade in (None, calibration.grade)
     save_calibration(calibration, output, keeps_previous=not unfinished)
 
 
-def _is_unfinished(calibration: "Calibration", output: Path) -> bool:
-    """Return whether the file `output` is `calibration` as it was saved a step earlier.
-
-    It has the same map then, and no grade or the same.
-    """
+def _earlier_form(calibration: "Calibration", output: Path) -> "Calibration | None":
+    """Return what the file `output` holds if its map is that of `calibration`, else None."""
     from calibration.files.calibration_file import load_calibration
     from calibration.fit.measured_grade import map_checksum
 
     try:
         before = load_calibration(output)
     except CalibrationError:
-        return False
-    same_map = map_checksum(before) == map_checksum(calibration)
-    return same_map and before.grade in (None, calibration.grade)
+        return None
+    return before if map_checksum(before) == map_checksum(calibration) else None
 
 
 def finish(

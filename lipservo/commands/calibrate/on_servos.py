@@ -254,10 +254,10 @@ def lags(
 
     if lag_ms:
         measured = typed_lags(setup, before, lag_ms)
-    elif not setup.settings.capabilities.place:
+    elif not setup.has_any_place:
         raise CalibrationError(
-            f"servos on a {setup.settings.bus.kind} bus cannot measure their lag: film one, and "
-            f"give the lag, such as --lag-ms {setup.servos.names[0]}=60"
+            "the mouth's servos report no position, so they cannot measure their lag: film one, "
+            f"and give the lag, such as --lag-ms {setup.servos.names[0]}=60"
         )
     else:
         with setup_at_port(setup, port, sim, config) as at_port:

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -140,7 +141,7 @@ class FirstHour:
                 "wired": list(map(asdict, self._wired)),
                 "moved": sorted(self._nudged),
                 "face": None if settings is None else self._face_values(settings),
-                "ends": self._ends,
+                "ends": deepcopy(self._ends),
                 "keeps": pose_file(self.path).exists(),
                 "step": None if step is None else _step_values(step),
                 "drives": self._find_socket() is not None,
@@ -148,7 +149,7 @@ class FirstHour:
                 "note": self._note,
                 "graded": self._calibration_report,
                 "robot_min": {k: round(s / _S_A_MINUTE, 2) for k, s in self._step_times_s.items()},
-                "ended_well": self._ended_well,
+                "ended_well": dict(self._ended_well),
             }
 
     def control_path(self) -> Path:
@@ -186,7 +187,7 @@ class FirstHour:
 
         Starts the step `find` unless the servos are hobby servos, which cannot be found. port None:
         the bus kind needs none. kind None: by the device at the port. simulated: start simulated
-        servos and use their port. Raises FaceError.
+        servos and use their port, until another is chosen. Raises FaceError.
         """
         with self._lock:
             self._check_idle()

@@ -84,8 +84,9 @@ class FaceJog extends HTMLElement {
     this.beyond.hidden = true;
     if (!isAgreed) return;
     this.agreed.add(this.asked);
+    this.say("", "");
     await (this.isArmed ? this.touch() : this.begin()); // reading takes longer than the switch waits
-    this.say("", `${spoken(this.asked)} may go beyond its limits now, 10 µs at a time.`);
+    if (this.isArmed && this.said.dataset.tone !== "bad") this.say("", `${spoken(this.asked)} may go beyond its limits now, 10 µs at a time.`);
   }
 
   /** Arm the sliders, each at its servo's present position; those of servos in trouble stay disabled. */
@@ -106,6 +107,7 @@ class FaceJog extends HTMLElement {
     this.touched.clear();
     this.armedUntilMs = beganMs + ARMED_MS;
     this.wasArmed = true;
+    if (!this.isArmed) this.say("bad", "The face answered too late: arm again.");
     return this.count();
   }
 

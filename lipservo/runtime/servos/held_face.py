@@ -15,7 +15,8 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import Feedback, ServoBus
+from calibration.mouth_servos import STALL_DEG
+from firmware_bridge.bus import Feedback, ServoBus, ServoState
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import BusError, PortError, PortGone, ServoError
 from firmware_bridge.gate.ramp import Ramp
@@ -43,6 +44,8 @@ Here = Callable[[Callable[[], Any]], Any]
 SPEED_DEG_S = 30.0
 #: A joint is still when its encoder changes by less than two of its steps in this time.
 _STILL_DEG, _STILL_S = 0.18, 0.2
+#: A joint gets its whole goal where it gets all but this.
+_SHORT_DEG = 1.0
 #: Longer than any servo needs that is not held up.
 _SETTLE_S = 1.5
 #: After the time that the way takes, a servo without an encoder may still ring for so long.
@@ -186,6 +189,25 @@ class HeldFace:
         """
         return self._sent_deg(self._feedback())[self._posed_indices]
 
+    def check_sent_whole(self) -> None:
+        """Raise ServoError where a posed joint was not sent its whole goal: hot, limp or too slow.
+
+        Not for a limp joint that answers from far off its goal: it was let go as jammed, and the
+        capture leaves out what it has not reached.
+        """
+        feedback, states = self._feedback(), np.array(self._driven.bridge.servo_states)
+        sent_deg = self._sent_deg(feedback)
+        short_deg = np.abs(sent_deg - self._goal_deg)
+        answers_limp = (states != ServoState.DRIVEN) & (feedback.age_s == 0.0)
+        short_deg[answers_limp & (short_deg > STALL_DEG)] = 0.0
+        worst = max(self._posed_indices, key=short_deg.item)
+        if short_deg[worst] > _SHORT_DEG:
+            name, goal_deg = list(self._settings.servos)[worst], self._goal_deg[worst]
+            raise ServoError(
+                f"{name} was sent {sent_deg[worst]:.1f} of {goal_deg:.1f} deg: too hot, without "
+                "power or too slow; let it cool or check its cable, then run the same command again"
+            )
+
     @property
     def effort(self) -> Array:
         """The measured effort of the posed joints. Raises PortGone.
@@ -320,10 +342,13 @@ class HeldFace:
         ------
         ValueError
             If `rate_hz` is another rate than this face's.
+        ServoError
+            As from `check_sent_whole`.
         """
         if rate_hz != self.rate_hz:
             raise ValueError(f"this face is driven at {self.rate_hz:g} Hz, not {rate_hz:g}")
         self.move(goals_deg[0])
+        self.check_sent_whole()
         measured_deg = np.full(goals_deg.shape, np.nan)
         self._next_tick()  # ticks missed until now are not counted below
         row = -1

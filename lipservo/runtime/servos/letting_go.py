@@ -259,12 +259,12 @@ def _release_board(
 ) -> Outcome:
     """Switch torque off on one board at a port and return the outcome.
 
-    kind: of the board's bus; if none of its servos answers and `wiring` is not known, those of
-    another kind that answer are released. driven_settings: of the bus when it was driven last;
+    kind: of the board's bus; if none of its servos answers and `wiring` is not known, servos of
+    other kinds are searched for. driven_settings: of the bus when it was driven last;
     None: not known. wiring: its joints; None: not known. shared: other boards use the same port, so
     each servo is named with its board.
     """
-    from firmware_bridge.bus_kinds import AT_A_PORT, Wiring, kind_found
+    from firmware_bridge.bus_kinds import AT_A_PORT, Wiring, other_line_kinds
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.process.torque_release import release_port
 
@@ -273,10 +273,14 @@ def _release_board(
         wiring = Wiring(driven_settings, (), (), 1.0)  # no joints: all servos of the board
     ids = [] if wiring is None else [joint.servo_id for joint in wiring.joints]
     try:
-        result = release_port(kind.port_release(port, wiring), ids, timeout_s=_PORT_S)
-        is_empty = not (result.confirmed or result.unconfirmed or result.released)
-        if is_empty and wiring is None and (other := kind_found(port, kind.name)):
-            return _release_board(port, other, None, None, shared=shared)
+        others = other_line_kinds(kind.name) if wiring is None else iter(())
+        while True:
+            result = release_port(kind.port_release(port, wiring), ids, timeout_s=_PORT_S)
+            is_empty = not (result.confirmed or result.unconfirmed or result.released)
+            other = next(others, None) if is_empty else None
+            if other is None:
+                break
+            kind = other
     except BusError as error:
         return Outcome(port, port, problem=str(error))
     outcome = Outcome(port, port)

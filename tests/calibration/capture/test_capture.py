@@ -208,7 +208,9 @@ def test_a_reversed_joint_is_named_with_the_remedy(plan, joint):
     capture = capture_poses(
         plan, MARKERS_47.names, lambda goal: robot.move(goal * turn) * turn, robot.measure
     )
-    with pytest.raises(CalibrationError, match=rf"servo '{SERVOS[joint]}' is reversed.*`sign`"):
+    with pytest.raises(
+        CalibrationError, match=rf"servo '{SERVOS[joint]}' is reversed.*`us_per_deg`"
+    ):
         check_capture(capture, MODEL, POSITIVE)
 
 

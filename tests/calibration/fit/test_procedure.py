@@ -328,3 +328,24 @@ def test_a_machine_takes_more_poses_for_more_joints_and_never_leaves_out_the_clo
             assert n_poses - procedure.n_of_speech >= usual_poses(n_servos)
     assert machine_poses(60, 10) == 60
     assert machine_poses(80, 10) == 80
+
+
+def test_poses_of_servos_that_were_mounted_otherwise_are_refused_and_those_of_old_files_are_not(
+    tmp_path,
+):
+    face, procedure = two_servos()
+    robot, kept = SimulatedRobot(face), KeptPoses(tmp_path / "poses.jsonl", mounting="sign 1")
+    on = Robot(robot.move, robot.measure)
+    capture = procedure.capture(MARKERS_47.names, on, kept=kept)
+
+    with pytest.raises(CalibrationError, match=r"line 1: not a pose .* mounted now"):
+        procedure.capture(MARKERS_47.names, on, kept=replace(kept, mounting="sign -1"))
+    kept.path.write_text(kept.path.read_text().replace('"mounting": "sign 1", ', ""))
+    again = procedure.capture(MARKERS_47.names, on, kept=replace(kept, mounting="sign -1"))
+    assert np.array_equal(again.markers_mm, capture.markers_mm)
+
+
+@pytest.mark.parametrize("names", [("nose_tip",), ("outer_lip_0", "outer_lip_17"), ("lip",)])
+def test_a_marker_that_is_missing_or_misspelt_is_told_before_the_robot_moves(names):
+    with pytest.raises(CalibrationError, match="marker '"):
+        two_servos()[1].capture(names, Robot(pytest.fail, pytest.fail))

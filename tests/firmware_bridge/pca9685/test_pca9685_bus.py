@@ -22,6 +22,7 @@ from firmware_bridge.pca9685.controller import NO_GUARD, Pca9685, check_identity
 from firmware_bridge.pca9685.i2c import READ, I2cChip, open_chip
 from firmware_bridge.pca9685.kind import PCA9685, BoardRelease
 from firmware_bridge.pca9685.oe_guard import HOLD_S, OeGuard
+from firmware_bridge.pca9685.registers import Mode1, Register
 from firmware_bridge.pca9685.simulator import MemoryTransfers, SimulatedPca9685, chip_for
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.stopping import StopLevel
@@ -232,6 +233,18 @@ def test_after_a_broken_supply_servos_come_back_one_after_another(board, after_s
         assert board.bridge.troubles == ()
         places_deg = board.chip.places_deg(board.clock.now())
         np.testing.assert_allclose(list(places_deg.values()), [6.0, -3.0, 3.0, -2.0], atol=0.3)
+
+
+def test_a_chip_that_another_program_set_up_meanwhile_is_driven_on(board):
+    """Its pulses go on until it is set up anew, which ends them all."""
+    with board.bus:
+        board.bridge.start()
+        drive(board, 3.0)
+        board.chip.registers[Register.MODE1] = Mode1.ALL_CALL
+        drive(board, 5.0, (3.0, -1.0, 1.0, -1.0))
+        places_deg = board.chip.places_deg(board.clock.now())
+
+        np.testing.assert_allclose(list(places_deg.values()), [3.0, -1.0, 1.0, -1.0], atol=0.3)
 
 
 def test_a_supply_that_breaks_down_while_the_chip_is_set_up_makes_no_wrong_pulse(board):

@@ -5,6 +5,8 @@ from importlib import resources
 
 import numpy as np
 import pytest
+import yaml
+from dynamixel_chain import MemoryFace
 from typer.testing import CliRunner
 
 from calibration.capture.marker_files import read_plan, write_plan
@@ -12,9 +14,16 @@ from calibration.closure import Closure
 from calibration.files.calibration_file import load_calibration, save_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.run.compensation import trimmed
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.dynamixel.mounting import mounted_servos
+from firmware_bridge.errors import ServoError
+from firmware_bridge.simulator.faults import Fault
+from lipservo.calibrating import measured_calibration
 from lipservo.cli import app
+from lipservo.runtime.servos.assembly import bus_for
 from lipservo.runtime.servos.held_face import HeldFace
 from lipservo.runtime.servos.sim_process import simulated_port
+from lipservo.settings.settings import load_shipped_face
 
 SHIPPED = resources.files("lipservo.config") / "face_jaw.calibration.yaml"
 
@@ -89,6 +98,27 @@ def test_lags_are_found_anew_and_nothing_else_of_the_file_changes(tmp_path):
     assert calibration_text(as_before) == calibration_text(before)
 
 
+def test_lags_of_a_mouth_with_encoders_are_measured_beside_hobby_eyes(tmp_path, monkeypatch):
+    jaw = load_shipped_face("face_jaw").servos["jaw"].model_dump(exclude_unset=True)
+    eye = {"part": "other", "positive": "turns", "min_deg": -20, "max_deg": 20, "us_per_deg": 10}
+    eye |= {"bus": "eyes", "channel": 0, "max_speed_deg_s": 300}
+    buses = {"mouth": {"kind": "simulated"}, "eyes": {"kind": "maestro", "model": "micro6"}}
+    face = {"name": "eyed", "rate_hz": 50, "buses": buses}
+    face["servos"] = {"jaw": jaw | {"bus": "mouth"}, "eye": eye}
+    config, path = tmp_path / "eyed.yaml", tmp_path / "jaw.calibration.yaml"
+    config.write_text(yaml.safe_dump(face))
+    path.write_bytes(SHIPPED.read_bytes())
+
+    def in_virtual_time(setup):
+        clock = ManualClock()
+        return HeldFace(setup.settings, clock, bus=bus_for(setup.settings, clock))
+
+    monkeypatch.setattr(measured_calibration, "held_servos", in_virtual_time)
+    done = calibrate("lags", path, "--config", config)
+    assert done.exit_code == 0, done.output + repr(done.exception)
+    assert load_calibration(path).following.lag_s.shape == (1,)
+
+
 def closing_jaw(path):
     """Lips that meet where the jaw stands at 2 degrees."""
     shipped = load_calibration(SHIPPED)
@@ -125,3 +155,17 @@ def test_trims_that_are_set_while_the_lips_are_closed_by_eye_are_kept(tmp_path, 
     found = load_calibration(path)
     assert found.trim["P"].tolist() == [-1.5]
     assert found.closure.gaps_mm[0] != 0.0
+
+
+@pytest.mark.parametrize("how", [["--by-eye"], []])
+def test_lips_that_a_hot_servo_closes_change_no_calibration(how, tmp_path, monkeypatch):
+    path, settings = closing_jaw(tmp_path / "jaw.calibration.yaml"), load_shipped_face("face_jaw")
+    before = path.read_bytes()
+    hot = Fault("overheat", at_s=(1.0,), lasts_s=600.0, amount=69.0)
+    face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(hot,))
+    robot = HeldFace(settings, face.clock, bus=face.bus)
+    monkeypatch.setattr("lipservo.calibrating.touching.held_servos", lambda _: robot)
+    monkeypatch.setattr("lipservo.terminal.keys.read_key", lambda: " ")
+    done = calibrate("touch", path, *how, "--config", "face_jaw")
+    assert isinstance(done.exception, ServoError), done.output
+    assert path.read_bytes() == before

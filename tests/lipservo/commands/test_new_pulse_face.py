@@ -235,7 +235,7 @@ def test_a_move_is_told_in_degrees_and_as_a_pulse(face):
 @pytest.mark.parametrize(
     ("typed", "words"),
     [
-        ((), "cannot measure their lag: film one, and give the lag, such as --lag-ms jaw=60"),
+        ((), "the mouth's servos report no position, so they cannot measure their lag: film one"),
         (("jaw=x",), "--lag-ms jaw=x: needs JOINT=MS with 0 to 500 ms"),
         (("jaw=501",), "needs JOINT=MS with 0 to 500 ms"),
         (("jaw=nan",), "needs JOINT=MS with 0 to 500 ms"),

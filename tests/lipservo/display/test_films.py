@@ -288,21 +288,42 @@ def test_a_sound_that_is_not_there_is_no_text_to_be_spoken(tmp_path):
         make_film(asked, ChosenMotion(), quiet)
 
 
-def test_a_text_is_spoken_in_the_language_of_the_face(tmp_path):
-    """A voice of the user's own that notes its language, and speaks a recording."""
+@pytest.fixture
+def spoken_face(tmp_path):
+    """A face with a voice of the user's own that notes its language, and speaks a recording."""
     clip = tmp_path / "clip.wav"
     samples, rate_hz = soundfile.read(CLIP_PATH)
     soundfile.write(clip, samples, rate_hz)
     own = tmp_path / "voice.sh"
-    own.write_text(f'echo "$2" > {tmp_path}/language\ncp {clip} "$1"\n')
+    own.write_text(f'echo "$2" >> {tmp_path}/language\ncp {clip} "$1"\n')
     yaml = tmp_path / "face.yaml"
     shipped = (ROOT / "config" / "face_sim.yaml").read_text()
     sound = {"synthesizer": "command", "voice": f"sh {own} {{wav}} {{language}}", "language": "de"}
     yaml.write_text(f"{shipped}\nsound: {json.dumps(sound)}\n")
+    return str(yaml)
 
-    request = SpeechRequest(MotionOptions(), str(yaml), None)
+
+def test_a_text_is_spoken_in_the_language_of_the_face(spoken_face, tmp_path):
+    request = SpeechRequest(MotionOptions(), spoken_face, None)
     with filmed("Guten Morgen.", request, 25):
         assert (tmp_path / "language").read_text().strip() == "de"
+
+
+def test_a_text_is_filmed_for_a_face_that_hears_one_channel_of_its_sounds(spoken_face):
+    """A voice has one channel."""
+    request = SpeechRequest(MotionOptions(), spoken_face, None, channel="right")
+    with filmed("Guten Morgen.", request, 25) as motion:
+        assert len(motion.frames) > 0
+
+
+def test_both_faces_of_a_text_speak_the_same_utterance(spoken_face, tmp_path):
+    """A voice may speak a text otherwise each time."""
+    film = tmp_path / "film.mp4"
+    asked = FilmRequest(
+        "Guten Morgen.", film, "twin", SIZE, 5, spoken_face, None, beside="priority"
+    )
+    make_film(asked, ChosenMotion(), quiet)
+    assert (tmp_path / "language").read_text().split() == ["de"]
 
 
 def test_a_head_that_moves_tucks_its_lip_for_f_and_v_and_not_for_m():

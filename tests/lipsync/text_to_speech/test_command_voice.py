@@ -114,6 +114,18 @@ def test_words_with_times_are_told_with_them(tts):
     ]
 
 
+def test_times_in_milliseconds_are_refused_as_longer_than_the_sound(tts):
+    with pytest.raises(SynthesisError, match=r"120\.000 s, but the sound is 0\.500 s long"):
+        speak(with_words(tts, {"phonemes": [["m", 50, 120]]}))
+
+
+def test_a_phoneme_that_ends_after_its_sound_is_cut_there(tts):
+    rows = [["M", 0.1, 0.4], ["AA", 0.4, 0.52], ["M", 0.52, 0.6]]
+    spoken = speak(with_words(tts, {"phonemes": rows}))
+
+    assert [(e.phoneme, e.end_s) for e in spoken.phonemes][1:] == [("M", 0.4), ("AA", 0.5)]
+
+
 @pytest.mark.parametrize(
     ("command", "error"),
     [

@@ -1,7 +1,9 @@
 """Texts as language models write them: what is said of each, word by word."""
 
 import re
+import time
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from lipservo.agents.messages import Words, spoken_text_of
 from lipsync.text_to_speech.pronunciation import pronounced
 from lipsync.text_to_speech.spoken_form import spoken_form
+from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 from lipsync.text_to_speech.synthesizers import speak_in_pieces
 
 
@@ -22,6 +25,7 @@ class Recorded:
 
     def speak(self, text, _voice):
         self.texts.append(text)
+        return SynthesizedSpeech(np.zeros(1, np.float32), 16_000, (), ())
 
 
 #: Kinds of mark-up: what a model wrote, and what a person reads out of it.
@@ -73,6 +77,8 @@ KINDS = {
     "SSML alias": ('The <sub alias="United Nations">UN</sub> met.', "The United Nations met."),
     "SSML letters": ('<say-as interpret-as="characters">AB</say-as>', "A B"),
     "times": ("At 10:30, 9:05 am or 14:00.", "At 10 30, 9 oh 5 A M or 14 o'clock."),
+    "ranges of times": ("9:00am-5:00pm, 9-10:30, 14:00 – 15:30, 10 - 5 = 5", "9 A M to 5 P M, "
+                        "9 to 10 30, 14 o'clock to 15 30, 10 - 5 = 5"),
     "money": ("$5, $3.50, $1, €2.5 million, £1,200", "5 dollars, 3 dollars 50 cents, 1 dollar, "
               "2.5 million euros, 1,200 pounds"),
     "short scales": ("$5M, $1.25m, £3bn, $5 baked", "5 million dollars, 1.25 million dollars, "
@@ -159,6 +165,29 @@ def test_figures_of_other_languages_are_left_to_their_voice():
 @pytest.mark.parametrize("text", ["😀", "***", "---", "```\nx = 1\n```", "[laughs]", ":-)", ""])
 def test_nothing_is_said_of_marks_alone(text):
     assert spoken_form(text) == ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "$" + "_" * 20_000,
+        "$ " + "_ " * 10_000,
+        "\\[" * 10_000,
+        "\\(" * 10_000,
+        "\n" * 20_000 + "1",
+        "," * 20_000 + "1",
+        "1." * 10_000,
+        "<sub alias='" * 1_700,
+        '<say-as "verbatim"' * 1_100,
+        "[^" * 10_000,
+    ],
+    ids=lambda text: repr(text[:20]),
+)
+def test_no_text_holds_the_interpreter_so_long_that_a_face_stops(text):
+    """No other thread runs in a regular expression, and a face is ended after 3 s of silence."""
+    began_s = time.process_time()
+    spoken_form(text)
+    assert time.process_time() - began_s < 1.5
 
 
 @given(

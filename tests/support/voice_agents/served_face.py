@@ -150,7 +150,9 @@ class ServedFace:
             self.playout.advance(position_s)
             self.playout.blocks(position_s + LEAD_S)
             stop = self._control.poll()
-            self._control.answer(lambda: {"state": "driven", "servos": {"jaw": "driven"}})
+            speaking = self.playout.speaking
+            about = {"state": "driven", "servos": {"jaw": "driven"}, "speaking": speaking}
+            self._control.answer(lambda about=about: about)
             if stop is not None:
                 self.stops.append(stop.level)
             if self._held.is_set():

@@ -47,14 +47,14 @@ export class Limits {
   /** Draw the section while no step runs: limits that are set and not yet written, and what to do. */
   before(state) {
     const set = Object.entries(state.ends).map(([name, ends]) => `<li>${escaped(spoken(name))}: ${told(ends)}</li>`);
-    const kept = set.length
-      ? `<p>Set, and not written yet:</p><ul>${set.join("")}</ul><button type="button" class="act first" data-do="write">Write the limits</button> `
-      : "";
+    const isWritable = Object.values(state.ends).some(isWhole);
+    const button = isWritable ? '<button type="button" class="act first" data-do="write">Write the limits</button> ' : "";
+    const kept = set.length ? `<p>Set, and not written yet:</p><ul>${set.join("")}</ul>${button}` : "";
     const skip = state.ended_well.set_up ? "" : `<button type="button" class="act" data-do="set-up">Keep the limits as they are</button>`;
     draw(
       this.body,
       '<p>The servos are let go, and you turn each joint by hand to where it may go at most. <b>What they hold falls: hold the jaw.</b></p>' +
-        `${kept}<div class="buttons"><button type="button" class="act${set.length ? "" : " first"}" data-do="let-go">Let the servos go</button>${skip}</div>` +
+        `${kept}<div class="buttons"><button type="button" class="act${isWritable ? "" : " first"}" data-do="let-go">Let the servos go</button>${skip}</div>` +
         result(this.hour),
     );
   }
@@ -69,7 +69,7 @@ export class Limits {
     const names = Object.keys(state.face.servos);
     draw(
       this.body,
-      "<p>Torque is off, confirmed by every servo. Hold a joint at its end and press <b>Set as min</b> or <b>max</b>; where the mouth rests closed, <b>Neutral</b>. The limits lie 2° inside.</p>" +
+      "<p>Torque is off, confirmed by every servo. Hold a joint at its end and press <b>Set as min</b> or <b>max</b>; where the mouth rests closed, <b>Neutral</b>. The limits lie 2° inside, but never beyond neutral.</p>" +
         `<div class="turned">${names.map((name) => row(name, state.face.servos[name], state.simulated)).join("")}</div>` +
         '<div class="buttons end"><button type="button" class="act first" data-do="write">Write the limits</button><button type="button" class="act" data-do="end">Leave them</button></div>',
     );

@@ -89,6 +89,40 @@ def test_a_grade_that_is_too_bad_brings_back_the_file_before_the_ungraded_one(se
     assert output.read_bytes() == earlier
 
 
+def test_a_run_that_is_cut_short_after_its_grade_and_repeated_keeps_the_file_before_both(
+    setup, tmp_path
+):
+    output = tmp_path / "face.calibration.yaml"
+    output.write_bytes((CONFIG / "face_lips.calibration.yaml").read_bytes())
+    earlier = output.read_bytes()
+    for grade in (None, GOOD, None):
+        save_so_far(setup, result_of(grade), output)
+    assert load_calibration(output).grade == GOOD
+    finished(setup, GOOD, output)
+    assert output.with_name("face.calibration.yaml.previous").read_bytes() == earlier
+
+
+def test_a_grade_that_is_too_bad_brings_back_no_file_that_was_deleted_before(setup, tmp_path):
+    output = tmp_path / "face.calibration.yaml"
+    ancient = (CONFIG / "face_lips.calibration.yaml").read_bytes()
+    output.with_name("face.calibration.yaml.previous").write_bytes(ancient)
+    save_so_far(setup, result_of(None), output)
+    with pytest.raises(UserError, match="is not written"):
+        finished(setup, BAD, output)
+    assert not output.exists()
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [ancient]
+
+
+def test_a_bad_grade_that_was_accepted_stays_when_the_same_command_no_longer_accepts(
+    setup, tmp_path
+):
+    output = tmp_path / "face.calibration.yaml"
+    finished(replace(setup, accept=True), BAD, output)
+    with pytest.raises(UserError, match="is not written"):
+        finished(setup, BAD, output)
+    assert load_calibration(output).grade == BAD
+
+
 def test_kept_poses_are_put_aside_when_all_is_done_and_named_when_it_is_refused(tmp_path):
     output = tmp_path / "face.calibration.yaml"
     kept = output.with_name("face.calibration.yaml.poses")

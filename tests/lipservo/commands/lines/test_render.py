@@ -207,6 +207,33 @@ def test_a_line_of_another_model_or_version_is_rendered_anew(folder, made, tmp_p
     assert again("--offline", other) == (2, 0)
 
 
+def test_a_model_that_was_replaced_under_its_name_is_loaded_anew(folder, made, tmp_path):
+    """As on Dask's workers, which live on while a model is learned again."""
+    again, offline = folder[2], tmp_path / "offline.npz"
+    shutil.copy(made[2], offline)
+    assert again("--offline", offline) == (0, 2)
+    recipe = ["--model", made[1], "--states", 19, "--components", 4, "-q"]
+    invoke("learn", "offline", made[0], "-o", offline, *recipe)
+
+    assert again("--offline", offline) == (2, 0)
+    assert rendered.load_speaker(made[1], offline).offline.states.n_states == 19
+
+
+def test_a_sound_that_is_replaced_while_it_is_rendered_is_refused(made, tmp_path, monkeypatch):
+    sound, output = tmp_path / "line.flac", tmp_path / "line.perf"
+    shutil.copy(one(made)[0], sound)
+    faces_of = rendered.rendered_faces
+
+    def replaced_meanwhile(*given):
+        shutil.copy(one(made, 1)[0], sound)
+        return faces_of(*given)
+
+    monkeypatch.setattr(rendered, "rendered_faces", replaced_meanwhile)
+    asked = ["--textgrid", one(made)[1], "-o", output, *of(made)]
+    assert "changed while it was rendered" in refusal("lines", "render", sound, *asked)
+    assert not output.exists()
+
+
 @pytest.mark.parametrize("place", [0.3, 0.7])
 def test_half_a_file_and_a_wrong_byte_are_never_taken_for_a_whole_one(folder, place):
     _, output, again = folder

@@ -272,3 +272,33 @@ def test_another_rate_than_its_own_is_refused():
     _, robot = held(settings_of("face_jaw"))
     with robot, pytest.raises(ValueError, match="driven at 50 Hz, not 100"):
         robot.drive(np.zeros((5, 1)), 100.0)
+
+
+@pytest.mark.parametrize("fault", [Fault("overheat", at_s=(2.0,), lasts_s=60.0, amount=66.0),
+                                   Fault("brown_out", at_s=(2.0,), lasts_s=60.0)])  # fmt: skip
+def test_a_servo_that_is_hot_or_lost_its_power_is_not_taken_for_one_at_its_goal(fault):
+    settings = settings_of("face_jaw")
+    face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(fault,))
+    with HeldFace(settings, face.clock, bus=face.bus) as robot:
+        robot.move(np.array([6.0]))
+        robot.check_sent_whole()
+        robot.hold(4.0 - face.clock.now())
+        robot.move(np.array([4.0]))
+        with pytest.raises(
+            ServoError, match=r"jaw was sent .* of 4\.0 deg: too hot, without power"
+        ):
+            robot.check_sent_whole()
+        with pytest.raises(ServoError, match="run the same command again"):
+            robot.drive(np.full((5, 1), 4.0), robot.rate_hz)
+
+
+def test_a_joint_that_was_let_go_as_jammed_shows_only_in_what_it_reached():
+    face, robot = held(settings_of())
+    with robot:
+        face.chain.motors.jammed[0] = True
+        robot.move(np.array([15.0, 0.0, 0.0, 0.0]))
+        robot.hold(2.0)
+        assert robot.torque_on[0] is False
+        assert abs(robot.stands_deg[0]) < 1.0
+        robot.check_sent_whole()
+        face.chain.motors.jammed[0] = False
