@@ -3,17 +3,18 @@
 # make test   the tests
 # make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
 # make docs   a site of all pages with search, and the reference of all public names, into site/
-# make check  style, types, the docs, samples of campaigns, and the wheels: what they hold, and that they run alone
+# make check  style, types, the docs, slow tests, and the wheels: what they hold, and that they run alone
 # make agents the adapters with the real packages (Pipecat, LiveKit, Wyoming, OpenAI: 1 GB), in .venv-agents
 # make mutants  400 mutants of the lines that a stop depends on, each against the nearest tests: within an hour
-# make campaign  every campaign whole: an hour and a half
+# make campaign  every campaign whole, and slow tests of the lab: two hours
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
 PYTEST := $(BIN)/python -m pytest
-SLOW := -m "slow and not campaign"
-PACKAGING := -m packaging
+# Those of benches and of training, a quarter of them, run with the campaigns: no robot has the lab.
+SLOW := -m "slow and not campaign" --ignore tests/lab
+PACKAGING := -m packaging tests/examples tests/project
 # Tests of processes share the processors with each other. What failed is tried once more alone, and
 # the log shows both: docs/decisions/tests-and-mutants.md.
 once_more_alone = || { [ $$? = 1 ] && echo "=== what failed beside others, once more alone ===" \
@@ -64,7 +65,7 @@ check: $(VENV)/.installed-dev $(VENV)/.installed-docs
 	rm -rf dist build
 	$(BIN)/python -m build --wheel --outdir dist . >/dev/null
 	$(BIN)/check-wheel-contents dist
-	$(PYTEST) --durations 15 $(PACKAGING) $(call once_more_alone,$(PACKAGING))
+	$(PYTEST) --numprocesses 2 --dist loadfile --durations 15 $(PACKAGING) $(call once_more_alone,$(PACKAGING))
 	$(PYTEST) --numprocesses 2 --dist loadfile --durations 15 $(SLOW) $(call once_more_alone,$(SLOW))
 
 # An import that fails would be a skipped test, so they are imported first.
@@ -75,6 +76,7 @@ agents: $(AGENTS)/.installed
 
 campaign: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest --timeout 0 --durations 15 -m campaign
+	$(PYTEST) --durations 15 -m "slow and not campaign" tests/lab
 	$(BIN)/lipservo bench faults
 	$(BIN)/lipservo bench faults --stops
 	$(BIN)/lipservo bench faults --signals

@@ -75,9 +75,9 @@ def examine(
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
-    at_rate, nobody = locate(line, ids)
-    if nobody is not None:
-        yield nobody
+    at_rate, no_answer = locate(line, ids)
+    if no_answer is not None:
+        yield no_answer
         yield from _adapter(line, None, latency_timer_ms)
         return
     there = [each for each in ids if at_rate.get(each, (0,))[0] == wanted_rate]

@@ -144,7 +144,7 @@ _PLAIN: Final = {
     "drive_mode": 0, "operating_mode": 3, "homing_offset": 0, "startup_configuration": 0,
     "min_position_limit": 0, "max_position_limit": 4095,
 }  # fmt: skip
-_STANDING: Final = ("present_position", "min_position_limit", "max_position_limit")
+_POSITION_AND_LIMITS: Final = ("present_position", "min_position_limit", "max_position_limit")
 
 
 def _foreign(line: Line, servo_id: int, model: ServoModel) -> list[Difference]:
@@ -166,7 +166,9 @@ _CHAIN: Final = ChainSetup(
     model_name=model_name,
     lacking=_lacking,
     foreign=_foreign,
-    standing=lambda line, joint, model: read_settings(line, joint.servo_id, model, _STANDING),
+    position_and_limits=lambda line, joint, model: read_settings(
+        line, joint.servo_id, model, _POSITION_AND_LIMITS
+    ),
     unlock=lambda line, servo_id, model: _write(line, servo_id, model, "torque_enable", 0),
     write=_write,
     read=lambda line, servo_id, model, name: read_settings(line, servo_id, model, [name])[name],

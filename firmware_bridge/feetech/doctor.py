@@ -37,9 +37,9 @@ def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Itera
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
-    at_rate, nobody = locate(line, ids)
-    if nobody is not None:
-        yield nobody
+    at_rate, no_answer = locate(line, ids)
+    if no_answer is not None:
+        yield no_answer
         return
     for servo in servos:
         joint = servo.joint

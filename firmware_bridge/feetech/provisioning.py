@@ -121,7 +121,7 @@ def _foreign(line: Line, servo_id: int, model: ServoModel) -> list[Difference]:
     return differences(held, plain)
 
 
-def _standing(line: Line, joint: Joint, model: ServoModel) -> dict[str, int]:
+def _position_and_limits(line: Line, joint: Joint, model: ServoModel) -> dict[str, int]:
     found = identify(line, MountedServo(joint, model))
     if found is None or found.doubled:
         raise ServoError(f"servo id {joint.servo_id} stopped answering; check its power and cable")
@@ -143,7 +143,7 @@ _CHAIN: Final = ChainSetup(
     model_name=model_name,
     lacking=_lacking,
     foreign=_foreign,
-    standing=_standing,
+    position_and_limits=_position_and_limits,
     unlock=_unlock,
     write=_write,
     read=lambda line, servo_id, model, name: read_eeprom(line, servo_id, model)[name],

@@ -73,7 +73,16 @@ class AccelerationLimit:
         self._wanted = positions_deg.copy()
 
     def rest_some(self, at: int | NDArray[np.bool_], positions_deg: float | Array) -> None:
-        """Set the joint `at`, or those where `at` is True, to standstill, at degrees."""
+        """Set some joints to standstill.
+
+        Parameters
+        ----------
+        at : int or NDArray[np.bool_]
+            The joint's index, or (n_joints,): True for these joints.
+        positions_deg : float or Array
+            Where they stand, degrees; of several (n_at,).
+
+        """
         self._velocity[at] = 0.0
         self._wanted[at] = positions_deg
 

@@ -220,8 +220,8 @@ class MaestroController:
         # The timeout ends all pulses together; a late write would start all together.
         is_late = 0.0 < timeout_s < 2.0 * (now_s - self._sent_s)
         # Of a lost answer another is asked: without one nothing is known to hold.
-        asked = (self.sending(index) for index in self._on[:1] * 2)
-        has_ended = is_late and bool(self._on) and not any(each > 0.0 for each in asked)
+        pulses = (self.sending(index) for index in self._on[:1] * 2)
+        has_ended = is_late and bool(self._on) and not any(each > 0.0 for each in pulses)
         if has_ended:
             pulses_us = np.zeros_like(pulses_us)
         if self._commands is None:

@@ -101,7 +101,7 @@ class ChainSetup:
         Returns the registers to change in the servo at an id, to fit its joint at a baud rate.
     foreign
         Returns the registers to change in the servo of a model at an id before it is moved.
-    standing
+    position_and_limits
         Returns the position and the position limits of a joint's servo of a model, by register.
     unlock, lock
         Called before and after registers are written: torque off, and the protocol's own steps.
@@ -124,7 +124,7 @@ class ChainSetup:
     model_name: Callable[[Any], str]
     lacking: Callable[[Any, MountedServo[Any], int, int], Sequence[Difference]]
     foreign: Callable[[Any, int, Any], Sequence[Difference]]
-    standing: Callable[[Any, Joint, Any], Mapping[str, int]]
+    position_and_limits: Callable[[Any, Joint, Any], Mapping[str, int]]
     unlock: Callable[[Any, int, Any], None]
     write: Callable[[Any, int, Any, str, int], None]
     read: Callable[[Any, int, Any, str], int]
@@ -325,7 +325,7 @@ class ChainSetup:
         model = self.models()[model_name]
         joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, _CAREFUL_DEG_S)
         with self.unhurried_line(port, rate) as line:
-            now = self.standing(line, joint, model)
+            now = self.position_and_limits(line, joint, model)
         place, reach = now["present_position"], reach_deg * model.pulses_per_deg
         if not now[_LOW] + reach <= place <= now[_HIGH] - reach:
             raise ServoError(

@@ -109,7 +109,7 @@ def run_face(
                 from lipservo.runtime.voice_agents import voice_agents
 
                 serving = voice_agents(listener, speech.side, requested)
-                run.agents_url = stack.enter_context(serving)
+                run.note_agents_url(stack.enter_context(serving))
             zero_s = math.inf  # while nothing was heard
             try:
                 life.start()
@@ -189,8 +189,11 @@ class _Run:
         self._speech = speech
         self.commands = requested.commands()
         self.notice = ServiceNotice()
-        #: The URL that the status reports for voice agents; None: no agents are served.
-        self.agents_url: str | None = None
+        self._agents_url: str | None = None
+
+    def note_agents_url(self, url: str | None) -> None:
+        """Set the URL that the status reports for voice agents; None: no agents are served."""
+        self._agents_url = url
 
     def status(self, bridge: Bridge) -> Status:
         """Return the face's present status: of servos, as `bridge` drives them, and of speech."""
@@ -204,7 +207,7 @@ class _Run:
         return whole_status(bridge, self._speech_status())
 
     def _speech_status(self) -> SpeechStatus:
-        return self._speech.status(self.commands.values, self.agents_url)
+        return self._speech.status(self.commands.values, self._agents_url)
 
     def observers(
         self, bridge: Bridge, board: LiveBoard, stack: ExitStack, *, live: bool, on_time: bool

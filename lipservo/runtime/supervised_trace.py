@@ -78,10 +78,9 @@ class SupervisedTrace:
     def __exit__(self, *exc: object) -> None:
         self._closed.set()
         for _ in range(round(_END_S / _POLL_S)):
-            self._beat()
-            self._opener.join(_POLL_S)
-            if not self._opener.is_alive():
-                break
+            if self._opener.is_alive():
+                self._beat()
+                self._opener.join(_POLL_S)
         if self._trace is not None:
             self._trace.__exit__(*exc)
 

@@ -197,7 +197,6 @@ class MicrophoneSource:
             self._add_arrival(capture, capture.arrived.popleft())
         if has_ended:
             self._push_samples(capture.rest())
-            capture.arrived = deque(maxlen=0)  # its resampler is gone, should the device wake late
 
     def _add_arrival(self, capture: "_Capture", arrival: "_Arrival") -> None:
         """Add the samples of one callback, after silence for those lost before them, to the blocks.
@@ -207,7 +206,7 @@ class MicrophoneSource:
         if capture.begins_s is None:
             if self.n_losses:  # the device was away
                 self._fill_silence(arrival.called_s - len(arrival.samples) / capture.rate_hz)
-            capture.begins_s = self._n_pushed / SAMPLE_RATE_HZ
+            capture.begin(self._n_pushed / SAMPLE_RATE_HZ)
         n_missing = arrival.first_sample - capture.n_taken
         if n_missing:
             lost = capture.convert(np.zeros(n_missing, dtype=np.float32))
@@ -215,7 +214,7 @@ class MicrophoneSource:
             self._push_samples(lost)
         self._push_samples(capture.convert(arrival.samples))
         self._until_s = arrival.called_s
-        sound_s = capture.begins_s + arrival.first_sample / capture.rate_hz
+        sound_s = (capture.begins_s or 0.0) + arrival.first_sample / capture.rate_hz
         self._captured = (arrival.captured_s, sound_s)
 
     def _fill_silence(self, until_s: float) -> None:
@@ -315,13 +314,19 @@ class _Capture:
         converted: Samples = self._resampler.resample_chunk(samples)
         return converted
 
+    def begin(self, sound_s: float) -> None:
+        """Store the sound time of the first sample."""
+        self.begins_s = sound_s
+
     def rest(self) -> Samples:
-        """Return, once, the samples at 16 kHz that the resampler has held back; then empty."""
-        if self._resampler is None:
-            return np.zeros(0, dtype=np.float32)
-        rest: Samples = self._resampler.resample_chunk(np.zeros(0, np.float32), last=True)
-        self._resampler = None
-        return rest
+        """Return, once, the samples at 16 kHz that the resampler has held back; then empty.
+
+        What a device that wakes late delivers after that is dropped.
+        """
+        self.arrived = deque(maxlen=0)
+        resampler, self._resampler = self._resampler, None
+        nothing = np.zeros(0, np.float32)
+        return nothing if resampler is None else resampler.resample_chunk(nothing, last=True)
 
     def _count_lost(self, adc_s: float, n_frames: int) -> int:
         """Return how many samples were lost before a buffer of `n_frames` captured at `adc_s`.

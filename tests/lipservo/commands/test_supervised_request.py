@@ -5,6 +5,7 @@ import os
 import signal
 import socket
 import struct
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from speech import CLIP_PATH
 
 from firmware_bridge.process.control_client import ask
 from lipservo.runtime.motion_options import MotionOptions
+from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import AvatarTargets, RunRequest, Sound, request_of_json
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.motion.finishing import Style
@@ -63,6 +65,7 @@ def typed(tmp_path_factory):
             as_json=True,
             avatars=AvatarTargets(live_link=avatar_at),
         )
+        wanted = replace(wanted, servos=RequestedFace(wanted).servos)
         arguments = [word for option in options.items() for word in option]
         with running(port, folder, *arguments, "--json") as process:
             process.wanted, process.avatar = wanted, avatar

@@ -39,8 +39,8 @@ def page(browser, config):
                 if (found := re.search(r"dashboard: (http\S+)", line))
             )
             made = browser.new_page()
-            made.goto(f"{address}/?token={(runtime / 'token').read_text().strip()}")
-            made.goto(f"{address}/servos")
+            token = (runtime / "token").read_text().strip()
+            made.goto(f"{address}/servos?token={token}", timeout=120_000)
             made.wait_for_function(
                 "window.dashboard?.status && window.dashboard.frame", timeout=60_000
             )

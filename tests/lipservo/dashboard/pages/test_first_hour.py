@@ -238,7 +238,10 @@ def test_on_a_telephone_nothing_scrolls_sideways_and_a_stop_between_steps_is_ans
     assert page.inner_text("#face-stop b") == "STOP"
 
 
-def test_from_the_box_to_the_first_words_in_the_page_alone(page, path):
+@pytest.mark.parametrize(
+    "measures", [False, pytest.param(True, marks=pytest.mark.campaign)]  # four minutes
+)
+def test_from_the_box_to_the_first_words_in_the_page_alone(page, path, measures):
     name_servos(page)
     set_limits(page)
     face = load_face(path)
@@ -250,11 +253,12 @@ def test_from_the_box_to_the_first_words_in_the_page_alone(page, path):
     assert load_calibration(calibration).origin.method == "guided"
     assert load_face(path).calibration == calibration.name
 
-    measure(page)
-    measured = load_calibration(calibration)
-    assert measured.origin.method == "measured"
-    assert measured.grade.lip_rms_mm < 1.0
-    assert measured.closing.closes
+    if measures:
+        measure(page)
+        measured = load_calibration(calibration)
+        assert measured.origin.method == "measured"
+        assert measured.grade.lip_rms_mm < 1.0
+        assert measured.closing.closes
 
     words, went_deg = speak(page)
     assert set(words) <= {"Good", "morning", "I", "am", "the", "robot"}
