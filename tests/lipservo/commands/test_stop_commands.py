@@ -310,7 +310,7 @@ def test_limp_at_a_port_ends_the_holder_and_never_its_parent(port):
     ) as script:
         holder = int(script.stdout.readline())
         while holder not in holders_of(port):
-            assert script.poll() is None
+            assert os.path.exists(f"/proc/{holder}/fd/0"), "it could not hold the port"
         done = invoke("limp", "--port", port, "--json")
         lives = script.poll() is None
         script.stdin.close()

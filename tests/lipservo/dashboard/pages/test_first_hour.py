@@ -239,7 +239,8 @@ def test_on_a_telephone_nothing_scrolls_sideways_and_a_stop_between_steps_is_ans
 
 
 @pytest.mark.parametrize(
-    "measures", [False, pytest.param(True, marks=pytest.mark.campaign)]  # four minutes
+    "measures",
+    [False, pytest.param(True, marks=pytest.mark.campaign)],  # four minutes
 )
 def test_from_the_box_to_the_first_words_in_the_page_alone(page, path, measures):
     name_servos(page)
