@@ -75,7 +75,7 @@ class FeetechKind(BusKind):
         from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
         rates = tuple(baud_rates().values()) if wiring is None else (wiring.settings.baud_rate,)
-        opener = SameAdapter(port, rates[0])
+        opener = SameAdapter(port, rates[-1])  # the slowest, which any adapter can do
         return lambda: LineRelease(opener(), rates)
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:

@@ -174,7 +174,7 @@ class SerialRelease(ABC, Generic[_Line]):
     make_line: Callable[[Transport], _Line]
 
     def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
-        """Set the baud rates at which servos may listen; `transport` is open at the first."""
+        """Set the baud rates at which servos may listen; `transport` is open at one of them."""
         self._line = self.make_line(transport)
         self._rates = tuple(dict.fromkeys(rates))
 

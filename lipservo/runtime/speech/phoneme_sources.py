@@ -60,7 +60,7 @@ class HeardVoice:
         return [self.at(n * BLOCK_S).peak for n in range(max(first, last - most) + 1, last + 1)]
 
 
-class _Ears:
+class _FedRecognizer:
     """A recogniser that is fed sound, and what it reports of it."""
 
     def __init__(self, recognizer: LiveRecognizer, voice: HeardVoice | None) -> None:
@@ -92,7 +92,7 @@ class _Ears:
         return ((), 0) if self._follower is None else self._follower.saying
 
 
-class RecognizedPhonemes(_Ears):
+class RecognizedPhonemes(_FedRecognizer):
     """A `PhonemeSource` that feeds the sound of a source to a recogniser."""
 
     def __init__(
@@ -136,7 +136,7 @@ class RecognizedPhonemes(_Ears):
 _AHEAD_S = 1.0
 
 
-class SpokenPhonemes(_Ears):
+class SpokenPhonemes(_FedRecognizer):
     """A `PhonemeSource` of a playout: phonemes are recognised, or known with the streams."""
 
     def __init__(

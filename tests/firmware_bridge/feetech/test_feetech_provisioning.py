@@ -5,9 +5,9 @@ import contextlib
 import pytest
 from feetech_chain import RATE, four_servos, wired
 
-from firmware_bridge.bus_kinds import Severity
+from firmware_bridge.bus_kinds import Severity, bus_kind
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.errors import ServoError
+from firmware_bridge.errors import RateError, ServoError
 from firmware_bridge.feetech.control_table import servo_models
 from firmware_bridge.feetech.doctor import examine
 from firmware_bridge.feetech.line import Line
@@ -23,6 +23,7 @@ from firmware_bridge.feetech.provisioning import (
 )
 from firmware_bridge.feetech.simulator import ChainFault, SimulatedChain
 from firmware_bridge.feetech.torque import LineRelease
+from firmware_bridge.serial_servos import serial_transport
 from firmware_bridge.simulator.ports import MemoryTransport
 
 SERVO = four_servos()[1]
@@ -200,3 +201,24 @@ def test_limp_finds_everybody_at_whatever_rate_and_each_confirms():
     assert release.find(()) == [1, 200]
     assert [release.ask(each) for each in (1, 200, 7)] == ["", "", "did not answer"]
     assert not any(servo["torque_enable"] for servo in chain.servos)
+
+
+def test_limp_of_unknown_feetech_servos_needs_no_adapter_that_can_do_a_million_baud(monkeypatch):
+    chain, line = fresh()
+    chain.servos[0]["baud_rate"] = 4
+    chain.servos[0].write(40, b"\1")
+
+    class SlowAdapter(MemoryTransport):
+        def __setattr__(self, name, value):
+            if name == "baud_rate" and value > 250_000:
+                raise RateError(f"this adapter cannot do {value:,} baud")
+            super().__setattr__(name, value)
+
+    def same_adapter(_port, rate):
+        return lambda: SlowAdapter(chain, line.transport.clock, rate)
+
+    monkeypatch.setattr(serial_transport, "SameAdapter", same_adapter)
+    release = bus_kind("feetech").port_release("here", None)()
+
+    assert release.find(()) == [1]
+    assert release.ask(1) == ""
