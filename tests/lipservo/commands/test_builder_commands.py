@@ -297,10 +297,10 @@ def test_neutral_gives_every_hobby_servo_its_pulse_says_so_and_files_that(tmp_pa
     with simulated_port(["--config", str(config), "--log", str(log), "--on-time"]) as port:
         told = ("calibrate", "neutral", "--yes", "--config", config, "--port", port)
         done = lipservo(*told, env=state)
+    assert done.returncode == 0, done.stderr
     pulses = [json.loads(line) for line in log.read_text().splitlines()]
     (kept,) = tmp_path.glob("pulses/*.json")
 
-    assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [f"{each} was sent to 0.0 deg (1500 us)" for each in names]
     sent_us = {channel: pulse for _, channel, pulse, *_ in pulses if pulse}
     assert sent_us == pytest.approx(dict.fromkeys(range(10), 1500.0), abs=5.0)

@@ -137,7 +137,7 @@ def test_a_second_program_at_one_maestro_is_refused_and_the_first_goes_on(tmp_pa
                 assert done.returncode == 1
                 assert "another program" in done.stderr, done.stderr
                 assert "Traceback" not in done.stderr
-            assert all_driven(daemon)
+            wait_for(lambda: all_driven(daemon))  # a busy computer may have lost a tick just now
             assert not jaw.is_off()
         assert jaw.is_off()
 

@@ -132,7 +132,7 @@ def test_a_daemon_at_servos_writes_the_trace_that_a_run_writes(free_port, tmp_pa
     trace = tmp_path / "trace.jsonl"
     with running(free_port, tmp_path, "--wav", str(CLIP_PATH), "--trace", str(trace)) as process:
         wait_for(lambda: ask(process.control, "status", PATIENCE_S)["n_phonemes"])
-        wait_for(lambda: (tmp_path / "trace.jsonl.partial").stat().st_size > 100_000)
+        wait_for(lambda: _has_moved(tmp_path / "trace.jsonl.partial"))
         process.terminate()
         process.wait(PATIENCE_S)
     told = read_trace(trace)
@@ -142,6 +142,12 @@ def test_a_daemon_at_servos_writes_the_trace_that_a_run_writes(free_port, tmp_pa
     assert {"SIL", "W"} & set(told.phonemes)
     assert np.ptp(told.sent_deg, axis=0).max() > 3.0
     assert np.ptp(told.coefficients[:, 0]) > 0.1
+
+
+def _has_moved(partial):
+    """A face that a busy computer starves is driven, and stays at neutral, for a while."""
+    ticks = [json.loads(line) for line in partial.read_text().splitlines()[1:-1]]
+    return len(ticks) > 100 and np.ptp([tick["sent_deg"] for tick in ticks], axis=0).max() > 3.0
 
 
 def test_stop_ends_the_face_limp_and_says_who_confirmed_it(free_port, tmp_path, monkeypatch):

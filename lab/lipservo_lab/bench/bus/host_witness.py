@@ -49,6 +49,8 @@ class HostWitness:
         ]
         os.close(writer)
         try:
+            for _ in watchers:  # a report each says that it watches
+                os.read(reader, _STALL.size)
             yield cls(reader)
         finally:
             for each in watchers:
@@ -78,10 +80,15 @@ class HostWitness:
 
 
 def watch(core: int, fd: int) -> None:
-    """Write each stall of one core to a pipe (begin and end, monotonic seconds), for ever."""
+    """Write each stall of one core to a pipe (begin and end, monotonic seconds), for ever.
+
+    The first report is an empty one, of the moment from which on stalls are seen.
+    """
     die_with_parent()
     os.sched_setaffinity(0, {core})
     run_on_time()
+    now_s = time.monotonic()
+    os.write(fd, _STALL.pack(now_s, now_s))
     while True:
         due_s = time.monotonic() + _PERIOD_S
         time.sleep(_PERIOD_S)

@@ -32,7 +32,7 @@ URDF = """<robot name="head">
 
 
 def settled(page, expression):
-    page.wait_for_function(expression, timeout=60_000)
+    page.wait_for_function(expression, timeout=120_000)
 
 
 def glb(*names):
