@@ -220,6 +220,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says FACE: nothing is held(?:; \d+ servos? limp)?{kept}", _ALL_OFF),
     (r"says FACE: nothing is known to be held; .*", unknown),
     (r"says FACE: servo \w+ comes on when the face is started", nothing),
+    (r"says FACE: servo (?P<who>\w+) stays off when the face is started", _IS_OFF),
     (r"(?:{S}|{face})[\w ]+, {hold}(?:, not known of (?P<unknown>\d+))?", Count(on=True)),
     (r"{S}driven, it is not known which servos hold", unknown),
     (r"says bridge: {servo} holds already: its torque was on before the start", _IS_ON),
