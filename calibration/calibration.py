@@ -127,10 +127,10 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A map from face coefficients to servo angles: quadratic, with bends, and limited.
+    """A map from face coefficients to servo angles: quadratic and limited.
 
-    angles = rest_deg + weights @ x + quadratic_weights @ (x_i x_j) + centre_weights @ |x - c_k|,
-    x = coefficients - rest, kept in x_range.
+    angles = rest_deg + weights @ x + quadratic_weights @ (x_i x_j), x = coefficients - rest, kept
+    in x_range.
 
     weights: (n_servos, n_components), degrees; quadratic_weights: (n_servos, n_pairs), pairs i <= j
     row by row, or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,), the
@@ -138,8 +138,7 @@ class Calibration:
     max_deg: (n_servos,), the face's limits at the time of the fit. trim: degrees (n_servos,) to add
     while a viseme class is spoken, by the first phoneme of the class. hand_poses: angles
     (n_servos,) that a person set by hand, by name. rules: from the face's YAML, never from the
-    calibration file; every pose keeps them. centres: (n_centres, n_components), c_k, or empty;
-    centre_weights: (n_servos, n_centres). grade: None where nothing was measured after the fit.
+    calibration file; every pose keeps them. grade: None where nothing was measured after the fit.
     learnt_lips: None where no lips were captured; closure: None where it is not known how this
     robot's lips close; closing: None without clear evidence of whether the lips meet.
     """
@@ -162,8 +161,6 @@ class Calibration:
     trim: Mapping[str, Array] = field(default_factory=dict)
     hand_poses: Mapping[str, Array] = field(default_factory=dict)
     rules: tuple[CouplingRule, ...] = ()
-    centres: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    centre_weights: Array = field(default_factory=lambda: np.zeros((0, 0)))
     grade: Grade | None = None
     learnt_lips: LearntLips | None = None
     closure: Closure | None = None
@@ -199,66 +196,16 @@ class Calibration:
         """
         # Change from the rest, kept within the range of the frames that the map was fitted to.
         x = np.minimum(np.maximum(faces - self.rest, self.x_range[0]), self.x_range[1])
-        free_deg = free_angles_deg(
-            x, self.rest_deg, self.weights, self.quadratic_weights, self.centres,
-            self.centre_weights,
-        )  # fmt: skip
+        free_deg = self.rest_deg + x @ self.weights.T
+        if self.quadratic_weights.shape[1]:
+            first, second = pairs(x.shape[1])
+            free_deg = free_deg + (x[:, first] * x[:, second]) @ self.quadratic_weights.T
         limited_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         if self.closure is not None:
             limited_deg = self.closure.corrected_deg(x, limited_deg, self.min_deg, self.max_deg)
         if not self.rules:
             return limited_deg
         return np.array([keep_rules(self.rules, pose_deg) for pose_deg in limited_deg])
-
-
-def free_angles_deg(
-    x: Array,
-    rest_deg: Array,
-    weights: Array,
-    quadratic_weights: Array,
-    centres: Array,
-    centre_weights: Array,
-) -> Array:
-    """Return a map's angles, before the correction that makes lips meet, limits and rules.
-
-    The map's parts are shaped as in `Calibration`.
-
-    Parameters
-    ----------
-    x : Array
-        (n, n_components), coefficients less the rest, within the map's range.
-    rest_deg,weights,quadratic_weights,centres,centre_weights : Array
-        The map's parts.
-
-    Returns
-    -------
-    Array
-        (n, n_servos) degrees.
-    """
-    free_deg = rest_deg + x @ weights.T
-    if quadratic_weights.shape[1]:
-        first, second = pairs(x.shape[1])
-        free_deg = free_deg + (x[:, first] * x[:, second]) @ quadratic_weights.T
-    if len(centres):
-        free_deg = free_deg + distances(x, centres) @ centre_weights.T
-    return np.asarray(free_deg)
-
-
-def distances(x: Array, centres: Array) -> Array:
-    """Return the distance of each row of x from each centre.
-
-    Parameters
-    ----------
-    x,centres : Array
-        (n, n_components) and (m, n_components) mm.
-
-    Returns
-    -------
-    Array
-        (n, m) mm.
-    """
-    offsets_mm = x[:, None] - centres
-    return np.asarray(np.sqrt(np.einsum("kmn,kmn->km", offsets_mm, offsets_mm)))
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:

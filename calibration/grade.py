@@ -151,15 +151,13 @@ class LearntLips:
 
     left_out_rms_mm: error in each axis of poses left out, the tracker's noise_mm included;
     own_gap_mm: between the dots of closed lips; stop: whether lips stopped each other there,
-    otherwise own_gap_mm is the narrowest captured gap. held_back_mm: how far lips stay behind the
-    shapes they could make because joints turn no farther than their known effect justifies.
+    otherwise own_gap_mm is the narrowest captured gap.
     """
 
     left_out_rms_mm: float
     noise_mm: float
     own_gap_mm: float
     stop: bool
-    held_back_mm: float = 0.0
 
     @property
     def doubt_mm(self) -> float:
@@ -228,14 +226,14 @@ class Grade:
 def lips_off_mm(grade: Grade, lips: LearntLips | None) -> float:
     """Return the lips' rms distance from the shapes of speech, in mm.
 
-    It is the root of the summed squares of the grade's error, of the likely error of the wanted
-    shapes themselves (`doubt_mm` of `lips`), and of `held_back_mm`. Without the doubt the result is
-    a fifth too low (elastic robots of seeds 100 to 117, whose true shapes no calibration knows).
-    lips None: the grade's error alone.
+    It is the root of the summed squares of the grade's error and of the likely error of the wanted
+    shapes themselves (`doubt_mm` of `lips`). Without the doubt the result is a fifth too low
+    (elastic robots of seeds 100 to 117, whose true shapes no calibration knows). lips None: the
+    grade's error alone.
     """
     if lips is None:
         return grade.lip_rms_mm
-    return math.hypot(grade.lip_rms_mm, lips.doubt_mm, lips.held_back_mm)
+    return math.hypot(grade.lip_rms_mm, lips.doubt_mm)
 
 
 #: A small opening of which less than this is made is lost.

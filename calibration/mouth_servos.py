@@ -94,7 +94,7 @@ def limits_of(joints: Sequence[JointRange]) -> tuple[Array, Array]:
 def linear_calibration(
     model: FaceModel, servos: MouthServos, weights: Array, **others: Any
 ) -> Calibration:
-    """Return a calibration with a linear map that is 0 degrees at rest unless `others` says else.
+    """Return a calibration, with a linear map that is 0 degrees at rest unless `others` says else.
 
     Parameters
     ----------

@@ -155,7 +155,7 @@ class PhonemeSource(PhonemeScript, Protocol):
 
     @property
     def latency_s(self) -> float:
-        """Seconds until a phoneme is final: at sound time t, those before t - latency_s are."""
+        """Seconds until a phoneme is due: at t, those before t - latency_s are told, final soon."""
 
     @property
     def heard_until_s(self) -> float:
@@ -196,7 +196,7 @@ class LiveRecognizer(Protocol):
 
     @property
     def latency_s(self) -> float:
-        """Seconds until a phoneme is final: at sound time t, those before t - latency_s are."""
+        """Seconds until a phoneme is due: at t, those before t - latency_s are told, final soon."""
 
     def feed(self, block: AudioBlock) -> None:
         """Process the next block of sound, of any size; a gap before it counts as silence."""

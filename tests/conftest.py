@@ -1,6 +1,8 @@
+import asyncio
 import logging
 import os
 import signal
+from inspect import iscoroutinefunction, signature
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,16 @@ for variable in ("RUNTIME_DIRECTORY", "LIPSERVO_RUNTIME"):
 signal.signal(signal.SIGINT, signal.default_int_handler)
 for number in (signal.SIGHUP, signal.SIGQUIT):
     signal.signal(number, signal.SIG_DFL)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem):
+    """A test that is a coroutine has a loop of its own."""
+    test = pyfuncitem.obj
+    if not iscoroutinefunction(test):
+        return None
+    asyncio.run(test(**{name: pyfuncitem.funcargs[name] for name in signature(test).parameters}))
+    return True
 
 
 @pytest.fixture(autouse=True)

@@ -340,6 +340,8 @@ class KeptPoses:
             "mounting": self.mounting,
             "markers": marker_names,
             "goals_deg": [float(f"{v:.4f}") for v in plan.goals_deg[pose.index]],
+            "from_below": plan.from_below[pose.index].tolist(),
+            "ladder": int(ladders_of(plan)[pose.index]),
             "reached_deg": [float(f"{v:.4f}") for v in pose.reached_deg],
             "markers_mm": points,
         }
@@ -379,6 +381,28 @@ class KeptPoses:
             except (ValueError, KeyError, TypeError) as error:
                 raise self._not_a_pose_error(number) from error
         return found
+
+    def capture(self) -> Capture:
+        """Return all poses in the file, which a design's user may have got without their plan.
+
+        Raises CalibrationError without a file, or for one that this version did not keep.
+        """
+        lines = {int(line["pose"]): line for _, line in self._lines()}
+        try:
+            first, *_ = content = [lines[number] for number in sorted(lines)]
+            goals_deg = np.array([line["goals_deg"] for line in content], dtype=np.float64)
+            side = np.array([line["from_below"] for line in content], dtype=np.float64)
+            ladders = np.array([line["ladder"] for line in content], dtype=np.int64)
+            plan = PosePlan(tuple(first["servos"]), goals_deg, side, goals_deg, ladders)
+            names = tuple(first["markers"])
+            of_any = replace(self, mounting=first["mounting"])
+            poses = [of_any._parse_pose(each, n, plan, names) for n, each in enumerate(content)]
+        except (ValueError, KeyError, TypeError) as error:
+            raise CalibrationError(
+                f"{self.path}: not the poses of one robot that `lipservo calibrate measure` of "
+                "this version kept; measure the design anew, or leave out --tracker"
+            ) from error
+        return gather(plan, names, poses)
 
     def _lines(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield the number, from 1, and parsed content of each line of the file, if there is one.

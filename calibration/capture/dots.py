@@ -60,8 +60,9 @@ def holds_pictures(folder: Path) -> bool:
 
 #: What is to be said wherever dots are used.
 PROTRUSION_IS_UNSEEN = (
-    "one camera from the front does not see protrusion: dots have no forward place, and joints "
-    "that push the lips forward are judged by what they do across and up"
+    "one camera from the front sees neither protrusion nor whether it stands to a side, above or "
+    "below: set it level, straight in front; dots have no forward place, and joints that push the "
+    "lips forward are judged by what they do across and up"
 )
 #: Dots are of one size: a spot is none that is so much larger or smaller than the middle one, and
 #: one that is so much larger and as long is two that touch, as those of closed lips do. The pixels

@@ -183,11 +183,7 @@ class MeshFolder:
         stored = self._read_results.get(path)
         if stored is None or stored[0] != state:
             result = self._read_photograph(path)
-            if (
-                isinstance(result, str)
-                and result == _UNREADABLE
-                and self._unreadable.get(path) != state
-            ):
+            if result is _UNREADABLE and self._unreadable.get(path) != state:
                 self._unreadable[path] = state  # somebody may be writing it; looked at once more
                 return result
             self._read_results[path] = (state, result)

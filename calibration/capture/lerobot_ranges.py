@@ -29,10 +29,6 @@ class RecordedRange:
     least_tick: int
     most_tick: int
 
-    def span_deg(self, ticks_per_deg: float) -> float:
-        """Return the width of the range in degrees, of a servo with so many ticks per degree."""
-        return (self.most_tick - self.least_tick) / ticks_per_deg
-
     def is_whole(self, n_positions: int) -> bool:
         """Return whether the range is all positions of its servo: it was not recorded by hand."""
         return self.most_tick - self.least_tick >= _WHOLE_SHARE * (n_positions - 1)
@@ -90,35 +86,5 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
         )
     if not 0 <= values["id"] <= _HIGHEST_ID:
         raise CalibrationError(f"{place}.id is {values['id']}; ids are 0 to {_HIGHEST_ID}")
-    return RecordedRange(
-        name,
-        values["id"],
-        values["homing_offset"],
-        values["range_min"],
-        values["range_max"],
-    )
-
-
-def check_within_recorded(
-    ranges: Mapping[str, RecordedRange],
-    limits_deg: Mapping[str, tuple[float, float]],
-    ticks_per_deg: Mapping[str, float | None],
-) -> None:
-    """Raise CalibrationError for a joint without a recorded range, or with limits wider than that.
-
-    limits_deg: least and most angle of each joint, from the face's YAML; ticks_per_deg: of each
-    joint's servo, None (an error) for one that reports no position. Only widths are compared,
-    because the face's YAML defines the neutral.
-    """
-    for name, (low, high) in limits_deg.items():
-        if name not in ranges:
-            raise CalibrationError(f"servo {name!r} is not in the range file; record its range")
-        servo_ticks_per_deg = ticks_per_deg[name]
-        if servo_ticks_per_deg is None:
-            raise CalibrationError(f"servo {name!r} reports no position, so it can have no range")
-        span_deg = ranges[name].span_deg(servo_ticks_per_deg)
-        if high - low > span_deg:
-            raise CalibrationError(
-                f"servo {name!r}: its limits span {high - low:.0f} deg, but its recorded range "
-                f"only {span_deg:.0f} deg; narrow min_deg and max_deg in the face YAML"
-            )
+    del values["drive_mode"]
+    return RecordedRange(name, *values.values())

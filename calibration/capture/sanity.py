@@ -13,6 +13,7 @@ from itertools import combinations, permutations, product
 import numpy as np
 
 from calibration.calibration import CalibrationError
+from calibration.capture.attitude import attitude_of
 from calibration.capture.capture import Capture, outside_ladders
 from calibration.capture.joint_health import (
     SUSPECTED,
@@ -315,6 +316,21 @@ def _moved_head(record: _Record) -> Iterator[Finding]:
     yield from map(Finding, lines)
 
 
+def _tracker_askew(record: _Record) -> Iterator[Finding]:
+    """Yield a warning of a tracker that stands askew, whose readings are turned back in `record`.
+
+    A pitch, which motion alone tells and no better than to 5 degrees, is refused.
+    """
+    attitude = attitude_of(record.capture, record.positive)
+    if attitude.text:
+        record.given = attitude.straightened(record.given)
+        record.correct(attitude.straightened(record.capture))
+        level = "set it level with the mouth, looking straight at it, and capture again"
+        refusal = f"{attitude.text}; {level}, or add --accept to have its readings turned back"
+        warning = f"{attitude.text}; its readings are turned back"
+        yield Finding(warning, refusal if attitude.is_pitched else "", is_judgement=True)
+
+
 def _exchanged_names(record: _Record) -> Iterator[Finding]:
     """Yield refusals for pairs of markers that swapped names, in every pose or in single poses.
 
@@ -399,7 +415,7 @@ def _fault_during_capture(capture: Capture, lines: StraightLines) -> JointFault 
 
 #: Every check in its order: of the capture as it was given, then of one that they correct.
 _FIRST_CHECKS = (_too_few, _never_moved, _stalled, _lost_points, _same_points)
-_CHECKS = (_moved_head, _exchanged_names, _far_points, _faulty_joints)
+_CHECKS = (_moved_head, _tracker_askew, _exchanged_names, _far_points, _faulty_joints)
 
 
 def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) -> bool:

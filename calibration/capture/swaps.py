@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calibration.capture.attitude import turned_like
 from calibration.capture.capture import (
     NOT_KEPT,
     Capture,
@@ -231,7 +232,10 @@ def retake_swaps(
     if not len(seen):
         return poses
     rows = seen.rows
-    usual_mm = straight_lines(seen).expected_mm if expected_mm is None else expected_mm[list(rows)]
+    if expected_mm is None:
+        usual_mm = straight_lines(seen).expected_mm
+    else:  # a tracker may stand askew
+        usual_mm = turned_like(expected_mm[list(rows)], seen.markers_mm)
     found = swapped_in_poses(seen, usual_mm)
     pose_of_row = {pose.index: pose for pose in poses}
     for row in sorted({swap.pose for swap in found if swap.pose is not None}):

@@ -239,10 +239,8 @@ def _parse(file: Place) -> Calibration:
         n_pairs = len(pairs(len(rest))[0])
         quadratic_weights = np.array([servo.at(key).numbers(n_pairs) for servo in servos])
         x_range = np.array([file.at(key).numbers(len(rest)) for key in ("x_least", "x_most")])
-    centres, centre_weights = np.zeros((0, len(rest))), np.zeros((len(servos), 0))
     if file.has("centres"):
-        centres = file.at("centres").rows(len(rest))
-        centre_weights = np.array([s.at("centre_weights").numbers(len(centres)) for s in servos])
+        raise CalibrationError("its map has centres, which are no longer used")
     return Calibration(
         servo_names=names,
         weights=weights,
@@ -260,8 +258,6 @@ def _parse(file: Place) -> Calibration:
         touch=_parse_part(file, "touch", lambda touch: _parse_touch(touch, names)),
         coverage=_parse_mapping(file, "coverage", lambda reach: _parse_record(reach, VisemeReach)),
         trim=_parse_trim(file, names),
-        centres=centres,
-        centre_weights=centre_weights,
         grade=_parse_part(file, "grade", lambda grade: _parse_record(grade, Grade)),
         learnt_lips=_parse_part(file, "learnt_lips", lambda lips: _parse_record(lips, LearntLips)),
         hand_poses=_parse_mapping(file, "hand_poses", lambda pose: pose.by_name(names)),
@@ -278,7 +274,7 @@ _READER_OF_TYPE: Mapping[object, Callable[[Place], object]] = {
     bool: Place.flag,
 }  # fmt: skip
 #: Fields that a file may lack, besides those that may be None.
-_MAY_LACK = ("held_back_mm", "n_measured", "not_measured")
+_MAY_LACK = ("n_measured", "not_measured")
 
 
 def _parse_record(place: Place, kind: type[Kind], **others: Any) -> Kind:

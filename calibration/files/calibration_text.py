@@ -71,7 +71,7 @@ _HEADER = """\
 # From a speaker's mouth to this robot's servos, made by `lipservo calibrate`.
 # With x = coefficients - rest, kept within x_least .. x_most, the degrees of a servo are
 # rest_deg + weights . x + quadratic_weights . (x_i x_j, i <= j, row by row), kept between min_deg
-# and max_deg. Where the file has centres, centre_weights . |x - centre| are added before that.
+# and max_deg.
 # The coefficients are the principal components of the model named below, in millimetres; rest is
 # the closed mouth. Where lips are near, closure corrects it so that they meet.
 # hold_out tells how far off the map is on motion left out of the fit.
@@ -105,9 +105,6 @@ def calibration_text(calibration: Calibration) -> str:
             f"x_least: {_yaml_list(calibration.x_range[0], _six)}",
             f"x_most: {_yaml_list(calibration.x_range[1], _six)}",
         ]
-    if len(calibration.centres):
-        lines.append("centres:")
-        lines += [f"- {_yaml_list(centre, _six)}" for centre in calibration.centres]
     lines.append("servos:")
     for i in range(len(names)):
         lines += _servo_lines(calibration, i)
@@ -168,8 +165,6 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
     ]
     if calibration.quadratic_weights.shape[1]:
         lines.append(f"    quadratic_weights: {_yaml_list(calibration.quadratic_weights[i], _six)}")
-    if len(calibration.centres):
-        lines.append(f"    centre_weights: {_yaml_list(calibration.centre_weights[i], _six)}")
     for field in () if following is None else fields(following):
         value = getattr(following, field.name)[i]
         lines += [f"    {field.name}: {_four(value)}"] if np.isfinite(value) else []

@@ -130,8 +130,8 @@ _SLOPE_SD = 0.25
 #: A kink of all ladders together must explain so much, in square standard errors, and leave so
 #: little of the slope, by two standard errors; noise alone explains 5 a ladder.
 _SURE_EVIDENCE, _MOST_SLOPE_LEFT = 22.0, 0.7
-#: A ladder of fewer steps tells nothing; in so many first ones lips are open.
-_FEWEST_STEPS, _OPEN_STEPS = 5, 3
+#: A ladder of fewer steps tells nothing.
+_FEWEST_STEPS = 5
 #: Dots that are so far past each other belong to lips that meet.
 _PASSED_MM = 0.8
 
@@ -198,36 +198,15 @@ def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, flo
     straight_cost = _line_fit(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
     best = (float(x[-1]), 0.0, 1.0, 0.0)
     for kink_mm in np.arange(x[0] + 0.3, x[-1] - 0.3, 0.1):
-        cost, slopes, variance = bent_line(x, y, float(kink_mm), noise_mm)
+        before, beyond = np.minimum(x, kink_mm), np.maximum(x - kink_mm, 0.0)
+        inputs = np.column_stack([np.ones_like(x), -before / noise_mm, -beyond / noise_mm])
+        cost, slopes, variance = _line_fit(inputs, y)
         if straight_cost - cost > best[1]:
             slope_left = slopes[2] / max(slopes[1], 0.2)
             # 1 / variance of the ratio of both slopes, by their own variances.
             weight = slopes[1] ** 2 / max(variance[2, 2] + slope_left**2 * variance[1, 1], 1e-9)
             best = (float(kink_mm), straight_cost - cost, float(slope_left), float(weight))
     return best
-
-
-def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Array, Array]:
-    """Return the least-squares fit to apertures of a line that bends at the closing `at`.
-
-    Parameters
-    ----------
-    x : Array
-        (n,) mm, predicted closing.
-    y : Array
-        (n,) apertures, in standard errors.
-    at : float
-        Closing at which the line bends, in mm.
-    noise_mm : float
-        Standard error of an aperture, in mm.
-
-    Returns
-    -------
-    tuple[float, Array, Array]
-        Sum of squared residuals, parameters (3,) (height, both slopes) and their covariance (3, 3).
-    """
-    before, beyond = np.minimum(x, at), np.maximum(x - at, 0.0)
-    return _line_fit(np.column_stack([np.ones_like(x), -before / noise_mm, -beyond / noise_mm]), y)
 
 
 def _line_fit(inputs: Array, y: Array) -> tuple[float, Array, Array]:
@@ -263,26 +242,6 @@ class SeenLadders:
     def meet(self) -> bool:
         """Whether there is evidence that the lips meet: a kink by contact, or dots that passed."""
         return self.passed or self.kink.is_contact
-
-
-def lips_are_open(capture: Capture) -> NDArray[np.bool_]:
-    """Return which poses belong to no ladder or to the first steps of one, so that lips are open.
-
-    A ladder is a series of poses that close the lips step by step.
-
-    Parameters
-    ----------
-    capture : Capture
-        Capture of n poses.
-
-    Returns
-    -------
-    NDArray[np.bool_]
-        (n,).
-    """
-    ladders = ladders_of(capture)
-    n_earlier = np.array([(ladders[:row] == ladder).sum() for row, ladder in enumerate(ladders)])
-    return np.asarray((ladders == 0) | (n_earlier < _OPEN_STEPS))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ map.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,49 +38,29 @@ class LandmarkPose:
     coefficients: Array
 
 
-def _marker_row(landmark: int) -> int:
-    return MARKERS_47.landmarks.index(landmark)
-
-
-def _opening(mm: Array) -> Array:
-    return np.asarray(mm[:, _marker_row(13), 1] - mm[:, _marker_row(14), 1])
-
-
-def _width(mm: Array) -> Array:
-    return np.asarray(mm[:, _marker_row(291), 0] - mm[:, _marker_row(61), 0])
-
-
-def _upper(mm: Array) -> Array:
-    return np.asarray(mm[:, _marker_row(0), 1])
-
-
-def _lower(mm: Array) -> Array:
-    return np.asarray(-mm[:, _marker_row(17), 1])
-
-
-def _forward(mm: Array) -> Array:
-    return np.asarray((mm[:, _marker_row(0), 2] + mm[:, _marker_row(17), 2]) / 2)
-
-
-def _corners(mm: Array) -> Array:
-    return np.asarray((mm[:, _marker_row(61), 1] + mm[:, _marker_row(291), 1]) / 2)
-
-
+#: What is measured of a mouth: a weighted sum of coordinates, by landmark and axis.
+_Measure = tuple[tuple[int, int, float], ...]
+_OPENING: _Measure = ((13, 1, 1.0), (14, 1, -1.0))
+_WIDTH: _Measure = ((291, 0, 1.0), (61, 0, -1.0))
+_UPPER: _Measure = ((0, 1, 1.0),)
+_LOWER: _Measure = ((17, 1, -1.0),)
+_FORWARD: _Measure = ((0, 2, 0.5), (17, 2, 0.5))
+_CORNERS: _Measure = ((61, 1, 0.5), (291, 1, 0.5))
 #: Name, what the person is told, what is large there (each standardised, then added up).
-_POSES: tuple[tuple[str, str, tuple[tuple[Callable[[Array], Array], float], ...]], ...] = (
-    ("open", "open the mouth as for AH", ((_opening, 1.0),)),
-    ("wide", "draw the corners apart as for EE", ((_width, 1.0),)),
-    ("narrow", "draw the corners together as for OO", ((_width, -1.0),)),
-    ("upper lip up", "raise the upper lip, teeth showing", ((_upper, 1.0),)),
-    ("upper lip down", "lower the upper lip", ((_upper, -1.0),)),
-    ("lower lip down", "lower the lower lip, teeth showing", ((_lower, 1.0),)),
-    ("forward", "push the lips forward", ((_forward, 1.0),)),
-    ("back", "draw the lips back against the teeth", ((_forward, -1.0),)),
-    ("corners up", "raise the corners", ((_corners, 1.0),)),
-    ("corners down", "lower the corners", ((_corners, -1.0),)),
-    ("open and narrow", "a round open mouth as for AW", ((_opening, 1.0), (_width, -1.0))),
-    ("open and wide", "open and wide as for A in cat", ((_opening, 1.0), (_width, 1.0))),
-    ("closed and narrow", "nearly closed and round", ((_opening, -1.0), (_width, -1.0))),
+_POSES: tuple[tuple[str, str, tuple[tuple[_Measure, float], ...]], ...] = (
+    ("open", "open the mouth as for AH", ((_OPENING, 1.0),)),
+    ("wide", "draw the corners apart as for EE", ((_WIDTH, 1.0),)),
+    ("narrow", "draw the corners together as for OO", ((_WIDTH, -1.0),)),
+    ("upper lip up", "raise the upper lip, teeth showing", ((_UPPER, 1.0),)),
+    ("upper lip down", "lower the upper lip", ((_UPPER, -1.0),)),
+    ("lower lip down", "lower the lower lip, teeth showing", ((_LOWER, 1.0),)),
+    ("forward", "push the lips forward", ((_FORWARD, 1.0),)),
+    ("back", "draw the lips back against the teeth", ((_FORWARD, -1.0),)),
+    ("corners up", "raise the corners", ((_CORNERS, 1.0),)),
+    ("corners down", "lower the corners", ((_CORNERS, -1.0),)),
+    ("open and narrow", "a round open mouth as for AW", ((_OPENING, 1.0), (_WIDTH, -1.0))),
+    ("open and wide", "open and wide as for A in cat", ((_OPENING, 1.0), (_WIDTH, 1.0))),
+    ("closed and narrow", "nearly closed and round", ((_OPENING, -1.0), (_WIDTH, -1.0))),
 )
 
 
@@ -92,7 +72,9 @@ def landmark_poses(model: FaceWithAnimPhos) -> tuple[LandmarkPose, ...]:
     for name, instruction, measures in _POSES:
         score = np.zeros(len(frames))
         for measure, sign in measures:
-            values = measure(markers_mm)
+            rows = [MARKERS_47.landmarks.index(landmark) for landmark, _, _ in measure]
+            axes = [axis for _, axis, _ in measure]
+            values = markers_mm[:, rows, axes] @ np.array([weight for _, _, weight in measure])
             # Standardised, so that several measures count alike.
             score += sign * (values - values.mean()) / (values.std() + 1e-12)
         wanted_score = np.quantile(score, _QUANTILE)

@@ -6,17 +6,15 @@ face's own fit, noise included, is reported beside these.
 Loads scikit-learn; the live path never does.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from calibration.calibration import Calibration, CalibrationError, Following, Origin, Touch
-from calibration.capture.capture import Capture, outside_ladders
-from calibration.capture.joint_health import joint_signal
+from calibration.capture.capture import Capture
 from calibration.capture.sanity import check_capture
-from calibration.capture.straight_lines import straight_lines
 from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.closing import pair_slopes
 from calibration.fit.retargeting import (
@@ -31,7 +29,7 @@ from calibration.fit.retargeting import (
     no_opening,
 )
 from calibration.fit.robot_face import RobotFace, fit_robot_face
-from calibration.fit.run_time_map import RunTimeMap, choose_map
+from calibration.fit.run_time_map import fit_closure, fit_run_time_map
 from calibration.grade import (
     CONTACT,
     LIMITS,
@@ -43,7 +41,7 @@ from calibration.grade import (
     each_marker_rms_mm,
     gap_figures,
 )
-from calibration.mouth_servos import MouthServos
+from calibration.mouth_servos import MouthServos, linear_calibration
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES
@@ -143,8 +141,8 @@ def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Arra
     return np.asarray(np.sqrt(squares.mean(axis=1)))
 
 
-def _errors(ref: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
-    """Return the errors of the live map `run` on held-out frames of speech, on the learnt face.
+def _errors(ref: ShapeErrors, run: Calibration, held_out: Array) -> HoldOutErrors:
+    """Return the errors of the calibration `run` on held-out frames of speech, on the learnt face.
 
     ref: speaker, learnt mouth and wanted shapes; held_out: (n, n_components) coefficients.
     Markers are compared with the wanted shapes, angles with the best poses.
@@ -152,7 +150,7 @@ def _errors(ref: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors
     from_rest = held_out - ref.model.rest
     best_deg = ref.retargeting.poses_deg(from_rest)
     targets_mm = ref.retargeting.targets_mm(from_rest)
-    poses_deg = run.poses_deg(from_rest, ref.mouth)
+    poses_deg = run.poses_deg(held_out)
     robot_mm = ref.mouth.seen_mm(poses_deg)
     human_gap_mm = ref.model.lip_gaps_mm(ref.model.markers_mm(held_out))
     gap_mm = _opening_mm(ref, robot_mm)
@@ -175,8 +173,8 @@ def _errors(ref: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors
     )
 
 
-def _coverage(ref: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
-    """Return how well the map `run` reaches each viseme class, by the class's first phoneme.
+def _coverage(ref: ShapeErrors, run: Calibration) -> dict[str, VisemeReach]:
+    """Return how well the calibration `run` reaches each viseme class, by its first phoneme.
 
     ref: speaker and learnt mouth. Compared are the middle frames of at most 30 AnimPhos (pieces
     of recorded motion about a phoneme) of each class.
@@ -184,14 +182,15 @@ def _coverage(ref: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     rows = {viseme[0]: _rows_of_class(ref.model, viseme) for viseme in VISEME_CLASSES}
     rows = {viseme: class_rows for viseme, class_rows in rows.items() if len(class_rows)}
     # The middle frame of each piece of motion (AnimPho), class after class.
-    from_rest = ref.model.animphos.samples[np.concatenate(list(rows.values())), 2] - ref.model.rest
+    frames = ref.model.animphos.samples[np.concatenate(list(rows.values())), 2]
+    from_rest = frames - ref.model.rest
     reached = ref.reached(from_rest)
     targets_mm = ref.retargeting.targets_mm(from_rest)
-    poses_deg = run.poses_deg(from_rest, ref.mouth)
+    poses_deg = run.poses_deg(frames)
     off_mm = ref.apart_mm(poses_deg, targets_mm)
     wanted_mm = ref.retargeting.wanted_open_mm(from_rest)[:, 0]
     made_mm = _opening_mm(ref, ref.mouth.seen_mm(poses_deg))
-    human_mm = ref.model.lip_gaps_mm(ref.model.markers_mm(from_rest + ref.model.rest))
+    human_mm = ref.model.lip_gaps_mm(ref.model.markers_mm(frames))
     at_limit = _is_at_limit(poses_deg, ref.mouth)
     reach: dict[str, VisemeReach] = {}
     begin = 0
@@ -287,14 +286,8 @@ TOUCH_CURRENT_MA = 294.0
 _CONTACT_PRESS_MM = 1.0
 #: What noise gives a kink of three ladders at the most, in square standard errors.
 _CONTACT_HINT = 15.0
-#: Of frames left out one in so many says what all of them do.
-_EVERY_NTH = 8
 #: A joint that is so near to its limit stands at it.
 _AT_LIMIT_DEG = 0.5
-#: A joint that does so much to the markers it moves most, in square standard errors, costs what
-#: chance gives its slope; half as much costs eight times as much, squared. Lips of elastic robots
-#: come to 75 and up, with a third of their throw to 42 and up.
-_WELL_KNOWN_SIGNAL = 120.0
 #: One narrow reading may be noise.
 _NARROW_Q = 0.05
 
@@ -337,56 +330,39 @@ def fit_measured(
         capture = checked.capture
         face = fit_robot_face(capture, names.shape_features)
         warnings = (*checked.warnings, *loose_joint(face.servo_names, face.backlash_deg))
-        limits = servos.limits_deg
         fitted, held_out = split_frames(model, seed)
         # The mouth that is searched for poses; joints that move nothing visibly stay at 0.
-        mouth = replace(
-            mouth_of(face, names, servos.holding(checked.still)),
-            doubt_mm_per_deg=_doubt_mm_per_deg(outside_ladders(capture), names),
-        )
+        mouth = mouth_of(face, names, servos.holding(checked.still))
         retargeting = retargeting_of(model, mouth, face, capture)
-        run = choose_map(retargeting, fitted - model.rest).without(checked.still)
+        from_rest = fitted - model.rest
+        poses_deg = retargeting.poses_deg(from_rest)
         closing = closing_of(face, mouth, capture)
         stay_apart_mm = 0.0 if closing is None else closing.apart_mm
         shapes = ShapeErrors(model, mouth, retargeting, stay_apart_mm)
-        calibration = Calibration(
-            servo_names=capture.servo_names,
-            rest=model.rest,
-            min_deg=limits[0],
-            max_deg=limits[1],
-            errors=_errors(shapes, run, held_out),
-            model_checksum=model.checksum,
-            face_checksum=servos.face_checksum,
+        calibration = linear_calibration(
+            model,
+            servos,
+            **fit_run_time_map(from_rest, poses_deg),
+            closure=fit_closure(retargeting, from_rest, poses_deg),
+            errors=HoldOutErrors(),
             origin=Origin("measured", date, len(capture), servos.models),
             following=backlash_only(face.backlash_deg),
             touch=Touch(_touch_deg(retargeting), TOUCH_CURRENT_MA),
-            coverage=_coverage(shapes, run),
             rules=servos.rules,
             closing=closing,
-            **{part.name: getattr(run, part.name) for part in fields(run)},
             learnt_lips=LearntLips(
                 left_out_rms_mm=face.left_out_rms_mm,
                 noise_mm=face.noise_mm,
                 own_gap_mm=float(retargeting.closed_mm[0]),
                 stop=face.contact is not None,
-                held_back_mm=retargeting.held_back_mm((held_out - model.rest)[::_EVERY_NTH]),
             ),
         )
+        calibration = replace(
+            calibration,
+            errors=_errors(shapes, calibration, held_out),
+            coverage=_coverage(shapes, calibration),
+        )
         return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
-
-
-def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
-    """Return the cost of a degree of each joint in the search of poses, (n_servos,) weighted mm.
-
-    It is the standard error of the joint's slope, raised for a weak joint: turning such a joint is
-    as likely to do harm as to help, so it turns only as far as its known effect justifies. names:
-    the markers that correspond with the speaker's.
-    """
-    lines = straight_lines(capture)
-    range_deg = np.maximum(np.ptp(capture.goals_deg, axis=0), 1e-6)
-    chance_mm = lines.chance_mm / range_deg * names.shape_features.of_noise(len(names.human))
-    signals = np.array([joint_signal(lines, joint) for joint in range(len(range_deg))])
-    return np.asarray(chance_mm * (_WELL_KNOWN_SIGNAL / np.maximum(signals, 1e-9)) ** 1.5)
 
 
 def split_frames(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 
 from calibration.calibration import Calibration, CalibrationError
+from calibration.capture.attitude import turned_like
 from calibration.capture.capture import Capture, PosePlan, plan_around
 from calibration.capture.marker_files import (
     csv_rows,
@@ -145,7 +146,8 @@ def graded(
     targets_mm, human_mm = poses.targets_mm[rows], poses.human_gap_mm[rows]
     shares = poses.shares[rows] / poses.shares[rows].sum()
     features = correspond(poses.marker_names).shape_features
-    seen_mm, moved = on_head(seen.markers_mm, targets_mm, poses.marker_names)
+    seen_mm = turned_like(seen.markers_mm, targets_mm)  # as the fit's readings were
+    seen_mm, moved = on_head(seen_mm, targets_mm, poses.marker_names)
     remarks = ("the tracker was moved since the fit: markers are counted from the nose",) * moved
     seen_mm, left_out = _drop_far_lips(seen_mm, targets_mm, list(features.lips), poses.marker_names)
     remarks += left_out
@@ -351,7 +353,6 @@ def map_checksum(calibration: Calibration) -> str:
         calibration.rest_deg,
         calibration.weights,
         calibration.quadratic_weights,
-        calibration.centre_weights,
     ):
         parts += [f"{number:.6g}" for number in numbers.ravel()]
     return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]

@@ -15,6 +15,7 @@ from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
 from calibration.calibration import CalibrationError, CouplingRule
+from calibration.capture.attitude import attitude_of
 from calibration.capture.capture import (
     NOT_KEPT,
     Capture,
@@ -265,8 +266,11 @@ class Procedure:
         # Rows of the plan that close the lips: the first of the poses of speech.
         pressing = range(len(plan), len(plan) + self._n_closed(self.n_of_speech))
         plan = joined(plan, self.speech_plan(checked, self.n_of_speech))
-        captured = take(plan, pressing)
-        plan = self._with_ladders(plan, captured, checked.still, take)
+        straightened = attitude_of(captured, self.positive).straightened
+        captured = straightened(take(plan, pressing))
+        plan = self._with_ladders(
+            plan, captured, checked.still, lambda *poses: straightened(take(*poses))
+        )
         return take(joined(plan, poses_to_repeat(self.range_plan())))
 
     def _with_ladders(

@@ -67,12 +67,6 @@ class ShapeFeatures:
         parts = (weight * markers_mm, _GAP_WEIGHT * gaps_mm)
         return np.concatenate([part.reshape(len(markers_mm), -1) for part in parts], axis=1)
 
-    def of_noise(self, n_markers: int) -> float:
-        """Return the rms length of the features of n_markers with noise of 1 mm in each axis."""
-        n_lips, n_gaps = len(self.lips), len(self.gaps)
-        skin = (n_markers - n_lips) * _SKIN_WEIGHT**2
-        return float(np.sqrt(3 * (n_lips * _LIP_WEIGHT**2 + skin + 2 * n_gaps * _GAP_WEIGHT**2)))
-
     def gaps_mm(self, markers_mm: Array) -> Array:
         """Return the lip gaps as vectors: upper minus lower marker.
 
@@ -107,58 +101,6 @@ def gap_heights_mm(markers_mm: Array, gaps: tuple[tuple[int, int], ...]) -> Arra
     """
     upper, lower = ([pair[i] for pair in gaps] for i in (0, 1))
     return np.asarray(markers_mm[:, upper, 1] - markers_mm[:, lower, 1])
-
-
-def nearest_poses_deg(
-    markers_of: MarkersOf,
-    wanted: Array,
-    shape_features: ShapeFeatures,
-    limits_deg: tuple[Array, Array],
-    *,
-    rules: Sequence[CouplingRule] = (),
-    doubt_mm_per_deg: Array | None = None,
-) -> Array:
-    """Return the poses whose shapes are nearest to wanted ones, by Gauss-Newton from neutral.
-
-    Parameters
-    ----------
-    markers_of : MarkersOf
-        Function from poses (n, n_servos) degrees to markers (n, n_markers, 3) mm.
-    wanted : Array
-        (n, n_features), weighted mm, of the wanted shapes.
-    shape_features : ShapeFeatures
-        Weights of the shapes' features.
-    limits_deg : tuple[Array, Array]
-        Least and most, (n_servos,) degrees each.
-    rules : Sequence[CouplingRule]
-        Coupling rules between joints.
-    doubt_mm_per_deg : Array | None
-        (n_servos,) mm per degree: error that turning a joint may cause, a cost; None: 0.
-
-    Returns
-    -------
-    Array
-        (n, n_servos) degrees within the limits, keeping the rules.
-    """
-    n_servos = len(limits_deg[0])
-    angles_deg = np.zeros((len(wanted), n_servos))
-    doubt = np.zeros(n_servos) if doubt_mm_per_deg is None else doubt_mm_per_deg
-    turn_cost = np.diag(NEUTRAL_WEIGHT_MM_PER_DEG**2 + doubt**2)
-    for _ in range(_GAUSS_NEWTON_STEPS):
-        reached = shape_features.of(markers_of(angles_deg))
-        slopes = shape_slopes(markers_of, shape_features, angles_deg, reached)
-        # Linear about the current angles: the new angles should make `slopes @ angles` this target.
-        target = wanted - reached + (slopes @ angles_deg[..., None])[..., 0]
-        transposed = slopes.transpose(0, 2, 1)
-        normal = transposed @ slopes + turn_cost
-        right = (transposed @ target[..., None])[..., 0]
-        for rule in rules:
-            # A broken rule, at the current angles, pulls the weighted sum back to its limit.
-            penalty = (angles_deg @ rule.weights > rule.at_most_deg) * _RULE_WEIGHT_MM_PER_DEG**2
-            normal += penalty[:, None, None] * np.outer(rule.weights, rule.weights)
-            right += penalty[:, None] * rule.weights * rule.at_most_deg
-        angles_deg = bounded_minimum(normal, right, *limits_deg)
-    return angles_deg
 
 
 def shape_slopes(
@@ -283,8 +225,7 @@ class RobotMouth:
     """A learnt mouth: markers by pose, features of its shape, joint limits and coupling rules.
 
     stopped_of: the markers with lips that stop each other, which overlap in markers_of;
-    None: the same as markers_of. doubt_mm_per_deg: (n_servos,), error that a degree of each joint
-    may cause; None: 0.
+    None: the same as markers_of.
     """
 
     markers_of: MarkersOf
@@ -292,7 +233,6 @@ class RobotMouth:
     limits_deg: tuple[Array, Array]
     rules: tuple[CouplingRule, ...] = ()
     stopped_of: MarkersOf | None = None
-    doubt_mm_per_deg: Array | None = None
 
     def seen_mm(self, poses_deg: Array) -> Array:
         """Return the markers of poses as a tracker would measure them, lips stopping each other.
@@ -320,22 +260,40 @@ class RobotMouth:
         return np.asarray(self.markers_of(np.zeros((1, len(self.limits_deg[0]))))[0])
 
     def nearest_deg(self, wanted: Array) -> Array:
-        """Return the poses whose shapes are nearest to wanted features, (n, n_servos) degrees.
+        """Return the poses whose shapes are nearest to wanted ones, by Gauss-Newton from neutral.
+
+        They are within the limits and keep the rules.
 
         Parameters
         ----------
         wanted : Array
-            (n, n_features), weighted mm.
+            (n, n_features), weighted mm, of the wanted shapes.
+
+        Returns
+        -------
+        Array
+            (n, n_servos) degrees.
         """
-        shape_features = self.names.shape_features
-        return nearest_poses_deg(
-            self.markers_of,
-            wanted,
-            shape_features,
-            self.limits_deg,
-            rules=self.rules,
-            doubt_mm_per_deg=self.doubt_mm_per_deg,
-        )
+        shape_features, n_servos = self.names.shape_features, len(self.limits_deg[0])
+        angles_deg = np.zeros((len(wanted), n_servos))
+        turn_cost = NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos)
+        for _ in range(_GAUSS_NEWTON_STEPS):
+            reached = shape_features.of(self.markers_of(angles_deg))
+            slopes = shape_slopes(self.markers_of, shape_features, angles_deg, reached)
+            # Linear about the current angles: the new ones should make `slopes @ angles` this
+            # target.
+            target = wanted - reached + (slopes @ angles_deg[..., None])[..., 0]
+            transposed = slopes.transpose(0, 2, 1)
+            normal = transposed @ slopes + turn_cost
+            right = (transposed @ target[..., None])[..., 0]
+            for rule in self.rules:
+                # A broken rule, at the current angles, pulls the weighted sum back to its limit.
+                is_broken = angles_deg @ rule.weights > rule.at_most_deg
+                penalty = is_broken * _RULE_WEIGHT_MM_PER_DEG**2
+                normal += penalty[:, None, None] * np.outer(rule.weights, rule.weights)
+                right += penalty[:, None] * rule.weights * rule.at_most_deg
+            angles_deg = bounded_minimum(normal, right, *self.limits_deg)
+        return angles_deg
 
     def limited_deg(self, free_deg: Array) -> Array:
         """Return poses limited to the joint ranges and coupling rules, (n, n_servos) degrees.
@@ -414,24 +372,6 @@ class Retargeting:
             (n, n_components) mm, coefficients less the rest.
         """
         return self.mouth.seen_mm(replace(self, press_mm=0.0).poses_deg(from_rest))
-
-    def held_back_mm(self, from_rest: Array) -> float:
-        """Return how far lips stay behind their shapes because of the doubt `doubt_mm_per_deg`.
-
-        Parameters
-        ----------
-        from_rest : Array
-            (n, n_components) mm, coefficients less the rest.
-
-        Returns
-        -------
-        float
-            mm, rms over frames and lips, by the learnt face.
-        """
-        without_doubt = replace(self, mouth=replace(self.mouth, doubt_mm_per_deg=None))
-        lips = list(self.mouth.names.shape_features.lips)
-        behind_mm = (without_doubt.targets_mm(from_rest) - self.targets_mm(from_rest))[:, lips]
-        return float(np.sqrt(np.mean(np.sum(behind_mm**2, axis=2))))
 
     def at_gap(self, from_rest: Array, gap_mm: float) -> Array:
         """Return the pose nearest to a shape, with the lips' middle gap at a given height.

@@ -2,7 +2,7 @@
 
     cov(marker p at pose x, marker q at pose y) = K(x, y) S(p, q), each axis for itself, plus noise
     K(x, y) = K0 + s + curvature s^2, s = sum_j reach_j x_j y_j     (lines, squares, products)
-    S(p, q) = exp(-d(p, q)^2 / 2 width^2) + own [p = q],         d along the skin
+    S(p, q) = exp(-d(p, q)^2 / 2 width^2),                       d along the skin
 
 The covariance is a Kronecker product, so two small eigendecompositions solve it (Rasmussen and
 Williams, Gaussian Processes for Machine Learning, 2006, sections 2.2 and 5.4.1). The backlash of
@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from lipsync.arrays import Array
@@ -26,13 +25,11 @@ _CONSTANT_MM2 = 100.0
 #: The backlashes of one robot are like one another by so much, about a common mean.
 _BACKLASH_SD_DEG = 0.4
 _FIRST_BACKLASH_DEG = 0.5
-#: Play of all joints together, and of one alone, is believed from so many standard errors on; less
-#: than a quarter of a degree, or half of one in one joint, lips do not show.
-_LEAST_DEG = 0.25
-_EVIDENT_ERRORS, _EVIDENT_ALONE_ERRORS, _MOST_BELOW_DEG, _STEP_DEG = 3.0, 4.0, 2.0, 0.05
+#: What noise gives a gear without play is as often less as more; no gear has so much less.
+_MOST_BELOW_DEG = 2.0
 #: Where the search for the hyperparameters begins: reach in mm^2 of a half range, curvature per
-#: mm^2, noise in mm^2, width in mm, own part. It ends at the same place from half or twice these.
-_START = (3.0, 0.02, 0.3, 14.0, 0.05)
+#: mm^2, noise in mm^2, width in mm. It ends at the same place from half or twice these.
+_START = (3.0, 0.02, 0.3, 14.0)
 _MOST_STEPS = 200
 
 _UPPER_LIP = (39, 37, 0, 267, 269, 82, 13, 312)
@@ -70,28 +67,12 @@ class Poses:
         reached_deg = self.goals_deg - self.from_below * backlash_deg / 2
         return np.asarray((reached_deg - self.middle_deg) / self.half_range_deg)
 
-    def of(self, rows: NDArray[np.bool_]) -> "Poses":
-        """Return the poses that are True in `rows`.
-
-        Parameters
-        ----------
-        rows : NDArray[np.bool_]
-            (n,): which poses to keep.
-
-        Returns
-        -------
-        Poses
-            (k, n_servos) degrees.
-        """
-        return replace(self, goals_deg=self.goals_deg[rows], from_below=self.from_below[rows])
-
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
     """Hyperparameters of a skin process, as in this module's formulae.
 
-    backlash_deg, reach_mm2: (n_servos,); width_mm: of the covariance along the skin; own: the part
-    of each marker alone.
+    backlash_deg, reach_mm2: (n_servos,); width_mm: of the covariance along the skin.
     """
 
     backlash_deg: Array
@@ -99,7 +80,6 @@ class Hyperparameters:
     curvature: float
     noise_mm2: float
     width_mm: float
-    own: float
 
     def pose_covariance(self, one: Array, other: Array) -> Array:
         """Return the covariance K of two sets of poses.
@@ -132,8 +112,7 @@ class Hyperparameters:
         Array
             (n_markers, n_markers).
         """
-        alike = np.exp(-0.5 * apart_mm2 / self.width_mm**2)
-        return np.asarray(alike + self.own * np.eye(len(apart_mm2)))
+        return np.asarray(np.exp(-0.5 * apart_mm2 / self.width_mm**2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,9 +203,8 @@ def fit_hyperparameters(
             np.log(np.concatenate([np.full(n_servos, _START[0]), _START[1:]])),
         ]
     )
-    # Backlash may be negative here: what noise gives a gear without play is as often less as more.
     bounds: list[tuple[float, float | None]] = [(-_MOST_BELOW_DEG, None)] * n_servos
-    bounds += [(-20.0, 20.0)] * (n_servos + 4)
+    bounds += [(-20.0, 20.0)] * (n_servos + 3)
     solution = minimize(
         likelihood,
         start,
@@ -235,33 +213,8 @@ def fit_hyperparameters(
         bounds=bounds,
         options={"maxiter": _MOST_STEPS},
     )
-    solution.x[:n_servos] = _evident_deg(solution.x, likelihood, n_servos)
-    return _hyperparameters_of(solution.x, n_servos)
-
-
-def _evident_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_servos: int) -> Array:
-    """Return the backlash that the capture makes evident, (n_servos,) degrees; else 0.
-
-    parameters: those of greatest likelihood, backlash first. A joint's backlash is kept where the
-    mean backlash of all joints is beyond doubt, or its own is.
-    """
-    precision = np.empty(n_servos)
-    for joint in range(n_servos):
-        ends = [parameters.copy(), parameters.copy()]
-        for end, step_deg in zip(ends, (-_STEP_DEG, _STEP_DEG), strict=True):
-            end[joint] += step_deg
-        slope_below, slope_above = (likelihood(end)[1][joint] for end in ends)
-        # The second derivative of the cost by the joint's backlash is the precision of its
-        # estimate.
-        precision[joint] = max((slope_above - slope_below) / (2 * _STEP_DEG), 1e-9)
-    found_deg = parameters[:n_servos]
-    # What the capture alone tells, without the prior that the backlashes are alike.
-    information = np.maximum(precision - 1.0 / _BACKLASH_SD_DEG**2, 1e-9)
-    mean_deg = float((information * found_deg).sum() / information.sum())
-    if mean_deg > _LEAST_DEG and mean_deg * np.sqrt(information.sum()) > _EVIDENT_ERRORS:
-        return np.maximum(found_deg, 0.0)
-    is_evident = found_deg > np.maximum(_EVIDENT_ALONE_ERRORS / np.sqrt(precision), 2 * _LEAST_DEG)
-    return np.where(is_evident, np.maximum(found_deg, 0.0), 0.0)
+    found = _hyperparameters_of(solution.x, n_servos)
+    return replace(found, backlash_deg=np.maximum(found.backlash_deg, 0.0))
 
 
 def fit_process(
@@ -300,11 +253,11 @@ def fit_process(
 def _hyperparameters_of(parameters: Array, n_servos: int) -> Hyperparameters:
     """Return the hyperparameters in a vector: backlashes in degrees, then logarithms of all others.
 
-    parameters: (2 n_servos + 4,): backlash, reach, curvature, noise, width and own part.
+    parameters: (2 n_servos + 3,): backlash, reach, curvature, noise and width.
     """
     reach = np.exp(parameters[n_servos : 2 * n_servos])
-    curvature, noise, width, own = np.exp(parameters[2 * n_servos :]).tolist()
-    return Hyperparameters(parameters[:n_servos], reach, curvature, noise, width, own)
+    curvature, noise, width = np.exp(parameters[2 * n_servos :]).tolist()
+    return Hyperparameters(parameters[:n_servos], reach, curvature, noise, width)
 
 
 class _KroneckerEigen:
@@ -340,7 +293,7 @@ class _NegativeLogLikelihood:
     def __call__(self, parameters: Array) -> tuple[float, Array]:
         """Return the negative log likelihood, up to a constant, and its gradient by `parameters`.
 
-        parameters: (2 n_servos + 4,), in the order of `_hyperparameters_of`. Included is the prior
+        parameters: (2 n_servos + 3,), in the order of `_hyperparameters_of`. Included is the prior
         that the backlashes of one robot are alike. Names with d_ are derivatives of the cost
         (Rasmussen and Williams, equation 5.9).
         """
@@ -386,6 +339,5 @@ class _NegativeLogLikelihood:
             hyperparameters.curvature * (d_joints * straight**2).sum(),
             hyperparameters.noise_mm2 * d_noise,
             (d_skin * alike * self._apart).sum() / hyperparameters.width_mm**2,
-            hyperparameters.own * np.trace(d_skin),
         ]
         return cost, np.concatenate([d_backlash, hyperparameters.reach_mm2 * d_reach, d_others])

@@ -15,7 +15,7 @@ from sklearn.cluster import KMeans
 from calibration.calibration import Calibration, CalibrationError
 from calibration.capture.capture import Capture, PosePlan, ladders_of, plan_of_poses
 from calibration.closure import CLOSED_GAP_MM, Closure
-from calibration.fit.closing import bent_line, find_kink, ladder_apertures
+from calibration.fit.closing import ladder_apertures
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array, Indices
@@ -27,9 +27,7 @@ _SOLVER_ROUNDS = 4
 _MOST_OFFSET_MM, _STEP_MM = 1.2, 0.05
 #: A person sees the lips of all shapes meet within so much: two steps of a ladder, and a half.
 _AGREEMENT_MM = 1.0
-#: That there is contact is known; where it is must explain so much, in square standard errors.
-_SURE_KINK = 15.0
-#: A rise of the current must explain so much more than a straight line (an F value).
+#: A bend must explain so much more than a straight line, for each ladder (an F value).
 _SURE_RISE = 8.0
 
 
@@ -68,29 +66,17 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
     seen: capture of the poses of `touch_plan`. The move is positive if lips have to close farther
     than before until they meet. Raises CalibrationError where no contact is found.
     """
-    closure, lips = _closure_of(calibration), calibration.learnt_lips
     apertures = ladder_apertures(seen)
-    if apertures is None or lips is None:
+    if apertures is None:
         raise CalibrationError("contact needs markers on both lips, one above the other; add them")
-    noise_mm = apertures.share * lips.noise_mm
-    closing_mm = [_predicted_closing_mm(calibration, seen, rows) for rows in apertures.rows]
-    # Closing is 0 where the map predicts contact; `find_kink` needs it to begin with 0.
-    kink = find_kink([closing - closing[0] for closing in closing_mm], apertures.mm, noise_mm)
-    if kink.explained < _SURE_KINK:
-        raise CalibrationError(
-            "no contact of the lips was seen within 2 mm of where the calibration has it; measure "
-            "the face anew with `lipservo calibrate measure`"
-        )
-    offsets_mm = np.arange(-_MOST_OFFSET_MM, _MOST_OFFSET_MM + 1e-9, _STEP_MM)
-    # How well each move of contact explains all ladders: a line that bends there.
-    costs = [
-        sum(
-            bent_line(closing, apertures_mm / noise_mm, float(offset_mm), noise_mm)[0]
-            for closing, apertures_mm in zip(closing_mm, apertures.mm, strict=True)
-        )
-        for offset_mm in offsets_mm
-    ]
-    return _move_contact(calibration, closure, _best_offset_mm(offsets_mm, int(np.argmin(costs))))
+    following = calibration.following
+    half_backlash_deg: Array | float = 0.0 if following is None else following.backlash_deg / 2
+    horns_deg = seen.goals_deg - seen.from_below * half_backlash_deg
+    unseen = (
+        "no contact of the lips was seen within 2 mm of where the calibration has it; measure the "
+        "face anew with `lipservo calibrate measure`"
+    )
+    return _moved_to_bend(calibration, horns_deg, apertures.rows, apertures.mm, unseen)
 
 
 def touched_by_current(
@@ -117,29 +103,47 @@ def touched_by_current(
     CalibrationError
         The current does not rise clearly.
     """
-    closure = _closure_of(calibration)
     total = np.abs(efforts).sum(axis=1)
-    ladder_numbers = ladders_of(plan)
-    ladders = [np.flatnonzero(ladder_numbers == number) for number in np.unique(ladder_numbers)]
+    ladders = ladders_of(plan)
+    rows = [np.flatnonzero(ladders == number) for number in np.unique(ladders)]
+    unseen = (
+        "the servos' current does not rise where the lips close; give --tracker, or measure the "
+        "face anew with `lipservo calibrate measure`"
+    )
+    return _moved_to_bend(calibration, plan.goals_deg, rows, [total[own] for own in rows], unseen)
+
+
+def _moved_to_bend(
+    calibration: Calibration,
+    horns_deg: Array,
+    ladders: Sequence[Indices],
+    values: Sequence[Array],
+    unseen: str,
+) -> tuple[Calibration, float]:
+    """Return the calibration with contact where values bend upwards, and the move in mm.
+
+    horns_deg: (n, n_servos), poses; ladders: rows of the poses of each ladder; values: what is seen
+    in these, apertures or currents. Raises CalibrationError, with `unseen` where nothing bends.
+    """
+    closing_mm = [-_closure_of(calibration).open_mm(horns_deg[rows])[:, 0] for rows in ladders]
     offsets_mm = np.arange(-_MOST_OFFSET_MM, _MOST_OFFSET_MM + 1e-9, _STEP_MM)
-    # Squared residuals of the current over the closing: a straight line per ladder, and one that
+    # Squared residuals of the values over the closing: a straight line per ladder, and one that
     # bends where contact would be, for each offset tried.
     straight, bent = 0.0, np.zeros(len(offsets_mm))
-    for rows in ladders:
-        x = -closure.open_mm(plan.goals_deg[rows])[:, 0]
-        straight += _line_fit(x[:, None], total[rows])[0]
+    for x, y in zip(closing_mm, values, strict=True):
+        alone = _line_fit(x[:, None], y)[0]
+        straight += alone
         for i, off in enumerate(offsets_mm):
-            cost, fit = _line_fit(np.column_stack([x, np.maximum(x - off, 0.0)]), total[rows])
-            # A current that falls past the bend is no contact: the straight line counts.
-            bent[i] += cost if fit[2] > 0.0 else _line_fit(x[:, None], total[rows])[0]
+            cost, fit = _line_fit(np.column_stack([x, np.maximum(x - off, 0.0)]), y)
+            # What bends downwards is no contact: the straight line counts.
+            bent[i] += cost if fit[2] > 0.0 else alone
     best = int(bent.argmin())
-    freedom = max(len(total) - 3 * len(ladders) - 1, 1)
+    freedom = max(sum(map(len, values)) - 3 * len(ladders) - 1, 1)
     if (straight - bent[best]) / max(bent[best] / freedom, 1e-12) < _SURE_RISE * len(ladders):
-        raise CalibrationError(
-            "the servos' current does not rise where the lips close; give --tracker, or measure "
-            "the face anew with `lipservo calibrate measure`"
-        )
-    return _move_contact(calibration, closure, _best_offset_mm(offsets_mm, best))
+        raise CalibrationError(unseen)
+    if best in (0, len(offsets_mm) - 1):  # contact may lie beyond
+        raise _too_far_error(float(offsets_mm[best]))
+    return _move_contact(calibration, float(offsets_mm[best]))
 
 
 def touched_by_eye(
@@ -166,8 +170,8 @@ def touched_by_eye(
     CalibrationError
         The ladders disagree by more than a millimetre, or contact is too far from where it was.
     """
-    closure, ladder_numbers = _closure_of(calibration), ladders_of(plan)
-    open_mm = closure.open_mm(plan.goals_deg)[:, 0]
+    ladder_numbers = ladders_of(plan)
+    open_mm = _closure_of(calibration).open_mm(plan.goals_deg)[:, 0]
     later_mm = []
     for row in touching_rows:
         # Lips met between this step and the previous one of the ladder.
@@ -181,17 +185,7 @@ def touched_by_eye(
     found_mm = float(np.median(later_mm))
     if abs(found_mm) > _MOST_OFFSET_MM:
         raise _too_far_error(found_mm)
-    return _move_contact(calibration, closure, found_mm)
-
-
-def _best_offset_mm(offs_mm: Array, best: int) -> float:
-    """Return the offset in mm at index `best`; CalibrationError if it is the first or last tried.
-
-    Then contact may lie beyond the offsets.
-    """
-    if best in (0, len(offs_mm) - 1):
-        raise _too_far_error(float(offs_mm[best]))
-    return float(offs_mm[best])
+    return _move_contact(calibration, found_mm)
 
 
 def _too_far_error(off_mm: float) -> CalibrationError:
@@ -203,18 +197,9 @@ def _too_far_error(off_mm: float) -> CalibrationError:
     )
 
 
-def _predicted_closing_mm(calibration: Calibration, seen: Capture, rows: Indices) -> Array:
-    """Return the closing past contact, (n,) mm, that the map predicts for `rows` of the capture."""
-    following = calibration.following
-    half_backlash_deg: Array | float = 0.0 if following is None else following.backlash_deg / 2
-    horns_deg = seen.goals_deg[rows] - seen.from_below[rows] * half_backlash_deg
-    return -_closure_of(calibration).open_mm(horns_deg)[:, 0]
-
-
-def _move_contact(
-    calibration: Calibration, closure: Closure, later_mm: float
-) -> tuple[Calibration, float]:
+def _move_contact(calibration: Calibration, later_mm: float) -> tuple[Calibration, float]:
     """Return the calibration whose lips meet after closing later_mm farther, and later_mm."""
+    closure = _closure_of(calibration)
     moved = replace(closure, gaps_mm=closure.gaps_mm + later_mm)
     return replace(calibration, closure=moved), later_mm
 

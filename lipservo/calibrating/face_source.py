@@ -26,6 +26,7 @@ from lipservo.calibrating.camera import AvCamera, CameraFeed
 from lipservo.calibrating.measured_calibration import (
     CalibrationResult,
     Save,
+    Take,
     calibrate_on_servos,
     computed_tracker,
     say,
@@ -119,15 +120,19 @@ def read_recorded(
 
 @contextmanager
 def tracker_source(
-    setup: CalibrationSetup, source: str, axes: str, mesh: MeshOptions
+    setup: CalibrationSetup, source: str | None, axes: str, mesh: MeshOptions
 ) -> Iterator[MakeTracker]:
     """Yield a function that, called with the held servos, makes the source of marker positions.
 
-    source: `camera`, a folder of pictures, or a file or folder that another program fills; axes:
+    source: `camera`, a folder of pictures, or a file or folder that another program fills; None:
+    markers are computed, a rehearsal. axes:
     those of C3D files that point left, up and forward, as `x z -y`; mesh: options for pictures
     without dots. Raises UserError for missing files and extras at once, before servos
     move.
     """
+    if source is None:
+        yield lambda _: computed_tracker(setup)
+        return
     folder = Path(source)
     if source == CAMERA:
         eye_distance_mm = _eye_distance_mm(setup, mesh)
@@ -164,18 +169,22 @@ def tracker_source(
 
 
 def calibrate_seen(
-    setup: CalibrationSetup, source: str | None, axes: str, mesh: MeshOptions, save: Save
+    setup: CalibrationSetup,
+    source: str | None,
+    axes: str,
+    mesh: MeshOptions,
+    save: Save = lambda _: None,
+    take: Take | None = None,
 ) -> CalibrationResult:
     """Capture, fit and grade a calibration with markers of a source, then measure the lags.
 
-    source, axes, mesh: as for `tracker_source`; source None: markers are computed, a rehearsal.
-    save: as for `calibrate_on_servos`. Raises UserError.
+    source, axes, mesh: as for `tracker_source`; save, take: as for `calibrate_on_servos`. Raises
+    UserError.
     """
-    if source is None:
-        return calibrate_on_servos(setup, lambda _: computed_tracker(setup), save=save)
-    new_setup = replace(setup, sees_forward=not is_seen_from_the_front(Path(source), mesh))
-    with tracker_source(new_setup, source, axes, mesh) as make_tracker:
-        return calibrate_on_servos(new_setup, make_tracker, save=save)
+    if source is not None:
+        setup = replace(setup, sees_forward=not is_seen_from_the_front(Path(source), mesh))
+    with tracker_source(setup, source, axes, mesh) as make_tracker:
+        return calibrate_on_servos(setup, make_tracker, save=save, take=take)
 
 
 def dots_folder(folder: Path) -> DotsFolder:

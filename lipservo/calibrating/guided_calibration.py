@@ -1,8 +1,9 @@
 """Poses made in a terminal: by keys on held servos, or with the fingers on limp ones."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -10,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from calibration.fit.guided import KEEP_KEYS, KEYS, GuidedSession, landmark_poses
+from calibration.fit.guided import KEEP_KEYS, KEYS, GuidedSession, LandmarkPose, landmark_poses
 from calibration.mouth_servos import MouthServos
 from calibration.simulated.practice_robot import markers_of_face
 from firmware_bridge.stopping import named_by_reason
@@ -59,9 +60,25 @@ def hand_poses_by_keys(setup: CalibrationSetup) -> dict[str, Array]:
     speaker_frames = {pose.name: pose.coefficients for pose in landmark_poses(model)}
     frame_of_pose = {WIDEST: speaker_frames["open"], ROUNDED: speaker_frames["narrow"]}
     poses = [replace(p, coefficients=frame_of_pose.get(p.name, model.rest)) for p in HAND_POSES]
+    return poses_by_keys(setup, poses)
+
+
+def poses_by_keys(
+    setup: CalibrationSetup,
+    poses: Sequence[LandmarkPose],
+    begin_deg: Mapping[str, Array] = MappingProxyType({}),
+) -> dict[str, Array]:
+    """Let a person make poses by keys, on the face's servos; begin_deg: as for `make_poses`.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n_servos,) degrees of each pose made, by its name.
+    """
+    joints = setup.servos.joints
     with held_servos(setup) as robot:
-        front = KeysFront(model, lambda: robot.hold_while(read_key), MESSAGES)
-        return make_poses(setup.servos.joints, poses, front, robot.lead, setup.keep)
+        front = KeysFront(setup.model, lambda: robot.hold_while(read_key), MESSAGES)
+        return make_poses(joints, poses, front, robot.lead, setup.keep, begin_deg=begin_deg)
 
 
 class KeysFront:

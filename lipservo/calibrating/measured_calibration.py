@@ -7,6 +7,7 @@ measures alone.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -243,6 +244,8 @@ def _measure_following(
 
 #: Called with a calibration that is usable though not yet whole.
 Save = Callable[[CalibrationResult], object]
+#: Captures the markers of these names on a robot.
+Take = Callable[[CalibrationSetup, tuple[str, ...], Robot], Capture]
 #: Share of its current cap from which a servo counts as pressing: what it measures is noisy.
 _STRAINED_SHARE = 0.9
 
@@ -253,6 +256,7 @@ def calibrate_on_servos(
     passed: Callable[[Array], object] = lambda _: None,
     seed: int = 0,
     save: Save = lambda _: None,
+    take: Take | None = None,
 ) -> CalibrationResult:
     """Capture poses on the face's servos, fit and grade a calibration, then measure the lags.
 
@@ -271,6 +275,8 @@ def calibrate_on_servos(
         Seed of the plan of poses.
     save : Save
         Called with the calibration after the fit, and again with its grade.
+    take : Take | None
+        Captures the poses; None: those of `capture_face`. Without it nothing is graded.
 
     Returns
     -------
@@ -306,9 +312,11 @@ def calibrate_on_servos(
                 return strained_servo(setup, here(lambda: face.effort))
 
             robot = Robot(move, measure, arrived, strained=strained)
-            capture = capture_face(setup, tracker.marker_names, robot, seed=seed)
+            capture = (take or partial(capture_face, seed=seed))(setup, tracker.marker_names, robot)
             result = fit_capture(setup, capture).with_memories(memories)
             save(result)
+            if take is not None:
+                return result
             result = result.graded_by(setup, Robot(move, measure, arrived), capture.n_planned)
             save(result)
             return result

@@ -7,6 +7,7 @@ servos. Each kept pose is stored at once, so that the same command goes on from 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -45,6 +46,7 @@ def make_poses(
     lead: Callable[[Array], object],
     keep: Path | None,
     undivided: Callable[[], AbstractContextManager[object]] = nullcontext,
+    begin_deg: Mapping[str, Array] = MappingProxyType({}),
 ) -> dict[str, Array]:
     """Let a person make poses through a front until all are made or the person stops.
 
@@ -62,6 +64,8 @@ def make_poses(
         The file of each pose made; None: they are not stored.
     undivided : Callable[[], AbstractContextManager[object]]
         A context in which no signal interrupts the writing of the file.
+    begin_deg : Mapping[str, Array]
+        (n_servos,) degrees at which poses begin, by their names; others where the joints are.
 
     Returns
     -------
@@ -69,9 +73,14 @@ def make_poses(
         (n_servos,) degrees of each pose, by its name.
     """
     joint_names = [joint.name for joint in joints]
-    session = start_session(joints, poses, kept_poses(joint_names, keep))
+    session, begun = start_session(joints, poses, kept_poses(joint_names, keep)), -1
     try:
         while not session.done:
+            name = session.poses[session.pose].name
+            if session.pose != begun and name in begin_deg and name not in session.made_deg:
+                begin = zip(joint_names, begin_deg[name].tolist(), strict=True)
+                session = session.moved(dict(begin))
+            begun = session.pose
             lead(session.positions_deg)
             front.show(session)
             new_session = front.after_order(session)

@@ -1,6 +1,6 @@
 """Output of a calibration: lines and tables for people, JSON values, and a picture.
 
-The picture shows which mouth shapes of speech, by opening and width, the robot can make. It needs
+The picture shows for each viseme class what part of its shapes the robot can make. It needs
 matplotlib, the extra `plots`.
 """
 
@@ -19,13 +19,10 @@ from calibration.grade import PASSED, LearntLips, lips_off_mm
 from calibration.mouth_servos import JointRange
 from lipservo.settings.sections import PreventSettings
 from lipservo.terminal.pictures import save_picture, without_screen
-from lipsync.animpho.units import FaceWithAnimPhos
-from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES
 
 if TYPE_CHECKING:  # loads scikit-learn, and `calibrate show` does without it
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from calibration.fit.measured import MeasuredFit
 
@@ -113,7 +110,7 @@ def _summary_text(calibration: Calibration) -> str:
     grade = calibration.grade
     if grade is not None:
         lips = calibration.learnt_lips
-        doubt_mm = 0.0 if lips is None else math.hypot(lips.doubt_mm, lips.held_back_mm)
+        doubt_mm = 0.0 if lips is None else lips.doubt_mm
         off_mm = lips_off_mm(grade, calibration.learnt_lips)
         return (
             f"measured at {grade.n_poses} poses of speech that were never fitted, the lips are "
@@ -124,7 +121,12 @@ def _summary_text(calibration: Calibration) -> str:
             f"{max(grade.closed_gap_mm, 0.0):.1f} mm apart; {errors.clipped_share:.0%} of the "
             "frames reach a limit"
         )
-    if origin.method == "measured":
+    if origin.method == "unit by eye":
+        return (
+            f"a design's map, turned to this unit by {origin.poses} poses made by eye; nothing was "
+            "measured in mm, and the errors shown are the design's"
+        )
+    if origin.method in ("measured", "unit"):
         small, slope = _small_openings_text(errors.small_gaps_kept), errors.gap_slope
         made = "" if slope is None else f"{max(slope, 0.0):.0%} of an opening is made{small}, "
         return (
@@ -394,47 +396,8 @@ def _cell_text(value: Value) -> str:
     return value if isinstance(value, str) else f"{value:.3g}"
 
 
+#: The picture's name in its folder.
 PICTURE = "coverage.png"
-_FRAMES = 1500
-#: Farther off than this all points look alike.
-_WORST_MM = 1.5
-
-
-def draw_coverage(
-    folder: Path, model: FaceWithAnimPhos, calibration: Calibration, fit: "MeasuredFit | None"
-) -> Path:
-    """Write `coverage.png` into `folder` and return its path.
-
-    It shows recorded frames of speech by opening and width, coloured by the robot's error, and the
-    reach of each viseme class. Raises CalibrationError if `fit` is None: lips were not measured.
-    """
-    if fit is None:
-        raise CalibrationError(
-            "--plots needs a calibration with measured lips; this one has no millimetres"
-        )
-    without_screen()
-    from matplotlib import pyplot as plt
-
-    from calibration.fit.measured import REACHABLE_MM
-
-    frames = model.animphos.frames
-    frames = frames[:: max(1, len(frames) // _FRAMES)]
-    opening_mm, width_mm, off_mm = _shapes_and_errors(model, fit, frames)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), width_ratios=(3, 2))
-    points = left.scatter(
-        width_mm, opening_mm, c=np.minimum(off_mm, _WORST_MM), s=9, cmap="viridis_r", vmin=0.0,
-        vmax=_WORST_MM,
-    )  # fmt: skip
-    missed = off_mm > REACHABLE_MM
-    ring = {"s": 42, "facecolors": "none", "edgecolors": "red", "linewidths": 0.7}
-    left.scatter(width_mm[missed], opening_mm[missed], **ring)
-    left.set_xlabel("width asked for, mm")
-    left.set_ylabel("opening asked for, mm (below 0: pressed)")
-    left.set_title(f"{1 - missed.mean():.0%} of speech within {REACHABLE_MM} mm; red circles: not")
-    figure.colorbar(points, ax=left, label="best pose off in opening or width, mm")
-    _draw_classes(right, calibration)
-    figure.suptitle(f"What this robot can make of speech, {calibration.origin.poses} poses")
-    return _save_figure(figure, folder)
 
 
 def draw_reach(folder: Path, calibration: Calibration) -> Path:
@@ -451,12 +414,6 @@ def draw_reach(folder: Path, calibration: Calibration) -> Path:
 
     figure, axes = plt.subplots(figsize=(5.5, 4.6))
     _draw_classes(axes, calibration)
-    return _save_figure(figure, folder)
-
-
-def _save_figure(figure: "Figure", folder: Path) -> Path:
-    from matplotlib import pyplot as plt
-
     figure.tight_layout()
     save_picture(figure, folder / PICTURE)
     plt.close(figure)
@@ -475,19 +432,3 @@ def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("part within reach; beside it, how far off this map is")
-
-
-def _shapes_and_errors(
-    model: FaceWithAnimPhos, fit: "MeasuredFit", frames: Array
-) -> tuple[Array, Array, Array]:
-    """Return the opening and width of the speaker's `frames`, and the error of the best pose.
-
-    (n,) mm each; opening: beyond the robot's closed gap. The best pose is the nearest that the
-    robot can make by `fit`, and its error the larger of those of opening and width.
-    """
-    from calibration.fit.measured import ShapeErrors
-
-    shapes = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)
-    wanted_mm, best_mm = shapes.openings_and_widths_mm(frames - model.rest)
-    off_mm = np.abs(best_mm - wanted_mm).max(axis=1)
-    return wanted_mm[:, 0] - fit.retargeting.closed_mm[0], wanted_mm[:, 1], off_mm

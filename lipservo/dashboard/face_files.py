@@ -9,8 +9,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from lipservo_client.protocol import FaceError
 
 from lipservo.runtime.speech.expression import ExpressionRequests
@@ -20,7 +21,11 @@ from lipservo.settings.found_limits import PulseLimit
 from lipservo.settings.settings import parse_face
 from lipservo.settings.strict_yaml import SettingsError
 from lipsync.errors import UserError
+from lipsync.face.model import load_face
 from lipsync.output_file import write_whole
+
+if TYPE_CHECKING:
+    from calibration.calibration import Calibration
 
 
 def own_yaml(config: str | None) -> Path:
@@ -158,8 +163,10 @@ def _read_text(path: Path) -> str:
 
 
 def calibration_values(config: str | None) -> dict[str, Any]:
-    """Return the calibration as `lipservo calibrate show --json` does, and its file's name.
+    """Return the calibration as `lipservo calibrate show --json` does, its file's name, `lip_gap`.
 
+    lip_gap: poses of likely faces and these faces' lip gaps, from which a page estimates the gap
+    that encoders show; None for a model that does not ship.
     Raises FaceError where there is none, or it cannot be read.
     """
     from calibration.files.calibration_file import parse_calibration
@@ -177,4 +184,21 @@ def calibration_values(config: str | None) -> dict[str, Any]:
         raise FaceError("not_available", " ".join(str(error).split())) from error
     values = shown_values(calibration, settings.prevent)
     is_current = calibration.face_checksum == settings.checksum
-    return {"file": file.name, "fits_the_face": is_current, **values}
+    return {
+        "file": file.name,
+        "fits_the_face": is_current,
+        "lip_gap": _lip_gaps(calibration),
+        **values,
+    }
+
+
+def _lip_gaps(calibration: "Calibration") -> dict[str, Any] | None:
+    """Return joint angles (300, n_servos) and lip gaps (300,) of faces as likely as in speech."""
+    model = load_face()
+    if model.checksum != calibration.model_checksum:
+        return None
+    likely = np.random.default_rng(0).multivariate_normal
+    faces = likely(np.zeros(model.n_components), model.covariance, 300)
+    gaps_mm = model.lip_gaps_mm(model.markers_mm(faces))
+    poses_deg = calibration.poses_deg(faces).round(2).tolist()
+    return {"servos": calibration.servo_names, "poses_deg": poses_deg, "gaps_mm": gaps_mm.tolist()}

@@ -2,7 +2,7 @@
 
 `/api/twin` sends a snapshot in a hundred bytes, little-endian, which static/frame.js reads: u32
 number; f32 time_s; u8 state, 255 unknown; u8 phoneme, 255 none; u8 flags; i8 arousal * 127;
-f32 coefficients[n_components]; i16 expression[10], angles in 0.01 degrees, others in 0.0001; i16
+f32 coefficients[n_components]; i16 expression[12], angles in 0.01 degrees, others in 0.0001; i16
 goals[n_servos] and i16 encoders[n_servos] in 0.01 degrees; u8 n_peaks; u8 peaks[n_peaks]. -32768
 of an i16: not known. `/api/state` sends a snapshot as a JSON array; its first message names the
 array's fields.
@@ -119,20 +119,18 @@ class BoardReader:
         self._board.__exit__()
 
 
+def _first_message(layout: BoardLayout, **more: object) -> str:
+    """Return the first message of a stream, JSON: the names that indices refer to, and `more`."""
+    names = {
+        "version": VERSION, "name": layout.name, "servos": layout.servos, "states": layout.states,
+        "phonemes": layout.phonemes, "expression": EXPRESSION_NAMES, "rate_hz": RATE_HZ,
+    }  # fmt: skip
+    return json.dumps({**names, **more})
+
+
 def hello(layout: BoardLayout) -> str:
     """Return the first message of `/api/twin`, JSON: the names that indices in frames refer to."""
-    return json.dumps(
-        {
-            "version": VERSION,
-            "name": layout.name,
-            "servos": layout.servos,
-            "states": layout.states,
-            "phonemes": layout.phonemes,
-            "n_components": layout.n_components,
-            "expression": EXPRESSION_NAMES,
-            "rate_hz": RATE_HZ,
-        }
-    )
+    return _first_message(layout, n_components=layout.n_components)
 
 
 def flags_of(snapshot: Snapshot) -> int:
@@ -296,22 +294,11 @@ def whole_numbers(values: ArrayLike, scale: float | NDArray[np.float64]) -> NDAr
 
 def state_hello(layout: BoardLayout) -> str:
     """Return the first message of `/api/state`, JSON: the fields of its arrays, and index names."""
-    return json.dumps(
-        {
-            "version": VERSION,
-            "name": layout.name,
-            "fields": FIELDS,
-            "servos": layout.servos,
-            "states": layout.states,
-            "phonemes": layout.phonemes,
-            "expression": EXPRESSION_NAMES,
-            "flags": {
-                "torque_on": 1, "servos_gone": SERVOS_GONE, "speech_gone": SPEECH_GONE,
-                "cut_off": 8, "speaking": 16,
-            },
-            "rate_hz": RATE_HZ,
-        }
-    )  # fmt: skip
+    flags = {
+        "torque_on": TORQUE_ON, "servos_gone": SERVOS_GONE, "speech_gone": SPEECH_GONE,
+        "cut_off": CUT_OFF, "speaking": SPEAKING,
+    }  # fmt: skip
+    return _first_message(layout, fields=FIELDS, flags=flags)
 
 
 def state_message(snapshot: Snapshot, layout: BoardLayout) -> str:

@@ -19,7 +19,7 @@ from lipservo.traces.trace_file import read_trace
 from lipsync.arrays import Array
 from lipsync.audio.file import checked_sound, read_speech
 from lipsync.errors import UserError
-from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
+from lipsync.face.frame import DRAWN_MOUTH, Expression, Frame
 from lipsync.face.model import load_face
 from lipsync.offline.line_methods import Line
 from lipsync.offline.performance import RATE_HZ, SUFFIX, Performance, read_performance, sound_file
@@ -152,7 +152,8 @@ def _frames_of_sound(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[
         name: np.interp(times_s, known_s, values)
         for name, values in line_expression(request.head, line, n_known).items()
     }
-    tracks["lip_tuck"] = np.array([frame.expression.lip_tuck or 0.0 for frame in frames])
+    for name in DRAWN_MOUTH:
+        tracks[name] = np.array([getattr(frame.expression, name) or 0.0 for frame in frames])
     return _joined_frames(times_s, np.stack([frame.coefficients for frame in frames]), tracks)
 
 
@@ -167,9 +168,7 @@ def _joined_frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tu
         Frame(
             float(time_s),
             faces[n].astype(np.float64),
-            Expression(**{name: float(tracks[name][n]) for name in known})
-            if known
-            else NO_EXPRESSION,
+            Expression(**{name: float(tracks[name][n]) for name in known}),
         )
         for n, time_s in enumerate(times_s)
     )

@@ -1,8 +1,8 @@
 """The mouth's inside as seen between the lips of a photograph: teeth, tongue and darkness.
 
 Teeth and tongue are those of the twin (the program's drawn head, `lipsync/twin/parts.py`), drawn
-once as small pictures (sprites): upper teeth stay with the head, lower teeth and the tongue move
-with the jaw. All darken as the lips close, since less light enters.
+once as small pictures (sprites): upper teeth stay with the head, lower teeth and a raised tongue
+move with the jaw. All darken as the lips close, since less light enters.
 """
 
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipservo.display.photo_face import PhotoFace
+from lipservo.display.photo_warp import amounts_of
 from lipservo.display.raster import covered
 from lipsync.arrays import Array, Indices
 from lipsync.face.frame import Frame
@@ -51,34 +52,40 @@ class SeenPart:
     """A part of the twin (the program's own head) in the pose of a photograph, shaded.
 
     places_px (n, 3), with depth. colours (n, 3): sRGB, 0 to 255. triangles: from back to front.
+    moves_px: by target (a named motion of the head), how far the amount 1 of it moves the part.
+    raised_by: the target that raises the part, which is a tongue and fully raised; "": teeth.
     """
 
     places_px: Array
     colours: Array
     triangles: Indices
+    moves_px: dict[str, Array]
+    raised_by: str
 
 
 class MouthParts:
     """The parts of the twin's head behind the lips of one photograph, and how they are seen.
 
-    lips_px (n, 3): the inner rim of the lips as photographed. upper: the upper teeth; lower: the
-    lower teeth and the tongue. jaw_px: by target (a named motion of the head), how far the amount 1
-    of it moves `lower`. upper_rows, lower_rows: rows of the rim, from corner to corner, that face
-    each other. hidden_px (n_pairs,): gap of each pair up to which nothing is seen inside.
+    lips_px (n, 3): the inner rim of the lips as photographed. layers: teeth and tongue, from the
+    back. upper_rows, lower_rows: rows of the rim, from corner to corner, that face each other.
+    hidden_px (n_pairs,): gap of each pair up to which nothing is seen inside.
     """
 
     def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
         """Take teeth and tongue from the photograph's head; pair the rows of the rim."""
         parts = {part.name: part for part in photo.twin.parts}
-        photographed = dict(zip(photo.twin.components, photo.own.tolist(), strict=True))
-        self.upper = _shaded_part(photo, parts["teeth_upper"], {})
-        self.lower = _shaded_part(photo, parts["teeth_lower"], photographed)
-        lower = parts["teeth_lower"]
+        lower, tongue = parts["teeth_lower"], parts["tongue"]
         # The front teeth show how far the jaw moves what is seen.
         front = lower.places_mm[:, 2] > lower.places_mm[:, 2].max() - 6.0
-        self.jaw_px = {
+        jaw_px = {
             name: photo.matrix @ moves[front].mean(axis=0) for name, moves in lower.morphs.items()
         }
+        self.layers = (
+            _shaded_part(photo, tongue, jaw_px, "tongue_alveolar"),
+            _shaded_part(photo, lower, jaw_px),
+            _shaded_part(photo, tongue, jaw_px, "tongue_dental"),
+            _shaded_part(photo, parts["teeth_upper"], {}),
+        )
         # The rim runs from a corner over the upper lip to the other, and back along the lower.
         half = len(lips_px) // 2
         self.upper_rows = np.arange(half + 1)
@@ -101,8 +108,7 @@ class MouthInside:
         """Draw teeth and tongue as sprites, once for all frames."""
         self._photo = photo
         parts = MouthParts(photo, lips_px)
-        self._upper, self._lower = _drawn_sprite(parts.upper), _drawn_sprite(parts.lower)
-        self._jaw_px = parts.jaw_px
+        self._layers = [(part, _drawn_sprite(part)) for part in parts.layers]
         self._photographed = dict(zip(photo.twin.components, photo.own.tolist(), strict=True))
         self._tint = _tint(photo.picture, lips_px)
         self._upper_rows, self._lower_rows = parts.upper_rows, parts.lower_rows
@@ -167,16 +173,19 @@ class MouthInside:
         picture; shape: its rows and columns. gaps: the lips' opening in the view, which sets the
         light.
         """
-        names = self._photo.twin.components
-        amounts = dict(zip(names, np.asarray(frame.coefficients).tolist(), strict=True))
-        # The jaw's motion from where it was photographed, px.
-        jaw = np.zeros(3)
-        for name, motion_px in self._jaw_px.items():
-            jaw = jaw + (amounts[name] - self._photographed[name]) * motion_px
+        amounts = amounts_of(frame, self._photo.twin.components)
         pixels = np.broadcast_to(DARKNESS, (*shape, 3)).astype(np.float32)
-        for sprite, moved in ((self._lower, jaw), (self._upper, np.zeros(3))):
+        for part, sprite in self._layers:
+            # A tongue comes up from below, and out of the dark.
+            shown = amounts.get(part.raised_by, 1.0)
+            if not shown:
+                continue
+            moved = np.zeros(3)
+            for name, way_px in part.moves_px.items():
+                moved = moved + (amounts[name] - self._photographed.get(name, 1.0)) * way_px
             placed = _placed_sprite(sprite, turned, moved, low, shape)
-            pixels = placed[..., 3:] * placed[..., :3] + (1 - placed[..., 3:]) * pixels
+            cover = shown * placed[..., 3:]
+            pixels = cover * placed[..., :3] + (1 - cover) * pixels
         gap_mm = gaps.widest_px / self._photo.px_per_mm
         share = np.clip((gap_mm - DARK_MM) / (LIGHT_MM - DARK_MM), 0.0, 1.0)
         light = LEAST_LIGHT + (1 - LEAST_LIGHT) * share * share * (3 - 2 * share)
@@ -280,21 +289,29 @@ def _placed_sprite(
     return np.asarray(pixels, dtype=np.float32)
 
 
-def _shaded_part(photo: PhotoFace, part: Part, photographed: dict[str, float]) -> SeenPart:
+def _shaded_part(
+    photo: PhotoFace, part: Part, jaw_px: dict[str, Array], raised_by: str = ""
+) -> SeenPart:
     """Return a part of the twin, the program's own head, shaded, in the photograph's pose.
 
-    `photographed`: amounts of the motions that the photographed mouth makes, by their names.
+    jaw_px: by target, how far the amount 1 of it moves the jaw, and so the part. raised_by: a
+    further target that moves the part, shown in full; its tip counts.
     """
+    amounts = dict(zip(photo.twin.components, photo.own.tolist(), strict=True)) | {raised_by: 1.0}
     places_mm = part.places_mm.copy()
     for name, moves in part.morphs.items():
-        places_mm += photographed.get(name, 0.0) * moves
+        places_mm += amounts.get(name, 0.0) * moves
+    if raised_by:
+        tip = int(np.argmax(part.places_mm[:, 2]))
+        jaw_px = jaw_px | {raised_by: photo.matrix @ part.morphs[raised_by][tip]}
     px = photo.in_picture(places_mm)
     facing_light = np.clip(vertex_normals(places_mm, part.triangles) @ _LIGHT, 0.0, 1.0)
     # Farther back in the mouth it is darker.
     depth_mm = places_mm[:, 2].max() - places_mm[:, 2]
     light = (0.55 + 0.45 * facing_light) * np.exp(-depth_mm / 24.0)
     order = np.argsort(px[part.triangles, 2].mean(axis=1))
-    return SeenPart(px, 255.0 * part.colours * light[:, None], part.triangles[order])
+    colours = 255.0 * part.colours * light[:, None]
+    return SeenPart(px, colours, part.triangles[order], jaw_px, raised_by)
 
 
 def _drawn_sprite(part: SeenPart) -> _Sprite:

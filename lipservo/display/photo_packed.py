@@ -58,9 +58,7 @@ def pack_photo(photo: PhotoFace, face: FaceModel) -> bytes:
         "rings": [share for _, share in RINGS],
         "rim_neighbours": RIM_NEIGHBOURS,
         "contact": _contact_values(warp.contact),
-        "upper": _pack_part(parts.upper, body),
-        "lower": _pack_part(parts.lower, body),
-        "jaw_px": {name: way.tolist() for name, way in parts.jaw_px.items()},
+        "layers": [_pack_part(part, body) for part in parts.layers],
         "hidden_px": parts.hidden_px.tolist(),
         "darkness": DARKNESS.tolist(),
         "least_light": LEAST_LIGHT,
@@ -97,4 +95,6 @@ def _pack_part(part: SeenPart, body: Body) -> dict[str, object]:
         "places": body.add(part.places_px, "<f4"),
         "colours": body.add(part.colours.round().clip(0, 255), "u1"),
         "triangles": body.add(part.triangles, "<u2"),
+        "moves_px": {name: way.tolist() for name, way in part.moves_px.items()},
+        "raised_by": part.raised_by,
     }

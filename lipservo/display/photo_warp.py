@@ -5,7 +5,6 @@ by the model's targets. Lips touch where the model's do, and no triangle turns o
 (`lip_contact.py`). `lipservo/dashboard/static/show/photo_warp.js` computes the same in a page.
 """
 
-from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
@@ -31,6 +30,8 @@ MOST = {
     "brow": (-0.4, 1.0),
     "smile": (-0.5, 0.9),
     "lip_tuck": (0.0, 1.0),
+    "tongue_dental": (0.0, 1.0),
+    "tongue_alveolar": (0.0, 1.0),
 }
 
 
@@ -137,9 +138,10 @@ class PhotoWarp:
     def _skin_places_mm(self, frame: Frame) -> Array:
         """Return the places of the skin's vertices on the head in a frame, (n_skin, 3) mm."""
         places = self.places_mm.copy()
-        for name, amount in amounts_of(frame, self._photo.twin.components).items():
-            if amount:
-                places += amount * self.targets[name]
+        amounts = amounts_of(frame, self._photo.twin.components)
+        for name, moves in self.targets.items():
+            if amounts[name]:
+                places += amounts[name] * moves
         return places
 
 
@@ -150,9 +152,8 @@ def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
     clipped to `MOST`, and 0 if they are not set.
     """
     amounts = dict(zip(components, np.asarray(frame.coefficients).tolist(), strict=True))
-    values = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
     for name, (least, most) in MOST.items():
-        amounts[name] = min(most, max(least, values[name] or 0.0))
+        amounts[name] = min(most, max(least, getattr(frame.expression, name) or 0.0))
     for side in ("left", "right"):
         # The target that keeps a half shut lid outside the eyeball (lipsync/twin/twin.py).
         lid = amounts[f"lid_{side}"]

@@ -18,8 +18,10 @@ class Expression:
     face's own left, roll positive towards its left shoulder. The eyes turn relative to the head,
     both alike. lid_left, lid_right: 0 = open, 1 = shut, below 0 = wider than at rest. brow: 0 =
     relaxed, 1 = raised. smile: 0 = neutral, 1 = a broad smile, -1 = corners down. lip_tuck: 1 = the
-    lower lip lies behind the upper teeth and the upper lip is lifted, as for F and V; no recorded
-    component shows that, so that only drawn faces do.
+    lower lip lies behind the upper teeth and the upper lip is lifted, as for F and V.
+    tongue_dental: 1 = the tongue's tip is between the teeth, as for TH. tongue_alveolar: 1 = it is
+    raised behind the upper teeth, as for L. No recorded component shows these three, so that only
+    drawn faces do.
     """
 
     neck_pitch_deg: float | None = None
@@ -32,10 +34,14 @@ class Expression:
     brow: float | None = None
     smile: float | None = None
     lip_tuck: float | None = None
+    tongue_dental: float | None = None
+    tongue_alveolar: float | None = None
 
 
 #: Says nothing about anything but the mouth.
 NO_EXPRESSION = Expression()
+#: What of an expression is the speaking mouth's own, and set by the finishing step.
+DRAWN_MOUTH: Final = ("lip_tuck", "tongue_dental", "tongue_alveolar")
 
 
 @dataclass(frozen=True, slots=True)

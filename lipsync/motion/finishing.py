@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.expectation.expectation import PhonemeTrack, context_at
-from lipsync.face.frame import FaceWindow, Frame, Motion
+from lipsync.face.frame import DRAWN_MOUTH, FaceWindow, Frame, Motion
 from lipsync.face.model import FaceModel
-from lipsync.motion.rounding import SPREAD, is_rounded, lip_width_of, plan_rounding
+from lipsync.motion.rounding import ROUNDED, SPREAD, is_due, lip_width_of, plan_shapes
 from lipsync.motion.tick_plan import (
     AT_REST,
     TICK_S,
@@ -324,7 +324,7 @@ class TrackedSynthesizer(Motion, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Finish:
-    """The plans decided for one tick, 10 ms: rest, closed lips, lip at the teeth, round lips.
+    """The plans decided for one tick, 10 ms: rest, closed lips, lip at the teeth, and `SPREAD`'s.
 
     is_still: whether the mouth is at rest in this tick, and nothing is known that ends the pause.
     """
@@ -332,7 +332,7 @@ class _Finish:
     rest: Amount = AT_REST
     bilabial: Amount = OPEN
     labiodental: Amount = OPEN
-    rounding: Amount = SPREAD
+    shapes: tuple[Amount, ...] = SPREAD
     is_still: bool = False
 
 
@@ -458,16 +458,21 @@ class FinishedSynthesizer:
         strength, stage, valence = values_at(self._style, time_s)
         face = self._strengthened(face, strength, stage)
         if finish is not None:
+            rounding, dental, alveolar = [each.share(time_s) for each in finish.shapes]
             if stage or valence:
-                rounding = finish.rounding.share(time_s)
                 face = self._cornered(face, strength, stage * rounding, (1.0 - rounding) * valence)
             face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
             labiodental, bilabial = finish.labiodental.share(time_s), finish.bilabial.share(time_s)
             face = self._gap.narrowed(face, self._labiodental_gap_mm, labiodental)
             face = self._gap.narrowed(face, BILABIAL_GAP_MM, bilabial)
-            lip_tuck = min(1.0, strength) * min(labiodental, 1.0 - bilabial)
-            if lip_tuck > 0.0:
-                expression = replace(frame.expression, lip_tuck=lip_tuck)
+            most = min(1.0, strength)
+            # Lips that touch each other or the teeth hide the tongue.
+            raised = most * (1.0 - max(bilabial, labiodental))
+            lip_tuck = most * min(labiodental, 1.0 - bilabial)
+            shares = lip_tuck, raised * dental, raised * alveolar
+            if any(shares):
+                drawn = zip(DRAWN_MOUTH, (share or None for share in shares), strict=True)
+                expression = replace(frame.expression, **dict(drawn))
                 return replace(frame, coefficients=face, expression=expression)
         return replace(frame, coefficients=face)
 
@@ -500,7 +505,7 @@ class FinishedSynthesizer:
             strength, stage, valence = values_at(self._style, time_s)
             face = self._strengthened(face, strength, stage)
             if stage or valence:
-                rounding = float(is_rounded(track, time_s, until_s))
+                rounding = float(is_due(ROUNDED, track, time_s, until_s))
                 face = self._cornered(face, strength, stage * rounding, (1.0 - rounding) * valence)
             face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
             shares = [closed_share(spans_s, time_s) for _, spans_s in closing]
@@ -542,7 +547,7 @@ class FinishedSynthesizer:
         """
         track, begin_s, until_s = self._inner.track, time_s - TICK_S, time_s + self._known_s
         rest = plan_rest(last.rest, *context_at(track, time_s, until_s), begin_s, self._known_s)
-        plans = last.bilabial, last.labiodental, last.rounding
+        plans = last.bilabial, last.labiodental, *last.shapes
         if is_reached(rest, begin_s) and not any(
             plan.goal or plan.at(begin_s)[0] for plan in plans
         ):
@@ -551,7 +556,7 @@ class FinishedSynthesizer:
             rest,
             plan_closure(last.bilabial, self._bilabial_s, track, begin_s, until_s),
             plan_closure(last.labiodental, self._labiodental_s, track, begin_s, until_s),
-            plan_rounding(last.rounding, track, begin_s, self._known_s + TICK_S),
+            plan_shapes(last.shapes, track, begin_s, self._known_s + TICK_S),
         )
 
     def _change_of(self, setting: EasedSetting) -> Callable[[float], None]:

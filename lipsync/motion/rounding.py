@@ -1,4 +1,4 @@
-"""The corners of the mouth: together for W UW UH OW AO OY, and apart for a smile.
+"""The corners of the mouth: together for W UW UH OW AO OY, and apart for a smile. The tongue's tip.
 
 The expectation (predicted mean motion) was learned from one talker, and many hardly round lips:
 across a room OW then looks as AA does. Here the corners come to within a share of their distance at
@@ -10,6 +10,7 @@ draws corners out and up.
 
 import math
 from bisect import bisect_right
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Final
 
@@ -26,7 +27,12 @@ ROUNDED: Final = frozenset(map(PHONEMES.index, ("W", "UW", "UH", "OW", "AO", "OY
 #: grid_s1, who hardly rounds, 1 % are. A reader of recordings reads lips as round as that worse
 #: (docs/decisions/closures.md), so this is for a stage and for the page.
 ROUNDED_SHARE: Final = 0.8
-#: Lips take so long to round and to spread: 9 mm at 140 mm/s at most, as of any cubic.
+#: For these the tongue's tip is between the teeth, or at the ridge behind the upper ones (Ladefoged
+#: and Maddieson, "The Sounds of the World's Languages", 1996, chapters 2, 5 and 6).
+_DENTALS: Final = frozenset(map(PHONEMES.index, ("TH", "DH")))
+_ALVEOLARS: Final = frozenset(map(PHONEMES.index, ("L", "N", "T", "D")))
+#: Lips take so long to round and to spread: 9 mm at 140 mm/s at most, as of any cubic. A tongue's
+#: tip rises and falls as long: 14 mm at 210 mm/s.
 ROUNDING_S: Final = 0.1
 #: Keeps the inverse finite, as a share of the variance.
 _RIDGE: Final = 1e-6
@@ -37,7 +43,8 @@ _SMILE_MM: Final = 4.0
 #: Sums of the same times differ by less.
 _ROUNDING_ERROR_S: Final = 1e-9
 
-SPREAD: Final = Amount(0.0, ROUNDING_S, 0.0, 0.0, 0.0)
+#: The plans of round lips, tongue between the teeth, tongue behind them, before the first sound.
+SPREAD: Final = (Amount(0.0, ROUNDING_S, 0.0, 0.0, 0.0),) * 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,27 +127,33 @@ def lip_width_of(model: FaceModel) -> LipWidth | None:
     return LipWidth(at_mean_mm, per_face, response, float(np.ptp(rest_mm)))
 
 
-def is_rounded(track: PhonemeTrack, time_s: float, known_until_s: float) -> bool:
-    """Return whether lips should be rounding or round at `time_s`, by the phonemes of `track`.
+def is_due(phonemes: Set[int], track: PhonemeTrack, time_s: float, known_until_s: float) -> bool:
+    """Return whether lips, or the tongue, should move to the shape of `phonemes` or be in it.
 
-    known_until_s: sound time until which these are known.
+    track: the phonemes, known until the sound time `known_until_s`. time_s: sound time.
     """
     known_until_s += _ROUNDING_ERROR_S
     until_s = min(time_s + ROUNDING_S + _ROUNDING_ERROR_S, known_until_s)
-    # From the phone at `time_s` to the last one whose rounding would begin by now.
+    # From the phone at `time_s` to the last one whose motion would begin by now.
     first = max(0, bisect_right(track.starts_s, time_s) - 1)
     for i in range(first, bisect_right(track.starts_s, until_s)):
         end_s = track.ends_s[i] if track.ends_s[i] <= known_until_s else math.inf
-        if track.phonemes[i] in ROUNDED and time_s < end_s - ROUNDING_S / 2.0:
+        if track.phonemes[i] in phonemes and time_s < end_s - ROUNDING_S / 2.0:
             return True
     return False
 
 
-def plan_rounding(now: Amount, track: PhonemeTrack, time_s: float, known_s: float) -> Amount:
-    """Return the plan for rounding, an amount from 0 to 1 (round lips), from `time_s` on.
+def plan_shapes(
+    now: tuple[Amount, ...], track: PhonemeTrack, time_s: float, known_s: float
+) -> tuple[Amount, ...]:
+    """Return the plans of `SPREAD`, each an amount from 0 to 1, from `time_s` on.
 
-    now: the plan so far, returned if its goal is unchanged. known_s: how many seconds after
+    now: the plans so far, kept where the goal is unchanged. known_s: how many seconds after
     `time_s` the phonemes of `track` are known.
     """
-    goal = float(is_rounded(track, time_s, time_s + known_s))
-    return now if goal == now.goal else Amount(time_s, ROUNDING_S, *now.at(time_s), goal)
+
+    def planned(plan: Amount, phonemes: Set[int]) -> Amount:
+        goal = float(is_due(phonemes, track, time_s, time_s + known_s))
+        return plan if goal == plan.goal else Amount(time_s, ROUNDING_S, *plan.at(time_s), goal)
+
+    return tuple(map(planned, now, (ROUNDED, _DENTALS, _ALVEOLARS)))

@@ -19,11 +19,10 @@ from lipsync.recognition.decoder import (
     best_heads,
     change_penalties,
     log_scores,
-    waking_penalties,
 )
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
 from lipsync.recognition.network import LATENCY_S, NetworkWeights
-from lipsync.recognition.network_recognizer import delay_frames
+from lipsync.recognition.network_recognizer import delay_frames, patience_frames
 from lipsync.recognition.posteriors import PosteriorStream
 
 #: Recordings side by side: enough that NumPy's own cost does not count, in little memory.
@@ -52,6 +51,7 @@ def settled_phonemes(
         The phonemes of each recording, without gaps from 0 to its end.
     """
     delay = delay_frames(latency_s)
+    delay += patience_frames(delay, weights.delays)
     for first in range(0, len(recordings), TOGETHER):
         batch = recordings[first : first + TOGETHER]
         n_frames = max(len(samples) for samples in batch) // HOP + round(_TAIL_S * FRAMES_PER_S)
@@ -90,7 +90,7 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
     A frame is settled `delay` frames later, by the best path through the frames heard since.
     """
     scores = log_scores(posteriors, SMOOTH)
-    penalties = np.stack((change_penalties(SMOOTH), waking_penalties(SMOOTH)))
+    penalties = change_penalties(SMOOTH)
     heads = best_heads(delays, delay)
     n_recordings, n_frames, _, n_phonemes = posteriors.shape
     rows, states = np.arange(n_recordings), np.arange(n_phonemes)

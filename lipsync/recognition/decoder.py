@@ -38,7 +38,7 @@ class DecoderSettings:
     """
 
     switch_penalty: float = 2.0
-    closure_penalty: float = 1.0
+    closure_penalty: float = 0.6
     closure_bonus: float = 0.0
     phone_weight: float = 0.6
     waking_penalty: float = 6.0
@@ -90,7 +90,6 @@ class ViterbiDecoder:
         self._delays = delays
         self._settings = settings
         self._penalties = change_penalties(settings)
-        self._waking_penalties = waking_penalties(settings)
         # Scores (n_heads, n_phonemes) of the last frames, by frame number modulo the length.
         self._recent = np.zeros((delay + 1, len(delays), len(PHONEMES)), np.float32)
         self._settled_scores = np.zeros(len(PHONEMES), np.float32)
@@ -164,9 +163,13 @@ class ViterbiDecoder:
         if oldest >= 0:
             self._settled_scores = best - best.max()
         path = self._path(best, frames[1:])
-        # After a pause all of the first frames have to be speech.
-        if not self.is_awake and SILENCE_INDEX in path[: self._settings.waking_frames]:
-            path = [SILENCE_INDEX] * len(path)
+        # After a pause all is silence until where enough frames on end are speech.
+        if not self.is_awake:
+            n_waking = min(self._settings.waking_frames, len(path))
+            firsts = range(len(path) - n_waking + 1)
+            wakes = (n for n in firsts if SILENCE_INDEX not in path[n : n + n_waking])
+            n_silent = next(wakes, len(path))
+            path[:n_silent] = [SILENCE_INDEX] * n_silent
         if oldest < 0:
             return None, path
         self._n_silent = self._n_silent + 1 if path[0] == SILENCE_INDEX else 0
@@ -180,7 +183,7 @@ class ViterbiDecoder:
         """
         leader = int(best.argmax())
         is_waking = leader == SILENCE_INDEX and not self.is_awake
-        changed = best[leader] - (self._waking_penalties if is_waking else self._penalties)
+        changed = best[leader] - self._penalties[int(is_waking)]
         return np.maximum(best, changed), best >= changed, leader
 
     def _path(self, best: Array32, frames: list[Array32]) -> list[int]:
@@ -225,28 +228,11 @@ def change_penalties(settings: DecoderSettings) -> Array32:
     Returns
     -------
     Array32
-        (n_phonemes,).
+        (2, n_phonemes): within speech, and from silence after a pause.
     """
-    penalties = np.where(_IS_CLOSURE, settings.closure_penalty, settings.switch_penalty)
-    return penalties.astype(np.float32)
-
-
-def waking_penalties(settings: DecoderSettings) -> Array32:
-    """Return the cost of a change from silence to each phoneme after a pause.
-
-    Parameters
-    ----------
-    settings : DecoderSettings
-        Penalties.
-
-    Returns
-    -------
-    Array32
-        (n_phonemes,).
-    """
-    penalties = change_penalties(settings) + np.float32(settings.waking_penalty)
-    penalties[SILENCE_INDEX] -= np.float32(settings.waking_penalty)
-    return penalties
+    within = np.where(_IS_CLOSURE, settings.closure_penalty, settings.switch_penalty)
+    waking = np.where(np.arange(len(PHONEMES)) == SILENCE_INDEX, 0.0, settings.waking_penalty)
+    return np.stack((within, within + waking)).astype(np.float32)
 
 
 def log_scores(posteriors: Array32, settings: DecoderSettings) -> Array32:

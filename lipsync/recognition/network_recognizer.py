@@ -39,7 +39,7 @@ _AHEAD_S = 0.64
 _NOISE_LASTS_S = 0.5
 
 
-#: Seconds until a phoneme found in a given text is final; a recognised one is after `latency_s`.
+#: Seconds until a phoneme found in a given text is final; a recognised one is earlier.
 FOLLOWING_LATENCY_S: Final = _WINDOW_S + FOLLOWING.settled_frames / FRAMES_PER_S
 
 
@@ -48,7 +48,8 @@ class NetworkRecognizer:
 
     Where words are given it is a `TextFollower`: phonemes found in the text are reported as early
     as recognised ones, but are final later, when the network's last head has scored them. A motion
-    with look-ahead waits as long anyway.
+    with look-ahead waits as long anyway; so recognised ones too are final up to 20 ms later than
+    they are due (`patience_frames`).
 
     latency_s: 25 ms plus the frames that a head of the network waits, or more; ValueError for less.
     Only phonemes that are not final are revised. Memory stays bounded as long as `updates` is
@@ -64,8 +65,8 @@ class NetworkRecognizer:
         """Create the recogniser, for a stream from sound time 0; parameters as in the class."""
         self._weights = weights
         self._delay = delay_frames(latency_s)
-        has_lookahead = self._delay > weights.delays[0]
-        self._settings = settings or (SMOOTH if has_lookahead else QUICK)
+        self._settling = self._delay + patience_frames(self._delay, weights.delays)
+        self._settings = settings or (SMOOTH if self._delay > weights.delays[0] else QUICK)
         self._text: TextDecoder | None = None
         least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
         if latency_s < least_s - 1e-9:
@@ -75,7 +76,7 @@ class NetworkRecognizer:
 
     @property
     def latency_s(self) -> float:
-        """Seconds until a phoneme is final: at sound time t, those before t - latency_s are."""
+        """Seconds until a phoneme is due: at sound time t, those before t - latency_s are."""
         return _WINDOW_S + self._delay / FRAMES_PER_S
 
     @property
@@ -127,7 +128,7 @@ class NetworkRecognizer:
         self._posteriors = PosteriorStream(self._weights, self._own_noise)
         self._n_samples = 0  # at 16 kHz, that the posteriors were computed from
         self._prepared: deque[_PreparedBlock] = deque()
-        self._decoder = ViterbiDecoder(self._posteriors.format, self._delay, self._settings)
+        self._decoder = ViterbiDecoder(self._posteriors.format, self._settling, self._settings)
         self._updates = UpdateBuilder(FRAMES_PER_S, self._delay + 1)
         self._n_frames = 0  # frames whose window was heard, those jumped over among them
         self._n_reported = 0
@@ -224,9 +225,9 @@ class NetworkRecognizer:
         n_final = self._updates.n_final
         phonemes = self._settled + self._provisional
         # Of the newest frames, phonemes found in the text replace the recognised ones.
-        n_unsettled = 0
+        n_unsettled = self._settling - self._delay
         if self._text is not None:
-            n_unsettled = max(0, FOLLOWING.settled_frames - self._delay)
+            n_unsettled = max(n_unsettled, FOLLOWING.settled_frames - self._delay)
             for age in range(1, min(len(phonemes), len(self._in_text)) + 1):
                 if self._in_text[-age] != OUTSIDE_TEXT:
                     phonemes[-age] = self._in_text[-age]
@@ -238,16 +239,12 @@ class NetworkRecognizer:
         if self._evidence:
             # Phonemes found in a text are certain: motion is not to blend in others.
             is_recognised = all(each == OUTSIDE_TEXT for each in self._in_text)
-            heard = self._posteriors_heard()
+            values = np.stack(self._evidence)
+            first = self._n_frames - len(values)
+            heard = FramePosteriors(FRAMES_PER_S, first, self._weights.delays, values)
             update = replace(update, evidence=heard, posteriors=heard if is_recognised else None)
         self._evidence.clear()
         return [update]
-
-    def _posteriors_heard(self) -> FramePosteriors:
-        """Return the posteriors of the frames heard since the last update."""
-        values = np.stack(self._evidence)
-        delays = self._weights.delays
-        return FramePosteriors(FRAMES_PER_S, self._n_frames - len(values), delays, values)
 
     def _count_frames(self, n_samples: int) -> int:
         """Add `n_samples` to the samples counted; return how many frames they complete."""
@@ -301,14 +298,20 @@ def delay_frames(latency_s: float) -> int:
     return int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
 
 
+def patience_frames(delay: int, delays: tuple[int, ...]) -> int:
+    """Return how many frames later than it is due a phoneme is final.
+
+    They smooth it more, and a motion with look-ahead has not shown it by then. The quickest head
+    has nothing to smooth by, and decisions of the slowest get no better (docs/decisions/ears.md).
+    """
+    return 2 if delays[0] < delay < delays[-1] else 0
+
+
 def _complete_frames(n_samples: int) -> int:
     """Return how many 25 ms frames, one each 10 ms, are complete in `n_samples` at 16 kHz."""
     return max(0, (n_samples - WINDOW) // HOP + 1)
 
 
-def _shipped_or_file(weights: str, latency_s: float) -> NetworkRecognizer:
-    """Make a recogniser with `weights`, a shipped name or a file's path. Raises WeightsError."""
-    return NetworkRecognizer(find_weights(weights), latency_s)
-
-
-NETWORK = RecognizerKind(_shipped_or_file)
+NETWORK = RecognizerKind(
+    lambda weights, latency_s: NetworkRecognizer(find_weights(weights), latency_s)
+)

@@ -1,6 +1,7 @@
 """The parts of a twin (a head for displays) beside the skin: eyeballs, jaw, teeth, tongue and neck.
 
-Simple shapes that are generated, not measured.
+Simple shapes that are generated, not measured. The tongue's tip goes between the teeth or behind
+the upper ones (Ladefoged and Maddieson, "The Sounds of the World's Languages", 1996, chapter 2).
 """
 
 from collections.abc import Mapping
@@ -115,17 +116,13 @@ def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> 
     colours = np.vstack(
         [np.where(is_upper[:, None], _LASHES, _LINING), np.broadcast_to(_LINING, (n, 3))]
     )
-    # Two triangles between neighbours (here, ahead) in the front row and in the back row (+ n).
-    here, ahead = np.arange(n), np.roll(np.arange(n), -1)
-    triangles = np.vstack(
-        [np.column_stack([here, ahead, here + n]), np.column_stack([ahead, ahead + n, here + n])]
-    )
     rim_morphs = {
         name: np.vstack([morph[rim], morph[rim]])
         for name, morph in morphs.items()
         if np.abs(morph[rim]).max() > 0.0
     }
-    return Part(f"lids_{eye.side}", np.vstack([front, back]), triangles, colours, rim_morphs)
+    places = np.vstack([front, back])
+    return Part(f"lids_{eye.side}", places, _ring_mesh(2, n), colours, rim_morphs)
 
 
 def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
@@ -192,12 +189,10 @@ def jaw_displacements(places_mm: Array, joint_mm: Array, motion: Array) -> Array
     Array
         (n_morphs, n, 3) mm.
     """
-    return np.asarray(
-        np.einsum("kj,jni->kni", motion, jaw_modes(places_mm, joint_mm)), dtype=np.float64
-    )
+    return np.asarray(np.einsum("kj,jni->kni", motion, jaw_modes(places_mm, joint_mm)))
 
 
-_ENAMEL, _GUMS, _TONGUE = (0.93, 0.91, 0.86), (0.62, 0.30, 0.30), (0.66, 0.30, 0.31)
+_ENAMEL, _GUMS, _TONGUE = (0.93, 0.91, 0.86), (0.62, 0.30, 0.30), (0.80, 0.42, 0.42)
 _INSIDE_FRONT, _INSIDE_BACK = np.array([0.42, 0.15, 0.15]), np.array([0.07, 0.02, 0.02])
 #: Width of the teeth of one side from the middle on, and their height, mm: usual sizes.
 _UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM = (8.4, 6.6, 7.6, 7.0, 6.8, 9.8), 9.5
@@ -206,6 +201,11 @@ _THICKNESS_MM = 5.0
 #: Edges of the front teeth, and middle of the tongue, relative to the point between the lips.
 _UPPER_EDGE_MM, _LOWER_EDGE_MM = np.array([0.0, -1.6, -5.0]), np.array([0.0, -1.4, -7.4])
 _TONGUE_MIDDLE_MM = np.array([0.0, -8.5, -32.0])
+#: Half axes of the tongue. How far its tip goes up and forward, by the target.
+_TONGUE_MM = (16.0, 6.0, 23.0)
+_TIP_MM = {"tongue_dental": (0.0, 7.8, 12.0), "tongue_alveolar": (0.0, 13.0, 2.0)}
+#: The tip begins at 1 / 1.6 of the way to it. Raised it is narrower and thinner by these shares.
+_TIP, _THINNER = 1.6, np.array([0.1, 0.5, 0.0])
 #: The arch of the teeth is a parabola: so deep at so far from the middle.
 _ARCH_HALF_WIDTH_MM, _ARCH_DEPTH_MM = 25.0, 33.0
 #: Rows of the inside of the mouth, and its half axes at its widest.
@@ -247,18 +247,28 @@ class MouthFrame:
 
 
 def mouth_parts(frame: MouthFrame) -> tuple[Part, ...]:
-    """Return the upper teeth, the lower teeth with the tongue, and the inside of the mouth."""
-    upper_edge = frame.middle_mm + _UPPER_EDGE_MM
+    """Return the upper teeth, the lower teeth, the tongue, and the inside of the mouth."""
     lower_edge = frame.middle_mm + _LOWER_EDGE_MM
-    upper = _dental_arch(upper_edge, _UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM, 1.0)
+    upper = _dental_arch(frame.middle_mm + _UPPER_EDGE_MM, _UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM, 1.0)
     lower = _dental_arch(lower_edge, _LOWER_WIDTHS_MM, _LOWER_HEIGHT_MM, -1.0)
-    tongue = _ellipsoid(frame.middle_mm + _TONGUE_MIDDLE_MM, (16.0, 6.0, 23.0), _TONGUE)
-    places, triangles, colours = _join_pieces([lower, tongue])
     return (
         Part("teeth_upper", *upper),
-        Part("teeth_lower", places, triangles, colours, frame.displacements_with_jaw(places)),
+        Part("teeth_lower", *lower, frame.displacements_with_jaw(lower[0])),
+        _tongue(frame),
         _mouth_inside(frame),
     )
+
+
+def _tongue(frame: MouthFrame) -> Part:
+    """Return the tongue, moved by the jaw and by the targets of its tip."""
+    middle = frame.middle_mm + _TONGUE_MIDDLE_MM
+    tongue = _ellipsoid(middle, _TONGUE_MM, _TONGUE, around=32)
+    from_middle = tongue[0] - middle
+    # From the tongue's middle, 0, to its tip, 1, which moves as a whole.
+    along = np.clip(_TIP * from_middle[:, 2:] / _TONGUE_MM[2], 0.0, 1.0)
+    share = along * along * (3.0 - 2.0 * along)
+    tips = {name: share * (tip - _THINNER * from_middle) for name, tip in _TIP_MM.items()}
+    return Part("tongue", *tongue, frame.displacements_with_jaw(tongue[0]) | tips)
 
 
 #: A mesh: places (n, 3) in mm, triangles (n_triangles, 3), colours (n, 3).
@@ -324,13 +334,14 @@ def _ellipsoid(
     half_mm: tuple[float, float, float],
     colour: tuple[float, ...],
     roundness: float = 1.0,
+    around: int = 16,
 ) -> Piece:
     """Return the mesh of a superellipsoid about `middle` with half axes `half_mm`.
 
-    The mesh is an ellipsoid at roundness 1, a box with round edges below.
+    The mesh is an ellipsoid at roundness 1, a box with round edges below. around: vertices a row.
     """
     up = np.linspace(-np.pi / 2, np.pi / 2, 9)
-    around = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    angles = np.linspace(0, 2 * np.pi, around, endpoint=False)
 
     def rounded(values: Array) -> Array:
         return np.asarray(np.sign(values) * np.abs(values) ** roundness, dtype=np.float64)
@@ -338,14 +349,14 @@ def _ellipsoid(
     ring = rounded(np.cos(up))[:, None]
     unit = np.stack(
         [
-            ring * rounded(np.sin(around)),
-            np.broadcast_to(rounded(np.sin(up))[:, None], (len(up), len(around))),
-            ring * rounded(np.cos(around)),
+            ring * rounded(np.sin(angles)),
+            np.broadcast_to(rounded(np.sin(up))[:, None], (len(up), around)),
+            ring * rounded(np.cos(angles)),
         ],
         axis=-1,
     ).reshape(-1, 3)
     places = middle + unit * half_mm
-    return places, _ring_mesh(len(up), len(around)), np.broadcast_to(colour, places.shape)
+    return places, _ring_mesh(len(up), around), np.broadcast_to(colour, places.shape)
 
 
 def _mouth_inside(frame: MouthFrame) -> Part:
@@ -437,11 +448,8 @@ def neck() -> Part:
         ],
         axis=-1,
     ).reshape(-1, 3) + np.array(PIVOT_MM)
-    vertex = np.arange(_NECK_ROWS * _SIDES).reshape(_NECK_ROWS, _SIDES)
-    here, below = vertex[:-1], vertex[1:]
-    ahead, below_ahead = np.roll(here, -1, axis=1), np.roll(below, -1, axis=1)
-    bands = [np.stack([here, below, ahead], -1), np.stack([ahead, below, below_ahead], -1)]
-    triangles = np.concatenate([band.reshape(-1, 3) for band in bands])
+    # Its rows go downwards, so that its triangles turn the other way.
+    triangles = np.roll(_ring_mesh(_NECK_ROWS, _SIDES)[:, ::-1], 1, axis=1)
     return Part(
         "neck", places, triangles, np.repeat(np.outer(grey, _TINT), _SIDES, axis=0), stays=True
     )

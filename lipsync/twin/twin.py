@@ -66,17 +66,23 @@ _MIRRORED = {
     291: 61, 308: 78, 269: 39, 405: 181, 267: 37, 314: 84, 312: 82, 317: 87, 436: 216, 432: 212,
     425: 205, 427: 207, 411: 187, 280: 50, 327: 98, 365: 136, 397: 172,
 }  # fmt: skip
-#: F and V, in mm (to the side, up, forward) of upper and lower lip. The lower lip rolls in: its
-#: outer edge goes up, its inner rim back under the teeth, which the lifted upper lip shows.
-_TUCKED_OUTER_MM = (0.0, 2.4, 0.5), (0.0, 5.2, -2.5)
-_TUCKED_INNER_MM = (0.0, 4.2, 0.3), (0.0, 1.2, -5.0)
+_SMILE_RIGHT_MM = {_MIRRORED[n]: (-out, up, z) for n, (out, up, z) in _SMILE_LEFT_MM.items()}
+_SMILE_MM = _SMILE_LEFT_MM | _SMILE_MIDDLE_MM | _SMILE_RIGHT_MM
+#: Motions of the lips' outer edge, and of their inner rim, in mm (sideways, up, forward) of upper
+#: and lower lip. F and V: the lower lip rolls in: its outer edge goes up, its inner rim back under
+#: the teeth, which the lifted upper lip shows. TH: lips part where the tongue would be hidden.
+_LIPS_MM = {
+    "lip_tuck": (((0.0, 2.4, 0.5), (0.0, 5.2, -1.0)), ((0.0, 4.2, 0.3), (0.0, 1.2, -5.0))),
+    "tongue_dental": (((0.0, 0.4, 0.0), (0.0, -2.2, 0.3)), ((0.0, 0.6, 0.0), (0.0, -3.2, 0.3))),
+}
+_LipsMm = tuple[tuple[float, float, float], tuple[float, float, float]]
 _NOSTRILS = (2, 97, 326, 98, 327)
 #: A smile of the eyes: the lower lids rise.
 _SMILING_LID_MM = 0.9
 
 
 def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[str, Array]:
-    """Return the skin's displacements at full lid_left, lid_right, brow, smile, lip_tuck, by name.
+    """Return the skin's displacements at full lid_left, lid_right, brow, smile and `_LIPS_MM`.
 
     lid_left_over and lid_right_over are further targets, to be applied by lid (1 - lid), where lid
     is 0 to 1: a straight path would lead a half shut lid through the eyeball.
@@ -106,27 +112,27 @@ def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[s
         given_mm[rim, 3, 1] = _SMILING_LID_MM * lower_lid
     given_mm[brows, 2, 1] = np.tile(_BROW_UP_MM, 4)
     for landmark in MARKERS_47.landmarks:
-        given_mm[landmark, 3] = _smile_mm(landmark)
+        given_mm[landmark, 3] = _SMILE_MM.get(landmark, 0.0)
     is_given = (places[:, 2] < _TEMPLE_MM) | (places[:, 1] > places[FACE_RIM[0], 1])
     is_given[[*rims[0], *rims[1], *brows, *MARKERS_47.landmarks]] = True
     given_rows = given_mm[is_given].reshape(is_given.sum(), -1)
     spread_mm = spread(surface.stiffness, np.flatnonzero(is_given), given_rows)
     lid_left, lid_right, brow, smile = spread_mm.reshape(len(places), 4, 3).transpose(1, 0, 2)
-    morphs = {"brow": brow, "smile": smile, "lip_tuck": _lip_tuck(surface)}
+    lips = {name: _lip_motion(surface, *motions_mm) for name, motions_mm in _LIPS_MM.items()}
+    morphs = {"brow": brow, "smile": smile, **lips}
     for lid, eye in ((lid_left, eyes[0]), (lid_right, eyes[1])):
         morphs |= _outside_eyeball(f"lid_{eye.side}", places, lid, eye)
     return morphs
 
 
-def _lip_tuck(surface: HeadSurface) -> Array:
-    """Return displacements (n, 3) of the skin, mm, that lay the lower lip behind the upper teeth.
+def _lip_motion(surface: HeadSurface, outer_mm: _LipsMm, inner_mm: _LipsMm) -> Array:
+    """Return displacements (n, 3) of the skin, mm, that move the lips as an entry of `_LIPS_MM`.
 
     Full in the middle of the lips, nothing at their corners.
     """
     places = surface.places_mm
     given_mm = np.zeros_like(places)
-    rims = ((OUTER_LIP, _TUCKED_OUTER_MM), (INNER_LIP, _TUCKED_INNER_MM))
-    for landmarks, (upper_mm, lower_mm) in rims:
+    for landmarks, (upper_mm, lower_mm) in ((OUTER_LIP, outer_mm), (INNER_LIP, inner_mm)):
         rim = places[list(landmarks)]
         half = len(landmarks) // 2
         middle_mm, reach_mm = rim[[0, half], 0].mean(), np.ptp(rim[[0, half], 0]) / 2.0
@@ -136,15 +142,6 @@ def _lip_tuck(surface: HeadSurface) -> Array:
     is_given = np.zeros(len(places), dtype=bool)
     is_given[surface.anchors] = is_given[[*OUTER_LIP, *INNER_LIP, *CHIN, *_NOSTRILS]] = True
     return spread(surface.stiffness, np.flatnonzero(is_given), given_mm[is_given])
-
-
-def _smile_mm(landmark: int) -> tuple[float, float, float]:
-    """Return a landmark's displacement (x, y, z) in mm in a broad smile; zeros for most."""
-    for left, right in _MIRRORED.items():
-        if landmark == right:
-            out, up, forward = _SMILE_LEFT_MM[left]
-            return -out, up, forward
-    return _SMILE_LEFT_MM.get(landmark, _SMILE_MIDDLE_MM.get(landmark, (0.0, 0.0, 0.0)))
 
 
 def _lid_shutting(rim_mm: Array) -> Array:
@@ -194,7 +191,8 @@ class Twin:
     parts: the first is the skin. components: names of the targets of the mouth, in the order of the
     model's coefficients; rest: (n_components,), the closed mouth; deviations: (n_components,),
     standard deviation of each coefficient in speech. The other targets are lid_left, lid_right,
-    brow, smile, lip_tuck as in `Expression`, and lid_left_over, lid_right_over for lid (1 - lid).
+    brow, smile, lip_tuck, tongue_dental, tongue_alveolar as in `Expression`, and lid_left_over,
+    lid_right_over for lid (1 - lid).
     pivot_mm: the point that the head turns about. face_vertices (n,): whether a vertex of the skin
     is face, not back of the head.
     """
@@ -328,7 +326,7 @@ def _mouth_frame(
     motion = jaw_motion(places[chin], joint, chin_moves)
     return MouthFrame(
         places[lips],
-        {name: morphs[name][lips] for name in (*components, "smile", "lip_tuck")},
+        {name: morphs[name][lips] for name in (*components, "smile", *_LIPS_MM)},
         places[[INNER_LIP[5], INNER_LIP[15]]].mean(axis=0),
         joint,
         dict(zip(components, motion, strict=True)),

@@ -6,6 +6,7 @@ import socket
 import pytest
 from lipservo_client.wire import Wire
 from pydantic import TypeAdapter
+from voice_agents.served_face import ServedFace
 
 from lipservo.agents.messages import COMMANDS, STREAM_MESSAGES
 from lipservo.agents.protocol_schema import CONTROL_EVENTS, STREAM_EVENTS
@@ -24,6 +25,13 @@ def unused_ports():
 def unused_port(unused_ports):
     """One of them."""
     return unused_ports[0]
+
+
+@pytest.fixture
+def served():
+    """A face that clients connect to."""
+    with ServedFace() as face:
+        yield face
 
 
 @pytest.fixture

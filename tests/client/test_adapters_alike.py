@@ -8,7 +8,7 @@ import warnings
 
 import numpy as np
 import pytest
-from voice_agents.served_face import RATE_HZ, ServedFace, tone
+from voice_agents.served_face import RATE_HZ, ServedFace, distinct, heard, tone
 
 import lipservo
 from lipservo.agents.listener import AgentSettings
@@ -40,10 +40,8 @@ with warnings.catch_warnings():
     from wyoming.audio import AudioChunk, AudioStart, AudioStop
     from wyoming.client import AsyncTcpClient
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore"),
-    pytest.mark.usefixtures("traffic_by_the_schema"),
-]
+of_the_schema = pytest.mark.usefixtures("traffic_by_the_schema")
+pytestmark = [pytest.mark.filterwarnings("ignore"), of_the_schema]
 
 #: Samples of each piece, in turns: none of them a whole number of blocks of the face.
 PIECES = (480, 1, 961, 333, 2_400)
@@ -56,24 +54,12 @@ def _collected():
     gc.collect()
 
 
-def distinct(duration_s, seed):
-    """Samples without a zero: what is lost or doubled of them is seen."""
-    return (
-        np.random.default_rng(seed).integers(1, 30_000, round(duration_s * RATE_HZ)).astype("<i2")
-    )
-
-
 def pieces(samples):
     first = number = 0
     while first < len(samples):
         n = PIECES[number % len(PIECES)]
         yield samples[first : first + n].tobytes()
         first, number = first + n, number + 1
-
-
-def heard(face):
-    samples = np.rint(face.sound.played() * 32_768).astype(int)
-    return samples[samples != 0]
 
 
 class _Heard(FrameProcessor):
@@ -191,93 +177,75 @@ AGENTS = {"pipecat": pipecat_agent, "livekit": livekit_agent, "wyoming": wyoming
 kinds = pytest.mark.parametrize("kind", AGENTS)
 
 
-def run(talk):
-    return asyncio.run(asyncio.wait_for(talk, 60.0))
-
-
 @kinds
-def test_no_sample_of_a_stream_is_lost_or_doubled(kind, unused_port):
+async def test_no_sample_of_a_stream_is_lost_or_doubled(served, kind, unused_port):
     turns = [distinct(duration_s, seed) for seed, duration_s in enumerate((1.0, 0.0312, 2.0))]
-
-    async def talk(url):
-        async with AGENTS[kind](url, unused_port) as say:
-            return [await say(samples) for samples in turns]
-
-    with ServedFace() as face:
-        assert run(talk(face.url)) == [(True, [])] * 3
-        assert np.array_equal(heard(face), np.concatenate(turns))
+    async with AGENTS[kind](served.url, unused_port) as say:
+        assert [await say(samples) for samples in turns] == [(True, [])] * 3
+    assert np.array_equal(heard(served), np.concatenate(turns))
 
 
 @kinds
-def test_two_agents_take_turns(kind, unused_ports):
+async def test_two_agents_take_turns(served, kind, unused_ports):
     turns = [distinct(0.3, seed) for seed in range(6)]
-
-    async def talk(url):
-        async with (
-            AGENTS[kind](url, unused_ports[0]) as first,
-            AGENTS[kind](url, unused_ports[1]) as second,
-        ):
-            says = [first, second] * 3
-            return [await say(samples) for say, samples in zip(says, turns, strict=True)]
-
-    with ServedFace() as face:
-        assert run(talk(face.url)) == [(True, [])] * 6
-        assert np.array_equal(heard(face), np.concatenate(turns))
-        assert face.server.status()["n_streams_refused"] == 0
+    async with (
+        AGENTS[kind](served.url, unused_ports[0]) as first,
+        AGENTS[kind](served.url, unused_ports[1]) as second,
+    ):
+        says = zip([first, second] * 3, turns, strict=True)
+        assert [await say(samples) for say, samples in says] == [(True, [])] * 6
+    assert np.array_equal(heard(served), np.concatenate(turns))
+    assert served.server.status()["n_streams_refused"] == 0
 
 
 @kinds
-def test_while_another_client_speaks_a_turn_is_dropped_with_a_warning_and_the_next_is_heard(
-    kind, unused_port
+async def test_while_another_client_speaks_a_turn_is_dropped_with_a_warning_and_the_next_is_heard(
+    served, kind, unused_port
 ):
     samples = distinct(0.3, 1)
+    async with AGENTS[kind](served.url, unused_port) as say:
+        async with lipservo.connect_async(served.url) as other, other.stream() as speech:
+            await speech.write(tone(0.1))
+            is_heard, (warning,) = await say(samples)
+            await speech.wait()
+        after = await say(samples)
 
-    async def talk(url):
-        async with AGENTS[kind](url, unused_port) as say:
-            async with lipservo.connect_async(url) as other, other.stream() as speech:
-                await speech.write(tone(0.1))
-                refused = await say(samples)
-                await speech.wait()
-            return refused, await say(samples)
-
-    with ServedFace() as face:
-        refused, after = run(talk(face.url))
-        said = heard(face)[-len(samples) :]
-
-    is_heard, (warning,) = refused
     assert not is_heard
     assert "another client is speaking" in warning
     assert after == (True, [])
-    assert np.array_equal(said, samples)
+    assert np.array_equal(heard(served)[-len(samples) :], samples)
 
 
 @kinds
-def test_where_clients_wait_for_each_other_a_turn_is_heard_behind_the_others(kind, unused_port):
+async def test_where_clients_wait_for_each_other_a_turn_is_heard_behind_the_others(
+    kind, unused_port
+):
     first, second = distinct(0.3, 1), distinct(0.3, 2)
 
-    async def talk(url):
-        async with AGENTS[kind](url, unused_port) as say, lipservo.connect_async(url) as other:
+    with ServedFace(AgentSettings(when_busy="queue")) as face:
+        async with (
+            AGENTS[kind](face.url, unused_port) as say,
+            lipservo.connect_async(face.url) as other,
+        ):
             async with other.stream() as speech:
                 await speech.write(first)
                 waiting = asyncio.ensure_future(say(second))
-            return await waiting
-
-    with ServedFace(AgentSettings(when_busy="queue")) as face:
-        assert run(talk(face.url)) == (True, [])
+            assert await waiting == (True, [])
         assert np.array_equal(heard(face), np.concatenate([first, second]))
 
 
 @kinds
-def test_while_the_face_says_a_text_of_its_own_a_turn_is_dropped_with_a_warning(kind, unused_port):
-    async def talk(url):
-        async with AGENTS[kind](url, unused_port) as say, lipservo.connect_async(url) as other:
-            await other.say("a text of five seconds, to be sure of it as it is said.")
-            refused = await say(distinct(0.3, 1))
-            await other.interrupt()
-            return refused
-
+async def test_while_the_face_says_a_text_of_its_own_a_turn_is_dropped_with_a_warning(
+    kind, unused_port
+):
     with ServedFace(has_voice=True) as face:
-        is_heard, (warning,) = run(talk(face.url))
+        async with (
+            AGENTS[kind](face.url, unused_port) as say,
+            lipservo.connect_async(face.url) as other,
+        ):
+            await other.say("a text of five seconds, to be sure of it as it is said.")
+            is_heard, (warning,) = await say(distinct(0.3, 1))
+            await other.interrupt()
 
     assert not is_heard
     assert "the face says something of its own" in warning

@@ -3,8 +3,6 @@
 import asyncio
 import contextlib
 import itertools
-import subprocess
-import sys
 import threading
 from collections import deque
 
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 from lipservo_client import async_face, wire
 from lipservo_client.protocol import FaceError, Played, unit_messages
-from places import ROOT
 from voice_agents.served_face import DELAY_MS, RATE_HZ, ServedFace, tone, until
 
 import lipservo
@@ -23,63 +20,50 @@ from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.spoken_text import LONGEST_LABEL
 
 
-@pytest.fixture
-def served():
-    with ServedFace() as face:
-        yield face
+async def test_sentences_one_after_the_other(served):
+    async with lipservo.connect_async(served.url) as face:
+        speeches = []
+        for _ in range(3):
+            async with face.stream() as speech:
+                await speech.write(tone(0.1))
+                speeches.append(speech)
+        played = [await speech.wait() for speech in speeches]
+
+    assert played == [Played(finished=True, played_s=0.1)] * 3
 
 
-def test_sentences_one_after_the_other(served):
-    async def talk():
-        async with lipservo.connect_async(served.url) as face:
-            speeches = []
-            for _ in range(3):
-                async with face.stream() as speech:
-                    await speech.write(tone(0.1))
-                    speeches.append(speech)
-            return [await speech.wait() for speech in speeches]
+async def test_barge_in_from_another_task_ends_the_writing(served):
+    async with lipservo.connect_async(served.url) as face, face.stream() as speech:
 
-    assert asyncio.run(talk()) == [Played(finished=True, played_s=0.1)] * 3
+        async def listen():
+            async for event in face.events():
+                if event["type"] == "started":
+                    return await face.interrupt()
 
-
-def test_barge_in_from_another_task_ends_the_writing(served):
-    async def talk():
-        async with lipservo.connect_async(served.url) as face, face.stream() as speech:
-
-            async def listen():
-                async for event in face.events():
-                    if event["type"] == "started":
-                        return await face.interrupt()
-
-            listening = asyncio.ensure_future(listen())
-            n_written = 0
-            while await speech.write(tone(0.5)):
-                n_written += 1
-                await asyncio.sleep(0.001)
-            return n_written, await listening
-
-    n_written, played = asyncio.run(talk())
+        listening = asyncio.ensure_future(listen())
+        n_written = 0
+        while await speech.write(tone(0.5)):
+            n_written += 1
+            await asyncio.sleep(0.001)
+        played = await listening
 
     assert n_written > 0
     assert not played.finished
     assert 0.0 < played.played_s < 0.5 * n_written
 
 
-def test_the_late_end_of_an_interrupted_stream_does_not_end_the_next(served):
-    async def talk():
-        async with lipservo.connect_async(served.url) as face, face.stream() as old:
-            await old.write(tone(20.0))
-            await face.interrupt()
-            events = face.events()
-            async with face.stream() as reply:
-                await reply.write(tone(0.1))
-                await old.mark("late")
-                await old.end()
-                await reply.write(tone(0.1))
-                played = await reply.wait()
-            return played, {event["type"] async for event in until_finished(events)}
-
-    played, kinds = asyncio.run(talk())
+async def test_the_late_end_of_an_interrupted_stream_does_not_end_the_next(served):
+    async with lipservo.connect_async(served.url) as face, face.stream() as old:
+        await old.write(tone(20.0))
+        await face.interrupt()
+        events = face.events()
+        async with face.stream() as reply:
+            await reply.write(tone(0.1))
+            await old.mark("late")
+            await old.end()
+            await reply.write(tone(0.1))
+            played = await reply.wait()
+        kinds = {event["type"] async for event in until_finished(events)}
 
     assert played == Played(finished=True, played_s=0.2)
     assert not kinds & {"error", "mark"}
@@ -92,104 +76,69 @@ async def until_finished(events):
             return
 
 
-def test_a_client_that_plays_the_sound_gets_the_delay_and_reports(served):
-    async def talk():
-        async with (
-            lipservo.connect_async(served.url) as face,
-            face.stream(playback="client") as speech,
-        ):
-            await speech.write(tone(1.0))
-            await speech.report_played(0.5)
-            played = await speech.wait()
-            return speech.delay_ms, played
+async def test_a_client_that_plays_the_sound_gets_the_delay_and_reports(served):
+    async with lipservo.connect_async(served.url) as face, face.stream(playback="client") as speech:
+        await speech.write(tone(1.0))
+        await speech.report_played(0.5)
+        played = await speech.wait()
 
-    delay_ms, played = asyncio.run(talk())
-
-    assert delay_ms == DELAY_MS
+    assert speech.delay_ms == DELAY_MS
     assert played.finished
     assert [n_samples for _, _, n_samples in served.reported] == [12_000]
 
 
-def test_many_commands_at_once_get_each_its_own_answer(served):
-    async def talk():
-        async with lipservo.connect_async(served.url) as face:
-            calls = [face.set("strength", value / 10) for value in range(5)]
-            answers = await asyncio.gather(
-                *calls, face.status(), face.say("hello"), return_exceptions=True
-            )
-            return answers
-
-    *settings, status, said = asyncio.run(talk())
+async def test_many_commands_at_once_get_each_its_own_answer(served):
+    async with lipservo.connect_async(served.url) as face:
+        calls = [face.set("strength", value / 10) for value in range(5)]
+        calls += [face.status(), face.say("hello")]
+        *settings, status, said = await asyncio.gather(*calls, return_exceptions=True)
 
     assert [answer["value"] for answer in settings] == [0.0, 0.1, 0.2, 0.3, 0.4]
     assert status["state"] == "driven"
     assert isinstance(said, FaceError)
 
 
-def test_a_client_needs_nothing_but_websockets():
-    """Not the rest of lipservo either, so that a small computer starts it at once."""
-    script = (
-        "import sys, lipservo\n"
-        "lipservo.connect(); lipservo.connect_async()\n"
-        "foreign = {name.split('.')[0] for name in sys.modules} - sys.stdlib_module_names\n"
-        "ours = {name for name in sys.modules if name.startswith('lipservo.')}\n"
-        "print(*sorted(foreign & {'numpy', 'lipsync', 'pydantic', 'firmware_bridge', 'typer'}))\n"
-        "print(*sorted(name for name in ours if not name.startswith('lipservo_client')))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-
-    assert done.stdout == "\n\n"
-
-
 @pytest.mark.parametrize(("language", "code"), [("qq", "bad_text"), ("en_US", "bad_message")])
-def test_a_text_that_the_face_cannot_use_does_not_end_the_speech(served, language, code):
-    async def talk():
-        async with lipservo.connect_async(served.url) as face, face.stream() as speech:
-            events = face.events()
-            await speech.tell("a", language=language)
-            await speech.write(tone(0.1))
-            async for event in events:
-                if event["type"] == "error":
-                    break
-            await speech.write(tone(0.1))
-            return event["code"], await speech.wait()
+async def test_a_text_that_the_face_cannot_use_does_not_end_the_speech(served, language, code):
+    async with lipservo.connect_async(served.url) as face, face.stream() as speech:
+        events = face.events()
+        await speech.tell("a", language=language)
+        await speech.write(tone(0.1))
+        async for event in events:
+            if event["type"] == "error":
+                break
+        await speech.write(tone(0.1))
+        played = await speech.wait()
 
-    assert asyncio.run(talk()) == (code, Played(finished=True, played_s=0.2))
+    assert event["code"] == code
+    assert played == Played(finished=True, played_s=0.2)
 
 
-def test_commands_are_sent_with_the_token_that_the_face_admitted_and_not_with_a_stale_one(
+async def test_commands_are_sent_with_the_token_that_the_face_admitted_and_not_with_a_stale_one(
     monkeypatch,
 ):
     monkeypatch.setattr(wire, "found_tokens", lambda _url: ["stale", "right"])
 
-    async def talk():
-        async with lipservo.connect_async(face.url) as client:
-            return await client.set("strength", 0.8)
-
     with ServedFace(AgentSettings(policy=Policy("right"))) as face:
-        assert asyncio.run(talk())["value"] == 0.8
+        async with lipservo.connect_async(face.url) as client:
+            assert (await client.set("strength", 0.8))["value"] == 0.8
 
 
-def test_a_client_that_came_to_a_full_face_may_do_more_than_stop_it_once_others_have_left(served):
-    async def talk():
-        async with (
-            contextlib.AsyncExitStack() as others,
-            lipservo.connect_async(served.url) as face,
-        ):
-            for _ in range(7):
-                await others.enter_async_context(lipservo.connect_async(served.url))
-            with pytest.raises(FaceError) as refused:
-                await face.set("strength", 0.7)
-            await others.aclose()
-            await asyncio.to_thread(until, lambda: served.server.status()["n_clients"] == 1)
-            return refused.value.code, (await face.set("strength", 0.8))["value"]
-
-    assert asyncio.run(talk()) == ("unauthorized", 0.8)
+async def test_a_client_that_came_to_a_full_face_may_do_more_than_stop_it_once_others_have_left(
+    served,
+):
+    async with contextlib.AsyncExitStack() as others, lipservo.connect_async(served.url) as face:
+        for _ in range(7):
+            await others.enter_async_context(lipservo.connect_async(served.url))
+        with pytest.raises(FaceError) as refused:
+            await face.set("strength", 0.7)
+        await others.aclose()
+        await asyncio.to_thread(until, lambda: served.server.status()["n_clients"] == 1)
+        assert refused.value.code == "unauthorized"
+        assert (await face.set("strength", 0.8))["value"] == 0.8
 
 
-def test_a_text_of_many_sentences_is_waited_for_as_long_as_the_face_speaks(monkeypatch):
+async def test_a_text_of_many_sentences_is_waited_for_as_long_as_the_face_speaks(monkeypatch):
     """Its duration is known of the first sentence alone; limit and speech are a thousandth."""
     monkeypatch.setattr(async_face, "STILL_S", 0.31)
 
@@ -209,12 +158,9 @@ def test_a_text_of_many_sentences_is_waited_for_as_long_as_the_face_speaks(monke
         face._queue.add(spoken, given.text)
         return spoken
 
-    async def talk():
-        async with lipservo.connect_async(face.url) as client:
-            return await client.say("twenty sentences", wait=True)
-
     with ServedFace(say=say) as face:
-        answer = asyncio.run(talk())
+        async with lipservo.connect_async(face.url) as client:
+            answer = await client.say("twenty sentences", wait=True)
 
     assert (answer["finished"], round(answer["played_s"])) == (True, 20)
 
@@ -228,7 +174,7 @@ def test_a_label_longer_than_a_face_takes_is_cut_short():
     assert message == {"type": "words", "units": [{"label": label}, timed]}
 
 
-def test_a_text_that_is_dropped_before_its_command_is_answered_is_not_waited_for_in_vain():
+async def test_a_text_that_is_dropped_before_its_command_is_answered_is_not_waited_for_in_vain():
     synthesises, synthesised = threading.Event(), threading.Event()
 
     def say(given, name):
@@ -236,7 +182,7 @@ def test_a_text_that_is_dropped_before_its_command_is_answered_is_not_waited_for
         assert synthesised.wait(60.0)
         return face._say(given, name)
 
-    async def talk():
+    with ServedFace(say=say) as face:
         async with lipservo.connect_async(face.url) as client:
             said = asyncio.ensure_future(client.say("good day", wait=True))
             await asyncio.to_thread(synthesises.wait, 60.0)
@@ -244,10 +190,7 @@ def test_a_text_that_is_dropped_before_its_command_is_answered_is_not_waited_for
             while face.server._streams._own_items:
                 await asyncio.sleep(0.002)
             synthesised.set()
-            return await asyncio.wait_for(said, 60.0)
-
-    with ServedFace(say=say) as face:
-        answer = asyncio.run(talk())
+            answer = await asyncio.wait_for(said, 60.0)
 
     assert (answer["finished"], answer["played_s"]) == (False, 0.0)
     # What was on its way before the face heard of the end may be heard: a tenth of a second.

@@ -23,15 +23,8 @@ def text(words, n_played):
 def test_a_word_counts_when_half_of_it_was_played():
     words = spoken(600, ("one ", 0), ("two ", 200), ("three", 400))
 
-    assert [text(words, n) for n in (0, 99, 100, 299, 300, 499, 500)] == [
-        "",
-        "",
-        "one ",
-        "one ",
-        "one two ",
-        "one two ",
-        "one two three",
-    ]
+    heard = ["", "", "one ", "one ", "one two ", "one two ", "one two three"]
+    assert [text(words, n) for n in (0, 99, 100, 299, 300, 499, 500)] == heard
 
 
 def test_nothing_is_heard_of_a_word_that_begins_with_the_sound_before_any_is_played():
@@ -56,12 +49,8 @@ def test_deltas_that_are_cut_within_a_word_are_one_text():
 def test_sentences_share_each_the_sound_between_their_own_places():
     words = spoken(2_000, ("one two", 0, 400), ("three four", 1_000, 2_000))
 
-    assert [text(words, n) for n in (350, 900, 1_300, 1_900)] == [
-        "one two",
-        "one two",
-        "one twothree",
-        "one twothree four",
-    ]
+    heard = ["one two", "one two", "one twothree", "one twothree four"]
+    assert [text(words, n) for n in (350, 900, 1_300, 1_900)] == heard
 
 
 def test_characters_of_a_script_without_spaces_count_one_by_one():

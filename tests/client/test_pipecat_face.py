@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from lipservo_lab.bench.agents.remembered_words import WORD_S
 from voice_agents.remembered import heard_words, numbered, sound, wrong
-from voice_agents.served_face import RATE_HZ, ServedFace, tone
+from voice_agents.served_face import RATE_HZ, ServedFace, sounding_s, tone
 
 import lipservo
 from lipsync.text_to_speech.pronunciation import pronounced
@@ -56,10 +56,9 @@ def kinds(frames):
 
 
 @pytest.mark.parametrize("channels", [1, 2])
-def test_what_the_tts_says_is_heard_at_the_face_before_the_pipeline_ends(channels):
-    with ServedFace() as face:
-        down, up = piped(PipecatFace(face.url), [*spoken(0.4, channels), TextFrame("on")])
-        heard = face.sound.played()
+def test_what_the_tts_says_is_heard_at_the_face_before_the_pipeline_ends(served, channels):
+    down, up = piped(PipecatFace(served.url), [*spoken(0.4, channels), TextFrame("on")])
+    heard = served.sound.played()
 
     assert np.count_nonzero(heard) / RATE_HZ == pytest.approx(0.4, abs=0.02)
     assert np.abs(heard).max() == pytest.approx(8_000 / 32_768, rel=0.01)
@@ -72,22 +71,21 @@ def test_what_the_tts_says_is_heard_at_the_face_before_the_pipeline_ends(channel
         assert told == [BotStartedSpeakingFrame, BotStoppedSpeakingFrame]
 
 
-def test_an_interruption_is_silence_and_tells_how_much_was_heard():
-    def frames(face):
+def test_an_interruption_is_silence_and_tells_how_much_was_heard(served):
+    def frames(served):
         yield from spoken(60.0)[:-1]
-        while not face.sound.played().any():
+        while not served.sound.played().any():
             yield SleepFrame(0.01)
         yield InterruptionFrame()
         yield from spoken(0.2)
 
-    with ServedFace() as face:
-        processor = PipecatFace(face.url)
-        down, _ = piped(processor, frames(face))
-        sounding_s = np.count_nonzero(face.sound.played()) / RATE_HZ
+    processor = PipecatFace(served.url)
+    down, _ = piped(processor, frames(served))
+    heard_s = sounding_s(served)
 
     assert not processor.last_played.finished
     assert 0.0 < processor.last_played.played_s < 59.0
-    assert sounding_s == pytest.approx(processor.last_played.played_s + 0.2, abs=0.08)
+    assert heard_s == pytest.approx(processor.last_played.played_s + 0.2, abs=0.08)
     assert InterruptionFrame in kinds(down)
 
 
@@ -99,39 +97,37 @@ def test_without_a_face_the_sound_goes_to_the_transport():
     assert "no face answers" in error.error
 
 
-def test_sound_that_may_not_be_interrupted_is_said_to_its_end():
-    def frames(face):
+def test_sound_that_may_not_be_interrupted_is_said_to_its_end(served):
+    def frames(served):
         *start, stop = spoken(2.0)
         for frame in start:
             frame.interruptible = False
             yield frame
         yield stop
-        while not face.sound.played().any():
+        while not served.sound.played().any():
             yield SleepFrame(0.005)
         yield InterruptionFrame()
 
-    with ServedFace() as face:
-        down, _ = piped(PipecatFace(face.url), frames(face))
-        heard_s = np.count_nonzero(face.sound.played()) / RATE_HZ
+    down, _ = piped(PipecatFace(served.url), frames(served))
+    heard_s = sounding_s(served)
 
     assert heard_s == pytest.approx(2.0, abs=0.01)
     assert InterruptionFrame in kinds(down)
 
 
-def test_of_mixed_sound_the_rest_of_what_may_not_be_interrupted_is_said_again():
-    def frames(face):
+def test_of_mixed_sound_the_rest_of_what_may_not_be_interrupted_is_said_again(served):
+    def frames(served):
         yield TTSStartedFrame()
         for number, frame in enumerate(spoken(4.0)[1:-1]):
             frame.interruptible = number < 50  # the last two seconds may not
             yield frame
-        while not face.sound.played().any():
+        while not served.sound.played().any():
             yield SleepFrame(0.005)
         yield InterruptionFrame()
         yield TTSStoppedFrame()
 
-    with ServedFace() as face:
-        piped(PipecatFace(face.url), frames(face))
-        heard_s = np.count_nonzero(face.sound.played()) / RATE_HZ
+    piped(PipecatFace(served.url), frames(served))
+    heard_s = sounding_s(served)
 
     # As much as was heard before the interruption, and then the last two seconds.
     assert 2.0 <= heard_s <= 4.0
@@ -185,23 +181,22 @@ def test_words_that_the_tts_times_are_told_with_their_times():
     assert told == [("word", "good", True)]
 
 
-def test_more_sentences_than_a_face_keeps_streams_are_all_heard():
+def test_more_sentences_than_a_face_keeps_streams_are_all_heard(served):
     def frames():
         for number in range(12):
             yield from spoken(0.1)
             yield TextFrame(str(number))
 
-    with ServedFace() as face:
-        down, _ = piped(PipecatFace(face.url), frames())
-        heard_s = np.count_nonzero(face.sound.played()) / RATE_HZ
-        refused = face.server.status()["n_streams_refused"]
+    down, _ = piped(PipecatFace(served.url), frames())
+    heard_s = sounding_s(served)
+    refused = served.server.status()["n_streams_refused"]
 
     assert heard_s == pytest.approx(1.2, abs=0.03)
     assert refused == 0
     assert TTSAudioRawFrame not in kinds(down)
 
 
-def test_a_follower_shows_the_sound_hands_it_on_in_order_and_reports_what_is_played():
+def test_a_follower_shows_the_sound_hands_it_on_in_order_and_reports_what_is_played(served):
     def frames():
         yield from spoken(0.4)
         yield TextFrame("behind")
@@ -211,16 +206,15 @@ def test_a_follower_shows_the_sound_hands_it_on_in_order_and_reports_what_is_pla
         yield BotStoppedSpeakingFrame()
         yield SleepFrame(0.2)
 
-    with ServedFace() as face:
-        face.hold()  # in its hurry it would be over before the transport begins
-        down, _ = piped(PipecatFollower(face.url), frames())
-        assert not face.sound.played().any()
+    served.hold()  # in its hurry it would be over before the transport begins
+    down, _ = piped(PipecatFollower(served.url), frames())
+    assert not served.sound.played().any()
 
     sound = [frame for frame in down if isinstance(frame, TTSAudioRawFrame)]
     assert b"".join(frame.audio for frame in sound) == tone(0.4)
     order = [each for each in kinds(down) if "Bot" not in each.__name__]
     assert order == [TTSStartedFrame, *[TTSAudioRawFrame] * len(sound), TTSStoppedFrame, TextFrame]
-    reported = [n_samples for _, _, n_samples in face.reported]
+    reported = [n_samples for _, _, n_samples in served.reported]
     assert reported == sorted(reported)
     assert reported[-1] == round(0.4 * RATE_HZ)
 
@@ -262,24 +256,23 @@ def worded(n_words, first=0):
     return [TTSAudioRawFrame(pcm[at : at + size], RATE_HZ, 1) for at in range(0, len(pcm), size)]
 
 
-def test_of_a_sentence_that_is_broken_off_the_words_that_were_heard_go_on():
+def test_of_a_sentence_that_is_broken_off_the_words_that_were_heard_go_on(served):
     words = numbered(0, 40)
 
-    def frames(face):
+    def frames(served):
         yield TTSStartedFrame()
         yield from worded(40)
         yield TTSTextFrame(" ".join(words), "sentence")
-        while heard_words(face) < 11.3:
+        while heard_words(served) < 11.3:
             yield SleepFrame(0.002)
         yield InterruptionFrame()
 
-    with ServedFace() as face:
-        down, _ = piped(PipecatFace(face.url), frames(face))
-        (remembered,) = words_of(down)
-        assert wrong(words, face, remembered) == (0, 0)
+    down, _ = piped(PipecatFace(served.url), frames(served))
+    (remembered,) = words_of(down)
+    assert wrong(words, served, remembered) == (0, 0)
 
 
-def test_a_word_is_timed_from_when_its_sound_left_the_service_however_long_it_waits_here():
+def test_a_word_is_timed_from_when_its_sound_left_the_service_however_long_it_waits_here(served):
     """Half a minute of sound is all that a face takes: what follows waits before it."""
     words = numbered(0, 200)
 
@@ -296,7 +289,7 @@ def test_a_word_is_timed_from_when_its_sound_left_the_service_however_long_it_wa
                 self.last_ns = frame.pts = self.began_ns + frame.pts
             await super().queue_frame(frame, direction, callback)
 
-    def frames(face):
+    def frames(served):
         yield TTSStartedFrame()
         for context in ("first", "second"):
             first = 0 if context == "first" else 180
@@ -309,13 +302,12 @@ def test_a_word_is_timed_from_when_its_sound_left_the_service_however_long_it_wa
                 text.pts = 1 + round(1e9 * WORD_S * place)
                 yield text
             yield TTSStoppedFrame(context_id=context)
-        while heard_words(face) < 188.3:
+        while heard_words(served) < 188.3:
             yield SleepFrame(0.002)
         yield InterruptionFrame()
 
-    with ServedFace() as face:
-        down, _ = piped(Service(face.url), frames(face))
-        assert wrong(words, face, " ".join(words_of(down))) == (0, 0)
+    down, _ = piped(Service(served.url), frames(served))
+    assert wrong(words, served, " ".join(words_of(down))) == (0, 0)
 
 
 def test_a_face_without_a_loudspeaker_leaves_the_sound_to_the_transport():

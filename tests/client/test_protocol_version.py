@@ -1,16 +1,23 @@
 """A client older or newer than the face: one line that names both versions."""
 
-import asyncio
 import json
 
 import pytest
 from lipservo_client import async_face, protocol
 from lipservo_client.protocol import FaceError
-from voice_agents.served_face import ServedFace
 from websockets.asyncio.server import serve
 
 import lipservo
 from lipservo.agents import messages
+
+
+async def refused(answer):
+    """What a client is told by a server that answers so."""
+    async with serve(answer, "127.0.0.1", 0) as server:
+        url = f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+        with pytest.raises(FaceError) as raised:
+            await lipservo.connect_async(url, token="t").__aenter__()
+    return raised.value
 
 
 def test_client_and_face_of_one_checkout_speak_the_same():
@@ -18,9 +25,9 @@ def test_client_and_face_of_one_checkout_speak_the_same():
 
 
 @pytest.mark.parametrize("version", [1, 3])
-def test_a_client_of_another_version_is_told_both_by_the_face(version, monkeypatch):
+def test_a_client_of_another_version_is_told_both_by_the_face(served, version, monkeypatch):
     monkeypatch.setattr(async_face, "PROTOCOL", version)
-    with ServedFace() as served, pytest.raises(FaceError) as raised:
+    with pytest.raises(FaceError) as raised:
         lipservo.connect(served.url).__enter__()
 
     assert raised.value.code == "bad_protocol"
@@ -29,7 +36,7 @@ def test_a_client_of_another_version_is_told_both_by_the_face(version, monkeypat
 
 
 @pytest.mark.parametrize("version", [1, 3, "unknown"])
-def test_a_face_of_another_version_is_told_both_by_the_client(version):
+async def test_a_face_of_another_version_is_told_both_by_the_client(version):
     """A face that does not compare: what it answers is compared here."""
 
     async def answer(connection):
@@ -38,32 +45,15 @@ def test_a_face_of_another_version_is_told_both_by_the_client(version):
         await connection.send(json.dumps({"type": "hello", "delay_ms": 0.0, **about}))
         await connection.wait_closed()
 
-    async def talk():
-        async with serve(answer, "127.0.0.1", 0) as server:
-            port = server.sockets[0].getsockname()[1]
-            async with lipservo.connect_async(f"ws://127.0.0.1:{port}", token="t"):
-                pass
-
-    with pytest.raises(FaceError) as raised:
-        asyncio.run(talk())
-    assert raised.value.code == "bad_protocol"
-    assert f"the face speaks protocol {version}, this lipservo-client 2; install" in str(
-        raised.value
-    )
-    assert "\n" not in str(raised.value)
+    error = await refused(answer)
+    assert error.code == "bad_protocol"
+    assert f"the face speaks protocol {version}, this lipservo-client 2; install" in str(error)
+    assert "\n" not in str(error)
 
 
-def test_a_face_that_hangs_up_before_its_greeting_is_a_face_error():
+async def test_a_face_that_hangs_up_before_its_greeting_is_a_face_error():
     async def answer(connection):
         await connection.recv()
         await connection.close(1001, "shutting_down")
 
-    async def talk():
-        async with serve(answer, "127.0.0.1", 0) as server:
-            port = server.sockets[0].getsockname()[1]
-            async with lipservo.connect_async(f"ws://127.0.0.1:{port}", token="t"):
-                pass
-
-    with pytest.raises(FaceError) as raised:
-        asyncio.run(talk())
-    assert raised.value.code == "shutting_down"
+    assert (await refused(answer)).code == "shutting_down"

@@ -11,19 +11,12 @@ from lipservo_client.protocol import unit_messages
 from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
 from places import ROOT
 
-ELEVENLABS = {
-    "audio_base64": "UklGRg==",
-    "alignment": {
-        "characters": list("Hi Bob."),
-        "character_start_times_seconds": [0.0, 0.1, 0.2, 0.25, 0.35, 0.5, 0.6],
-        "character_end_times_seconds": [0.1, 0.2, 0.25, 0.35, 0.5, 0.6, 0.7],
-    },
-    "normalized_alignment": {
-        "characters": list("Hi Bob."),
-        "character_start_times_seconds": [0.0, 0.1, 0.2, 0.25, 0.35, 0.5, 0.6],
-        "character_end_times_seconds": [0.1, 0.2, 0.25, 0.35, 0.5, 0.6, 0.7],
-    },
+ALIGNMENT = {
+    "characters": list("Hi Bob."),
+    "character_start_times_seconds": [0.0, 0.1, 0.2, 0.25, 0.35, 0.5, 0.6],
+    "character_end_times_seconds": [0.1, 0.2, 0.25, 0.35, 0.5, 0.6, 0.7],
 }
+ELEVENLABS = {"audio_base64": "UklGRg==", "alignment": ALIGNMENT, "normalized_alignment": ALIGNMENT}
 HI_BOB = (("Hi", 0.0, 0.2), ("Bob.", 0.25, 0.7))
 ELEVENLABS_SOCKET = {
     "audio": "UklGRg==",
@@ -56,27 +49,12 @@ AZURE_VISEMES = [
     {"audio_offset": 1250000, "viseme_id": 11},
     {"audio_offset": 2000000, "viseme_id": 0},
 ]
-AZURE_SOCKET = {
-    "Metadata": [
-        {
-            "Type": "WordBoundary",
-            "Data": {
-                "Offset": 0,
-                "Duration": 2000000,
-                "text": {"Text": "Hi", "Length": 2, "BoundaryType": "WordBoundary"},
-            },
-        },
-        {"Type": "Viseme", "Data": {"Offset": 500000, "VisemeId": 12, "IsLastAnimation": True}},
-        {
-            "Type": "WordBoundary",
-            "Data": {
-                "Offset": 2000000,
-                "Duration": 100,
-                "text": {"Text": ".", "Length": 1, "BoundaryType": "PunctuationBoundary"},
-            },
-        },
-    ]
-}
+AZURE_SOCKET = json.loads("""{"Metadata": [
+  {"Type": "WordBoundary", "Data": {"Offset": 0, "Duration": 2000000,
+    "text": {"Text": "Hi", "Length": 2, "BoundaryType": "WordBoundary"}}},
+  {"Type": "Viseme", "Data": {"Offset": 500000, "VisemeId": 12, "IsLastAnimation": true}},
+  {"Type": "WordBoundary", "Data": {"Offset": 2000000, "Duration": 100,
+    "text": {"Text": ".", "Length": 1, "BoundaryType": "PunctuationBoundary"}}}]}""")
 POLLY = [
     {"time": 0, "type": "sentence", "start": 0, "end": 7, "value": "Hi Bob."},
     {"time": 0, "type": "word", "start": 0, "end": 2, "value": "Hi"},
@@ -86,10 +64,7 @@ POLLY = [
 ]
 GOOGLE = {
     "audioContent": "UklGRg==",
-    "timepoints": [
-        {"markName": "Hi", "timeSeconds": 0.0},
-        {"markName": "Bob", "timeSeconds": 0.25},
-    ],
+    "timepoints": [{"markName": "Hi", "timeSeconds": 0}, {"markName": "Bob", "timeSeconds": 0.25}],
 }
 PIPER = {
     "sample_rate": 22050,
@@ -105,30 +80,10 @@ KOKORO = {
         {"text": ".", "phonemes": ".", "whitespace": "", "start_ts": None, "end_ts": None},
     ]
 }
-INWORLD = {
-    "result": {
-        "timestampInfo": {
-            "wordAlignment": {
-                "words": ["Hi"],
-                "wordStartTimeSeconds": [0.0],
-                "wordEndTimeSeconds": [0.2],
-                "phoneticDetails": [
-                    {
-                        "wordIndex": 0,
-                        "phones": [
-                            {
-                                "phoneSymbol": "h",
-                                "startTimeSeconds": 0,
-                                "durationSeconds": 0.1,
-                                "visemeSymbol": "aei",
-                            },
-                        ],
-                    }
-                ],
-            }
-        }
-    }
-}
+INWORLD = json.loads("""{"result": {"timestampInfo": {"wordAlignment": {"words": ["Hi"],
+  "wordStartTimeSeconds": [0.0], "wordEndTimeSeconds": [0.2], "phoneticDetails": [{"wordIndex": 0,
+    "phones": [{"phoneSymbol": "h", "startTimeSeconds": 0, "durationSeconds": 0.1,
+      "visemeSymbol": "aei"}]}]}}}}""")
 HUME = [
     {"type": "timestamp", "timestamp": {"type": kind, "text": text, "time": time}}
     for kind, text, time in (
@@ -143,66 +98,40 @@ def word(*units):
     return VendorUnits("word", units)
 
 
-@pytest.mark.parametrize(
-    ("message", "told"),
-    [
-        (ELEVENLABS, [word(*HI_BOB)]),
-        (ELEVENLABS_SOCKET, [word(*HI_BOB)]),
-        (CARTESIA, [word(*HI_BOB)]),
-        (CARTESIA_PHONEMES, [VendorUnits("phoneme", (("h", 0.0, 0.1), ("aɪ", 0.1, 0.2)), "ipa")]),
-        (AZURE_WORDS, [word(*HI_BOB)]),
-        (
-            AZURE_VISEMES,
-            [
-                VendorUnits(
-                    "viseme", (("12", 0.05, 0.125), ("11", 0.125, 0.2), ("0", 0.2, None)), "azure"
-                )
-            ],
-        ),
-        (
-            AZURE_SOCKET,
-            [VendorUnits("viseme", (("12", 0.05, None),), "azure"), word(("Hi", 0.0, 0.2))],
-        ),
-        (
-            POLLY,
-            [
-                VendorUnits("viseme", (("k", 0.006, 0.073), ("a", 0.073, None)), "polly"),
-                word(("Hi", 0.0, None), ("Bob", 0.25, None)),
-            ],
-        ),
-        (GOOGLE, [word(("Hi", 0.0, None), ("Bob", 0.25, None))]),
-        (PIPER, [VendorUnits("phoneme", (("^", 0.0, 0.1), ("h", 0.1, 0.3)), "ipa")]),
-        (
-            KOKORO,
-            [
-                VendorUnits("phoneme", (("hˈI", 0.0, 0.2), ("bˈɑb", 0.25, 0.7)), "misaki"),
-                word(("Hi", 0.0, 0.2), ("Bob", 0.25, 0.7)),
-            ],
-        ),
-        (
-            INWORLD,
-            [
-                VendorUnits("phoneme", (("h", 0.0, 0.1),), "ipa"),
-                VendorUnits("viseme", (("aei", 0.0, 0.1),), "inworld"),
-                word(("Hi", 0.0, 0.2)),
-            ],
-        ),
-        (HUME, [VendorUnits("phoneme", (("h", 0.0, 0.09),), "ipa"), word(("Hi", 0.0, 0.2))]),
-        (
-            OURS,
-            [
-                VendorUnits("phoneme", (("HH", 0.0, 0.1), ("AY", 0.1, 0.2)), "arpabet"),
-                word(("Hi", 0.0, 0.2)),
-            ],
-        ),
-    ],
-    ids=[
-        *("elevenlabs", "elevenlabs socket", "cartesia", "cartesia phonemes", "azure words"),
-        *("azure visemes", "azure socket", "polly", "google", "piper", "kokoro", "inworld"),
-        *("hume", "ours"),
-    ],
-)
-def test_each_message_tells_its_units_the_most_precise_first(message, told):
+def phoneme(alphabet, *units):
+    return VendorUnits("phoneme", units, alphabet)
+
+
+def viseme(alphabet, *units):
+    return VendorUnits("viseme", units, alphabet)
+
+
+HI = word(("Hi", 0.0, 0.2))
+STARTS = word(("Hi", 0.0, None), ("Bob", 0.25, None))
+TOLD = {
+    "elevenlabs": (ELEVENLABS, word(*HI_BOB)),
+    "elevenlabs socket": (ELEVENLABS_SOCKET, word(*HI_BOB)),
+    "cartesia": (CARTESIA, word(*HI_BOB)),
+    "cartesia phonemes": (CARTESIA_PHONEMES, phoneme("ipa", ("h", 0.0, 0.1), ("aɪ", 0.1, 0.2))),
+    "azure words": (AZURE_WORDS, word(*HI_BOB)),
+    "azure visemes": (
+        AZURE_VISEMES, viseme("azure", ("12", 0.05, 0.125), ("11", 0.125, 0.2), ("0", 0.2, None))
+    ),
+    "azure socket": (AZURE_SOCKET, viseme("azure", ("12", 0.05, None)), HI),
+    "polly": (POLLY, viseme("polly", ("k", 0.006, 0.073), ("a", 0.073, None)), STARTS),
+    "google": (GOOGLE, STARTS),
+    "piper": (PIPER, phoneme("ipa", ("^", 0.0, 0.1), ("h", 0.1, 0.3))),
+    "kokoro": (KOKORO, phoneme("misaki", ("hˈI", 0.0, 0.2), ("bˈɑb", 0.25, 0.7)),
+               word(("Hi", 0.0, 0.2), ("Bob", 0.25, 0.7))),
+    "inworld": (INWORLD, phoneme("ipa", ("h", 0.0, 0.1)), viseme("inworld", ("aei", 0.0, 0.1)), HI),
+    "hume": (HUME, phoneme("ipa", ("h", 0.0, 0.09)), HI),
+    "ours": (OURS, phoneme("arpabet", ("HH", 0.0, 0.1), ("AY", 0.1, 0.2)), HI),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TOLD)
+def test_each_message_tells_its_units_the_most_precise_first(name):
+    message, *told = TOLD[name]
     assert list(vendor_units(message)) == told
 
 
@@ -219,15 +148,12 @@ def test_every_example_of_the_page_is_read():
 def test_what_a_vendor_sends_is_told_to_a_stream_in_samples():
     words, visemes = vendor_units(CARTESIA)[0], vendor_units(AZURE_VISEMES)[0]
 
-    assert list(unit_messages(words.stream_units(24_000))) == [
-        {
-            "type": "words",
-            "units": [
-                {"label": "Hi", "start_sample": 0, "end_sample": 4800},
-                {"label": "Bob.", "start_sample": 6000, "end_sample": 16_800},
-            ],
-        }
+    units = [
+        {"label": "Hi", "start_sample": 0, "end_sample": 4800},
+        {"label": "Bob.", "start_sample": 6000, "end_sample": 16_800},
     ]
+    told = list(unit_messages(words.stream_units(24_000)))
+    assert told == [{"type": "words", "units": units}]
     assert words.alphabet is None
     assert visemes.stream_units(24_000)[1][-1] == ("0", 4800, None)
 
@@ -354,12 +280,9 @@ def test_a_message_nested_without_end_is_refused():
 
 
 def test_it_needs_the_standard_library_alone():
-    script = (
-        "import sys, lipservo_client.vendors; print({'numpy', 'websockets'} & set(sys.modules))"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
+    script = "import sys, lipservo_client.vendors; print({'numpy', 'websockets'} & {*sys.modules})"
+    command = [sys.executable, "-c", script]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True)
 
     assert answer.stdout.strip() == "set()"
 

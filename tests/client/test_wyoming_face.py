@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from voice_agents.served_face import RATE_HZ, ServedFace, tone, until
+from voice_agents.served_face import RATE_HZ, sounding_s, tone, until
 
 from lipsync.audio.playout_stream import PlayoutRequest
 
@@ -63,93 +63,70 @@ async def said(client, pcm, *, channels=1, n_bytes=2_400, ends=True):
     return None
 
 
-def sounding_s(face):
-    return np.count_nonzero(face.sound.played()) / RATE_HZ
-
-
 @pytest.mark.parametrize("channels", [1, 2])
-def test_what_a_satellite_sends_is_heard_whole_before_it_is_told_so(unused_port, channels):
+async def test_what_a_satellite_sends_is_heard_whole_before_it_is_told_so(
+    served, unused_port, channels
+):
     pcm = np.repeat(np.frombuffer(tone(0.4), "<i2"), channels).tobytes()
 
-    async def talk(url):
-        async with satellite(url, unused_port) as client:
-            await client.write_event(Describe().event())
-            info = Info.from_event(await client.read_event())
-            answers = [await said(client, pcm, channels=channels) for _ in range(2)]
-            return info, answers
-
-    with ServedFace() as face:
-        info, answers = asyncio.run(talk(face.url))
-        heard_s = sounding_s(face)
+    async with satellite(served.url, unused_port) as client:
+        await client.write_event(Describe().event())
+        info = Info.from_event(await client.read_event())
+        answers = [await said(client, pcm, channels=channels) for _ in range(2)]
+    heard_s = sounding_s(served)
 
     assert [program.name for program in info.snd] == ["lipservo"]
     assert all(Played.is_type(answer.type) for answer in answers)
     assert heard_s == pytest.approx(0.8, abs=0.01)
 
 
-def test_a_satellite_that_dies_in_mid_word_is_silent(unused_port):
-    async def talk(url):
-        async with satellite(url, unused_port) as client:
-            await said(client, tone(20.0), ends=False)
-
-    with ServedFace() as face:
-        asyncio.run(talk(face.url))
-        until(lambda: face.playout.is_over)
-        assert sounding_s(face) < 19.0
+async def test_a_satellite_that_dies_in_mid_word_is_silent(served, unused_port):
+    async with satellite(served.url, unused_port) as client:
+        await said(client, tone(20.0), ends=False)
+    await asyncio.to_thread(until, lambda: served.playout.is_over)
+    assert sounding_s(served) < 19.0
 
 
-def test_an_event_that_cannot_be_read_ends_its_client_alone(unused_port, caplog):
-    async def talk(url):
-        async with satellite(url, unused_port) as client:
-            await client.write_event(Event("audio-chunk", {"rate": "loud"}, payload=b"\0\0"))
-            assert await asyncio.wait_for(client.read_event(), 60.0) is None
-            other = AsyncTcpClient("127.0.0.1", unused_port)
-            await other.connect()
-            answer = await said(other, tone(0.1))
-            await other.disconnect()
-            return answer
-
-    with ServedFace() as face:
-        answer = asyncio.run(talk(face.url))
+async def test_an_event_that_cannot_be_read_ends_its_client_alone(served, unused_port, caplog):
+    async with satellite(served.url, unused_port) as client:
+        await client.write_event(Event("audio-chunk", {"rate": "loud"}, payload=b"\0\0"))
+        assert await asyncio.wait_for(client.read_event(), 60.0) is None
+        other = AsyncTcpClient("127.0.0.1", unused_port)
+        await other.connect()
+        answer = await said(other, tone(0.1))
+        await other.disconnect()
 
     assert Played.is_type(answer.type)
     assert "cannot be read" in caplog.text
 
 
-def test_where_no_face_answers_a_satellite_is_told_that_nothing_was_played(unused_port, caplog):
-    async def talk():
-        async with satellite("ws://127.0.0.1:9", unused_port) as client:
-            return await said(client, tone(0.2))
-
-    answer = asyncio.run(talk())
+async def test_where_no_face_answers_a_satellite_is_told_that_nothing_was_played(
+    unused_port, caplog
+):
+    async with satellite("ws://127.0.0.1:9", unused_port) as client:
+        answer = await said(client, tone(0.2))
     assert Error.is_type(answer.type)
     assert "no face answers" in Error.from_event(answer).text
     assert caplog.text.count("not said") == 1
 
 
-def test_an_announcement_that_is_cut_off_is_not_told_as_played(unused_port):
-    async def talk(face):
-        async with satellite(face.url, unused_port) as client:
-            saying = asyncio.ensure_future(said(client, tone(20.0)))
-            while not face.sound.played().any():
-                await asyncio.sleep(0.002)
-            face.playout.requests.append(PlayoutRequest("interrupt"))
-            return Error.from_event(await saying)
-
-    with ServedFace() as face:
-        assert asyncio.run(talk(face)).code == "interrupted"
+async def test_an_announcement_that_is_cut_off_is_not_told_as_played(served, unused_port):
+    async with satellite(served.url, unused_port) as client:
+        saying = asyncio.ensure_future(said(client, tone(20.0)))
+        while not served.sound.played().any():
+            await asyncio.sleep(0.002)
+        served.playout.requests.append(PlayoutRequest("interrupt"))
+        assert Error.from_event(await saying).code == "interrupted"
 
 
-def test_a_start_within_an_announcement_begins_another_and_both_are_told_as_played(unused_port):
-    async def talk(url):
-        async with satellite(url, unused_port) as client:
-            await said(client, tone(0.3), ends=False)
-            first = await said(client, tone(0.2))
-            return first, await asyncio.wait_for(client.read_event(), 60.0)
-
-    with ServedFace() as face:
-        answers = asyncio.run(talk(face.url))
-        heard_s = sounding_s(face)
+async def test_a_start_within_an_announcement_begins_another_and_both_are_told_as_played(
+    served, unused_port
+):
+    async with satellite(served.url, unused_port) as client:
+        await said(client, tone(0.3), ends=False)
+        first = await said(client, tone(0.2))
+        answers = first, await asyncio.wait_for(client.read_event(), 60.0)
+    heard_s = sounding_s(served)
 
     assert [answer.type for answer in answers] == ["played", "played"]
     assert heard_s == pytest.approx(0.5, abs=0.01)
@@ -164,57 +141,44 @@ async def two_satellites(url, port):
         await other.disconnect()
 
 
-def test_announcements_of_two_satellites_are_heard_one_after_the_other(unused_port):
-    async def talk(url):
-        async with two_satellites(url, unused_port) as (one, other):
-            return await asyncio.gather(said(one, tone(1.0)), said(other, tone(0.5)))
-
-    with ServedFace() as face:
-        answers = asyncio.run(talk(face.url))
-        heard_s = sounding_s(face)
+async def test_announcements_of_two_satellites_are_heard_one_after_the_other(served, unused_port):
+    async with two_satellites(served.url, unused_port) as (one, other):
+        answers = await asyncio.gather(said(one, tone(1.0)), said(other, tone(0.5)))
+    heard_s = sounding_s(served)
 
     assert [answer.type for answer in answers] == ["played", "played"]
     assert heard_s == pytest.approx(1.5, abs=0.02)
 
 
-def test_a_satellite_that_falls_silent_within_an_announcement_holds_up_no_other(
-    unused_port, monkeypatch
+async def test_a_satellite_that_falls_silent_within_an_announcement_holds_up_no_other(
+    served, unused_port, monkeypatch
 ):
     monkeypatch.setattr(wyoming_face, "_SILENT_S", 0.3)
 
-    async def talk(url):
-        async with two_satellites(url, unused_port) as (silent, other):
-            await said(silent, tone(0.2), ends=False)
-            last = await said(other, tone(0.2))
-            return await asyncio.wait_for(silent.read_event(), 60.0), last
-
-    with ServedFace() as face:
-        answers = asyncio.run(talk(face.url))
-        heard_s = sounding_s(face)
+    async with two_satellites(served.url, unused_port) as (silent, other):
+        await said(silent, tone(0.2), ends=False)
+        last = await said(other, tone(0.2))
+        answers = await asyncio.wait_for(silent.read_event(), 60.0), last
+    heard_s = sounding_s(served)
 
     assert [answer.type for answer in answers] == ["played", "played"]
     assert heard_s == pytest.approx(0.4, abs=0.02)
 
 
-def test_a_satellite_that_is_lost_within_a_chunk_holds_up_no_other_and_speaks_again(
-    unused_port, monkeypatch
+async def test_a_satellite_that_is_lost_within_a_chunk_holds_up_no_other_and_speaks_again(
+    served, unused_port, monkeypatch
 ):
     monkeypatch.setattr(wyoming_face, "_SILENT_S", 0.3)
 
-    async def talk(url):
-        async with two_satellites(url, unused_port) as (lost, other):
-            await said(lost, tone(0.2), ends=False)
-            header = b'{"type": "audio-chunk", "data": {"rate": 24000, "width": 2, "channels": 1}'
-            lost._writer.write(header + b', "payload_length": 2400}\n' + tone(0.02))
-            last = await said(other, tone(0.2))
-            lost._writer.write(tone(0.03))
-            await lost.write_event(AudioStop().event())
-            answers = [await asyncio.wait_for(lost.read_event(), 60.0) for _ in range(2)]
-            return last, *answers
-
-    with ServedFace() as face:
-        answers = asyncio.run(talk(face.url))
-        heard_s = sounding_s(face)
+    async with two_satellites(served.url, unused_port) as (lost, other):
+        await said(lost, tone(0.2), ends=False)
+        header = b'{"type": "audio-chunk", "data": {"rate": 24000, "width": 2, "channels": 1}'
+        lost._writer.write(header + b', "payload_length": 2400}\n' + tone(0.02))
+        last = await said(other, tone(0.2))
+        lost._writer.write(tone(0.03))
+        await lost.write_event(AudioStop().event())
+        answers = [last, *[await asyncio.wait_for(lost.read_event(), 60.0) for _ in range(2)]]
+    heard_s = sounding_s(served)
 
     assert [answer.type for answer in answers] == ["played"] * 3
     assert heard_s == pytest.approx(0.45, abs=0.02)

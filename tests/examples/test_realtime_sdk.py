@@ -31,32 +31,6 @@ def item_events(item_id, duration_s):
     yield realtime.ResponseAudioDoneEvent(type="response.output_audio.done", event_id="e", **about)
 
 
-def test_a_barge_in_truncates_what_is_said_where_it_was_heard_and_what_is_queued_at_its_start():
-    started = realtime.InputAudioBufferSpeechStartedEvent(
-        type="input_audio_buffer.speech_started", event_id="s", item_id="u", audio_start_ms=9
-    )
-
-    async def talk(face):
-        async with lipservo.connect_async(face.url) as connection:
-            voice = example().RealtimeVoice(connection)
-            for item_id, duration_s in (("first", 0.2), ("second", 20.0), ("third", 5.0)):
-                for event in item_events(item_id, duration_s):
-                    assert await voice.hear(event) == []
-            while len(face.sound.played().nonzero()[0]) < 24_000:
-                await asyncio.sleep(0.002)
-            return await voice.hear(started)
-
-    with ServedFace() as face:
-        answers = asyncio.run(talk(face))
-
-    second, third = answers  # the first was heard whole, and is left alone
-    assert (second["item_id"], third["item_id"]) == ("second", "third")
-    assert 0 < second["audio_end_ms"] < 20_000
-    assert third["audio_end_ms"] == 0
-    sent = [realtime.ConversationItemTruncateEvent(**answer) for answer in answers]
-    assert [each.type for each in sent] == ["conversation.item.truncate"] * 2
-
-
 def delta(item_id, duration_s):
     return next(item_events(item_id, duration_s))
 
@@ -82,6 +56,23 @@ def talked(work, **given):
 
     with ServedFace(**given) as face:
         return asyncio.run(asyncio.wait_for(talk(face), 60.0))
+
+
+def test_a_barge_in_truncates_what_is_said_where_it_was_heard_and_what_is_queued_at_its_start():
+    async def work(voice, face):
+        for item_id, duration_s in (("first", 0.2), ("second", 20.0), ("third", 5.0)):
+            for event in item_events(item_id, duration_s):
+                assert await voice.hear(event) == []
+        await sounding(face, 24_000)
+        return await voice.hear(started())
+
+    answers, _ = talked(work)
+    second, third = answers  # the first was heard whole, and is left alone
+    assert (second["item_id"], third["item_id"]) == ("second", "third")
+    assert 0 < second["audio_end_ms"] < 20_000
+    assert third["audio_end_ms"] == 0
+    sent = [realtime.ConversationItemTruncateEvent(**answer) for answer in answers]
+    assert [each.type for each in sent] == ["conversation.item.truncate"] * 2
 
 
 def test_what_still_comes_of_a_cancelled_item_is_not_spoken():
@@ -128,14 +119,9 @@ def test_a_barge_in_is_heard_while_the_face_takes_no_more_sound():
 
 
 def test_an_item_of_which_only_the_transcript_came_is_deleted_and_not_truncated():
+    about = {"item_id": "told", "response_id": "r", "output_index": 0, "content_index": 0}
     told = realtime.ResponseAudioTranscriptDeltaEvent(
-        type="response.output_audio_transcript.delta",
-        event_id="t",
-        delta="Good morning",
-        item_id="told",
-        response_id="r",
-        output_index=0,
-        content_index=0,
+        type="response.output_audio_transcript.delta", event_id="t", delta="Good morning", **about
     )
 
     async def work(voice, _face):

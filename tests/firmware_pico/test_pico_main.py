@@ -82,21 +82,19 @@ def powered(interpreter, folder, grounded=""):
         env=os.environ | {"PULSES": str(log), "GROUNDED": grounded},
     )
     os.close(board_side)
+    board = Board(process, log, port)
     try:
-        yield Board(process, log, port)
+        if not grounded:
+            board.wait_for(lambda: ["chip", "watchdog", 2000] in board.rows())
+        yield board
     finally:
         process.kill()
         process.wait(PATIENCE_S)
         os.close(port)
 
 
-def alive(board):
-    return ["chip", "watchdog", 2000] in board.rows()
-
-
 def test_pulses_start_with_a_command_and_stop_with_silence(interpreter, tmp_path):
     with powered(interpreter, tmp_path) as board:
-        board.wait_for(lambda: alive(board))
         assert ["chip", "Ctrl-C", -1] in board.rows()
         assert board.pulses_us() == dict.fromkeys(PINS, 0.0)
         assert {row[1] for row in board.rows() if row[0] != "chip"} == {50}
@@ -123,7 +121,6 @@ def test_pulses_start_with_a_command_and_stop_with_silence(interpreter, tmp_path
 
 def test_bytes_without_end_for_another_keep_no_pulse_alive(interpreter, tmp_path):
     with powered(interpreter, tmp_path) as board:
-        board.wait_for(lambda: alive(board))
         board.tell("84 00 70 2e")
         board.wait_for(lambda: board.pulses_us()[2] == 1500.0)
         end = time.monotonic() + PATIENCE_S
@@ -135,7 +132,6 @@ def test_bytes_without_end_for_another_keep_no_pulse_alive(interpreter, tmp_path
 
 def test_a_program_that_raises_leaves_no_pulses(interpreter, tmp_path):
     with powered(interpreter, tmp_path) as board:
-        board.wait_for(lambda: alive(board))
         board.tell("9f 02 00 70 2e 70 2e")
         board.wait_for(lambda: board.pulses_us()[3] == 1500.0)
         (tmp_path / "pulses.jsonl.raise").touch()
@@ -151,7 +147,6 @@ def test_a_pin_to_ground_gives_the_prompt(interpreter, tmp_path):
 
 def test_the_doctor_finds_it_and_its_timeout(interpreter, tmp_path):
     with powered(interpreter, tmp_path) as board:
-        board.wait_for(lambda: alive(board))
         name = os.ttyname(board.port)
         wiring = on_maestro(load_shipped_face("face_jaw"), port=name, model="pico")
         # On a busy computer the board's own process may sleep through its half second.

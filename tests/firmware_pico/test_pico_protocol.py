@@ -254,11 +254,8 @@ FACE = load_shipped_face("face_four")
 
 @pytest.mark.parametrize("device", [None, 12])
 def test_the_bridge_drives_it_and_its_pulses_end_when_the_bridge_is_gone(device):
-    wiring, clock, board = (
-        on_maestro(FACE, model="pico", device=device),
-        ManualClock(),
-        PicoDevice(),
-    )
+    clock, board = ManualClock(), PicoDevice()
+    wiring = on_maestro(FACE, model="pico", device=device)
     controller = MaestroController(wiring, lambda: MemoryTransport(board, clock, BAUD_RATE))
     can = MAESTRO.capabilities(wiring.settings)
     channel, n = MemoryTargetChannel(), len(wiring.joints)

@@ -4,10 +4,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from lipservo_lab.own_processes import started
+from lipservo_lab.seen_processes import state_of
 
 SLEEPS = [sys.executable, "-c", "import time; print('up', flush=True); time.sleep(600)"]
 #: Sleeps on when it is asked to end.
@@ -23,13 +23,6 @@ BENCH = (
     "with started([sys.executable, '-c', 'import time; time.sleep(600)']) as process:\n"
     "    print(process.pid, flush=True); time.sleep(600)\n"
 )
-
-
-def is_alive(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.parametrize("command", [SLEEPS, STUBBORN])
@@ -48,6 +41,6 @@ def test_a_bench_that_is_ended_leaves_nothing_behind(number):
         bench.send_signal(number)
 
     give_up_s = time.monotonic() + 30.0
-    while is_alive(pid):
+    while state_of(pid):
         assert time.monotonic() < give_up_s
         time.sleep(0.02)

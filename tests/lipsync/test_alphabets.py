@@ -77,19 +77,15 @@ def test_x_sampa_is_ipa_in_ascii():
         ("Q", "polly", "'Q' is not a viseme of polly, which has: sil p"),
         ("q", "", "'q' is not an ARPAbet phoneme; write SIL"),
         ("AH9", "arpabet", "'AH9' is not an ARPAbet phoneme"),
-        (
-            "m",
-            "klingon",
-            "alphabet 'klingon' is not known; use one of: arpabet, ipa, x-sampa, ",
-        ),
-        ("x" * 1000, "azure", "... is not a viseme of azure"),
+        ("m", "klingon", "alphabet 'klingon' is not known; use one of: arpabet, ipa, x-sampa, "),
+        ("x" * 1000, "azure", " is not a viseme of azure"),
     ],
 )
 def test_an_unknown_label_or_alphabet_is_one_line_that_says_what_there_is(label, alphabet, error):
     with pytest.raises(AlphabetError) as raised:
         phones_of(label, alphabet)
 
-    assert error.removeprefix("... ") in str(raised.value)
+    assert error in str(raised.value)
     assert len(str(raised.value)) < 300
     assert "\n" not in str(raised.value)
 

@@ -28,11 +28,9 @@ def test_each_layout_knows_its_lips_and_whether_they_touch():
     assert [len(layout.lips) for layout in LAYOUTS.values()] == [12, 20, 40]
     assert [layout.has_inner_lips for layout in LAYOUTS.values()] == [False, True, True]
     for layout in LAYOUTS.values():
-        gap = [layout.names[layout.upper_lip], layout.names[layout.lower_lip]]
+        gap = f"{layout.names[layout.upper_lip]} {layout.names[layout.lower_lip]}"
         outer = layout is MARKERS_39
-        assert gap == (
-            ["outer_lip_0", "outer_lip_17"] if outer else ["inner_lip_13", "inner_lip_14"]
-        )
+        assert gap == ("outer_lip_0 outer_lip_17" if outer else "inner_lip_13 inner_lip_14")
         assert {layout.upper_lip, layout.lower_lip} <= set(layout.lips)
 
 

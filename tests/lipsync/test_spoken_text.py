@@ -22,6 +22,10 @@ def words(*units):
     return SpokenText("word", tuple(SpokenUnit(*unit) for unit in units), RATE_HZ)
 
 
+def text(label, *place):
+    return SpokenText("text", (SpokenUnit(label, *place),), RATE_HZ)
+
+
 def test_a_correction_replaces_what_was_said_from_its_first_sample_on():
     first = words(("recognise", 0, 8_000), ("speech", 8_000, 16_000), ("please", 16_000, 20_000))
     later = words(("wreck", 0, 3_000), ("a", 3_000, 4_000), ("nice", 4_000, 8_000))
@@ -32,44 +36,33 @@ def test_a_correction_replaces_what_was_said_from_its_first_sample_on():
 
 
 def test_units_without_times_follow_those_that_are_there():
-    assert [u.label for u in words(("good", 0, 10)).revised(words(("day",))).units] == [
-        "good",
-        "day",
-    ]
+    revised = words(("good", 0, 10)).revised(words(("day",)))
+    assert [u.label for u in revised.units] == ["good", "day"]
 
 
 def test_phonemes_with_times_are_events_in_seconds():
-    said = SpokenText(
-        "phoneme", (SpokenUnit("HH", 0, 1_600), SpokenUnit("AY", 1_600, 8_000)), RATE_HZ
-    )
+    units = SpokenUnit("HH", 0, 1_600), SpokenUnit("AY", 1_600, 8_000)
+    said = SpokenText("phoneme", units, RATE_HZ)
 
     assert said.events() == (PhonemeEvent("HH", 0.0, 0.1), PhonemeEvent("AY", 0.1, 0.5))
 
 
 def test_visemes_that_only_begin_last_until_the_next_and_the_last_a_while():
-    said = SpokenText(
-        "viseme",
-        (SpokenUnit("M", 1_600), SpokenUnit("AA", 3_200), SpokenUnit("SIL", 4_800)),
-        16_000,
-    )
+    units = SpokenUnit("M", 1_600), SpokenUnit("AA", 3_200), SpokenUnit("SIL", 4_800)
+    events = SpokenText("viseme", units, RATE_HZ).events()
 
-    assert said.events() == (
-        PhonemeEvent("M", 0.1, 0.2),
-        PhonemeEvent("AA", 0.2, 0.3),
-        PhonemeEvent("SIL", 0.3, 0.6),
-    )
+    told = [(event.phoneme, event.start_s, event.end_s) for event in events]
+    assert told == [("M", 0.1, 0.2), ("AA", 0.2, 0.3), ("SIL", 0.3, 0.6)]
 
 
 def test_a_text_without_times_is_corrected_from_the_first_sample_on():
-    first = SpokenText("text", (SpokenUnit("Wreck a nice beach."),), RATE_HZ)
-    again = SpokenText("text", (SpokenUnit("Recognise speech.", 0),), RATE_HZ)
+    again = text("Recognise speech.", 0)
 
-    assert first.revised(again).units == again.units
+    assert text("Wreck a nice beach.").revised(again).units == again.units
 
 
 def test_of_more_text_than_an_hour_has_the_newest_is_kept():
-    page = SpokenText("text", (SpokenUnit("x" * LONGEST_TEXT),), RATE_HZ)
-    said = page
+    said = page = text("x" * LONGEST_TEXT)
     for _ in range(9):
         said = said.revised(page)
 
@@ -77,26 +70,19 @@ def test_of_more_text_than_an_hour_has_the_newest_is_kept():
 
 
 def test_text_that_goes_on_corrects_nothing_however_long_it_was():
-    page = SpokenText("text", (SpokenUnit("x" * LONGEST_TEXT, 0),), RATE_HZ)
-    said = page
+    said = text("x" * LONGEST_TEXT, 0)
     for n in range(1, 9):
-        later = SpokenText("text", (SpokenUnit("x" * LONGEST_TEXT, 100 * n),), RATE_HZ)
+        later = text("x" * LONGEST_TEXT, 100 * n)
         assert not said.is_corrected_by(later)
         said = said.revised(later)
 
-    assert said.is_corrected_by(SpokenText("text", (SpokenUnit("y", 750),), RATE_HZ))
+    assert said.is_corrected_by(text("y", 750))
 
 
 def test_visemes_at_a_thousand_a_second_are_a_hundred():
-    labels = ("M", "AA")
-    said = SpokenText(
-        "viseme",
-        tuple(SpokenUnit(labels[n % 2], 16 * n, 16 * n + 16) for n in range(1_000)),
-        RATE_HZ,
-    )
-
+    units = [SpokenUnit(("M", "AA")[n % 2], 16 * n, 16 * n + 16) for n in range(1_000)]
+    said = SpokenText("viseme", tuple(units), RATE_HZ)
     events = said.events()
-
     assert len(events) == 100
     assert all(e.end_s == pytest.approx(e.start_s + 0.01) for e in events)
     assert said.events(8_000, 9_599) == events[50:60]
@@ -125,7 +111,7 @@ def test_words_move_no_mouth_by_themselves():
     with pytest.raises(SpokenTextError, match="need times"):
         words(("hello", 0, 10)).events()
     with pytest.raises(SpokenTextError, match="cannot continue"):
-        words(("hello", 0, 10)).revised(SpokenText("text", (SpokenUnit("hello"),), RATE_HZ))
+        words(("hello", 0, 10)).revised(text("hello"))
 
 
 SPANS = st.lists(st.integers(0, 1_000), max_size=30).map(sorted)

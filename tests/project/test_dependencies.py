@@ -1,12 +1,12 @@
 """Whatever a distribution imports is declared in its pyproject.toml, and the other way round."""
 
-import ast
 import re
 import sys
 import tomllib
 
 import pytest
 from places import ROOT
+from source_tree import MODULES, imported
 
 from lipsync.errors import EXTRA_OF, MissingExtraError, check_extra
 
@@ -62,20 +62,16 @@ def distribution(library: str) -> str:
 
 
 def imported_libraries(name: str) -> dict[str, str]:
-    """Every library of somebody else's that a distribution imports, and one file that does."""
-    found = {}
-    folder, packages = DISTRIBUTIONS[name]
-    for path in (path for package in packages for path in (folder / package).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            modules = []
-            if isinstance(node, ast.Import):
-                modules = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                modules = [node.module or ""]
-            for library in {module.split(".")[0] for module in modules}:
-                found[library] = str(path.relative_to(ROOT))
+    """Every library of somebody else's that a distribution imports, and one module that does."""
+    _, packages = DISTRIBUTIONS[name]
+    found = {
+        library.split(".")[0]: module
+        for module in MODULES
+        if module.split(".")[0] in packages
+        for library in imported(module)
+    }
     ours = {*OUR_PACKAGES, *sys.stdlib_module_names}
-    return {library: path for library, path in found.items() if library not in ours}
+    return {library: module for library, module in found.items() if library not in ours}
 
 
 @pytest.mark.parametrize("name", DISTRIBUTIONS)

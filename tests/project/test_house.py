@@ -42,21 +42,9 @@ def test_a_room_keeps_to_its_budget(room, lines):
 
 def test_documenting_costs_nothing():
     plain = "def f(a):\n    return (\n        a\n    )\n"
-    told = [
-        '"""Module."""',
-        "",
-        "# Of f.",
-        "def f(a):",
-        '    """Say.',
-        "",
-        "    More.",
-        '    """',
-        "    return (",
-        "        a",
-        "    )",
-    ]
+    told = plain.replace("):\n", '):\n    """Say.\n\n    More.\n    """\n')
 
-    assert code_lines(plain) == code_lines("\n".join(told) + "\n") == 4
+    assert code_lines(plain) == code_lines(f'"""Module."""\n\n# Of f.\n{told}') == 4
 
 
 def test_every_folder_of_ours_is_counted_and_no_built_copy(tmp_path):

@@ -94,35 +94,38 @@ def test_every_live_place_exists():
     assert set(MODULES) >= LIVE_MODULES
 
 
-@pytest.mark.parametrize(
-    "module",
-    [
-        "firmware_bridge.loop.bridge",
-        "firmware_bridge.simulator.bus",
-        "lipservo.settings.settings",
-        "lipsync.recognition.network_recognizer",
-        "lipsync.recognition.fallback",
-        "lipservo.runtime.servos.assembly",
-        "lipservo.dashboard.pages.pages",
-        "lipservo.dashboard.web.serving",
-        "lipservo.dashboard.web.photo_routes",
-        "lipservo.dashboard.twin.element",
-    ],
-)
-def test_the_live_path_starts_without_heavy_libraries(module):
-    heavy = {"sklearn", "scipy", "torch", "sounddevice"}
-    script = f"import sys, {module}; print(*sorted({heavy} & set(sys.modules)))"
-    answer = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+def printed(script, *arguments):
+    """What a process of its own prints that runs these lines, as `lipservo` with arguments."""
+    command = [sys.executable, "-c", f"import sys; sys.argv[1:] = {arguments}\n{script}"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
 
-    assert answer.stdout.split() == []
+
+#: lipservo as it is typed, and its exit status.
+MAIN = (
+    "from lipservo.__main__ import main\n"
+    "try:\n    main()\n"
+    "except SystemExit as end:\n    ended = end.code\n"
+)
+HEAVY = "print(*sorted({'sklearn', 'scipy', 'torch', 'sounddevice'} & set(sys.modules)))"
+
+
+def test_the_live_path_starts_without_heavy_libraries():
+    """Whichever of these modules loads one first is named before it."""
+    live = (
+        *("firmware_bridge.loop.bridge", "firmware_bridge.simulator.bus"),
+        *("lipservo.settings.settings", "lipservo.runtime.servos.assembly"),
+        *("lipsync.recognition.network_recognizer", "lipsync.recognition.fallback"),
+        *("lipservo.dashboard.pages.pages", "lipservo.dashboard.web.serving"),
+        *("lipservo.dashboard.web.photo_routes", "lipservo.dashboard.twin.element"),
+    )
+    script = "\n".join(f"import {module}; print('{module}:', end=' '); {HEAVY}" for module in live)
+
+    assert printed(script).splitlines() == [f"{module}: " for module in live]
 
 
 def test_a_face_in_memory_loads_nothing_that_speaks_to_a_servo():
     """Of Dynamixel, as which its servos are written down, the tables and the checks alone."""
     script = (
-        "import sys\n"
         "from firmware_bridge.clock import ManualClock\n"
         "from lipservo.runtime.servos.assembly import bus_for, load_settings\n"
         "face, _ = load_settings('face_sim')\n"
@@ -130,11 +133,8 @@ def test_a_face_in_memory_loads_nothing_that_speaks_to_a_servo():
         "print(*sorted(n for n in sys.modules if n.startswith(('firmware_bridge.dynamixel.', "
         "'serial', 'firmware_bridge.simulator.'))))"
     )
-    answer = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
 
-    assert answer.stdout.split() == [
+    assert printed(script).split() == [
         "firmware_bridge.dynamixel.control_table",
         "firmware_bridge.dynamixel.kind",
         "firmware_bridge.dynamixel.settings",
@@ -144,48 +144,27 @@ def test_a_face_in_memory_loads_nothing_that_speaks_to_a_servo():
 
 
 def test_a_whole_replay_loads_no_training_library():
-    script = (
-        "import sys; sys.argv[1:] = ['replay', 'lipservo/clips/welcome.flac', '-q']\n"
-        "from lipservo.__main__ import main\n"
-        "try:\n    main()\n"
-        "except SystemExit as end:\n    assert not end.code\n"
-        "print(*sorted({'sklearn', 'scipy', 'torch', 'sounddevice'} & set(sys.modules)))"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    replay = ("replay", "lipservo/clips/welcome.flac", "-q")
 
-    assert answer.stdout.split() == []
+    assert printed(f"{MAIN}assert not ended\n{HEAVY}", *replay).split() == []
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["stop", "--control", "/none.sock"],
-        ["status", "--control", "/none.sock"],
-        ["limp", "--help"],
+        ("stop", "--control", "/none.sock"),
+        ("status", "--control", "/none.sock"),
+        ("limp", "--help"),
     ],
     ids=["stop", "status", "limp"],
 )
 def test_whoever_stands_beside_the_robot_waits_for_no_numpy(arguments):
-    script = (
-        f"import sys; sys.argv[1:] = {arguments}\n"
-        "from lipservo.__main__ import main\n"
-        "try:\n    main()\n"
-        "except SystemExit:\n    pass\n"
-        "print('numpy' in sys.modules)"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    said = printed(f"{MAIN}print('numpy' in sys.modules)", *arguments)
 
-    assert answer.stdout.splitlines()[-1] == "False"
+    assert said.splitlines()[-1] == "False"
 
 
 def test_reading_settings_does_not_load_numpy():
-    script = "import sys, lipservo.settings.settings; print('numpy' in sys.modules)"
-    answer = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    script = "import lipservo.settings.settings; print('numpy' in sys.modules)"
 
-    assert answer.stdout.strip() == "False"
+    assert printed(script) == "False\n"

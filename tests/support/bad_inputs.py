@@ -1,15 +1,10 @@
-"""Command lines that cannot work, run in one process, and what becomes of each.
-
-`python tests/support/bad_inputs.py` prints the figures of the whole table as JSON.
-"""
+"""Command lines that cannot work, run in one process, and what becomes of each."""
 
 import contextlib
 import io
-import json
 import os
 import shlex
 import sys
-import tempfile
 import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -143,21 +138,3 @@ def _contents(folder: Path) -> dict[str, object]:
         is_folder = path.is_dir() and not path.is_symlink()
         found[str(path)] = () if is_folder else (told.st_ino, told.st_size, told.st_mtime_ns)
     return found
-
-
-def figures() -> dict[str, object]:
-    """Of the whole table. half_written: cases that left, lost or changed any file."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        make_files(folder)
-        outcomes = [run(line, folder) for line in command_lines()]
-    return {
-        "cases": len(outcomes),
-        "tracebacks": sum(outcome.is_traceback for outcome in outcomes),
-        "half_written": sum(bool(outcome.changed) for outcome in outcomes),
-        "unclear": sum(not outcome.complaints for outcome in outcomes),
-    }
-
-
-if __name__ == "__main__":
-    sys.stdout.write(json.dumps(figures()) + "\n")

@@ -1,16 +1,15 @@
 """Hobby servos: a bus in memory from which nothing comes back, and a face of them on a Maestro."""
 
-from dataclasses import replace
+import math
 from typing import ClassVar
 
 import yaml
 
-from firmware_bridge.bus_kinds import BusKind, Wiring
+from firmware_bridge.bus_kinds import BusKind
 from firmware_bridge.bus_settings import BusServo, BusSettings
 from firmware_bridge.capabilities import BusCapabilities
-from firmware_bridge.maestro.settings import MaestroSettings
-from firmware_bridge.pulse_servos import PulseServo
 from firmware_bridge.simulator.bus import SimulatedBus
+from lipservo.settings.settings import parse_face
 
 WORDS = "pulses off; a digital servo may hold"
 PULSES = BusCapabilities(hold=True, pulse_rate_hz=50.0, released_words=WORDS)
@@ -66,23 +65,7 @@ PULSES_KIND = HobbyKind()
 
 def on_maestro(face, port=None, **bus):
     """The wiring of the joints of any face, as if their servos hung on a Maestro."""
-    joints = [
-        replace(joint, servo_id=n, address_key="channel") for n, joint in enumerate(face.joints())
-    ]
-    servos = [
-        PulseServo(
-            channel=joint.servo_id,
-            positive="opens",
-            min_deg=joint.min_deg,
-            max_deg=joint.max_deg,
-            max_speed_deg_s=joint.max_speed_deg_s,
-            us_per_deg=10.0,
-        )
-        for joint in joints
-    ]
-    joints = [replace(each, pulse=servo.pulse) for each, servo in zip(joints, servos, strict=True)]
-    settings = MaestroSettings(**{"model": "micro6", "port": port} | bus)
-    return Wiring(settings, tuple(joints), tuple(servos), 50.0)
+    return parse_face(on_maestro_yaml(face, port=port, **bus), "face.yaml").wiring
 
 
 def on_maestro_yaml(face, **bus):
@@ -96,16 +79,20 @@ def on_pca9685(face, **bus):
 
 
 def _yaml(face, bus):
+    return face_yaml(face, bus, lambda n: {"channel": n, "us_per_deg": 10.0})
+
+
+def face_yaml(face, bus, servo, fastest_deg_s=math.inf):
+    """The YAML of a face with the joints of another; servo: the keys of its bus, of the nth."""
     servos = {
         joint.name: {
-            "channel": channel,
+            **servo(n),
             "positive": "opens",
             "min_deg": joint.min_deg,
             "max_deg": joint.max_deg,
-            "max_speed_deg_s": joint.max_speed_deg_s,
-            "us_per_deg": 10.0,
+            "max_speed_deg_s": min(joint.max_speed_deg_s, fastest_deg_s),
         }
-        for channel, joint in enumerate(face.joints())
+        for n, joint in enumerate(face.joints())
     }
-    face = {"name": "pulses", "rate_hz": 50, "bus": bus, "servos": servos}
+    face = {"name": bus["kind"], "rate_hz": 50, "bus": bus, "servos": servos}
     return yaml.safe_dump(face, sort_keys=False)

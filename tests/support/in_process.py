@@ -20,3 +20,12 @@ def lipservo(*arguments: object) -> subprocess.CompletedProcess[str]:
     finally:
         sys.argv = before
     return subprocess.CompletedProcess(sys.argv, status, stdout.getvalue(), stderr.getvalue())
+
+
+def refused(*arguments: object, notes: bool = False) -> str:
+    """The one line of a command that fails; notes: others may come before it."""
+    done = lipservo(*arguments)
+    assert done.returncode in (1, 2), done.stderr
+    *before, line = done.stderr.splitlines()
+    assert notes or not before, before
+    return line

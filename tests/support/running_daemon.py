@@ -16,23 +16,15 @@ from firmware_bridge.process.control_client import ask
 from firmware_bridge.serial_servos.serial_transport import open_port
 
 BAUD_RATE = 1_000_000
-
-
 IDS = range(11, 21)
-
-
 #: Far more than anything here takes, even on a busy machine.
 PATIENCE_S = 120.0
-
-
 LIPSERVO = [sys.executable, "-m", "lipservo"]
 
 
 def own_folder(monkeypatch):
     """Faces of this test only."""
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    session = short_folder()
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(short_folder()))
 
 
 @contextlib.contextmanager
@@ -98,7 +90,7 @@ def child(process, name):
     return int(lines[-1].split()[-1])
 
 
-def torque(port, ids=IDS):
+def torque(port, ids=IDS, baud_rate=BAUD_RATE):
     """torque_enable of every servo, read by a second program once the first is gone.
 
     On a busy computer the first may hold the port a moment longer, and an answer may come too late.
@@ -106,7 +98,7 @@ def torque(port, ids=IDS):
     give_up_s = time.monotonic() + PATIENCE_S
     while True:
         try:
-            with contextlib.closing(open_port(port, BAUD_RATE)) as transport:
+            with contextlib.closing(open_port(port, baud_rate)) as transport:
                 line = Line(transport)
                 answers = [line.read(each, 64, 1) for each in ids]
         except PortError:

@@ -1,10 +1,12 @@
 """Writes a made-up corpus folder in the layout of grid_s1: a face that opens and turns."""
 
 import json
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
 import soundfile
+from label_files import textgrid
 
 from lipsync.markers import MARKERS_47
 
@@ -62,26 +64,8 @@ def turn(points: np.ndarray, angle_rad: np.ndarray, scale: float) -> np.ndarray:
 
 def text_grid(phones: list[tuple[str, float]]) -> str:
     """A Praat TextGrid with a `words` and a `phones` tier."""
-    end_s = sum(duration for _, duration in phones)
-    lines = [
-        'File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0",
-        f"xmax = {end_s}", "tiers? <exists>", "size = 2", "item []:",
-    ]  # fmt: skip
-    for number, (tier, intervals) in enumerate(
-        (("words", [("", end_s / 2), ("word", end_s / 2)]), ("phones", phones)), start=1
-    ):
-        lines += [
-            f"item [{number}]:", 'class = "IntervalTier"', f'name = "{tier}"', "xmin = 0",
-            f"xmax = {end_s}", f"intervals: size = {len(intervals)}",
-        ]  # fmt: skip
-        start_s = 0.0
-        for i, (label, duration_s) in enumerate(intervals, start=1):
-            stop_s = end_s if i == len(intervals) else start_s + duration_s
-            lines += [
-                f"intervals [{i}]:",
-                f"xmin = {start_s}",
-                f"xmax = {stop_s}",
-                f'text = "{label}"',
-            ]
-            start_s = stop_s
-    return "\n".join(lines) + "\n"
+    edges_s = list(accumulate((duration for _, duration in phones), initial=0.0))
+    rows = [(label, *times) for (label, _), times in zip(phones, pairwise(edges_s), strict=True)]
+    return textgrid(
+        {"words": [("word", edges_s[-1] / 2, edges_s[-1])], "phones": rows}, edges_s[-1]
+    )

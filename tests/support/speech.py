@@ -4,6 +4,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import soundfile
 from numpy.typing import NDArray
 
 from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
@@ -18,6 +19,13 @@ def tone(rate_hz: int, duration_s: float = 0.5) -> NDArray[np.float64]:
     """A sine of `TONE_HZ` at half of full scale."""
     n_samples = round(duration_s * rate_hz)
     return 0.5 * np.sin(2 * np.pi * TONE_HZ * np.arange(n_samples) / rate_hz)
+
+
+def clip_start(folder: Path, duration_s: float = 1.5) -> Path:
+    """A file of the first seconds of the clip."""
+    samples, rate_hz = soundfile.read(CLIP_PATH)
+    soundfile.write(folder / "start.wav", samples[: round(duration_s * rate_hz)], rate_hz)
+    return folder / "start.wav"
 
 
 def cut_short(path: Path, share: float) -> None:

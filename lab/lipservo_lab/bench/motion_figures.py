@@ -77,11 +77,6 @@ class Question:
     phonemes: str
     words: frozenset[str] | None
 
-    @property
-    def compares(self) -> bool:
-        """Whether methods are to be compared, not one looked at."""
-        return len(self.methods) > 1
-
 
 def question(
     strategies: str | None,
@@ -159,7 +154,7 @@ def score_model(model: TrainedModel, corpus: Corpus, question: Question, track: 
 
 
 def paper_rows(model: TrainedModel, unseen: Corpus, corpus: Corpus) -> dict[str, list[Row]]:
-    """Return rows of Figures 1 and 6 and Tables 2 and 3 of Wei and Deng, by the live recogniser.
+    """Return rows of Table 2 and Figure 6 of Wei and Deng, by the live recogniser.
 
     unseen: the sentences that are scored. corpus: if it holds sentences that the model was trained
     on, the paper's method as printed is built from these and scored as well.

@@ -1,16 +1,10 @@
-"""A face driven for days on a virtual clock: what grows, and what the auditor saw meanwhile.
+"""A face driven for days on a virtual clock: what grows, and what the auditor saw meanwhile."""
 
-The figures are of one session, or of several that go on from a file.
-"""
-
-import json
-import math
 import os
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Any, Final
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Final
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
@@ -25,8 +19,6 @@ from lipservo.runtime.summary import resident_mb
 from lipservo_lab.campaigns.auditor import Auditor
 from lipservo_lab.campaigns.chain_trials import BAUD_RATE, face
 from lipservo_lab.campaigns.fault_campaign import wanted_deg
-from lipsync.errors import UserError
-from lipsync.output_file import check_output, write_whole
 
 #: As on a fair bus: now and then a packet is lost or damaged, and the plug is pulled. Leaks show
 #: where things go wrong.
@@ -107,7 +99,7 @@ def endure(
     warm, start_s, n_done = (0.0, 0), time.process_time(), 0
 
     def so_far() -> Endurance:
-        """Return the session's figures so far; virtual time in hours, processor time in s."""
+        """Return the figures so far; virtual time in hours, processor time in s."""
         return Endurance(
             cycles=n_done,
             virtual_hours=clock.now() / 3600.0,
@@ -151,119 +143,35 @@ def open_descriptors() -> int:
 
 #: A mouth needs no more servos; more cost time, and would leak nothing else.
 N_SERVOS, RATE_HZ = 5, 100.0
-_FORMAT: Final = "lipservo bench endurance 1"
-#: Figures of a session's own process, which are not added up over sessions.
-_OF_A_SESSION: Final = {
-    "rss_mb_at_tenth",
-    "rss_mb_at_end",
-    "descriptors_at_tenth",
-    "descriptors_at_end",
-}
 
 
 def endurance_figures(
-    n_cycles: int,
-    progress: Callable[[int], None],
-    stopped: Callable[[], bool],
-    resume: Path | None = None,
-) -> dict[str, float]:
+    n_cycles: int, progress: Callable[[int], None], stopped: Callable[[], bool]
+) -> dict[str, float | None]:
     """Run `n_cycles`; return what grew, what went wrong on the wire, and how fast it went.
 
-    resume: file of the sessions so far, written at every hundredth and at the end; only the cycles
-    that it lacks are run, with other random faults; None: no file. progress: called with the cycles
-    done, those of earlier sessions included. Raises UserError for a file with something else in it,
-    or that cannot be written.
+    Growth of memory and of open files is from a tenth of the cycles to the end; None for a run that
+    was stopped before. progress: called with the cycles done.
     """
-    earlier = [] if resume is None else _read_sessions(resume)
-    n_earlier = sum(session.cycles for session in earlier)
-
-    def note(session: Endurance) -> None:
-        if resume is not None:
-            write_whole(resume, _as_json([*earlier, session]))
-        progress(n_earlier + session.cycles)
-
-    if n_earlier >= n_cycles:
-        return totals(earlier)
-    session = endure(
-        n_cycles - n_earlier,
-        note,
+    run = endure(
+        n_cycles,
+        lambda so_far: progress(so_far.cycles),
         n_servos=N_SERVOS,
         rate_hz=RATE_HZ,
-        seed=1 + n_earlier,
         stopped=stopped,
     )
-    note(session)
-    return totals([*earlier, session])
-
-
-def totals(sessions: Sequence[Endurance]) -> dict[str, float]:
-    """Return the sums over sessions, and the worst growth of memory and of descriptors.
-
-    Growth is from a tenth of a session to its end. sessions_too_short: sessions that ended before
-    their tenth, so that their growth is unknown.
-    """
-    figures: dict[str, float] = {
-        field.name: sum(getattr(session, field.name) for session in sessions)
-        for field in fields(Endurance)
-        if field.name not in _OF_A_SESSION
-    }
-    warm = [session for session in sessions if session.descriptors_at_tenth]
-    for name, growth, zero in (
-        ("rss_mb", "rss_growth_mb", 0.0),
-        ("descriptors", "descriptors_growth", 0),
-    ):
-        begin, end = f"{name}_at_tenth", f"{name}_at_end"
-        pairs = [(getattr(s, begin), getattr(s, end)) for s in warm] or [(zero, zero)]
-        figures[begin], figures[end] = max(pairs, key=lambda pair: pair[1] - pair[0])
-        figures[growth] = figures[end] - figures[begin]
+    is_warm = run.descriptors_at_tenth > 0
+    grown = run.descriptors_at_end - run.descriptors_at_tenth
     return {
-        **figures,
-        "sessions": len(sessions),
-        "sessions_too_short": len(sessions) - len(warm),
+        **asdict(run),
+        "rss_growth_mb": run.rss_mb_at_end - run.rss_mb_at_tenth if is_warm else None,
+        "descriptors_growth": grown if is_warm else None,
         "servos": N_SERVOS,
         "rate_hz": RATE_HZ,
-        "cycles_per_cpu_second": figures["cycles"] / max(figures["cpu_s"], 1e-9),
+        "cycles_per_cpu_second": run.cycles / max(run.cpu_s, 1e-9),
     }
 
 
-def what_went_wrong(figures: dict[str, float]) -> list[str]:
+def what_went_wrong(figures: Mapping[str, float | None]) -> list[str]:
     """Return a line for each count that must be 0 and is not."""
     return [f"{name}: {figures[name]:g}, must be 0" for name in MUST_NOT if figures[name]]
-
-
-def _as_json(sessions: Sequence[Endurance]) -> str:
-    kept = {"format": _FORMAT, "sessions": [asdict(session) for session in sessions]}
-    return json.dumps(kept, indent=1) + "\n"
-
-
-def _read_sessions(path: Path) -> list[Endurance]:
-    """Return the sessions in a file; none if there is no file yet.
-
-    Raises UserError for a file that is not one of `bench endurance`.
-    """
-    check_output(
-        path, replaces=lambda head: _FORMAT.encode() in head, kind="file of `bench endurance`"
-    )
-    if not path.exists() or not path.stat().st_size:
-        return []
-    try:
-        content = json.loads(path.read_text())
-        return [_session(entry) for entry in content["sessions"]]
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise UserError(
-            f"{path}: does not hold whole sessions of `bench endurance`; name a new file"
-        ) from error
-
-
-def _session(figures: dict[str, Any]) -> Endurance:
-    """Return a session read from JSON.
-
-    Raises ValueError or TypeError unless all fields are finite numbers of their type, 0 or more.
-    """
-    session = Endurance(**figures)
-    for field in fields(Endurance):
-        value = getattr(session, field.name)
-        types = (int,) if field.type is int else (int, float)
-        if type(value) not in types or not math.isfinite(value) or value < 0:
-            raise ValueError(f"{field.name}: {value}")
-    return session

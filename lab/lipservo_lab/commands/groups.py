@@ -8,8 +8,48 @@ from lipservo.commands.lazy_group import Command, LazyGroup
 
 _BENCH, _LEARN = "lipservo_lab.commands.bench", "lipservo_lab.commands.learn"
 _STUDY = "lipservo_lab.commands.study.study"
-_MOTION, _HEARING = "Motion", "Hearing"
-_SERVOS, _OTHER = "Servos and stops", "Calibration, faces and pictures"
+#: Where each bench is, and its line in the help, by section.
+_BENCHES = {
+    "Motion": {
+        "motion:motion": "Motion against recordings.",
+        "readability:readability": "Words read off the mouth.",
+        "motion:figures": "The paper's tables.",
+        "closures:closures": "How often lips close.",
+        "faces:sync": "Lips against their sound.",
+        "bench:synthesis": "Speed of the motion.",
+        "faces:line": "Serial lines that lose bytes.",
+        "faces:shapes": "Mouth shapes for avatars.",
+    },
+    "Hearing": {
+        "recognition:recognition": "Phonemes and visemes recognised.",
+        "recognition:listening": "Cost of a block, delays of the mouth.",
+        "closures:microphone": "Delay and closures at a microphone.",
+        "closures:nonspeech": "Sounds that are no speech.",
+        "recognition:voices": "Texts and languages in synthetic voices.",
+        "recognition:texts": "Alignment of false texts.",
+        "closures:ladder": "The recogniser on a busy computer.",
+    },
+    "Servos and stops": {
+        "bench:bus": "The servo bus beside its rivals.",
+        "bench:faults": "Faults, stops and signals.",
+        "bench:endurance": "Many cycles of one face.",
+        "bench:cost": "Cost of a face at rest.",
+        "bench:fleet": "A hundred faces at once.",
+        "bench:replay": "Speed of a replay.",
+    },
+    "Calibration, faces and pictures": {
+        "bench:house": "Count the source's lines.",
+        "bench:inputs": "Odd files and texts.",
+        "bench:calibration": "Calibration of simulated robots.",
+        "display:display": "Photographs and films that speak.",
+        "faces:face": "Expression and dashboard.",
+        "agents:agent": "What an agent remembers.",
+        "agents:day": "An agent and a face all day.",
+        "bench:cluster": "Rendering while workers are killed.",
+        "faces:scans": "Registration of scans.",
+        "bench:study": "Simulated raters of a study.",
+    },
+}
 
 
 class BenchGroup(LazyGroup):
@@ -19,58 +59,9 @@ class BenchGroup(LazyGroup):
 
     table = MappingProxyType(
         {
-            "motion": Command(f"{_BENCH}.motion:motion", "Motion against recordings.", _MOTION),
-            "readability": Command(
-                f"{_BENCH}.readability:readability", "Words read off the mouth.", _MOTION
-            ),
-            "figures": Command(f"{_BENCH}.motion:figures", "The paper's tables.", _MOTION),
-            "closures": Command(f"{_BENCH}.closures:closures", "How often lips close.", _MOTION),
-            "sync": Command(f"{_BENCH}.faces:sync", "Lips against their sound.", _MOTION),
-            "synthesis": Command(f"{_BENCH}.bench:synthesis", "Speed of the motion.", _MOTION),
-            "line": Command(f"{_BENCH}.faces:line", "Serial lines that lose bytes.", _MOTION),
-            "shapes": Command(f"{_BENCH}.faces:shapes", "Mouth shapes for avatars.", _MOTION),
-            "recognition": Command(
-                f"{_BENCH}.recognition:recognition", "Phonemes and visemes recognised.", _HEARING
-            ),
-            "listening": Command(
-                f"{_BENCH}.recognition:listening", "False speech, delays of the mouth.", _HEARING
-            ),
-            "microphone": Command(
-                f"{_BENCH}.closures:microphone", "Delay and closures at a microphone.", _HEARING
-            ),
-            "nonspeech": Command(
-                f"{_BENCH}.closures:nonspeech", "Sounds that are no speech.", _HEARING
-            ),
-            "languages": Command(f"{_BENCH}.recognition:languages", "Other languages.", _HEARING),
-            "voices": Command(
-                f"{_BENCH}.recognition:voices", "Texts in synthetic voices.", _HEARING
-            ),
-            "texts": Command(f"{_BENCH}.recognition:texts", "Alignment of false texts.", _HEARING),
-            "ladder": Command(
-                f"{_BENCH}.closures:ladder", "The recogniser on a busy computer.", _HEARING
-            ),
-            "bus": Command(f"{_BENCH}.bench:bus", "The servo bus beside its rivals.", _SERVOS),
-            "faults": Command(f"{_BENCH}.bench:faults", "Faults, stops and signals.", _SERVOS),
-            "endurance": Command(f"{_BENCH}.bench:endurance", "Many cycles of one face.", _SERVOS),
-            "cost": Command(f"{_BENCH}.cost:cost", "Cost of a face at rest.", _SERVOS),
-            "fleet": Command(f"{_BENCH}.fleet:fleet", "A hundred faces at once.", _SERVOS),
-            "replay": Command(f"{_BENCH}.bench:replay", "Speed of a replay.", _SERVOS),
-            "house": Command(f"{_BENCH}.bench:house", "Count the source's lines.", _OTHER),
-            "inputs": Command(f"{_BENCH}.inputs:inputs", "Odd files and texts.", _OTHER),
-            "calibration": Command(
-                f"{_BENCH}.bench:calibration", "Calibration of simulated robots.", _OTHER
-            ),
-            "display": Command(
-                f"{_BENCH}.display:display", "Photographs and films that speak.", _OTHER
-            ),
-            "face": Command(f"{_BENCH}.faces:face", "Expression and dashboard.", _OTHER),
-            "agent": Command(f"{_BENCH}.agents:agent", "What an agent remembers.", _OTHER),
-            "day": Command(f"{_BENCH}.agents:day", "An agent and a face all day.", _OTHER),
-            "cluster": Command(
-                f"{_BENCH}.fleet:cluster", "Rendering while workers are killed.", _OTHER
-            ),
-            "scans": Command(f"{_BENCH}.faces:scans", "Registration of scans.", _OTHER),
-            "study": Command(f"{_BENCH}.study:study", "Simulated raters of a study.", _OTHER),
+            place.partition(":")[2]: Command(f"{_BENCH}.{place}", about, section)
+            for section, benches in _BENCHES.items()
+            for place, about in benches.items()
         }
     )
 

@@ -34,6 +34,7 @@ def align_folder(
     """
     from lipservo_lab.corpus.alignment_cache import align_corpus
     from lipservo_lab.corpus.transcribed import read_transcribed
+    from lipservo_lab.counted_progress import counting
     from lipsync.recognition.alignment import LEAST_SCORE
 
     n_processes = jobs or os.cpu_count() or 1
@@ -41,12 +42,7 @@ def align_folder(
         raise typer.BadParameter("name a file for the alignments, X.jsonl", param_hint="--output")
     utterances = read_transcribed(folder)
     with progress_bar(quiet=quiet) as advance:
-        done: list[str] = []
-
-        def count(name: str) -> None:
-            done.append(name)
-            advance("aligning", len(done), len(utterances))
-
+        count = counting(advance, "aligning", len(utterances))
         aligned = align_corpus(utterances, output, n_processes=n_processes, progress=count)
     failed = {a.name: a.error for a in aligned.values() if a.error}
     unspoken = {

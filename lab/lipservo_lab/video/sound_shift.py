@@ -81,7 +81,12 @@ class ShiftCurve:
 def shift_curve(seen: Array, times_s: Array, expected: Array) -> ShiftCurve:
     """Correlate a tracked lip gap with the predicted one, at every shift of the sound.
 
-    seen: (n,) at times_s (n,), s of sound by the time stamps; expected: (m,) every 10 ms from 0 on.
+    Parameters
+    ----------
+    seen, times_s : Array
+        (n,) tracked gaps, and their times of sound by the time stamps, s.
+    expected : Array
+        (m,) predicted gaps every 10 ms from 0 on.
     """
     shifts_s = np.arange(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + _STEP_S / 2, _STEP_S)
     expected_s = np.arange(len(expected)) * TICK_S
@@ -98,7 +103,13 @@ def shift_curve(seen: Array, times_s: Array, expected: Array) -> ShiftCurve:
 
 
 def correlation(one: Array, other: Array) -> float:
-    """Return Pearson's correlation of (n,) and (n,); 0 where one of them does not move."""
+    """Return Pearson's correlation; 0 where one of both does not move.
+
+    Parameters
+    ----------
+    one, other : Array
+        (n,) each.
+    """
     spread = float(one.std() * other.std())
     if spread < 1e-9:
         return 0.0

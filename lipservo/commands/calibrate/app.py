@@ -24,6 +24,8 @@ _OF_MOUTH = (
     ("measure", "on_servos", "Move the servos, watch the markers, fit.",
      f"{_AT_PORT} --tracker markers.csv -o {_FILE}"),
     ("guided", "on_servos", "Match mouth shapes by eye.", f"{_AT_PORT} -o {_FILE}"),
+    ("unit", "on_servos", "Calibrate another unit of a design.",
+     f"design.calibration.yaml {_AT_PORT} -o {_FILE}"),
     ("practise", "on_servos", "Calibrate a simulated robot.", "3 -o practice.calibration.yaml"),
     ("by-hand", "by_hand", "Pose the mouth by hand: limits, touch.", f"{_FILE} {_AT_PORT}"),
 )  # fmt: skip

@@ -13,9 +13,7 @@ from lipservo.commands.calibrate.making import (
     Lags,
     Markers,
     Output,
-    Plots,
     Poses,
-    Ranges,
     check_files,
     finish,
     is_plan,
@@ -45,7 +43,6 @@ def plan(
     axes: Axes = "x y z",
     landmarker: Landmarker = None,
     eye_distance_mm: EyeDistance = None,
-    ranges: Ranges = None,
     accept: Accept = False,
     as_json: Json = False,
 ) -> None:
@@ -54,7 +51,7 @@ def plan(
         raise typer.BadParameter("give both --refine PLAN and --markers FILE, or neither")
     check_inputs(refine, markers)
     check_output(file, replaces=is_plan, kind="plan of poses", inputs=[markers, refine])
-    setup = load_setup(config, model, ranges, n_poses=poses)
+    setup = load_setup(config, model, n_poses=poses)
     from calibration.capture.capture import joined
     from calibration.capture.marker_files import read_plan, write_plan
 
@@ -95,8 +92,6 @@ def fit(
     landmarker: Landmarker = None,
     eye_distance_mm: EyeDistance = None,
     lags: Lags = True,
-    ranges: Ranges = None,
-    plots: Plots = None,
     check_plan: Annotated[
         Path | None,
         typer.Option(
@@ -116,17 +111,16 @@ def fit(
     """
     if (plan is None) != (markers is None):
         raise typer.BadParameter("give --plan with --markers; `calibrate plan` writes one")
-    for option, path in (("--plots", plots), ("--check-plan", check_plan)):
-        if path is not None and markers is None:
-            raise typer.BadParameter(
-                f"{option} needs --markers, since nothing is measured on the simulated face"
-            )
-    check_files(output, plots=plots, inputs=[plan, markers])
+    if check_plan is not None and markers is None:
+        raise typer.BadParameter(
+            "--check-plan needs --markers, since nothing is measured on the simulated face"
+        )
+    check_files(output, inputs=[plan, markers])
     if check_plan is not None:
         if check_plan.resolve() == output.resolve():
             raise typer.BadParameter("--check-plan and -o are the same file; choose two names")
         check_output(check_plan, replaces=is_plan, kind="plan of poses", inputs=[plan, markers])
-    setup = load_setup(config, model, ranges, quiet=quiet or as_json, lags=lags, accept=accept)
+    setup = load_setup(config, model, quiet=quiet or as_json, lags=lags, accept=accept)
     if plan is None or markers is None:
         from lipservo.calibrating.measured_calibration import fit_simulated_face
 
@@ -141,7 +135,7 @@ def fit(
         setup, capture = read_recorded(setup, plan, markers, axes, mesh)
         with MESSAGES.status("fitting", spinner="line"):
             result = fit_capture(setup, capture)
-    finish(setup, result, output, plots=plots, check_plan=check_plan, as_json=as_json)
+    finish(setup, result, output, check_plan=check_plan, as_json=as_json)
 
 
 def grade(

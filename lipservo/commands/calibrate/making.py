@@ -46,14 +46,6 @@ Lags = Annotated[bool, typer.Option(help="Measure how late each servo is; --no-l
 Speed = Annotated[
     float, typer.Option(min=5.0, max=400.0, help="Speed of the servos between poses, degrees/s.")
 ]
-Ranges = Annotated[
-    Path | None,
-    typer.Option(help="LeRobot range file; limits of the face beyond its ranges are refused."),
-]
-Plots = Annotated[
-    Path | None,
-    typer.Option(help="Folder for a picture of the mouth shapes that the robot reaches."),
-]
 EyeDistance = Annotated[
     float | None,
     typer.Option(
@@ -76,13 +68,11 @@ Accept = Annotated[
 ]
 
 
-def load_setup(
-    config: str, model: Path | None, ranges: Path | None = None, /, **options: Any
-) -> "CalibrationSetup":
+def load_setup(config: str, model: Path | None, /, **options: Any) -> "CalibrationSetup":
     """Return a face's settings and face model as a setup for calibration.
 
-    model: the face model's file; None: the shipped one. ranges: a LeRobot range file that the
-    face's limits must lie within. Raises UserError, also without what a fit needs.
+    model: the face model's file; None: the shipped one. Raises UserError, also without what a fit
+    needs.
     """
     if config.endswith((".yaml", ".yml")):
         check_inputs(Path(config))
@@ -95,12 +85,6 @@ def load_setup(
     from lipservo.runtime.servos.assembly import load_settings
 
     settings, _ = load_settings(config)
-    if ranges is not None:
-        from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
-
-        limits = {name: (s.min_deg, s.max_deg) for name, s in settings.mouth_servos.items()}
-        ticks_per_deg = {name: s.ticks_per_deg for name, s in settings.mouth_servos.items()}
-        check_within_recorded(read_ranges(ranges), limits, ticks_per_deg)
     from lipservo.calibrating.calibration_setup import CalibrationSetup
 
     return CalibrationSetup(settings, speaker, **options)
@@ -154,12 +138,11 @@ def check_files(
     output: Path,
     *,
     keep: Path | None = None,
-    plots: Path | None = None,
     inputs: Sequence[Path | None] = (),
 ) -> None:
     """Raise UserError unless all inputs can be read and all outputs can be written.
 
-    keep: file for captured poses, which may exist. plots: folder for pictures.
+    keep: file for captured poses, which may exist.
     """
     check_inputs(*inputs)
     from lipservo.settings.sections import CALIBRATION_NAME
@@ -169,11 +152,19 @@ def check_files(
     check_output(output, replaces=is_calibration, kind="calibration", inputs=inputs)
     if keep is not None and not keep.exists():
         check_output(keep)
-    if plots is not None:
-        from lipservo.calibrating.shown_calibration import PICTURE
-        from lipservo.terminal.pictures import check_folder
 
-        check_folder(plots, [PICTURE])
+
+def present_form(file: Path, before: "Calibration") -> "Calibration":
+    """Return what `file` holds now, since trims may have been set while servos were measured.
+
+    Raises CalibrationError if it is another calibration than `before`, as it was read then.
+    """
+    from calibration.files.calibration_file import load_calibration
+
+    present = load_calibration(file)
+    if present.origin != before.origin or present.servo_names != before.servo_names:
+        raise CalibrationError(f"{file}: was replaced while servos were measured; measure again")
+    return present
 
 
 def keep_beside(output: Path, keep: Path | None) -> Path:
@@ -311,14 +302,12 @@ def finish(
     result: "CalibrationResult",
     output: Path,
     *,
-    plots: Path | None = None,
     check_plan: Path | None = None,
     as_json: bool,
 ) -> None:
     """Save the calibration to `output`, and print its report.
 
-    plots: folder for a picture of its coverage; check_plan: file for poses by which it can be
-    graded; None: not written.
+    check_plan: file for poses by which it can be graded; None: not written.
     """
     from lipservo.calibrating.measured_calibration import jaw_check
     from lipservo.calibrating.shown_calibration import report_lines
@@ -326,10 +315,6 @@ def finish(
 
     fit = result.fit
     calibration, notes = saved(setup, result, output)
-    if plots is not None:
-        from lipservo.calibrating.shown_calibration import draw_coverage
-
-        MESSAGES.print(f"plots drawn: {draw_coverage(plots, setup.model, calibration, fit)}")
     next_step = None
     if check_plan is not None:
         from lipservo.calibrating.plan_poses import write_check_poses

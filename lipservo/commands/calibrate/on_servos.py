@@ -16,15 +16,14 @@ from lipservo.commands.calibrate.making import (
     Keep,
     Lags,
     Output,
-    Plots,
     Poses,
-    Ranges,
     Speed,
     check_files,
     finish,
     keep_beside,
     load_setup,
     mesh_options,
+    present_form,
     resumable_setup,
     setup_at_port,
 )
@@ -68,8 +67,6 @@ def measure(
     keep: Keep = None,
     lags: Lags = True,
     speed: Speed = 30.0,
-    ranges: Ranges = None,
-    plots: Plots = None,
     accept: Accept = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -84,11 +81,10 @@ def measure(
             "no source of markers given; add --tracker camera, FILE or FOLDER, or use `lipservo "
             "calibrate guided` to do it by eye"
         )
-    check_files(output, keep=keep_beside(output, keep), plots=plots)
+    check_files(output, keep=keep_beside(output, keep))
     setup = load_setup(
         config,
         model,
-        ranges,
         n_poses=poses,
         quiet=quiet or as_json,
         lags=lags,
@@ -100,7 +96,7 @@ def measure(
     mesh = mesh_options(landmarker, eye_distance_mm, camera)
     with resumable_setup(setup, output, keep, port, sim, config) as (at_port, save):
         result = calibrate_seen(at_port, tracker, axes, mesh, save)
-        finish(setup, result, output, plots=plots, as_json=as_json)
+        finish(setup, result, output, as_json=as_json)
 
 
 def guided(
@@ -112,7 +108,6 @@ def guided(
     keep: Keep = None,
     lags: Lags = True,
     speed: Speed = 30.0,
-    ranges: Ranges = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -121,18 +116,64 @@ def guided(
     The result is coarser than with a tracker: millimetres are not known.
     """
     check_files(output, keep=keep_beside(output, keep))
-    setup = load_setup(
-        config,
-        model,
-        ranges,
-        quiet=quiet or as_json,
-        lags=lags,
-        speed_deg_s=speed,
-    )
+    setup = load_setup(config, model, quiet=quiet or as_json, lags=lags, speed_deg_s=speed)
     from lipservo.calibrating.guided_calibration import calibrate_by_keys
 
     with resumable_setup(setup, output, keep, port, sim, config) as (at_port, save):
         finish(setup, calibrate_by_keys(at_port, save), output, as_json=as_json)
+
+
+def unit(
+    base: Annotated[
+        Path, typer.Argument(metavar="BASE", help="Calibration file of another unit of the design.")
+    ],
+    output: Output,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    port: Port = None,
+    sim: Sim = None,
+    tracker: Tracker = None,
+    axes: Axes = "x y z",
+    landmarker: Landmarker = None,
+    eye_distance_mm: EyeDistance = None,
+    camera: Camera = "0",
+    keep: Keep = None,
+    speed: Speed = 30.0,
+    accept: Accept = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Take a design's calibration over to another unit of it, or after a repair: at most 15 poses.
+
+    With --tracker the servos make them; it needs the poses that BASE was measured by, BASE.poses
+    or BASE.poses.previous. Without, you correct the design's poses by keys; then lips are closed
+    until the servos' current rises, where they measure it.
+    """
+    from calibration.files.calibration_file import load_calibration
+
+    design = load_calibration(base)
+    check_files(output, keep=keep_beside(output, keep), inputs=[base])
+    setup = load_setup(
+        config, model, quiet=quiet or as_json, lags=False, speed_deg_s=speed, accept=accept
+    )
+    from lipservo.calibrating.unit_calibration import (
+        Design,
+        check_design,
+        design_capture,
+        unit_of_eye,
+        unit_of_tracker,
+    )
+
+    check_design(setup, design, base)
+    by_markers = tracker is not None or sim is not None
+    learnt = Design.learnt(design, design_capture(base)) if by_markers else None
+    mesh = mesh_options(landmarker, eye_distance_mm, camera)
+    with resumable_setup(setup, output, keep, port, sim, config) as (at_port, _):
+        if learnt is None:
+            result = unit_of_eye(at_port, design)
+        else:
+            result = unit_of_tracker(at_port, learnt, tracker, axes, mesh)
+        finish(at_port, result, output, as_json=as_json)
 
 
 def practise(
@@ -154,7 +195,6 @@ def practise(
     keep: Keep = None,
     lags: Lags = True,
     speed: Speed = 30.0,
-    plots: Plots = None,
     accept: Accept = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -163,7 +203,7 @@ def practise(
 
     With --sim pty the command drives the simulated servos over a serial port, in real time.
     """
-    check_files(output, keep=keep_beside(output, keep), plots=plots)
+    check_files(output, keep=keep_beside(output, keep))
     setup = load_setup(
         config,
         model,
@@ -178,7 +218,7 @@ def practise(
     practise_on = practise_in_memory if sim is None else practise_over_wire
     with resumable_setup(setup, output, keep, None, sim, config) as (at_port, save):
         result = practise_on(at_port, seed, family, save)
-        finish(setup, result, output, plots=plots, as_json=as_json)
+        finish(setup, result, output, as_json=as_json)
 
 
 def pose(
@@ -262,11 +302,7 @@ def lags(
     else:
         with setup_at_port(setup, port, sim, config) as at_port:
             measured = measure_lags(at_port, before)
-    # Trims may have been set while servos chirped.
-    present = load_calibration(file)
-    if present.origin != before.origin or present.servo_names != before.servo_names:
-        raise CalibrationError(f"{file}: was replaced while servos were measured; measure again")
-    measured = replace(present, following=measured.following)
+    measured = replace(present_form(file, before), following=measured.following)
     save_calibration(measured, file)
     if as_json:
         print_json({"calibration": str(file), "servos": following_values(measured)})
@@ -303,14 +339,12 @@ def touch(
     is detected by --tracker; without it by the servos' current, or by your eye if the servos do not
     measure current; with --sim pty by markers computed from the simulated servos.
     """
-    from calibration.calibration import CalibrationError
     from calibration.files.calibration_file import load_calibration, save_calibration
 
     before = load_calibration(file)
     check_files(file)
     setup = load_setup(config, model, quiet=quiet or as_json, speed_deg_s=speed)
     from lipservo.calibrating.face_source import tracker_source
-    from lipservo.calibrating.measured_calibration import computed_tracker
     from lipservo.calibrating.touching import touch_by_current, touch_by_eye, touch_by_markers
     from lipservo.terminal.keys import read_key
 
@@ -318,21 +352,15 @@ def touch(
         raise typer.BadParameter("give --by-eye or --tracker, not both")
 
     with setup_at_port(setup, port, sim, config) as at_port:
-        if tracker is not None:
+        if tracker is not None or (sim is not None and not by_eye):
             mesh = mesh_options(landmarker, eye_distance_mm, camera)
             with tracker_source(at_port, tracker, axes, mesh) as make_tracker:
                 new, later_mm = touch_by_markers(at_port, before, make_tracker)
-        elif sim is not None and not by_eye:
-            new, later_mm = touch_by_markers(at_port, before, lambda _: computed_tracker(at_port))
         elif by_eye or not at_port.has_load:
             new, later_mm = touch_by_eye(at_port, before, read_key)
         else:
             new, later_mm = touch_by_current(at_port, before)
-    # Trims may have been set while the lips closed.
-    present = load_calibration(file)
-    if present.origin != before.origin or present.servo_names != before.servo_names:
-        raise CalibrationError(f"{file}: was replaced while the lips closed; run touch again")
-    save_calibration(replace(present, closure=new.closure), file)
+    save_calibration(replace(present_form(file, before), closure=new.closure), file)
     if as_json:
         print_json({"calibration": str(file), "contact_later_mm": later_mm})
         return

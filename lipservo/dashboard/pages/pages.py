@@ -6,6 +6,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
+import nicegui.elements.echart  # noqa: F401  registers ECharts, which plots.js loads when opened
 from nicegui import ui
 
 from lipservo.dashboard.face_link import FaceLink
@@ -31,16 +32,10 @@ Status = Mapping[str, Any] | None
 #: Fills a page: the face's newest status, and the config that it was started with.
 Fill = Callable[[Status, str | None], Awaitable[None]]
 _LIVE_SCRIPTS: Final = (
-    "live/twin_feed.js",
-    "live/timeline.js",
-    "live/waveform.js",
-    "live/servo_bars.js",
-    "live/robot_view.js",
-    "live/live_facts.js",
-    "live/say_box.js",
-    "live/sound_choice.js",
-    "live/look_pad.js",
-)
+    "live/twin_feed.js", "live/timeline.js", "live/waveform.js", "live/servo_bars.js",
+    "live/robot_view.js", "live/live_facts.js", "live/say_box.js", "live/sound_choice.js",
+    "live/look_pad.js", "live/plots.js",
+)  # fmt: skip
 
 
 #: Requests what the twin (the drawn head) needs at once: the framework would load it last.
@@ -122,6 +117,8 @@ async def _live(_status: Status, _config: str | None) -> None:
             html("<face-servo-bars></face-servo-bars>")
         with card("Look", "drag, and the robot looks there", "look"):
             html("<face-look></face-look>")
+    with card("The last minute", "plots", "minute"):
+        html("<face-plots></face-plots>")
 
 
 async def _show(_status: Status, _config: str | None) -> None:

@@ -19,7 +19,7 @@ from lipsync.audio.playback_clock import OwnPlaybackClock, clock_for
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest
 from lipsync.audio.source import AudioSource
-from lipsync.face.frame import NO_EXPRESSION, Frame, Synthesizer
+from lipsync.face.frame import DRAWN_MOUTH, NO_EXPRESSION, Frame, Synthesizer
 from lipsync.face.model import FaceModel
 from lipsync.motion.finishing import STRONGEST, FinishedSynthesizer, lip_gap_of
 from lipsync.motion.rounding import ROUNDED, ROUNDING_S, lip_width_of
@@ -207,6 +207,8 @@ class SpeechBoard:
         expression = speech.expression
         shown = NO_EXPRESSION if expression is None else expression.expression
         is_cut_off = speech.is_cut_off
+        drawn = NO_EXPRESSION if is_cut_off else frame.expression
+        mouth = {name: getattr(drawn, name) for name in DRAWN_MOUTH}
         heard = None if expression is None else expression.voice
         self._board.write_speech(
             [] if heard is None else heard.peaks(self._shown_until_s, sound_s, MOST_PEAKS),
@@ -217,9 +219,7 @@ class SpeechBoard:
             is_speech=heard is not None and heard.at(sound_s).is_speech,
             arousal=0.0 if expression is None else expression.arousal,
             coefficients=self._rest if is_cut_off else self._rounded(frame, speech),
-            expression=expression_values(
-                replace(shown, lip_tuck=None if is_cut_off else frame.expression.lip_tuck)
-            ),
+            expression=expression_values(replace(shown, **mouth)),
         )
         self._shown_until_s = max(self._shown_until_s, sound_s)
 

@@ -1,11 +1,12 @@
-"""The chosen map: bends where the robot bends, and lips that meet where the speaker's do."""
+"""The map as it runs: lips meet where the speaker's do."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_model import small_model
 
+from calibration.calibration import Calibration
 from calibration.fit.retargeting import (
     Retargeting,
     RobotMouth,
@@ -13,10 +14,13 @@ from calibration.fit.retargeting import (
     fit_retargeting,
     gap_heights_mm,
 )
-from calibration.fit.run_time_map import RunTimeMap, choose_map
+from calibration.fit.run_time_map import fit_closure, fit_run_time_map
+from calibration.grade import HoldOutErrors
+from calibration.mouth_servos import JointRange, MouthServos, linear_calibration
 from lipsync.markers import MARKERS_47
 
 MODEL = small_model()
+JOINTS = (JointRange("jaw", -8.0, 25.0), JointRange("out", -30.0, 30.0))
 REST_MM = MODEL.markers_mm(MODEL.rest[None])[0]
 LIPS = ("outer_lip_61", "outer_lip_291", "inner_lip_13", "inner_lip_14", "outer_lip_0")
 NAMES = correspond(LIPS)
@@ -41,14 +45,25 @@ def lowers(poses_deg: np.ndarray) -> np.ndarray:
 
 
 def wanted(frames: np.ndarray, press_mm: float = 0.4) -> Retargeting:
-    limits_deg = (np.array([-8.0, -30.0]), np.array([25.0, 30.0]))
-    mouth = RobotMouth(lowers, NAMES, limits_deg)
+    mouth = RobotMouth(lowers, NAMES, MouthServos(JOINTS).limits_deg)
     return fit_retargeting(MODEL, frames + MODEL.rest, mouth, np.zeros(1), press_mm)
 
 
-def heights_mm(run: RunTimeMap, asked: Retargeting, frames: np.ndarray) -> np.ndarray:
+def fitted(asked: Retargeting, frames: np.ndarray) -> Calibration:
+    """The map of these frames off rest."""
+    poses_deg = asked.poses_deg(frames)
+    return linear_calibration(
+        MODEL,
+        MouthServos(JOINTS),
+        **fit_run_time_map(frames, poses_deg),
+        closure=fit_closure(asked, frames, poses_deg),
+        errors=HoldOutErrors(),
+    )
+
+
+def heights_mm(run: Calibration, frames: np.ndarray) -> np.ndarray:
     """(n,): of the middle gap, as the map runs; below 0 where lips press."""
-    shown_mm = lowers(run.poses_deg(frames, asked.mouth))
+    shown_mm = lowers(run.poses_deg(frames + MODEL.rest))
     return gap_heights_mm(shown_mm, NAMES.shape_features.gaps)[:, 0]
 
 
@@ -58,8 +73,8 @@ def frames() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def chosen(frames: np.ndarray) -> RunTimeMap:
-    return choose_map(wanted(frames), frames)
+def chosen(frames: np.ndarray) -> Calibration:
+    return fitted(wanted(frames), frames)
 
 
 def test_all_closures_go_as_far_past_contact_as_asked_and_no_open_mouth_is_shut(frames, chosen):
@@ -69,7 +84,7 @@ def test_all_closures_go_as_far_past_contact_as_asked_and_no_open_mouth_is_shut(
     closes, opens = (closing >= 1.0) & (np.linalg.norm(frames, axis=1) >= 1.0), closing <= 0.0
     assert closes.sum() > 20
     assert opens.sum() > 50
-    heights = heights_mm(chosen, asked, frames)
+    heights = heights_mm(chosen, frames)
     np.testing.assert_allclose(heights[closes], -0.4, atol=0.02)
     assert (heights[opens] > 0.8).all()
 
@@ -77,8 +92,7 @@ def test_all_closures_go_as_far_past_contact_as_asked_and_no_open_mouth_is_shut(
 def test_a_jaw_that_stands_at_its_limit_closes_as_far_as_it_can(frames):
     unable = wanted(frames)
     unable = replace(unable, closed_mm=np.full(1, -8.0))
-    run = choose_map(unable, frames)
-    poses_deg = run.poses_deg(frames, unable.mouth)
+    poses_deg = fitted(unable, frames).poses_deg(frames + MODEL.rest)
     assert poses_deg[:, 0].min() == -8.0
 
 
@@ -90,26 +104,3 @@ def test_the_closure_of_a_map_knows_how_far_lips_are_apart_beyond_contact(chosen
         gap_heights_mm(lowers(poses_deg), NAMES.shape_features.gaps)[:, 0],
         atol=1e-3,
     )
-
-
-def test_speech_of_few_mouths_gets_a_map_without_centres(frames):
-    """Four times as many mouths as centres are needed; sixty are said over and over here."""
-    few = np.tile(frames[:60], (4, 1))
-    assert choose_map(wanted(few), few).centres.shape == (0, N_DIRECT)
-
-
-def test_bends_are_taken_only_where_they_help_on_frames_that_were_not_learnt(frames):
-    """Lips that press ask for bends; where poses are noise, bends only learn the noise."""
-    assert choose_map(wanted(frames), frames).centres.shape == (40, N_DIRECT)
-
-    @dataclass(frozen=True, slots=True)
-    class Noisy(Retargeting):
-        """Asks for straight poses and three degrees of noise."""
-
-        def poses_deg(self, from_rest: np.ndarray) -> np.ndarray:
-            noise_deg = np.random.default_rng(8).normal(0.0, 3.0, (len(from_rest), 2))
-            return 0.2 * from_rest[:, :2] + noise_deg
-
-    plain = wanted(frames, press_mm=2.0)
-    noisy = Noisy(plain.model, plain.mouth, plain.scale, plain.closed_mm, plain.press_mm)
-    assert choose_map(noisy, frames).centres.shape == (0, N_DIRECT)

@@ -22,9 +22,10 @@ from calibration.files.calibration_text import calibration_text
 from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm, split_frames
 from calibration.fit.retargeting import (
     MOST_EXAGGERATION,
+    Correspondence,
+    RobotMouth,
     ShapeFeatures,
     correspond,
-    nearest_poses_deg,
 )
 from calibration.fit.robot_face import fit_robot_face
 from calibration.fit.run_time_map import fit_run_time_map
@@ -123,22 +124,22 @@ def with_few_markers(capture, markers_mm):
     return dataclasses.replace(capture, marker_names=names, markers_mm=markers_mm[:, rows])
 
 
-def linear_face(slopes: np.ndarray):
-    """A face of n markers that are linear in the angles: slopes (n_servos, 3 n)."""
-    return lambda angles_deg: (angles_deg @ slopes).reshape(len(angles_deg), -1, 3)
+def linear_mouth(slopes: np.ndarray, of: ShapeFeatures, limits_deg, rules=()) -> RobotMouth:
+    """A mouth of n markers that are linear in the angles: slopes (n_servos, 3 n)."""
+
+    def markers_of(angles_deg):
+        return (angles_deg @ slopes).reshape(len(angles_deg), -1, 3)
+
+    return RobotMouth(markers_of, Correspondence((), (), of, (0, 1)), limits_deg, rules)
 
 
 def test_nearest_poses_of_a_linear_face_agree_with_scipy():
     rng = np.random.default_rng(3)
     slopes, wanted_mm = rng.normal(size=(4, 12)), 3.0 * rng.normal(size=(6, 4, 3))
     shape_features = ShapeFeatures(lips=(0, 1, 2, 3), gaps=((0, 1),))
-    found = nearest_poses_deg(
-        linear_face(slopes),
-        shape_features.of(wanted_mm),
-        shape_features,
-        (np.full(4, -2.0), np.full(4, 1.0)),
-    )
-    system = shape_features.of(linear_face(slopes)(np.eye(4))).T
+    mouth = linear_mouth(slopes, shape_features, (np.full(4, -2.0), np.full(4, 1.0)))
+    found = mouth.nearest_deg(shape_features.of(wanted_mm))
+    system = shape_features.of(mouth.markers_of(np.eye(4))).T
     damped = np.vstack([system, 0.02 * np.eye(4)])
     for angles, wanted in zip(found, shape_features.of(wanted_mm), strict=True):
         expected = lsq_linear(damped, np.r_[wanted, np.zeros(4)], (-2.0, 1.0), method="bvls").x
@@ -153,9 +154,9 @@ def test_a_coupling_rule_is_kept():
     wanted_mm[2] = 0.0
     limits = (np.full(2, -9.0), np.full(2, 9.0))
     wanted = shape_features.of(wanted_mm)
-    free = nearest_poses_deg(linear_face(slopes), wanted, shape_features, limits)
+    free = linear_mouth(slopes, shape_features, limits).nearest_deg(wanted)
     rule = CouplingRule(np.array([1.0, 1.0]), 6.0)
-    ruled = nearest_poses_deg(linear_face(slopes), wanted, shape_features, limits, rules=(rule,))
+    ruled = linear_mouth(slopes, shape_features, limits, (rule,)).nearest_deg(wanted)
     assert free[0] == pytest.approx([4.0, 4.0], abs=0.01)
     assert ruled[0].sum() == pytest.approx(6.0, abs=0.15)
 
@@ -169,11 +170,11 @@ def test_the_run_time_map_finds_a_quadratic_law_again():
         np.array([[0.1, 0, 0.2], [0, -0.3, 0]]),
     )
     angles = np.array([1.5, -0.5]) + x @ weights.T + products @ quadratic_weights.T
-    shape_features = ShapeFeatures(lips=(0, 1), gaps=((0, 1),))
-    found = fit_run_time_map(x, angles, linear_face(rng.normal(size=(2, 6))), shape_features)
-    assert found.weights == pytest.approx(weights, abs=0.05)
-    assert found.quadratic_weights == pytest.approx(quadratic_weights, abs=0.02)
-    assert found.free_deg(x) == pytest.approx(angles, abs=0.3)
+    found = fit_run_time_map(x, angles)
+    assert found["weights"] == pytest.approx(weights, abs=0.05)
+    assert found["quadratic_weights"] == pytest.approx(quadratic_weights, abs=0.02)
+    assert found["rest_deg"] == pytest.approx([1.5, -0.5], abs=0.05)
+    assert found["x_range"] == pytest.approx(np.array([x.min(axis=0), x.max(axis=0)]), rel=1e-5)
 
 
 def test_markers_that_no_model_knows_or_that_are_missing_are_named():

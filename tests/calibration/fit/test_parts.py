@@ -12,7 +12,7 @@ from rich.console import Console
 from small_model import small_model
 
 from calibration.calibration import CalibrationError
-from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
+from calibration.capture.lerobot_ranges import read_ranges
 from calibration.fit.guided import landmark_poses
 from calibration.fit.jaw import JAW_LINE, jaw_blend, speakers_jaw, steady_alphas
 from calibration.mouth_servos import JointRange
@@ -91,35 +91,16 @@ def test_no_trim_adds_nothing():
     assert not VisemeTrim({}, 3, 0.01).feed("AA").any()
 
 
-#: Ticks per degree.
-FINE = {"jaw": 4096 / 360, "lip": 4096 / 360}
-
-
 def write(tmp_path, content):
     path = tmp_path / "ranges.json"
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
 
 
-def test_ranges_in_ticks_become_degrees_of_the_servo_that_recorded_them(tmp_path):
-    """284 ticks are 24.96 degrees of a Dynamixel (4096 a turn), 83.2 of an SCS0009 (1024, 300)."""
+def test_a_range_file_gives_ids_and_ticks(tmp_path):
     ranges = read_ranges(write(tmp_path, RANGES))
-    assert ranges["jaw"].span_deg(4096 / 360) == pytest.approx(24.96, abs=0.01)
-    assert ranges["jaw"].span_deg(1024 / 300) == pytest.approx(83.2, abs=0.01)
-    assert ranges["lip"].servo_id == 2
-
-
-def test_limits_within_what_was_recorded_pass_and_wider_ones_are_named(tmp_path):
-    ranges = read_ranges(write(tmp_path, RANGES))
-    check_within_recorded(ranges, {"jaw": (-2.0, 20.0), "lip": (-80.0, 80.0)}, FINE)
-    with pytest.raises(
-        CalibrationError, match="'jaw': its limits span 32 deg, but its recorded ran"
-    ):
-        check_within_recorded(ranges, {"jaw": (-2.0, 30.0)}, FINE)
-    with pytest.raises(CalibrationError, match="servo 'neck' is not in the range file"):
-        check_within_recorded(ranges, {"neck": (-1.0, 1.0)}, FINE)
-    with pytest.raises(CalibrationError, match="servo 'jaw' reports no position"):
-        check_within_recorded(ranges, {"jaw": (-2.0, 20.0)}, {"jaw": None})
+    assert (ranges["jaw"].least_tick, ranges["jaw"].most_tick) == (2048, 2332)
+    assert (ranges["lip"].servo_id, ranges["lip"].homing_offset_ticks) == (2, -7)
 
 
 @pytest.mark.parametrize(

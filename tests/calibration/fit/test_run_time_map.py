@@ -10,8 +10,6 @@ from small_model import small_model
 
 from calibration.calibration import Following
 from calibration.fit.learnt_face import fit_calibration
-from calibration.fit.retargeting import ShapeFeatures
-from calibration.fit.run_time_map import RunTimeMap, fit_run_time_map
 from calibration.mouth_servos import JointRange
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, Speech
@@ -107,62 +105,6 @@ def test_after_a_stall_the_servos_are_asked_as_if_there_had_been_none(calibratio
     assert np.ptp([t.positions_deg[0] for t in undisturbed if 0.4 < t.time_s < 1.2]) > 2.0
     for target in after:
         assert target.positions_deg == pytest.approx(asked[round(target.time_s, 6)], abs=1e-6)
-
-
-def bent_frames(n):
-    """Coefficients (n, 2), poses (n, 2) that no quadratic map meets, and which frames close."""
-    rng = np.random.default_rng(12)
-    x = rng.uniform(-3.0, 3.0, (n, 2))
-    poses_deg = np.column_stack([6.0 * np.abs(x[:, 0]) - 4.0 * x[:, 1], 5.0 * np.sin(2 * x[:, 1])])
-    return x, poses_deg + rng.normal(0.0, 0.3, (n, 2)), np.abs(x[:, 0]) < 0.5
-
-
-def map_of(x, poses_deg, counts=None) -> RunTimeMap:
-    """On a face whose first joint lowers one lip and whose second moves both aside."""
-
-    def markers_of(degrees):
-        markers_mm = np.zeros((len(degrees), 2, 3))
-        markers_mm[:, 1, 1] = -0.8 * degrees[:, 0]
-        markers_mm[:, :, 0] = 0.3 * degrees[:, 1:]
-        return markers_mm
-
-    shape_features = ShapeFeatures((0, 1), ((0, 1),))
-    return fit_run_time_map(x, poses_deg, markers_of, shape_features, counts=counts)
-
-
-@pytest.mark.parametrize("count", [1.0, 6.0])
-def test_frames_that_all_count_alike_count_as_if_nothing_were_said(count):
-    x, poses_deg, _ = bent_frames(300)
-    plain, counted = map_of(x, poses_deg), map_of(x, poses_deg, np.full(300, count))
-    for name in ("rest_deg", "weights", "quadratic_weights", "x_range"):
-        # Six digits are kept.
-        assert getattr(counted, name) == pytest.approx(getattr(plain, name), rel=2e-5), name
-
-
-def test_a_frame_that_counts_as_three_is_as_good_as_said_three_times():
-    """To about the ridge, which is the same for more frames, and sees other spreads."""
-    x, poses_deg, closes = bent_frames(600)
-    times = np.where(closes, 3, 1)
-    counted = map_of(x, poses_deg, times.astype(float)).free_deg(x)
-    repeated = map_of(np.repeat(x, times, axis=0), np.repeat(poses_deg, times, axis=0)).free_deg(x)
-    plain = map_of(x, poses_deg).free_deg(x)
-    apart_deg = np.abs(counted - repeated).max()
-    assert apart_deg < 0.1
-    assert np.abs(plain - repeated).max() > 8.0 * apart_deg
-
-
-def test_the_heavier_closures_count_the_nearer_they_come():
-    x, poses_deg, closes = bent_frames(600)
-    closing_rms_deg, open_rms_deg = [], []
-    for count in (1.0, 3.0, 6.0, 20.0):
-        found = map_of(x, poses_deg, np.where(closes, count, 1.0))
-        missed_deg = (found.free_deg(x) - poses_deg)[:, 0]
-        closing_rms_deg.append(np.sqrt(np.mean(missed_deg[closes] ** 2)))
-        open_rms_deg.append(np.sqrt(np.mean(missed_deg[~closes] ** 2)))
-    assert (np.diff(closing_rms_deg) < 0.0).all()
-    assert closing_rms_deg[-1] < 0.6 * closing_rms_deg[0]
-    # Nothing is had for nothing.
-    assert (np.diff(open_rms_deg) > 0.0).all()
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ PLACES_MM = RNG.normal(size=(4, 3)) * 8
 APART_MM2 = squared_distances_mm2(NAMES, PLACES_MM)
 POSES = Poses(RNG.uniform(-20, 20, (9, 2)), RNG.choice([-1.0, 1.0], (9, 2)), np.zeros(2),
               np.full(2, 20.0))  # fmt: skip
-SETTING = Hyperparameters(np.array([0.8, 1.1]), np.array([2.0, 0.5]), 0.03, 0.2, 11.0, 0.1)
+SETTING = Hyperparameters(np.array([0.8, 1.1]), np.array([2.0, 0.5]), 0.03, 0.2, 11.0)
 VALUES_MM = RNG.normal(size=(9, 4, 3))
 
 
@@ -39,7 +39,7 @@ def test_predictions_are_those_of_the_dense_process():
 
 
 def parameters(setting):
-    rest = [setting.curvature, setting.noise_mm2, setting.width_mm, setting.own]
+    rest = [setting.curvature, setting.noise_mm2, setting.width_mm]
     return np.concatenate([setting.backlash_deg, np.log(np.concatenate([setting.reach_mm2, rest]))])
 
 
@@ -63,7 +63,7 @@ def test_a_setting_is_found_again_from_what_it_makes():
     places_mm = rng.uniform(-30, 30, (20, 3))
     names = tuple(f"dot_{i}" for i in range(20))
     apart_mm2 = squared_distances_mm2(names, places_mm)
-    made = Hyperparameters(np.array([0.6, 1.4]), np.array([9.0, 4.0]), 0.01, 0.25, 18.0, 1e-4)
+    made = Hyperparameters(np.array([0.6, 1.4]), np.array([9.0, 4.0]), 0.01, 0.25, 18.0)
     poses = Poses(
         rng.uniform(-20, 20, (60, 2)),
         rng.choice([-1.0, 1.0], (60, 2)),
@@ -72,12 +72,25 @@ def test_a_setting_is_found_again_from_what_it_makes():
     )
     inputs = poses.inputs(made.backlash_deg)
     joints = np.linalg.cholesky(made.pose_covariance(inputs, inputs) + 1e-9 * np.eye(60))
-    skin = np.linalg.cholesky(made.skin_covariance(apart_mm2))
+    skin = np.linalg.cholesky(made.skin_covariance(apart_mm2) + 1e-4 * np.eye(20))
     true_mm = np.einsum("ni,ijk,mj->nmk", joints, rng.normal(size=(60, 20, 3)), skin)
     found = fit_hyperparameters(poses, true_mm + rng.normal(0, 0.5, true_mm.shape), apart_mm2)
     assert found.noise_mm2 == pytest.approx(0.25, rel=0.1)
     assert found.width_mm == pytest.approx(18.0, rel=0.2)
     assert found.backlash_deg == pytest.approx(made.backlash_deg, abs=0.3)
+
+
+def test_gears_without_play_have_none_or_a_little_but_never_less():
+    """Half of all noise would be read as play below 0."""
+    rng = np.random.default_rng(7)
+    goals_deg = rng.uniform(-20, 20, (40, 3))
+    poses = Poses(goals_deg, rng.choice([-1.0, 1.0], (40, 3)), np.zeros(3), np.full(3, 20.0))
+    seen_mm = np.einsum("nj,jmk->nmk", goals_deg / 20.0, rng.normal(0.0, 3.0, (3, 4, 3)))
+    seen_mm += rng.normal(0.0, 0.5, seen_mm.shape)
+    found_deg = fit_hyperparameters(poses, seen_mm, APART_MM2).backlash_deg
+    assert (found_deg >= 0.0).all()
+    assert found_deg.min() == 0.0
+    assert found_deg.max() < 1.0
 
 
 def test_the_lips_are_not_glued_together():

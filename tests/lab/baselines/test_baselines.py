@@ -5,14 +5,11 @@ from lipservo_lab.baselines.baselines import (
     Dominance,
     fit_regression,
     fixed_reference,
-    spline_faces,
 )
 from lipservo_lab.baselines.tuning import tune_dominance
 from lipservo_lab.corpus.utterance import speech_frames
 from recorded_phrase import PHRASE, recorded
-from scipy.interpolate import CubicHermiteSpline
 from small_model import small_model
-from spoken_phonemes import spoken
 
 from lipsync.phonemes import PHONEMES
 
@@ -45,21 +42,6 @@ def test_tuning_finds_the_dominance_that_made_the_motion():
         )
 
     assert error(tuned) < 0.01 * error(fixed_reference())
-
-
-def test_the_spline_is_the_hermite_spline_of_another_library():
-    model = small_model()
-    events = spoken(("M", 0.1), ("AA", 0.2), ("IY", 0.06), ("UW", 0.2))
-    knots_s = np.array([0.05, 0.2, 0.33, 0.46])
-    values = model.baselines.centres[[PHONEMES.index(p.phoneme) for p in events]]
-    slopes = np.zeros_like(values)
-    slopes[1:-1] = (values[2:] - values[:-2]) / (knots_s[2:] - knots_s[:-2])[:, None]
-    times_s = np.linspace(0.05, 0.46, 50)
-    np.testing.assert_allclose(
-        spline_faces(events, model.baselines.centres, times_s),
-        CubicHermiteSpline(knots_s, values, slopes)(times_s),
-        atol=1e-9,
-    )
 
 
 def test_the_plain_regression_recovers_a_linear_rule():

@@ -34,9 +34,3 @@ def test_the_methods_of_render_are_scored_with_a_model_of_the_same_sentences(tmp
     # The sentences are the ones that it learned: their own phones are the best examples.
     assert rows["catmull-rom"]["ratio"] < rows["catmull-rom-means"]["ratio"]
     assert answer["default_strategy"] == DEFAULT_METHOD
-    by_strategy = answer["seconds_per_sentence_by_strategy"]
-    assert answer["seconds_per_sentence"] == by_strategy[DEFAULT_METHOD] > 0.0
-    assert answer["build_s"] > 0.0
-    assert answer["build_processor_s"] > 0.0
-    # Python with its libraries takes more than 50 MB; eight sentences take no gigabyte.
-    assert 50.0 < answer["build_mb"] < 1000.0

@@ -131,11 +131,6 @@ def test_sentences_without_a_phones_tier_are_kept_but_not_labelled(tmp_path):
     assert [u.name for u in corpus.labelled().utterances] == ["s0", "s2"]
 
 
-def test_there_are_47_markers_and_20_lip_points():
-    assert len(MARKERS_47.names) == len(set(MARKERS_47.names)) == 47
-    assert len(MARKERS_47.lips) == 20
-
-
 @pytest.mark.slow
 def test_the_real_corpus_is_read(corpus_dir):
     corpus = read_grid(corpus_dir / "grid_s1")

@@ -68,15 +68,10 @@ def test_a_file_of_something_else_is_refused_in_one_line(tmp_path):
         read_hashes(tmp_path / "hashes.txt")
 
 
-def test_alignments_are_fixed_of_scored_talkers_alone():
-    named = {name.split("-")[0] for name in read_hashes(SPEAKERS / "scored_alignments.txt")}
-
-    assert named == scored().keys()
-
-
-def test_every_utterance_of_a_scored_talker_is_fixed():
+def test_every_utterance_of_scored_talkers_alone_is_fixed():
     hashes = read_hashes(SPEAKERS / "scored_alignments.txt")
 
+    assert {name.split("-")[0] for name in hashes} == scored().keys()
     assert len(hashes) == 1214
     assert all(digest == "-" or re.fullmatch("[0-9a-f]{16}", digest) for digest in hashes.values())
 

@@ -134,16 +134,12 @@ def test_who_guesses_reads_no_more_than_chance(dealt):
     assert all(figure.value > 0.05 for figure in right.own)
 
 
-def test_a_single_rater_has_means_and_no_interval(dealt):
+def test_a_single_rater_has_means_and_no_interval_and_nobody_no_figure(dealt):
     tables = simulated(*dealt, even_taste(METHODS), Crew(1).characters, seed=0).tables
 
     assert all(f.low is None and 1 <= f.value <= 5 for f in rated(tables, 0).own)
-
-
-def test_no_rater_at_all_is_no_figure(dealt):
-    tables = simulated(*dealt, even_taste(METHODS), (), seed=0).tables
-
-    assert all(np.isnan(figure.value) for figure in preferred(tables, 0).own)
+    nobody = simulated(*dealt, even_taste(METHODS), (), seed=0).tables
+    assert all(np.isnan(figure.value) for figure in preferred(nobody, 0).own)
 
 
 def test_the_mixed_model_finds_the_means_that_the_answers_have(found):

@@ -210,10 +210,11 @@ def test_words_are_offered_by_place_where_all_sentences_have_as_many():
     assert vocabulary_of([("bin", "blue"), ("lay",)]) == ()
 
 
-def test_a_clip_that_is_missing_is_said_before_a_rater_comes(tmp_path):
+def test_clips_that_are_gone_or_empty_are_said_before_a_rater_comes(tmp_path):
     study, _ = write_small_study(tmp_path, films=False)
-    name = min(study.duration_s)
-    (tmp_path / CLIPS / f"{name}.mp4").unlink()
-    with pytest.raises(UserError, match=f"1 of .* clips are missing .{name}.mp4"):
+    first, second, *_ = sorted(study.duration_s)
+    (tmp_path / CLIPS / f"{first}.mp4").unlink()
+    (tmp_path / CLIPS / f"{second}.mp4").write_bytes(b"")
+    with pytest.raises(UserError, match=f"2 of .* clips are missing .({first}|{second}).mp4"):
         run("serve", tmp_path)
     assert not (tmp_path / "answers.jsonl").exists()

@@ -16,13 +16,12 @@ from lipservo_lab.study.sheets import (
     Size,
     StudyError,
     make_study,
-    missing_clips,
     read_key,
     read_study,
     williams,
     write_study,
 )
-from small_study import METHODS, write_small_study
+from small_study import METHODS
 
 SIZE = Size(ratings=8, pairs=6, readings=4, sentences=4, checks=2, sheets=12)
 
@@ -132,12 +131,3 @@ def test_a_damaged_file_of_a_study_is_named_with_what_is_wrong(dealt, tmp_path):
         read_key(tmp_path)
     with pytest.raises(StudyError, match="lipservo study make"):
         read_study(tmp_path / "nowhere")
-
-
-def test_a_clip_that_is_gone_or_empty_is_missing(tmp_path):
-    study, _ = write_small_study(tmp_path, films=False)
-    first, second, *_ = sorted(study.duration_s)
-    (tmp_path / "served/clips" / f"{first}.mp4").unlink()
-    (tmp_path / "served/clips" / f"{second}.mp4").write_bytes(b"")
-
-    assert sorted(missing_clips(tmp_path, study)) == [f"{first}.mp4", f"{second}.mp4"]

@@ -20,13 +20,8 @@ HOST = "127.0.0.1:8080"
 TOKEN = "a secret"
 OF_ITS_PAGE = {"origin": f"http://{HOST}", "sec-fetch-site": "same-origin"}
 FOREIGN = {"origin": "http://evil.example", "sec-fetch-site": "cross-site"}
-A_LINK = {
-    "sec-fetch-site": "cross-site",
-    "sec-fetch-mode": "navigate",
-    "sec-fetch-dest": "document",
-}
-
-
+A_LINK = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
+A_LINK["sec-fetch-dest"] = "document"
 HERE, ELSEWHERE = "127.0.0.1", "192.0.2.7"
 
 
@@ -45,20 +40,12 @@ def status(given, token=TOKEN, **how):
     return None if refused is None else int(refused.status)
 
 
-@pytest.mark.parametrize(
-    "host", [HOST, "localhost:8080", "[::1]:8080", "192.168.1.7", "10.0.0.2:1"]
-)
-def test_without_a_token_addresses_are_admitted(host):
-    assert status(request(host=host), None) is None
-
-
-@pytest.mark.parametrize("host", ["evil.example", "robot.local:8080", "", "127.0.0.1.evil.example"])
-def test_without_a_token_no_name_is_admitted_that_a_page_may_turn(host):
-    assert status(request(host=host), None) == 403
-    assert status(request("/api/stop", "POST", host=host), is_stop=True) == 403
-
-
-def test_with_a_token_any_name_will_do():
+def test_without_a_token_addresses_are_admitted_and_no_name_that_a_page_may_turn():
+    for host in (HOST, "localhost:8080", "[::1]:8080", "192.168.1.7", "10.0.0.2:1"):
+        assert status(request(host=host), None) is None, host
+    for host in ("evil.example", "robot.local:8080", "", "127.0.0.1.evil.example"):
+        assert status(request(host=host), None) == 403, host
+        assert status(request("/api/stop", "POST", host=host), is_stop=True) == 403, host
     assert status(request(host="robot.local", authorization=f"Bearer {TOKEN}")) is None
 
 
@@ -79,25 +66,23 @@ OF_OTHER_PAGES = [
 ]
 
 
+SOCKETS = ["/api/twin", "/stream", "/control", "/_nicegui_ws/socket.io/"]
+POSTS = ["/api/stop", "/_nicegui_ws/socket.io/", "/_nicegui/client/1/upload/2"]
+GETS = ["/api/status", "/_nicegui_ws/socket.io/", "/", "/metrics"]
+
+
 @pytest.mark.parametrize(
-    "about",
+    ("path", "how"),
     [
-        {"path": "/api/stop", "method": "POST"},
-        {"path": "/api/status"},
-        {"path": "/api/twin", "is_socket": True},
-        {"path": "/stream", "is_socket": True},
-        {"path": "/control", "is_socket": True},
-        {"path": "/_nicegui_ws/socket.io/", "is_socket": True},
-        {"path": "/_nicegui_ws/socket.io/"},
-        {"path": "/_nicegui_ws/socket.io/", "method": "POST"},
-        {"path": "/_nicegui/client/1/upload/2", "method": "POST"},
-        {"path": "/"},
-        {"path": "/metrics"},
+        *((path, {"is_socket": True}) for path in SOCKETS),
+        *((path, {"method": "POST"}) for path in POSTS),
+        *((path, {}) for path in GETS),
     ],
-    ids=lambda about: about["path"] + (" socket" if about.get("is_socket") else ""),
+    ids=str,
 )
-def test_scripts_of_other_pages_are_refused_everywhere(about):
+def test_scripts_of_other_pages_are_refused_everywhere(path, how):
     """Those of other ports of this computer too, and whatever they know."""
+    about = {"path": path, **how}
     for headers, token in product(OF_OTHER_PAGES, (None, TOKEN)):
         given = {**headers, "authorization": f"Bearer {TOKEN}"}
         assert status(with_headers(given, **about), token) == 403, (headers, token)

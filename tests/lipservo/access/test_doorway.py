@@ -61,33 +61,27 @@ def test_the_newest_is_always_let_in_and_no_bound_is_passed(peers, most):
             assert peers.index(peer) in left  # nobody who came once is sent away by a crowd
 
 
-def test_who_waits_too_long_is_aborted_the_oldest_first_and_who_left_is_not():
-    async def wait():
-        doorway = Doorway(8, 0.0)
-        aborted = []
-        gone, late, later = (Connection("a") for _ in range(3))
-        for each in (gone, late, later):
-            each.abort = lambda each=each: aborted.append(each)
-            doorway.enter(each)
-        assert doorway.leave(gone)
-        assert not doorway.leave(gone)
-        while len(aborted) < 2:
-            await asyncio.sleep(0)
-        assert not doorway.leave(late)
-        assert aborted == [late, later]
-
-    asyncio.run(wait())
+async def test_who_waits_too_long_is_aborted_the_oldest_first_and_who_left_is_not():
+    doorway = Doorway(8, 0.0)
+    aborted = []
+    gone, late, later = (Connection("a") for _ in range(3))
+    for each in (gone, late, later):
+        each.abort = lambda each=each: aborted.append(each)
+        doorway.enter(each)
+    assert doorway.leave(gone)
+    assert not doorway.leave(gone)
+    while len(aborted) < 2:
+        await asyncio.sleep(0)
+    assert not doorway.leave(late)
+    assert aborted == [late, later]
 
 
-def test_to_enter_again_gives_no_new_time_and_no_newer_place():
-    async def enter():
-        doorway = Doorway(4)
-        first, *others = (Connection("a") for _ in range(4))
-        for each in (first, others[0], first, *others[1:]):
-            doorway.enter(each)
-        return [each.is_aborted for each in (first, *others)]
-
-    assert asyncio.run(enter()) == [True, False, False, False]
+async def test_to_enter_again_gives_no_new_time_and_no_newer_place():
+    doorway = Doorway(4)
+    first, *others = (Connection("a") for _ in range(4))
+    for each in (first, others[0], first, *others[1:]):
+        doorway.enter(each)
+    assert [each.is_aborted for each in (first, *others)] == [True, False, False, False]
 
 
 @pytest.mark.parametrize(

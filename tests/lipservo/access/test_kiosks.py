@@ -158,9 +158,8 @@ def test_a_face_that_refuses_the_token_is_named(tmp_path):
         done = invoke("status", "--on", on)
 
     assert done.exit_code == 1
-    assert (
-        f"shy: its server refuses the token in {tmp_path}/shy.token; copy the face's" in done.stdout
-    )
+    refused = f"shy: its server refuses the token in {tmp_path}/shy.token; copy the face's"
+    assert refused in done.stdout
     assert "hall  simulated servos  driven" in done.stdout
 
 
@@ -169,10 +168,8 @@ def test_a_stop_that_all_confirm_is_exit_status_0_and_one_that_is_not_confirmed_
         on = listed(tmp_path, hall=(hall.address, "t"))
         hall.face.report = {**REPORT, "at_rest": True}
         done = invoke("stop", "--on", on)
-        assert (done.exit_code, done.stdout) == (
-            0,
-            "hall: at rest and limp, confirmed by all 1 servos; it waits: `lipservo start`\n",
-        )
+        told = "hall: at rest and limp, confirmed by all 1 servos; it waits: `lipservo start`\n"
+        assert (done.exit_code, done.stdout) == (0, told)
         hall.face.report = {"confirmed": [], "unconfirmed": {"jaw": "does not answer"}}
         done = invoke("stop", "--on", on)
         assert done.exit_code == 1
@@ -183,10 +180,8 @@ def test_a_freeze_tells_what_holds(tmp_path):
     held = {"accepted": "freeze", "holds": ["jaw"], "limp": ["left"], "unknown": []}
     with answering(held) as (url, asked):
         done = invoke("stop", "--freeze", "--on", listed(tmp_path, hall=(url, "t")))
-    assert (done.exit_code, done.stdout) == (
-        0,
-        "hall: held where it is: 1 servo holds; left limp\n",
-    )
+    told = "hall: held where it is: 1 servo holds; left limp\n"
+    assert (done.exit_code, done.stdout) == (0, told)
     assert asked == [("/api/stop", "Bearer t")]
 
 
@@ -202,15 +197,9 @@ def test_the_status_of_a_face_is_as_on_its_own_computer(tmp_path):
 @pytest.mark.parametrize(
     ("answer", "line"),
     [
-        (
-            {"state": "driven", "face_answers": True, "version": "0.1"},
-            "its version is 0.1, here is",
-        ),
+        ({"state": "driven", "face_answers": True, "version": "0.1"}, "its version is 0.1, here"),
         ({"state": "driven"}, "its version is an older one, here is"),
-        (
-            {"mood": 1, "face_answers": True, "version": "9.9"},
-            "runs lipservo 9.9",
-        ),
+        ({"mood": 1, "face_answers": True, "version": "9.9"}, "runs lipservo 9.9"),
         ({"version": HERE, "face_answers": False, "trouble": "the face hangs"}, "the face hangs"),
         ([1], "nothing that a face says"),
     ],
@@ -237,12 +226,11 @@ def test_a_certificate_is_trusted_where_it_is_named_alone(tmp_path, certificate)
         named = listed(tmp_path, hall=(url, "t", certificate[0]))
         done = invoke("stop", "--freeze", "--on", named)
         other = url.replace("127.0.0.1", "localhost")
-        elsewhere = invoke(
-            "stop", "--freeze", "--on", listed(tmp_path, hall=(other, "t", certificate[0]))
-        )
-    assert unnamed.exit_code == elsewhere.exit_code == 1
-    assert "hall: its server's certificate is not trusted" in unnamed.stdout
-    assert "hall: its server's certificate is not trusted" in elsewhere.stdout
+        named = listed(tmp_path, hall=(other, "t", certificate[0]))
+        elsewhere = invoke("stop", "--freeze", "--on", named)
+    for each in (unnamed, elsewhere):
+        assert each.exit_code == 1
+        assert "hall: its server's certificate is not trusted" in each.stdout
     assert (done.exit_code, asked) == (0, [("/api/stop", "Bearer t")])
 
 

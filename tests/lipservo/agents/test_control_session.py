@@ -23,65 +23,64 @@ from lipsync.audio.playout import Playout
 from lipsync.errors import UserError
 
 
-def commanded(face, *messages):
+async def commanded(face, *messages):
     """The answer to each message."""
-
-    async def talk():
-        async with client(face, "/control") as agent:
-            answers = []
-            for number, (kind, fields) in enumerate(messages):
-                await agent.say(kind, id=number, **fields)
-                answers.append(await agent.next("result", "error"))
-            return answers
-
-    return asyncio.run(talk())
+    async with client(face, "/control") as agent:
+        answers = []
+        for number, (kind, fields) in enumerate(messages):
+            await agent.say(kind, id=number, **fields)
+            answers.append(await agent.next("result", "error"))
+        return answers
 
 
-def test_status_and_settings_are_the_faces_own():
-    with ServedFace() as face:
-        status, done, refused, unknown = commanded(
-            face,
-            ("status", {}),
-            ("set", {"name": "strength", "value": 0.5}),
-            ("set", {"name": "strength", "value": 5}),
-            ("set", {"name": "beauty", "value": 1.0}),
-        )
-        changes = face.commands.take_changes()
+def voiceless(go_on=None):
+    """What says no text, as soon as it may go on."""
 
-    assert status["type"] == "result"
-    assert status["id"] == 0
+    def say(_text, _name):
+        if go_on is not None:
+            go_on.wait(60.0)
+        raise UserError("text: no such words")
+
+    return say
+
+
+async def test_status_and_settings_are_the_faces_own(face):
+    status, done, refused, unknown = await commanded(
+        face,
+        ("status", {}),
+        ("set", {"name": "strength", "value": 0.5}),
+        ("set", {"name": "strength", "value": 5}),
+        ("set", {"name": "beauty", "value": 1.0}),
+    )
+
+    assert (status["type"], status["id"]) == ("result", 0)
     assert status["result"]["state"] == "driven"
     assert done["result"]["value"] == 0.5
-    assert changes == {"strength": 0.5}
+    assert face.commands.take_changes() == {"strength": 0.5}
     assert (refused["code"], refused["id"]) == ("refused", 2)
     assert "0 to 2" in refused["message"]
     assert unknown["code"] == "refused"
 
 
 @pytest.mark.parametrize("level", [StopLevel.SOFT, StopLevel.FREEZE, StopLevel.LIMP])
-def test_a_stop_reaches_the_face(level):
-    with ServedFace() as face:
-        (answer,) = commanded(face, ("stop", {"level": level.value}))
-        until(lambda: face.stops)
+async def test_a_stop_reaches_the_face(face, level):
+    (answer,) = await commanded(face, ("stop", {"level": level.value}))
+    until(lambda: face.stops)
 
     assert answer["type"] == "result"
     assert face.stops == [level]
 
 
-def test_a_face_that_does_not_answer_is_told():
-    with ServedFace() as face:
-        face.path.unlink()
-        (answer,) = commanded(face, ("status", {}))
+async def test_a_face_that_does_not_answer_is_told(face):
+    face.path.unlink()
+    (answer,) = await commanded(face, ("status", {}))
 
     assert answer["code"] == "not_answering"
 
 
-def test_a_text_that_cannot_be_said_is_refused_in_the_faces_words():
-    def say(_text, _name):
-        raise UserError("text: no such words")
-
-    with ServedFace(say=say) as face:
-        refused, no_play = commanded(
+async def test_a_text_that_cannot_be_said_is_refused_in_the_faces_words():
+    with ServedFace(say=voiceless()) as face:
+        refused, no_play = await commanded(
             face, ("say", {"text": "gibberish"}), ("play", {"file": "clip.wav"})
         )
 
@@ -89,27 +88,23 @@ def test_a_text_that_cannot_be_said_is_refused_in_the_faces_words():
     assert no_play["code"] == "not_available"
 
 
-def spoken(face, *texts, interrupts=False):
+async def spoken(face, *texts, interrupts=False):
     """All that a client is told that lets the face say texts, until each of them has ended."""
-
-    async def talk():
-        async with client(face, "/control") as agent, client(face) as other:
-            for number, text in enumerate(texts):
-                await agent.say("say", id=number, text=text)
-            if interrupts:
-                for _ in texts:
-                    await agent.next("result")
-                await other.say("interrupt")
+    async with client(face, "/control") as agent, client(face) as other:
+        for number, text in enumerate(texts):
+            await agent.say("say", id=number, text=text)
+        if interrupts:
             for _ in texts:
-                await agent.next("finished", "dropped")
-            return agent.heard
+                await agent.next("result")
+            await other.say("interrupt")
+        for _ in texts:
+            await agent.next("finished", "dropped")
+        return agent.heard
 
-    return asyncio.run(talk())
 
-
-def test_a_text_has_a_name_a_length_a_beginning_and_an_end():
+async def test_a_text_has_a_name_a_length_a_beginning_and_an_end():
     with ServedFace(has_voice=True) as face:
-        heard = spoken(face, "hello")
+        heard = await spoken(face, "hello")
 
     result, started, finished = sorted(heard, key=lambda event: event["type"] != "result")
     name = result["result"]["stream"]
@@ -119,9 +114,9 @@ def test_a_text_has_a_name_a_length_a_beginning_and_an_end():
     assert finished["played_s"] == pytest.approx(0.5, abs=0.03)
 
 
-def test_texts_that_are_cut_off_are_dropped_each_by_its_id():
+async def test_texts_that_are_cut_off_are_dropped_each_by_its_id():
     with ServedFace(has_voice=True) as face:
-        heard = spoken(face, "a" * 2_500, "b" * 200, interrupts=True)
+        heard = await spoken(face, "a" * 2_500, "b" * 200, interrupts=True)
 
     dropped = [event for event in heard if event["type"] == "dropped"]
     assert [event["id"] for event in dropped] == [0, 1]
@@ -129,51 +124,38 @@ def test_texts_that_are_cut_off_are_dropped_each_by_its_id():
     assert dropped[1]["played_s"] == 0.0
 
 
-def test_a_text_may_ask_for_a_language_a_voice_a_rate_and_a_pitch():
+async def test_a_text_may_ask_for_a_language_a_voice_a_rate_and_a_pitch():
     voice = {"language": "de", "voice": "joe", "rate_wpm": 120, "pitch": 30}
     with ServedFace(has_voice=True) as face:
-        (answer,) = commanded(face, ("say", {"text": "Guten Tag", **voice}))
+        (answer,) = await commanded(face, ("say", {"text": "Guten Tag", **voice}))
 
     assert answer["type"] == "result"
     assert {name: face.asked[0][name] for name in voice} == voice
 
 
-def test_a_text_waits_for_no_agent_that_speaks_where_one_speaks_at_a_time():
+async def test_a_text_waits_for_no_agent_that_speaks_where_one_speaks_at_a_time():
     with ServedFace(has_voice=True) as face:
-
-        async def talk():
-            async with client(face) as other, client(face, "/control") as agent:
-                await other.start()
-                await agent.say("say", id=7, text="hello")
-                return await agent.next("error")
-
-        busy = asyncio.run(talk())
+        async with client(face) as other, client(face, "/control") as agent:
+            await other.start()
+            await agent.say("say", id=7, text="hello")
+            busy = await agent.next("error")
 
     assert (busy["code"], busy["id"]) == ("busy", 7)
 
 
-def test_a_request_of_an_unknown_type_is_answered_with_its_id_and_an_id_in_use_is_refused():
+async def test_a_request_of_an_unknown_type_is_answered_with_its_id_and_an_id_in_use_is_refused():
     go_on = threading.Event()
-
-    def say(_text, _name):
-        go_on.wait(60.0)
-        raise UserError("text: no such words")
-
-    with ServedFace(say=say) as face:
-
-        async def talk():
-            async with client(face, "/control") as agent:
-                await agent.say("dance", id="d")
-                unknown = await agent.next("error")
-                await agent.say("say", id="s", text="hello")
-                await agent.say("status", id="s")
-                in_use = await agent.next("error")
-                go_on.set()
-                await agent.next("error")
-                await agent.say("status", id="s")
-                return unknown, in_use, await agent.next("result")
-
-        unknown, in_use, status = asyncio.run(talk())
+    with ServedFace(say=voiceless(go_on)) as face:
+        async with client(face, "/control") as agent:
+            await agent.say("dance", id="d")
+            unknown = await agent.next("error")
+            await agent.say("say", id="s", text="hello")
+            await agent.say("status", id="s")
+            in_use = await agent.next("error")
+            go_on.set()
+            await agent.next("error")
+            await agent.say("status", id="s")
+            status = await agent.next("result")
 
     assert (unknown["code"], unknown["id"]) == ("unknown_type", "d")
     assert "protocol 2" in unknown["message"]
@@ -181,67 +163,50 @@ def test_a_request_of_an_unknown_type_is_answered_with_its_id_and_an_id_in_use_i
     assert status["id"] == "s"
 
 
-@pytest.mark.parametrize(
-    ("kind", "fields", "code"),
-    [
-        ("say", {"text": ""}, "bad_message"),
-        ("say", {"text": "a" * 20_001}, "bad_message"),
-        ("say", {"text": "a", "language": "German"}, "bad_message"),
-        ("say", {"text": "a", "rate_wpm": 9000}, "bad_message"),
-        ("say", {"text": "a", "pitch": "high"}, "bad_message"),
-        ("stop", {"level": "gently"}, "bad_message"),
-        ("set", {"name": "strength", "value": "much"}, "bad_message"),
-        ("set", {"name": "strength"}, "bad_message"),
-    ],
-)
-def test_a_wrong_command_is_told_with_its_id(kind, fields, code):
+async def test_a_wrong_command_is_told_with_its_id():
+    wrong = [
+        ("say", {"text": ""}),
+        ("say", {"text": "a" * 20_001}),
+        ("say", {"text": "a", "language": "German"}),
+        ("say", {"text": "a", "rate_wpm": 9000}),
+        ("say", {"text": "a", "pitch": "high"}),
+        ("stop", {"level": "gently"}),
+        ("set", {"name": "strength", "value": "much"}),
+        ("set", {"name": "strength"}),
+    ]
     with ServedFace(has_voice=True) as face:
-        (answer,) = commanded(face, (kind, fields))
+        answers = await commanded(face, *wrong)
 
-    assert (answer["code"], answer["id"]) == (code, 0)
-    assert len(answer["message"]) < 200
+    told = [(answer["code"], answer["id"]) for answer in answers]
+    assert told == [("bad_message", number) for number in range(len(wrong))]
+    assert max(len(answer["message"]) for answer in answers) < 200
 
 
-def test_a_stop_waits_for_no_synthesiser_and_too_many_commands_are_refused():
+async def test_a_stop_waits_for_no_synthesiser_and_too_many_commands_are_refused():
     go_on = threading.Event()
-
-    def say(_text, _name):
-        go_on.wait(60.0)
-        raise UserError("text: no such words")
-
-    with ServedFace(say=say) as face:
-
-        async def talk():
-            async with client(face, "/control") as agent:
-                for number in range(7):
-                    await agent.say("say", id=number, text="long")
-                await agent.say("stop", id="stop")
-                stopped = await agent.next("result", "error")
-                for number in range(2):
-                    await agent.say("say", id=f"more {number}", text="long")
-                refused = await agent.next("error")
-                go_on.set()
-                for _ in range(8):
-                    await agent.next("error")
-                return stopped, refused
-
-        stopped, refused = asyncio.run(talk())
+    with ServedFace(say=voiceless(go_on)) as face:
+        async with client(face, "/control") as agent:
+            for number in range(7):
+                await agent.say("say", id=number, text="long")
+            await agent.say("stop", id="stop")
+            stopped = await agent.next("result", "error")
+            for number in range(2):
+                await agent.say("say", id=f"more {number}", text="long")
+            refused = await agent.next("error")
+            go_on.set()
+            for _ in range(8):
+                await agent.next("error")
 
     assert (stopped["type"], stopped["id"]) == ("result", "stop")
     assert (refused["code"], refused["id"]) == ("too_many_requests", "more 1")
 
 
-def test_audio_on_the_wrong_connection_and_text_that_is_none_are_told():
-    with ServedFace() as face:
-
-        async def talk():
-            async with client(face, "/control") as agent:
-                await agent.send(b"\0\0")
-                binary = await agent.next("error")
-                await agent.send("status")
-                return binary, await agent.next("error")
-
-        binary, text = asyncio.run(talk())
+async def test_audio_on_the_wrong_connection_and_text_that_is_none_are_told(face):
+    async with client(face, "/control") as agent:
+        await agent.send(b"\0\0")
+        binary = await agent.next("error")
+        await agent.send("status")
+        text = await agent.next("error")
 
     assert (binary["code"], text["code"]) == ("unexpected_binary", "bad_json")
 
@@ -252,7 +217,7 @@ class Ear:
     def __init__(self, answer=None):
         self.answer = answer
         self.path = short_folder() / "ear.sock"
-        self.words = []
+        self.words, self.outbox = [], Outbox()
 
     def __enter__(self):
         self._clients = []
@@ -267,6 +232,16 @@ class Ear:
         for each in (self._listener, *self._clients):
             each.close()
 
+    def session(self, pool=None):
+        """The session of a client of this face."""
+        turns = OpenStreams(Playout(), AgentSettings())
+        commands = Commands(self.path, None, None, pool, pool, pool)
+        return ControlSession(self.outbox, commands, turns)
+
+    async def told(self):
+        """What the client is told next."""
+        return json.loads(await self.outbox.take())
+
     def _hear(self):
         with contextlib.suppress(OSError):
             while True:
@@ -277,12 +252,11 @@ class Ear:
                     client.send(json.dumps(self.answer(self.words[-1])).encode())
 
 
-def session_at(path, outbox, pool=None):
-    turns = OpenStreams(Playout(), AgentSettings())
-    return ControlSession(outbox, Commands(path, None, None, pool, pool, pool), turns)
+def accepted(word):
+    return {"accepted": word}
 
 
-def test_a_stop_passes_two_files_after_its_message_and_needs_no_thread(monkeypatch):
+async def test_a_stop_passes_two_files_after_its_message_and_needs_no_thread(monkeypatch):
     """The third is the server's own, which hands the message on."""
     files = [f"{ROOT / name}/" for name in ("lipservo", "firmware_bridge", "lipsync")]
     calls = []
@@ -300,18 +274,14 @@ def test_a_stop_passes_two_files_after_its_message_and_needs_no_thread(monkeypat
     real = control_session.send_stop
     monkeypatch.setattr(control_session, "send_stop", sent)
 
-    async def stopped(path):
-        outbox = Outbox()
-        session = session_at(path, outbox)
+    with Ear(accepted) as ear:
+        session = ear.session()
         sys.setprofile(profile)
         try:
             await session.hear('{"type": "stop", "id": 1, "level": "limp"}')
         finally:
             sys.setprofile(None)
-        return json.loads(await outbox.take())
-
-    with Ear(lambda word: {"accepted": word}) as ear:
-        result = asyncio.run(stopped(ear.path))
+        result = await ear.told()
 
     assert result == {"type": "result", "id": 1, "result": {"accepted": "limp"}}
     assert ear.words == ["limp"]
@@ -319,106 +289,71 @@ def test_a_stop_passes_two_files_after_its_message_and_needs_no_thread(monkeypat
     assert len(calls) <= 6, calls
 
 
-def test_a_client_is_answered_once_the_face_has_taken_its_stop_and_not_before():
+async def test_a_client_is_answered_once_the_face_has_taken_its_stop_and_not_before():
     may_answer = threading.Event()
 
     def answer(word):
         may_answer.wait(60.0)
-        return {"accepted": word}
-
-    async def stopped(ear):
-        outbox = Outbox()
-        await session_at(ear.path, outbox).hear('{"type": "stop", "id": 1, "level": "limp"}')
-        result = asyncio.ensure_future(outbox.take())
-        await asyncio.to_thread(until, lambda: ear.words == ["limp"])
-        await asyncio.sleep(0.05)
-        is_early = result.done()
-        may_answer.set()
-        return is_early, json.loads(await result)["result"]
+        return accepted(word)
 
     with Ear(answer) as ear:
-        assert asyncio.run(stopped(ear)) == (False, {"accepted": "limp"})
+        await ear.session().hear('{"type": "stop", "id": 1, "level": "limp"}')
+        result = asyncio.ensure_future(ear.told())
+        await asyncio.to_thread(until, lambda: ear.words == ["limp"])
+        await asyncio.sleep(0.05)
+        assert not result.done()
+        may_answer.set()
+        assert (await result)["result"] == {"accepted": "limp"}
 
 
-def test_a_stop_waits_for_no_pending_command_and_no_stop_for_another():
+async def test_a_stop_waits_for_no_pending_command_and_no_stop_for_another():
     """The face takes every word and answers none: the ninth stop goes out as the first did."""
-
-    async def stopped(ear):
-        outbox = Outbox()
-        session = session_at(ear.path, outbox)
+    with Ear() as ear:
+        session = ear.session()
         for number in range(12):
             await session.hear(json.dumps({"type": "stop", "id": number, "level": "soft"}))
             await asyncio.sleep(0)
-        refused = [json.loads(await outbox.take()) for _ in range(4)]
+        refused = [await ear.told() for _ in range(4)]
         session.leave()
-        return refused
-
-    with Ear() as ear:
-        refused = asyncio.run(stopped(ear))
         until(lambda: len(ear.words) == 12)
 
     assert ear.words == ["soft"] * 12
-    assert [(each["id"], each["code"]) for each in refused] == [
-        (number, "too_many_requests") for number in range(4)
-    ]
+    assert [each["id"] for each in refused] == [0, 1, 2, 3]
+    assert {each["code"] for each in refused} == {"too_many_requests"}
 
 
-def test_a_stop_may_wait_for_what_the_servos_confirm():
-    def reports(_word):
-        return {"accepted": "soft"}
-
-    with Ear(reports) as ear:
-
-        async def stopped():
-            outbox = Outbox()
-            session = session_at(ear.path, outbox)
-            await session.hear('{"type": "stop", "id": 1, "wait_s": 20}')
-            while not ear._clients:
-                await asyncio.sleep(0.01)
-            await asyncio.to_thread(until, lambda: ear.words == ["soft"])
-            ear._clients[0].send(json.dumps({"ended": True, "confirmed": ["jaw"]}).encode())
-            return json.loads(await outbox.take())["result"]
-
-        result = asyncio.run(stopped())
-
-    assert result["report"]["confirmed"] == ["jaw"]
+async def test_a_stop_may_wait_for_what_the_servos_confirm():
+    with Ear(accepted) as ear:
+        session = ear.session()
+        await session.hear('{"type": "stop", "id": 1, "wait_s": 20}')
+        while not ear._clients:
+            await asyncio.sleep(0.01)
+        await asyncio.to_thread(until, lambda: ear.words == ["soft"])
+        ear._clients[0].send(json.dumps({"ended": True, "confirmed": ["jaw"]}).encode())
+        assert (await ear.told())["result"]["report"]["confirmed"] == ["jaw"]
 
 
-def test_a_stopped_face_is_started_and_a_daemon_ended():
-    with Ear(lambda word: {"accepted": word}) as ear:
-
-        async def talk():
-            outbox = Outbox()
-            with ThreadPoolExecutor(1) as pool:
-                session = session_at(ear.path, outbox, pool)
-                await session.hear('{"type": "start", "id": 1}')
-                started = json.loads(await outbox.take())
-                await session.hear('{"type": "stop", "id": 2, "level": "soft", "end": true}')
-                return started, json.loads(await outbox.take())
-
-        started, ended = asyncio.run(talk())
-
-    assert started["result"] == {"accepted": "start"}
-    assert ended["result"] == {"accepted": "soft end"}
+async def test_a_stopped_face_is_started_and_a_daemon_ended():
+    with Ear(accepted) as ear, ThreadPoolExecutor(1) as pool:
+        session = ear.session(pool)
+        await session.hear('{"type": "start", "id": 1}')
+        assert (await ear.told())["result"] == {"accepted": "start"}
+        await session.hear('{"type": "stop", "id": 2, "level": "soft", "end": true}')
+        assert (await ear.told())["result"] == {"accepted": "soft end"}
 
 
-def test_a_change_waits_for_no_client_that_polls():
+async def test_a_change_waits_for_no_client_that_polls(face):
     """Every thread that asks for a status waits for a face that does not answer one."""
-
-    async def talk(face):
+    blocked = threading.Event()
+    pool = face.server._commands.statuses
+    for _ in range(2):
+        pool.submit(blocked.wait, 60.0)
+    try:
         async with client(face, "/control") as polling, client(face, "/control") as agent:
             for number in range(8):
                 await polling.say("status", id=number)
             await agent.say("set", id="set", name="strength", value=0.5)
-            return await agent.next("result", "error")
-
-    with ServedFace() as face:
-        blocked = threading.Event()
-        pool = face.server._commands.statuses
-        for _ in range(2):
-            pool.submit(blocked.wait, 60.0)
-        try:
-            done = asyncio.run(talk(face))
-        finally:
-            blocked.set()
+            done = await agent.next("result", "error")
+    finally:
+        blocked.set()
     assert (done["type"], done["id"]) == ("result", "set")

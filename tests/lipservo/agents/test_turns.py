@@ -1,8 +1,6 @@
 """Whose turn it is, besides what clients see over the wire: the face's own speech, lost events."""
 
-import asyncio
 import contextlib
-import json
 import threading
 import time
 from collections import deque
@@ -117,23 +115,6 @@ def test_what_the_face_is_about_to_say_of_its_own_is_interrupted_before_it_is_he
     assert face.playout.is_over
 
 
-def test_a_waiting_stream_that_is_cleared_is_finished():
-    """A client waits for `finished` after `cleared`: nothing else will come of this stream."""
-    face, speaker, waiting = Stepped("queue"), Outbox(), Outbox()
-    face.turns.open(speaker, START, face.now_s)
-    stream = face.turns.open(waiting, START, face.now_s)
-    stream.push(np.zeros(1600, np.float32), face.now_s)
-
-    face.turns.clear(waiting)
-
-    def took():
-        return json.loads(asyncio.run(asyncio.wait_for(waiting.take(), 5.0)))
-
-    cleared, finished = took(), took()
-    assert (cleared["type"], cleared["n_dropped"]) == ("cleared", 1600)
-    assert (finished["type"], finished["n_played"]) == ("finished", 0)
-
-
 class Kept(Outbox):
     """What a client is told."""
 
@@ -143,6 +124,20 @@ class Kept(Outbox):
 
     def put(self, event):
         self.told.append(event)
+
+
+def test_a_waiting_stream_that_is_cleared_is_finished():
+    """A client waits for `finished` after `cleared`: nothing else will come of this stream."""
+    face, speaker, waiting = Stepped("queue"), Outbox(), Kept()
+    face.turns.open(speaker, START, face.now_s)
+    stream = face.turns.open(waiting, START, face.now_s)
+    stream.push(np.zeros(1600, np.float32), face.now_s)
+
+    face.turns.clear(waiting)
+
+    cleared, finished = waiting.told
+    assert (cleared["type"], cleared["n_dropped"]) == ("cleared", 1600)
+    assert (finished["type"], finished["n_played"]) == ("finished", 0)
 
 
 class OwnVoice(Stepped):
@@ -164,7 +159,8 @@ class OwnVoice(Stepped):
         return stream
 
     def until_told(self, *kinds):
-        """What the client is told last, one of these kinds."""
+        """What the client is told last, one of these kinds; its end, if none is given."""
+        kinds = kinds or ("finished", "dropped")
         give_up_s = time.monotonic() + 30.0
         while time.monotonic() < give_up_s:
             self.step(0.02)
@@ -196,7 +192,7 @@ def test_own_speech_whose_synthesis_fails_in_the_middle_is_told_dropped(voice):
 
     voice.say(spoken_chunks(broken(), voice.stream(), 0.4))
 
-    told = voice.until_told("finished", "dropped")
+    told = voice.until_told()
     assert (told["type"], told["id"]) == ("dropped", 7)
     assert told["played_s"] == pytest.approx(0.2, abs=0.03)
 
@@ -218,17 +214,17 @@ def test_own_speech_interrupted_between_two_sentences_is_told_dropped(voice):
     voice.step()
     synthesised.set()
 
-    assert voice.until_told("finished", "dropped")["type"] == "dropped"
+    assert voice.until_told()["type"] == "dropped"
 
 
 def test_own_speech_that_was_heard_whole_is_told_finished(voice, tmp_path):
     voice.say(spoken_chunks(iter([chunk(0.2), chunk(0.2)]), voice.stream(), 0.4))
-    assert voice.until_told("finished", "dropped")["type"] == "finished"
+    assert voice.until_told()["type"] == "finished"
 
     soundfile.write(tmp_path / "line.wav", chunk(0.4), 16_000)
     voice.own = voice.turns.open_own(voice.client, 8, "line.wav")
     voice.say(spoken_file(tmp_path / "line.wav", voice.playout, voice.own.stream_id))
-    told = voice.until_told("finished", "dropped")
+    told = voice.until_told()
     assert (told["type"], told["id"], told["duration_s"]) == ("finished", 8, 0.4)
 
 
@@ -242,7 +238,7 @@ def test_the_silence_between_two_sentences_is_not_counted_as_heard(end):
 
 def test_own_speech_interrupted_while_it_is_synthesised_is_dropped_and_never_heard(voice):
     voice.turns.interrupt(Outbox())
-    told = voice.until_told("finished", "dropped")
+    told = voice.until_told()
     item = spoken_chunks(iter([chunk(0.2)]), voice.stream(), 0.2)
     voice.queue.add(item, "text")
     voice.turns.keep(voice.own, item)

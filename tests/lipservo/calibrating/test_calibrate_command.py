@@ -249,10 +249,11 @@ def test_a_plan_is_refined_where_speech_will_be_and_a_picture_drawn(tmp_path):
     assert longer.read_text().startswith(plan.read_text().rstrip()[:200])
     write_markers(longer, markers, servos, LIPS)
     done = calibrate("fit", "--config", "face_four", "--plan", longer, "--markers", markers,
-                   "-o", tmp_path / "c.yaml", "--plots", tmp_path / "plots")  # fmt: skip
+                   "-o", tmp_path / "c.yaml")  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "farthest off:" in done.stdout
     assert "max_current_ma: 294" in done.stdout
+    assert calibrate("show", tmp_path / "c.yaml", "--plots", tmp_path / "plots").exit_code == 0
     assert (tmp_path / "plots" / "coverage.png").read_bytes()[:4] == b"\x89PNG"
 
 

@@ -4,16 +4,12 @@ import socket
 from importlib import resources
 
 import pytest
-import soundfile
-from running_daemon import own_folder
-from speech import CLIP_PATH
-from typer.testing import CliRunner
-
-from lipservo.cli import app
-from lipservo.runtime.run_request import AvatarError
+from in_process import lipservo, refused
+from speech import clip_start
 
 livelink = pytest.importorskip("pylivelinkface")
 osc_bundle = pytest.importorskip("pythonosc.osc_bundle")
+pytestmark = pytest.mark.usefixtures("own_folder")
 
 
 @pytest.fixture
@@ -25,13 +21,8 @@ def receiver():
 
 
 @pytest.fixture
-def phrase(tmp_path, monkeypatch):
-    """A second of speech, and no other face."""
-    own_folder(monkeypatch)
-    samples, rate_hz = soundfile.read(CLIP_PATH)
-    path = tmp_path / "phrase.wav"
-    soundfile.write(path, samples[:rate_hz], rate_hz)
-    return path
+def phrase(tmp_path):
+    return clip_start(tmp_path, 1.0)
 
 
 def waiting(receiver):
@@ -69,21 +60,20 @@ def test_an_avatar_speaks_with_the_robot_and_closes_its_mouth_at_the_end(
 ):
     at = "{}:{}".format(*receiver.getsockname())
     given = ["--osc", at] if key == "osc" else named_in_yaml(tmp_path, key, at)
-    done = CliRunner().invoke(app, ["run", "--wav", str(phrase), *given, "--json"])
+    done = lipservo("run", "--wav", phrase, *given, "--json")
 
-    assert done.exit_code == 0, done.output
+    assert done.returncode == 0, done.stderr
     jaws = jaws_of(waiting(receiver))
     assert 20 < len(jaws) < 60 * 3, "a second of speech and its tail, 60 a second at most"
     assert max(jaws) > 0.2
     assert jaws[-1] == 0.0
 
 
-def test_a_text_that_is_said_is_shown_there_too(receiver, monkeypatch):
-    own_folder(monkeypatch)
+def test_a_text_that_is_said_is_shown_there_too(receiver):
     at = "{}:{}".format(*receiver.getsockname())
-    done = CliRunner().invoke(app, ["say", "Papa.", "--mute", "--live-link", at, "--quiet"])
+    done = lipservo("say", "Papa.", "--mute", "--live-link", at, "--quiet")
 
-    assert done.exit_code == 0, done.output
+    assert done.returncode == 0, done.stderr
     jaws = jaws_of_live_link(waiting(receiver))
     assert max(jaws) > 0.1
     assert jaws[-1] == 0.0
@@ -93,9 +83,9 @@ def test_nobody_who_listens_there_is_no_reason_to_stop(phrase):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gone:
         gone.bind(("127.0.0.1", 0))
         at = "{}:{}".format(*gone.getsockname())
-    done = CliRunner().invoke(app, ["run", "--wav", str(phrase), "--osc", at, "--quiet"])
+    done = lipservo("run", "--wav", phrase, "--osc", at, "--quiet")
 
-    assert done.exit_code == 0, done.output
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("option", ["--osc", "--live-link"])
@@ -110,15 +100,9 @@ def test_nobody_who_listens_there_is_no_reason_to_stop(phrase):
     ],
 )
 def test_a_bad_address_is_refused_in_one_line_before_a_servo_is_spoken_to(
-    command, target, option, monkeypatch, tmp_path
+    command, target, option, tmp_path
 ):
-    own_folder(monkeypatch)
     given = [option, target]
     if command[0] == "daemon" or (command[0], option) == ("run", "--live-link"):
         given = named_in_yaml(tmp_path, option[2:].replace("-", "_"), target)
-    done = CliRunner().invoke(app, [*command, *given])
-
-    assert isinstance(done.exception, AvatarError), done.exception
-    assert str(done.exception).startswith(f"{option} '{target}': ")
-    assert "\n" not in str(done.exception)
-    assert not done.stderr
+    assert refused(*command, *given).startswith(f"lipservo: {option} '{target}': ")

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 from lipservo.cli import app
 
 
-def test_microphones_and_loudspeakers_are_listed_and_the_defaults_are_marked(monkeypatch):
+def test_devices_are_listed_with_their_defaults_and_for_programs(monkeypatch):
     install_sound_card(monkeypatch)
     done = CliRunner().invoke(app, ["devices"])
     assert done.stdout.splitlines() == [
@@ -17,10 +17,6 @@ def test_microphones_and_loudspeakers_are_listed_and_the_defaults_are_marked(mon
         "*   0  USB speaker: - (hw:1,0), 48000 Hz",
         "    3  HDMI, 48000 Hz",
     ]
-
-
-def test_programs_get_inputs_and_outputs_apart(monkeypatch):
-    install_sound_card(monkeypatch)
     told = json.loads(CliRunner().invoke(app, ["devices", "--json"]).stdout)
     assert [each["name"] for each in told["inputs"]] == ["USB mic: - (hw:2,0)", "array"]
     assert [each["name"] for each in told["outputs"]] == ["USB speaker: - (hw:1,0)", "HDMI"]

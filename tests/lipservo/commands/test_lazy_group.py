@@ -9,11 +9,15 @@ from typer.testing import CliRunner
 
 from lipservo.cli import MOVED, app
 from lipservo.commands import lazy_group
+from lipservo.commands.options import MOVED_OPTIONS
 from lipservo.commands.run import stop
 from lipsync.errors import UserError
 
 #: At the top; `film` and `study` are to come.
 MOST_COMMANDS = 27
+#: All else is in the face's YAML, or set while it runs. `run` reads label files: `--tier` and
+#: `--alphabet` say what one holds.
+MOST_OPTIONS = {"run": 19, "daemon": 17}
 
 
 def run(*arguments):
@@ -35,6 +39,16 @@ def test_there_are_so_few_commands_that_one_finds_the_right_one():
     visible = [path for path, _ in every_command() if len(path.split()) == 2]
     named = [path.split()[1] for path in visible if f"\n  {path.split()[1]} " in listed]
     assert 20 < len(named) <= MOST_COMMANDS
+
+
+@pytest.mark.parametrize("name", MOST_OPTIONS)
+def test_a_command_that_starts_a_face_has_few_options(name):
+    found = dict(every_command())[f"lipservo {name}"].params
+    typed = {option for each in found for option in (*each.opts, *each.secondary_opts)}
+    of_the_shell = {"install_completion", "show_completion"}
+
+    assert len({each.name for each in found} - of_the_shell) <= MOST_OPTIONS[name]
+    assert typed.isdisjoint(MOVED_OPTIONS[name])
 
 
 def test_without_the_lab_bench_says_what_to_install(monkeypatch):

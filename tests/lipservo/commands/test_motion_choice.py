@@ -61,8 +61,14 @@ def test_every_option_reaches_the_command_that_takes_them(name):
     assert heard == [ChosenMotion(**{name: value})]
 
 
-def test_the_yaml_is_used_where_nothing_is_typed():
-    options = motion_options(ChosenMotion(), face_with(TYPED), None)
+OTHER = {"engine": "network", "weights": "default", "lookahead_ms": 80, "strength": 1.5}
+
+
+@pytest.mark.parametrize(
+    ("typed", "written"), [({}, TYPED), (TYPED, {**OTHER, "smoothness": 1})], ids=["yaml", "typed"]
+)
+def test_what_is_typed_goes_before_the_yaml_which_is_used_where_nothing_is(typed, written):
+    options = motion_options(ChosenMotion(**typed), face_with(written), None)
 
     assert options == MotionOptions("energy", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
 
@@ -72,20 +78,6 @@ def test_a_drawn_face_is_on_stage_unless_the_yaml_says_otherwise():
     as_recorded = motion_options(ChosenMotion(), face_with({"stage": 0.0}), None, stage=1.0)
 
     assert (drawn.style.stage, as_recorded.style.stage) == (1.0, 0.0)
-
-
-def test_what_is_typed_goes_before_the_yaml():
-    other = {
-        "engine": "network",
-        "weights": "default",
-        "lookahead_ms": 80,
-        "strength": 1.5,
-        "smoothness": 1,
-    }
-
-    options = motion_options(ChosenMotion(**TYPED), face_with(other), None)
-
-    assert options == MotionOptions("energy", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
 
 
 def test_another_strategy_than_the_yamls_leaves_aside_what_it_has_not():
@@ -99,12 +91,7 @@ def test_another_strategy_than_the_yamls_leaves_aside_what_it_has_not():
 
 @pytest.mark.parametrize(
     ("strategy", "name"),
-    [
-        (strategy, name)
-        for strategy in NAMES
-        for name in STYLE_NAMES
-        if name not in names.STYLES_OF[strategy]
-    ],
+    [(each, n) for each in NAMES for n in STYLE_NAMES if n not in names.STYLES_OF[each]],
 )
 def test_what_a_strategy_ignores_is_refused_typed_or_written(strategy, name):
     option = f"--{name.replace('_', '-')}"
@@ -155,24 +142,6 @@ def test_weights_of_a_yaml_are_found_from_its_folder(tmp_path):
     options = motion_options(ChosenMotion(), face_with({"weights": "own.npz"}), tmp_path)
 
     assert options.weights == str(tmp_path / "own.npz")
-
-
-@pytest.mark.parametrize(
-    ("motion", "said"),
-    [
-        ({"strength": 2}, "face.yaml.motion.strength: 2 is outside 0..1.5"),
-        ({"unit_share": 1.2}, "face.yaml.motion.unit_share: 1.2 is outside 0..1"),
-        ({"stage": -0.1}, "face.yaml.motion.stage: -0.1 is outside 0..1"),
-        ({"strategy": "best"}, "face.yaml.motion.strategy: 'best' is not known here; use one of"),
-        ({"volume": 1}, "face.yaml.motion.volume: unknown setting"),
-        (None, "face.yaml.motion: None is not settings of its own"),
-    ],
-)
-def test_a_wrong_motion_section_is_refused_with_the_path_of_its_key(motion, said):
-    with pytest.raises(SettingsError) as refused:
-        face_with(motion)
-
-    assert str(refused.value).startswith(said)
 
 
 def test_the_names_and_limits_that_load_at_once_are_those_of_what_they_name():

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_corpus
+from in_process import lipservo
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_corpus import text_grid, write_corpus
 from spoken_phonemes import spoken
 
-from lipservo import command_line
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
 
@@ -19,81 +19,54 @@ from lipsync.phonemes import PHONEMES, PhonemeUpdate
 BRIEF = ("--strategy", LIVE_STRATEGY, "--lookahead-ms", "100", "--json", "-q")
 
 
-@pytest.fixture
-def lipservo(monkeypatch, capsys):
-    """The command line in this process: status, standard output, standard error."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["lipservo", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            command_line.main()
-        printed = capsys.readouterr()
-        return int(ended.value.code or 0), printed.out, printed.err.replace("\n", " ")
-
-    return run
-
-
-@pytest.fixture
-def trained(lipservo, tmp_path):
+def trained(folder: Path) -> Path:
     """Trains on a folder through the command line and gives the model's path."""
-
-    def run(folder: Path) -> Path:
-        path = tmp_path / f"{folder.name}.npz"
-        status, _, said = lipservo("learn", "face", folder, "-o", path, "-q")
-        assert status == 0, said
-        return path
-
-    return run
+    path = folder.with_suffix(".npz")
+    done = lipservo("learn", "face", folder, "-o", path, "-q")
+    assert done.returncode == 0, done.stderr
+    return path
 
 
-@pytest.fixture
-def refused(lipservo, tmp_path):
+def refused(folder: Path) -> str:
     """What `train` says where it refuses a folder; it must leave no file."""
-
-    def run(folder: Path) -> str:
-        path = tmp_path / "refused.npz"
-        status, _, said = lipservo("learn", "face", folder, "-o", path, "-q")
-        assert status == 1
-        assert not list(tmp_path.glob("refused*"))
-        return said
-
-    return run
+    path = folder.with_name("refused.npz")
+    done = lipservo("learn", "face", folder, "-o", path, "-q")
+    assert done.returncode == 1
+    assert not list(path.parent.glob("refused*"))
+    return done.stderr.replace("\n", " ")
 
 
-def row_of(printed: str) -> dict:
-    (row,) = json.loads(printed)["results"]
-    return row
+def scored(folder: Path, *options: object) -> tuple[dict, str]:
+    """The one row that `bench motion` prints of a folder, and what it says beside."""
+    done = lipservo("bench", "motion", "--corpus", folder, *options, *BRIEF)
+    assert done.returncode == 0, done.stderr
+    (row,) = json.loads(done.stdout)["results"]
+    return row | {"skipped": json.loads(done.stdout).get("skipped")}, done.stderr.replace("\n", " ")
 
 
-def test_one_utterance_trains_and_is_scored_but_cannot_be_cross_validated(
-    lipservo, trained, tmp_path
-):
+def not_scored(folder: Path, *options: object) -> str:
+    done = lipservo("bench", "motion", "--corpus", folder, *options, *BRIEF)
+    assert done.returncode == 1
+    return done.stderr.replace("\n", " ")
+
+
+def test_one_utterance_trains_and_is_scored_but_cannot_be_cross_validated(tmp_path):
     folder = write_corpus(tmp_path / "one", 1)
-    model = trained(folder)
-    status, printed, said = lipservo(
-        "bench", "motion", "--corpus", folder, "--model", model, *BRIEF
-    )
-    assert status == 0, said
-    assert row_of(printed)["sentences"] == 1
+    row, said = scored(folder, "--model", trained(folder))
+    assert row["sentences"] == 1
     assert "the model has learned 1 of these sentences" in said
     (folder / "splits.json").write_text(json.dumps({"folds": [["s0"]], "new_words": {}}))
-    status, _, said = lipservo("bench", "motion", "--corpus", folder, *BRIEF)
-    assert status == 1
-    assert "splits.json: split random leaves no sentence to train on" in said
+    assert "splits.json: split random leaves no sentence to train on" in not_scored(folder)
 
 
 @pytest.mark.parametrize("absent", ["B", "AA", "SIL"])
-def test_a_phoneme_that_the_corpus_lacks_is_played_and_scored(
-    lipservo, trained, tmp_path, monkeypatch, absent
-):
+def test_a_phoneme_that_the_corpus_lacks_is_played_and_scored(tmp_path, monkeypatch, absent):
     """A model that never heard B still closes the lips for it."""
     whole = write_corpus(tmp_path / "whole", 4)
     others = tuple(("D" if p == absent else p, s) for p, s in small_corpus.PHONES)
     monkeypatch.setattr(small_corpus, "PHONES", others)
     model = trained(write_corpus(tmp_path / "lacking", 4, seed=1))
-    status, printed, said = lipservo("bench", "motion", "--corpus", whole, "--model", model, *BRIEF)
-    assert status == 0, said
-    row = row_of(printed)
+    row, _ = scored(whole, "--model", model)
     assert row["sentences"] == 4
     assert np.isfinite(row["ratio"])
     learned = load_trained_model(model)
@@ -112,17 +85,11 @@ def freeze(folder: Path) -> None:
         np.savez(path, landmarks_64th_px=np.repeat(points[:1], len(points), axis=0))
 
 
-def test_constant_motion_teaches_nothing_and_is_scored_without_dividing_by_it(
-    lipservo, trained, refused, tmp_path
-):
+def test_constant_motion_teaches_nothing_and_is_scored_without_dividing_by_it(tmp_path):
     moving, still = write_corpus(tmp_path / "moving", 3), write_corpus(tmp_path / "still", 1)
     freeze(still)
     assert "the face never moves" in refused(still)
-    status, printed, said = lipservo(
-        "bench", "motion", "--corpus", still, "--model", trained(moving), *BRIEF
-    )
-    assert status == 0, said
-    row = row_of(printed)
+    row, _ = scored(still, "--model", trained(moving))
     assert row["acceleration_ratio"] is None
     assert row["gap_r"] == 0.0
 
@@ -131,9 +98,7 @@ def test_constant_motion_teaches_nothing_and_is_scored_without_dividing_by_it(
     ("frame", "said"),
     [(np.nan, "s1.npz: has landmarks that are not numbers"), (0.0, "s1.npz: no face in frame 7")],
 )
-def test_frames_without_a_face_are_named_or_left_out_with_their_sentence(
-    lipservo, refused, tmp_path, frame, said
-):
+def test_frames_without_a_face_are_named_or_left_out_with_their_sentence(tmp_path, frame, said):
     folder = write_corpus(tmp_path / "c", 3)
     path = folder / "landmarks" / "s1.npz"
     with np.load(path) as file:
@@ -142,30 +107,19 @@ def test_frames_without_a_face_are_named_or_left_out_with_their_sentence(
     np.savez(path, landmarks_64th_px=points)
     assert said in refused(folder)
     model = tmp_path / "m.npz"
-    status, printed, _ = lipservo(
-        "learn", "face", folder, "-o", model, "--skip-bad", "--json", "-q"
-    )
-    assert status == 0
-    assert json.loads(printed)["skipped"] == 1
-    status, printed, said_again = lipservo(
-        "bench", "motion", "--corpus", folder, "--model", model, "--skip-bad", *BRIEF
-    )
-    assert status == 0, said_again
-    assert len(json.loads(printed)["skipped"]) == 1
-    assert row_of(printed)["sentences"] == 2
+    done = lipservo("learn", "face", folder, "-o", model, "--skip-bad", "--json", "-q")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["skipped"] == 1
+    row, _ = scored(folder, "--model", model, "--skip-bad")
+    assert len(row["skipped"]) == 1
+    assert row["sentences"] == 2
 
 
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0, 120.0])
-def test_motion_of_any_frame_rate_trains_and_scores(
-    lipservo, trained, tmp_path, monkeypatch, rate_hz
-):
+def test_motion_of_any_frame_rate_trains_and_scores(tmp_path, monkeypatch, rate_hz):
     monkeypatch.setattr(small_corpus, "FRAME_RATE_HZ", rate_hz)
     folder = write_corpus(tmp_path / "c", 3)
-    status, printed, said = lipservo(
-        "bench", "motion", "--corpus", folder, "--model", trained(folder), *BRIEF
-    )
-    assert status == 0, said
-    row = row_of(printed)
+    row, _ = scored(folder, "--model", trained(folder))
     assert np.isfinite(row["ratio"])
     # 0.6 s of speech in each of three sentences.
     assert row["frames"] == pytest.approx(3 * 0.6 * rate_hz, abs=3)
@@ -176,7 +130,7 @@ def relabel(folder: Path, change) -> None:
     path.write_text(json.dumps(change(json.loads(path.read_text()))))
 
 
-def test_landmarks_in_another_order_are_the_same_face(trained, tmp_path):
+def test_landmarks_in_another_order_are_the_same_face(tmp_path):
     models = []
     for name in ("c", "d"):
         folder = write_corpus(tmp_path / name, 3)
@@ -191,7 +145,7 @@ def test_landmarks_in_another_order_are_the_same_face(trained, tmp_path):
     np.testing.assert_allclose(*models)
 
 
-def test_landmarks_numbered_differently_are_named(refused, tmp_path):
+def test_landmarks_numbered_differently_are_named(tmp_path):
     folder = write_corpus(tmp_path / "c", 2)
 
     def rename(layout: dict) -> dict:
@@ -202,7 +156,7 @@ def test_landmarks_numbered_differently_are_named(refused, tmp_path):
     assert "landmarks.json: landmark_ids lacks 13 (1 of" in refused(folder)
 
 
-def test_a_model_of_markers_that_the_corpus_lacks_is_refused(lipservo, trained, tmp_path):
+def test_a_model_of_markers_that_the_corpus_lacks_is_refused(tmp_path):
     folder = write_corpus(tmp_path / "c", 3)
     path = trained(folder)
     with np.load(path) as file:
@@ -211,17 +165,14 @@ def test_a_model_of_markers_that_the_corpus_lacks_is_refused(lipservo, trained, 
     about["layout"]["groups"]["nose"][0] = 4711
     content["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
     np.savez(path, **content)
-    status, _, said = lipservo("bench", "motion", "--corpus", folder, "--model", path, *BRIEF)
-    assert status == 1
-    assert "landmarks.json: landmark_ids lacks 4711 (1 of" in said
+    assert "landmark_ids lacks 4711 (1 of" in not_scored(folder, "--model", path)
 
 
-def test_a_folder_without_labels_says_so(lipservo, trained, refused, tmp_path):
+def test_a_folder_without_labels_says_so(tmp_path):
     model = trained(write_corpus(tmp_path / "labelled", 3))
     folder = write_corpus(tmp_path / "c", 2)
     for path in (folder / "labels").glob("*.TextGrid"):
         path.write_text(text_grid([("SIL", 1.2)]).replace('"phones"', '"sounds"'))
     assert "no sentence has a tier `phones`" in refused(folder)
-    status, _, said = lipservo("bench", "motion", "--corpus", folder, "--model", model, *BRIEF)
-    assert status == 1
+    said = not_scored(folder, "--model", model)
     assert "no sentence has a tier `phones` in labels/ to score by" in said

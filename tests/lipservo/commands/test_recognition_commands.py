@@ -2,14 +2,13 @@
 
 import json
 import os
-import subprocess
 import sys
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import soundfile
-from in_process import lipservo
+from in_process import lipservo, refused
 from places import ROOT
 from speech import CLIP_PATH
 
@@ -47,17 +46,8 @@ def test_a_channel_without_speech_is_told_and_the_other_is_heard(tmp_path):
     assert {line.split()[-1] for line in right.stdout.splitlines()} == {"SIL"}
     assert left.stderr == ""
     assert len(left.stdout.splitlines()) > 20
-    assert "has 2 channels, not 3" in refused(
-        "lines", "recognize", tmp_path / "two.wav", "--channel", "3"
-    )
-
-
-def refused(*arguments: object) -> str:
-    """The one line of a command that fails."""
-    done = lipservo(*arguments)
-    assert done.returncode != 0
-    (line,) = done.stderr.splitlines()
-    return line
+    third = refused("lines", "recognize", tmp_path / "two.wav", "--channel", "3")
+    assert "has 2 channels, not 3" in third
 
 
 @pytest.mark.parametrize("command", ["lines recognize", "replay"])
@@ -78,34 +68,15 @@ def test_damaged_default_weights_are_made_up_for_and_it_is_logged(monkeypatch, t
     assert "damaged or no weights" in line
 
 
-def test_a_file_cut_short_is_named_once_and_played_all_the_same(tmp_path):
-    cut = tmp_path / "cut.wav"
-    soundfile.write(cut, soundfile.read(CLIP_PATH)[0][:64_000], 16_000)
-    cut.write_bytes(cut.read_bytes()[: 44 + 2 * 22_400])
-    for command in ("lines recognize", "replay"):
-        # A process of its own: a log line is written once in each.
-        done = subprocess.run(
-            [sys.executable, "-m", "lipservo", *command.split(), cut, "--json"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        assert done.stderr.count("cut short: its header promises 4.00 s, the file holds 1.40") == 1
-
-
 def test_phones_are_written_as_the_ending_says(tmp_path):
     path = tmp_path / "clip.json"
     done = lipservo("lines", "recognize", CLIP_PATH, "--json", "-o", path)
     assert done.returncode == 0, done.stderr
     told = [list(json.loads(line).values()) for line in done.stdout.splitlines()]
     assert json.loads(path.read_text()) == {"phones": told}
-    assert "use .TextGrid (Praat) or .json" in refused(
-        "lines", "recognize", CLIP_PATH, "-o", tmp_path / "clip.txt"
-    )
-    assert "use .TextGrid (Praat) or .json" in refused(
-        "lines", "align", CLIP_PATH, "hello", "-o", tmp_path / "clip"
-    )
+    for command, *text, name in (("recognize", "clip.txt"), ("align", "hello", "clip")):
+        said = refused("lines", command, CLIP_PATH, *text, "-o", tmp_path / name)
+        assert "use .TextGrid (Praat) or .json" in said
     assert os.listdir(tmp_path) == ["clip.json"]
 
 
@@ -127,17 +98,6 @@ def test_align_writes_words_and_phones(tmp_path):
     assert told["beams"] == "default"
     assert -1.0 < told["score"] < 0.0
     assert "lipservo" in done.stderr  # its pronunciation was guessed
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [("hello 12", "word '12' has no letters"), ("...", "the text has no words")],
-)
-def test_align_explains_a_text_that_cannot_be_aligned(text, said):
-    done = lipservo("lines", "align", CLIP_PATH, text)
-    assert done.returncode == 1
-    (line,) = done.stderr.splitlines()
-    assert said in line
 
 
 def test_align_refuses_a_text_that_was_not_said(tmp_path):
@@ -189,7 +149,7 @@ def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
     assert set(figures) >= {
-        "phone_all", "phone_speech", "viseme_all", "viseme_speech", "viseme_speech_slack20",
+        "phone_all", "phone_speech", "viseme_all", "viseme_speech",
         "closure_recall", "closure_precision", "per", "revisions_per_s", "rtf",
         "ms_per_phoneme", "utterances", "seconds", "alignment", "failed_alignments",
     }  # fmt: skip
@@ -230,17 +190,12 @@ def test_bench_recognition_explains_its_mistakes(corpus):
         (("--corpus", corpus, "--only", corpus / "none"), "no readable list of names"),
         (("--corpus", corpus, "--weights", "none.npz"), "shipped weights: default, grid"),
     ):
-        done = lipservo("bench", "recognition", *arguments)
-        assert done.returncode == 1
-        (line,) = done.stderr.splitlines()
-        assert said in line
+        assert said in refused("bench", "recognition", *arguments)
 
 
 @pytest.mark.campaign
 def test_bench_listening_watches_the_mouth_close(corpus):
-    done = lipservo(
-        "bench", "listening", "--corpus", corpus, "--speakers", "3", "--hours", "0.002", "--json"
-    )
+    done = lipservo("bench", "listening", "--corpus", corpus, "--speakers", "3", "--json")
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
     assert figures["closing_cuts"] == 6
@@ -248,14 +203,15 @@ def test_bench_listening_watches_the_mouth_close(corpus):
     assert figures["closing_complete_ms_p100"] <= 400
     assert figures["gap_120_ms_brought_to_rest"] == 0.0
     assert figures["closing_delay_ms"] == pytest.approx(205.0)
-    assert figures["endurance_hours"] == pytest.approx(0.002)
 
 
 @pytest.mark.parametrize("engine", ["network", "energy"])
-def test_replay_names_the_recogniser_that_listened(engine):
+def test_replay_hears_without_pocketsphinx_and_names_who_listened(engine, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pocketsphinx", None)
     done = lipservo("replay", CLIP_PATH, "--engine", engine, "--json")
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["recognizer"] == engine
+    summary = json.loads(done.stdout)
+    assert (summary["recognizer"], summary["fallback_level"]) == (engine, 0)
 
 
 @pytest.mark.slow
@@ -273,14 +229,6 @@ def test_a_run_log_becomes_a_picture(tmp_path):
     assert "every line must hold a step and a loss" in done.stderr
 
 
-def test_a_face_hears_where_pocketsphinx_is_not_installed(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pocketsphinx", None)
-    done = lipservo("replay", CLIP_PATH, "--json")
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert (summary["recognizer"], summary["fallback_level"]) == ("network", 0)
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -291,10 +239,8 @@ def test_a_face_hears_where_pocketsphinx_is_not_installed(monkeypatch):
 def test_what_needs_pocketsphinx_says_so_in_one_line(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "pocketsphinx", None)
-    done = lipservo(*arguments)
-    assert done.returncode == 1
-    (line,) = done.stderr.splitlines()
-    assert "needs pocketsphinx, which is not installed: `pip install 'lipservo[align]'`" in line
+    said = refused(*arguments)
+    assert "needs pocketsphinx, which is not installed: `pip install 'lipservo[align]'`" in said
     assert os.listdir(tmp_path) == []
 
 

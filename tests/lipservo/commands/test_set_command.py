@@ -1,74 +1,28 @@
 """`set` as a person types it, while a face plays; and what the face then says of itself."""
 
 import json
-import threading
-import time
-from contextlib import contextmanager
 
 import pytest
 from logged import logged
-from places import short_folder
-from typer.testing import CliRunner
+from playing_face import invoke, listening, playing, status
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
-from firmware_bridge.process.commands import CommandQueue, Setting
-from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.runtime_folder import socket_path
-from lipservo.cli import app
+from firmware_bridge.process.commands import Setting
 from lipservo.runtime.face_runtime import run_face
 from lipservo.runtime.motion_options import MotionOptions
 from lipservo.runtime.run_request import SILENCE, RunRequest
-from lipservo.runtime.sound import open_sound
 from lipsync.audio.source import SilentSource
 from lipsync.errors import UserError
 from lipsync.motion.finishing import Style
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 
-PATIENCE_S = 60.0
-
-
-@pytest.fixture(autouse=True)
-def own_folder(monkeypatch):
-    """Faces of this test only."""
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    session = short_folder()
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
-    monkeypatch.setattr(
-        "firmware_bridge.process.runtime_folder._folders_of_others", lambda: iter(())
-    )
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, list(arguments))
-
-
-@contextmanager
-def playing(motion):
-    """A face with simulated servos that hears silence in this process, until the block ends."""
-    outcomes = []
-    request = RunRequest("face_jaw", SILENCE, motion, quiet=True)
-
-    def play():
-        with open_sound(SILENCE) as source:
-            outcomes.append(run_face(request, source, MonotonicClock(), endless=True))
-
-    thread = threading.Thread(target=play)
-    thread.start()
-    give_up_s = time.monotonic() + PATIENCE_S
-    while not json.loads(invoke("status", "--json").stdout)["faces"]:
-        assert time.monotonic() < give_up_s
-        time.sleep(0.05)
-    try:
-        yield outcomes
-    finally:
-        invoke("stop", "--end")
-        thread.join(PATIENCE_S)
+pytestmark = pytest.mark.usefixtures("own_folder")
 
 
 def test_a_face_says_what_it_plays_and_follows_what_is_set():
-    with playing(MotionOptions(style=Style(0.05, 1.2))) as outcomes:
-        (before,) = json.loads(invoke("status", "--json").stdout)["faces"]
+    with playing(motion=MotionOptions(style=Style(0.05, 1.2))) as outcomes:
+        before = status()
         done = invoke("set", "strength", "0.25")
         in_json = invoke("set", "smoothness", "1", "--json")
         gap = invoke("set", "lip_gap_offset_mm", "-0.5")
@@ -77,24 +31,19 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
         shown = invoke("status").stdout
     (after,) = outcomes
 
-    assert (before["strategy"], before["sound"], before["engine"]) == (
-        "animpho",
-        "silence",
-        "network",
-    )
-    assert before["settings"] == {
+    settings = {
         "lookahead_ms": 50.0, "strength": 1.2, "stage": 0.0, "smoothness": 0.0, "unit_share": 1.0,
         "lip_gap_offset_mm": 0.0,
     }  # fmt: skip
+    said = before["strategy"], before["sound"], before["engine"], before["settings"]
+    assert said == ("animpho", "silence", "network", settings)
     assert (done.exit_code, in_json.exit_code) == (0, 0)
     assert "strength is 0.25 from now on" in done.stdout
     (answer,) = json.loads(in_json.stdout)["faces"]
     assert (answer["set"], answer["value"]) == ("smoothness", 1.0)
     assert "animpho, lookahead_ms 50, strength 0.25, stage 0, smoothness 1" in shown
-    assert after.status.speech.settings == {
-        "lookahead_ms": 50.0, "strength": 0.25, "stage": 0.0, "smoothness": 1.0, "unit_share": 1.0,
-        "lip_gap_offset_mm": -0.5,
-    }  # fmt: skip
+    changed = {"strength": 0.25, "smoothness": 1.0, "lip_gap_offset_mm": -0.5}
+    assert after.status.speech.settings == settings | changed
     assert (gap.exit_code, too_far.exit_code) == (0, 1)
     assert "lip_gap_offset_mm is 4; allowed: -3 to 3" in too_far.stderr
     assert too_much.exit_code == 1
@@ -104,7 +53,7 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
 
 
 def test_a_setting_that_a_strategy_has_not_is_refused_in_one_line():
-    with playing(MotionOptions(strategy="naive")):
+    with playing(motion=MotionOptions(strategy="naive")):
         done = invoke("set", "smoothness", "0.5")
 
     assert done.exit_code == 1
@@ -112,29 +61,9 @@ def test_a_setting_that_a_strategy_has_not_is_refused_in_one_line():
     assert "'smoothness': no such setting; there are: " in done.stderr
 
 
-@contextmanager
-def listening(name, settings):
-    """A face that only answers."""
-    over = threading.Event()
-
-    def loop(control):
-        while not over.wait(0.001):
-            control.poll()
-            control.answer(dict)
-
-    path = socket_path(name)
-    with ControlSocket(path, {"name": name}, CommandQueue(settings)) as control:
-        thread = threading.Thread(target=loop, args=(control,))
-        thread.start()
-        try:
-            yield
-        finally:
-            over.set()
-            thread.join()
-
-
 def test_all_faces_are_asked_or_the_one_that_is_named_and_one_refusal_is_a_failure():
-    with listening("tim", {"strength": Setting(1.0, 0.0, 1.5)}), listening("tom", {}):
+    strength = Setting(1.0, 0.0, 1.5)
+    with listening("tim", settings={"strength": strength}), listening("tom"):
         both = invoke("set", "strength", "0.5", "--json")
         one = invoke("set", "strength", "0.5", "--face", "tim")
         negative = invoke("set", "strength", "-1", "--face", "tim")
@@ -145,13 +74,6 @@ def test_all_faces_are_asked_or_the_one_that_is_named_and_one_refusal_is_a_failu
     assert (both.exit_code, one.exit_code, negative.exit_code) == (1, 0, 1)
     assert "strength is -1; allowed: 0 to 1.5" in negative.stderr
     assert isinstance(nobody.exception, UserError)
-
-
-def test_without_a_face_it_says_so():
-    done = invoke("set", "strength", "0.5")
-
-    assert isinstance(done.exception, UserError)
-    assert "start one with `lipservo daemon`" in str(done.exception)
 
 
 class _ShortSilence(SilentSource):

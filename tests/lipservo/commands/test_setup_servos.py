@@ -98,11 +98,10 @@ def test_a_wired_chain_gets_what_differs_and_nobody_is_unplugged(wired):
     assert done.exit_code == 0, done.output
     assert wired.lacking() == []
     assert not wired.chain.servos[0].torque_on
-    assert [(each[0], each[1]) for each in wired.writes()] == [
-        (IDS[0], register("max_position_limit").address),
-        (IDS[2], register("return_delay_time").address),
-        (IDS[2], register("min_position_limit").address),
-    ]
+    names = ("max_position_limit", "return_delay_time", "min_position_limit")
+    addresses = [register(name).address for name in names]
+    written = [(IDS[0], addresses[0]), (IDS[2], addresses[1]), (IDS[2], addresses[2])]
+    assert [(each[0], each[1]) for each in wired.writes()] == written
     assert f"{NAMES[0]}: max_position_limit 2100 -> " in done.stdout
     assert f"{NAMES[3]}: set up as id {IDS[3]}" in done.stdout
 
@@ -131,8 +130,7 @@ def test_a_dry_run_lists_and_writes_nothing(wired):
 
 
 def test_json_says_what_was_found_wanted_and_set(wired):
-    done = wired.run("--json")
-    said = json.loads(done.stdout)
+    said = json.loads(wired.run("--json").stdout)
 
     assert (said["complete"], said["dry_run"], said["error"]) == (True, False, "")
     assert [each["joint"] for each in said["servos"]] == NAMES

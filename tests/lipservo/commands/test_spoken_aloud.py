@@ -1,4 +1,4 @@
-"""`say` with real PortAudio: what it says comes out of the loudspeaker."""
+"""`say` and `perform` with real PortAudio: their sound comes out of the loudspeaker."""
 
 import json
 import shutil
@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 from null_sink import null_sink
+from written_performance import written_performance
 
 from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
@@ -20,15 +21,10 @@ RATE_HZ = 16_000
 PATIENCE_S = 120.0
 
 
-def test_what_is_said_leaves_the_loudspeaker_whole(tmp_path):
+def played(recorded, *arguments):
+    """What a command says of itself in JSON, and how long its sound left the loudspeaker, in s."""
     if shutil.which("parec") is None:
         pytest.skip("no parec: apt install pulseaudio-utils")
-    try:
-        voice = synthesizer_for()
-    except SynthesisError as missing:
-        pytest.skip(str(missing))
-    wanted = voice.speak(TEXT)
-    recorded = tmp_path / "heard.raw"
     with null_sink() as server, recorded.open("wb") as file:
         format_ = ["--format=s16le", f"--rate={RATE_HZ}", "--channels=1", "--latency-msec=20"]
         recorder = subprocess.Popen(
@@ -36,7 +32,7 @@ def test_what_is_said_leaves_the_loudspeaker_whole(tmp_path):
         )
         try:
             done = subprocess.run(
-                [sys.executable, "-m", "lipservo", "say", TEXT, "--json"],
+                [sys.executable, "-m", "lipservo", *arguments, "--json"],
                 env=server.environment,
                 timeout=PATIENCE_S,
                 check=False,
@@ -48,10 +44,27 @@ def test_what_is_said_leaves_the_loudspeaker_whole(tmp_path):
             recorder.wait()
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
-    assert told["phonemes"] >= 6
     assert told["status"]["output"] is not None
-    heard = np.frombuffer(recorded.read_bytes(), "<i2") / 32_768.0
-    loud = np.flatnonzero(np.abs(heard) > 0.02)
-    sounding = np.flatnonzero(np.abs(wanted.samples) > 0.02)
-    lasted_s = (loud[-1] - loud[0]) / RATE_HZ
-    assert lasted_s == pytest.approx((sounding[-1] - sounding[0]) / wanted.sample_rate_hz, abs=0.05)
+    return told, loud_s(np.frombuffer(recorded.read_bytes(), "<i2") / 32_768.0, RATE_HZ)
+
+
+def loud_s(samples, rate_hz):
+    loud = np.flatnonzero(np.abs(samples) > 0.02)
+    return (loud[-1] - loud[0]) / rate_hz
+
+
+def test_what_is_said_leaves_the_loudspeaker_whole(tmp_path):
+    try:
+        wanted = synthesizer_for().speak(TEXT)
+    except SynthesisError as missing:
+        pytest.skip(str(missing))
+    told, lasted_s = played(tmp_path / "heard.raw", "say", TEXT)
+    assert told["phonemes"] >= 6
+    assert lasted_s == pytest.approx(loud_s(wanted.samples, wanted.sample_rate_hz), abs=0.05)
+
+
+def test_the_sound_of_a_performance_leaves_the_loudspeaker_whole(tmp_path):
+    path = written_performance(tmp_path / "tone.perf")
+    told, lasted_s = played(tmp_path / "heard.raw", "lines", "perform", path)
+    assert told["status"]["n_playout_underruns"] == 0
+    assert lasted_s == pytest.approx(1.0, abs=0.05)

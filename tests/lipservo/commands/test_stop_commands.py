@@ -6,14 +6,14 @@ import socket
 import subprocess
 import sys
 import tempfile
-import threading
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing
 
 import pytest
 from in_process import lipservo
-from places import short_folder
-from typer.testing import CliRunner
+from playing_face import HELD, invoke
+from playing_face import listening as face
+from running_daemon import torque
 
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.feetech.control_table import TORQUE_ENABLE
@@ -28,78 +28,26 @@ from firmware_bridge.process.runtime_folder import (
 )
 from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.stopping import StopLevel
-from lipservo.cli import app
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.errors import UserError
 
+pytestmark = pytest.mark.usefixtures("own_folder")
 RUNTIME = "firmware_bridge.process.runtime_folder"
-
-
-@pytest.fixture(autouse=True)
-def own_folder(monkeypatch):
-    """Faces of this test only."""
-    for variable in ("RUNTIME_DIRECTORY", "LIPSERVO_RUNTIME"):
-        monkeypatch.delenv(variable, raising=False)
-    session = short_folder()
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
-    monkeypatch.setattr(f"{RUNTIME}.SERVICE_FOLDER", session / "none")
-    monkeypatch.setattr(f"{RUNTIME}._folders_of_others", lambda: iter(()))
-    return session
-
-
-HELD = {"holds": ["jaw"], "limp": ["left"], "unknown": []}
-SERVOS = {
-    "servos": {"jaw": "driven", "left": "cooling"},
-    "torque": {"jaw": {"on": True, "age_s": 0.0}, "left": {"on": None, "age_s": 0.7}},
-    "troubles": [],
-}
-
-
-@contextmanager
-def face(name, unconfirmed=None, status=SERVOS, held=HELD):
-    """A face that listens and ends when told; no servos behind it."""
-    over = threading.Event()
-    path = runtime_folder() / f"{name}-{os.getpid()}.sock"
-    heard = []
-
-    def loop(control):
-        while not over.wait(0.001):
-            request = control.poll()
-            control.answer(lambda: status, lambda: held)
-            if request is not None:
-                heard.append(request.level)
-                if request.level is not StopLevel.FREEZE:
-                    control.report_end(
-                        {"confirmed": ["jaw"], "unconfirmed": dict(unconfirmed or {})}
-                    )
-
-    with ControlSocket(path, {"name": name, "port": f"/dev/{name}"}) as control:
-        control.attend(lambda _order: "")
-        thread = threading.Thread(target=loop, args=(control,))
-        thread.start()
-        try:
-            yield heard
-        finally:
-            over.set()
-            thread.join()
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, list(arguments))
+BAUD_RATE = 2_000_000
 
 
 def faces(result):
     return json.loads(result.stdout)["faces"]
 
 
-def test_without_a_face_stop_says_so_and_status_lists_none():
-    done = invoke("stop")
+@pytest.mark.parametrize("command", ["stop", "limp", "set strength 0.5", "servo jaw off"])
+def test_without_a_face_a_command_says_so_and_status_lists_none(command):
+    done = invoke(*command.split())
 
     assert done.exit_code == 1
     assert isinstance(done.exception, UserError)
-    assert "no face answers" in str(done.exception)
+    assert str(done.exception).startswith(("no face answers", "no face runs"))
     assert faces(invoke("status", "--json")) == []
-    assert isinstance(invoke("limp").exception, UserError)
 
 
 @pytest.mark.parametrize(
@@ -114,10 +62,7 @@ def test_stop_without_a_name_stops_all_and_with_one_only_that(options, level):
         both = invoke("stop", *options)
         unknown = invoke("stop", "--face", "tam")
 
-    assert [(each["name"], each["port"]) for each in listed] == [
-        ("tim", "/dev/tim"),
-        ("tom", "/dev/tom"),
-    ]
+    assert [(e["name"], e["port"]) for e in listed] == [("tim", "/dev/tim"), ("tom", "/dev/tom")]
     assert [each["name"] for each in faces(one)] == ["tim"]
     assert (one.exit_code, both.exit_code) == (0, 0)
     assert (tim, tom) == ([level, level], [level])
@@ -128,12 +73,8 @@ def test_stop_without_a_name_stops_all_and_with_one_only_that(options, level):
     ("held", "line", "status"),
     [
         (HELD, "tim: held where it is: 1 servo holds; left limp", 0),
-        (
-            {"holds": [], "limp": ["jaw", "left"], "unknown": []},
-            "tim: nothing is held; 2 servos limp",
-            1,
-        ),
-        ({"holds": ["jaw"], "limp": [], "unknown": ["left"]}, "not known of left", 1),
+        (HELD | {"holds": [], "limp": ["jaw", "left"]}, "tim: nothing is held; 2 servos limp", 1),
+        (HELD | {"limp": [], "unknown": ["left"]}, "not known of left", 1),
         ({}, "tim: accepted, but does not say what it holds", 1),
     ],
 )
@@ -223,12 +164,15 @@ def test_root_stops_no_face_of_a_job_that_keeps_apart(own_folder, monkeypatch, n
     assert tom == []
 
 
+def hold(port, *ids):
+    with closing(open_port(port, BAUD_RATE)) as transport:
+        for each in ids:
+            Line(transport).write(each, 64, b"\1")
+
+
 def test_a_port_is_never_opened_because_an_answer_names_it(port):
     """A face that goes without a report and says that this port is its own."""
-    transport = open_port(port, 2_000_000)
-    line = Line(transport)
-    line.write(6, 64, b"\1")
-    transport.close()
+    hold(port, 6)
     path = runtime_folder() / "liar-1.sock"
 
     def lie():
@@ -243,46 +187,38 @@ def test_a_port_is_never_opened_because_an_answer_names_it(port):
             pass
         done = invoke("stop", "--json")
         lying.result()
-    transport = open_port(port, 2_000_000)
-    torque = Line(transport).read(6, 64, 1).data
-    transport.close()
 
     assert done.exit_code == 1
     assert f"lipservo limp --port {port}" in faces(done)[0]["problem"]
-    assert torque == b"\1"
+    assert torque(port, [6], BAUD_RATE) == [1]
 
 
-def test_a_status_says_what_is_known_of_a_face_that_is_stopped_or_unplugged():
-    report = {"confirmed": ["jaw"], "unconfirmed": {"left": "did not answer"}}
-    stopped = {"state": "stopped", "stopped_by": "process 7 of user 0", "stop_report": report}
-    unplugged = {"state": "driven", "plugged": False, "servos": {"jaw": "waiting"}}
-    for status, words in (
-        (stopped, "stopped by process 7 of user 0: limp, confirmed by 1 servos, NOT by left"),
-        (unplugged, "driven, but its port is gone: no servo can be reached"),
-    ):
-        with answering("tom", status):
-            assert words in invoke("status").stdout
+REPORT = {"confirmed": ["jaw"], "unconfirmed": {"left": "did not answer"}}
+NOT_KNOWN = {"jaw": {"on": None, "age_s": None}, "left": {"on": None, "age_s": None}}
 
 
-@contextmanager
-def answering(name, status):
-    """A face with this status."""
-    over = threading.Event()
-    path = runtime_folder() / f"{name}-{os.getpid()}.sock"
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [
+        (
+            {"state": "stopped", "stopped_by": "process 7 of user 0", "stop_report": REPORT},
+            "stopped by process 7 of user 0: limp, confirmed by 1 servos, NOT by left",
+        ),
+        (
+            {"state": "driven", "plugged": False, "torque": NOT_KNOWN}
+            | {"servos": dict.fromkeys(NOT_KNOWN, "waiting"), "troubles": []},
+            "driven, but its port is gone: no servo can be reached",
+        ),
+        ({"state": "driven", "torque": NOT_KNOWN}, "driven, it is not known which servos hold"),
+    ],
+    ids=["stopped", "unplugged", "not known"],
+)
+def test_a_status_says_what_is_known_and_counts_no_servos_that_nothing_is_known_of(status, words):
+    with face("tom", status=status):
+        shown = invoke("status").stdout
 
-    def loop(control):
-        while not over.wait(0.001):
-            control.poll()
-            control.answer(lambda: status)
-
-    with ControlSocket(path, {"name": name}) as control:
-        thread = threading.Thread(target=loop, args=(control,))
-        thread.start()
-        try:
-            yield
-        finally:
-            over.set()
-            thread.join()
+    assert words in shown
+    assert "0 of 2" not in shown
 
 
 PARENT = """
@@ -339,31 +275,6 @@ def test_status_shows_servos_and_no_dead_faces(own_folder):
     assert "tim" not in shown
 
 
-def test_of_servos_that_nothing_is_known_of_status_counts_none():
-    unknown = {"jaw": {"on": None, "age_s": None}, "left": {"on": None, "age_s": None}}
-    with face("tom", status={"state": "driven", "torque": unknown}):
-        shown = invoke("status").stdout
-
-    assert "driven, it is not known which servos hold" in shown
-    assert "0 of 2" not in shown
-
-
-def test_status_of_a_face_without_its_plug_counts_no_servos():
-    servos = dict.fromkeys(["jaw", "left"], "waiting")
-    unplugged = {
-        "state": "driven",
-        "plugged": False,
-        "servos": servos,
-        "torque": {name: {"on": None} for name in servos},
-        "troubles": [],
-    }
-    with face("tom", status=unplugged):
-        shown = invoke("status").stdout
-
-    assert "its port is gone: no servo can be reached" in shown
-    assert "0 of 2" not in shown
-
-
 def test_a_start_of_a_face_whose_only_servo_is_switched_off_is_over_at_once():
     off = {"state": "driven", "servos": {"jaw": "off"}, "torque": {"jaw": {"on": False}}}
     with face("tom", status=off):
@@ -374,27 +285,19 @@ def test_a_start_of_a_face_whose_only_servo_is_switched_off_is_over_at_once():
 
 @pytest.fixture(scope="module")
 def port():
-    arguments = ["--servos", "3", "--first-id", "5", "--baud-rate", "2000000", "--on-time"]
+    arguments = ["--servos", "3", "--first-id", "5", "--baud-rate", str(BAUD_RATE), "--on-time"]
     with simulated_port(arguments) as port:
         yield port
 
 
 def test_limp_lets_go_of_whatever_hangs_on_a_port_at_any_rate(port):
     """No face, no configuration: as after `kill -9` of somebody else's program."""
-    transport = open_port(port, 2_000_000)
-    line = Line(transport)
-    for each in (5, 6, 7):
-        line.write(each, 64, b"\1")
-    transport.close()
+    hold(port, 5, 6, 7)
     done = invoke("limp", "--port", port, "--json")
-    transport = open_port(port, 2_000_000)
-    line = Line(transport)
-    torque = [line.read(each, 64, 1).data for each in (5, 6, 7)]
-    transport.close()
 
     assert done.exit_code == 0, done.output
     assert faces(done)[0]["confirmed"] == ["id 5", "id 6", "id 7"]
-    assert torque == [b"\0"] * 3
+    assert torque(port, [5, 6, 7], BAUD_RATE) == [0, 0, 0]
 
 
 def test_limp_lets_go_of_feetech_servos_that_nothing_is_known_of():
@@ -425,16 +328,13 @@ def test_limp_at_a_port_needs_no_yaml_that_can_be_read(port, tmp_path, place, co
     """Whether or not the servos confirm, what is wrong with the YAML is said as well."""
     broken = tmp_path / "face.yaml"
     broken.write_text("nmae: tom\n")
-    with closing(open_port(port, 2_000_000)) as transport:
-        Line(transport).write(5, 64, b"\1")
+    hold(port, 5)
     done = lipservo("limp", "--port", port + place, "--config", broken, "--json")
-    with closing(open_port(port, 2_000_000)) as transport:
-        torque = Line(transport).read(5, 64, 1).data
 
     assert done.returncode == 1
     assert "nmae" in done.stderr
     assert len(json.loads(done.stdout)["faces"][0]["confirmed"]) == confirmed
-    assert torque == (b"\0" if confirmed else b"\1")
+    assert torque(port, [5], BAUD_RATE) == [int(not confirmed)]
 
 
 def test_limp_leaves_the_faces_at_other_ports_alone(port):
@@ -445,12 +345,11 @@ def test_limp_leaves_the_faces_at_other_ports_alone(port):
 
 
 def test_a_service_that_has_ended_leaves_a_port_that_somebody_holds_alone(port):
-    transport = open_port(port, 2_000_000)
-    line = Line(transport)
-    line.write(5, 64, b"\1")
-    done = invoke("limp", "--unless-held", "--port", os.path.relpath(port))
-    held = line.read(5, 64, 1).data
-    transport.close()
+    with closing(open_port(port, BAUD_RATE)) as transport:
+        line = Line(transport)
+        line.write(5, 64, b"\1")
+        done = invoke("limp", "--unless-held", "--port", os.path.relpath(port))
+        held = line.read(5, 64, 1).data
 
     assert done.exit_code == 0
     assert held == b"\1"

@@ -4,18 +4,9 @@ import json
 import time
 
 import pytest
-from places import short_folder
 from playing_face import PATIENCE_S, invoke, playing, status
 
-
-@pytest.fixture(autouse=True)
-def own_folder(monkeypatch):
-    """Faces of this test only."""
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(short_folder()))
-    monkeypatch.setattr(
-        "firmware_bridge.process.runtime_folder._folders_of_others", lambda: iter(())
-    )
+pytestmark = pytest.mark.usefixtures("own_folder")
 
 
 @pytest.mark.parametrize(("before", "where"), [((), "at rest and limp"), (("--freeze",), "limp")])
@@ -37,17 +28,23 @@ def test_a_face_is_at_rest_only_where_it_went_there(before, where, as_json):
         assert f": {where}, confirmed by all 1 servos" in done.stdout
 
 
-def test_a_dry_run_is_called_one_and_counts_no_servo_as_confirmed():
+def test_a_dry_run_is_called_one_counts_no_servo_as_confirmed_and_ends_with_its_stop():
+    """It does not wait for a start."""
     with playing(dry_run=True):
         shown, told = invoke("status").stdout, status()
-        done = invoke("stop", "--freeze")
+        invoke("stop", "--freeze")
         done = invoke("stop")
+        give_up_s = time.monotonic() + PATIENCE_S
+        while json.loads(invoke("status", "--json").stdout)["faces"]:
+            assert time.monotonic() < give_up_s
+            time.sleep(0.05)
 
     assert "dry run: servos are only read" in shown
     assert told["dry_run"] is True
     assert done.exit_code == 0
     assert ": dry run over; no torque was switched on\n" in done.stdout
     assert "confirmed" not in done.stdout
+    assert "start" not in done.stdout
 
 
 def test_a_dry_run_is_called_one_in_json():
@@ -55,14 +52,3 @@ def test_a_dry_run_is_called_one_in_json():
         (face,) = json.loads(invoke("stop", "--json").stdout)["faces"]
 
     assert (face["dry_run"], face["at_rest"]) == (True, False)
-
-
-def test_a_dry_run_that_is_stopped_ends_and_does_not_wait_for_a_start():
-    with playing(dry_run=True):
-        told = invoke("stop").stdout
-        give_up_s = time.monotonic() + PATIENCE_S
-        while json.loads(invoke("status", "--json").stdout)["faces"]:
-            assert time.monotonic() < give_up_s
-            time.sleep(0.05)
-
-    assert "start" not in told

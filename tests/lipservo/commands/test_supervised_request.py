@@ -47,13 +47,7 @@ def typed(tmp_path_factory):
             + "motion: {engine: energy, weights: grid, strategy: expected, lookahead_ms: 50, "
             + f"strength: 1.25, smoothness: 0.25}}\navatars: {{live_link: '{avatar_at}'}}\n"
         )
-        options = {
-            "--config": str(face),
-            "--wav": str(CLIP_PATH),
-            "--model": str(model),
-            "--control": str(control),
-            "--listen": "none",
-        }
+        options = ["--config", face, "--wav", CLIP_PATH, "--model", model, "--control", control]
         motion = MotionOptions("energy", "grid", "expected", Style(0.05, 1.25, 0.25))
         wanted = RunRequest(
             config=str(face),
@@ -66,8 +60,7 @@ def typed(tmp_path_factory):
             avatars=AvatarTargets(live_link=avatar_at),
         )
         wanted = replace(wanted, servos=RequestedFace(wanted).servos)
-        arguments = [word for option in options.items() for word in option]
-        with running(port, folder, *arguments, "--json") as process:
+        with running(port, folder, *map(str, options), "--listen", "none", "--json") as process:
             process.wanted, process.avatar = wanted, avatar
             yield process
 
@@ -123,7 +116,5 @@ def test_json_at_the_end_says_what_was_played(typed):
     told = json.loads(typed.out.read_text())
 
     assert len(told["confirmed"]) == 10
-    assert (told["face_status"]["strategy"], told["face_status"]["engine"]) == (
-        "expected",
-        "energy",
-    )
+    said = told["face_status"]
+    assert (said["strategy"], said["engine"]) == ("expected", "energy")

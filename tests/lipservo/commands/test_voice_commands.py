@@ -9,28 +9,20 @@ import numpy as np
 import pytest
 import soundfile
 from fake_sound_card import device, install_sound_card
-from places import short_folder
+from in_process import lipservo
 from speech import CLIP_LABELS_PATH, CLIP_PATH
-from typer.testing import CliRunner
 from voice_agents.served_face import ServedFace
 
-from lipservo import command_line, connect
+from lipservo import connect
 from lipservo.access.admission import Policy
 from lipservo.agents.listener import AgentSettings
-from lipservo.cli import app
 from lipsync.phoneme_files.reader import read_phonemes
 from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
+pytestmark = pytest.mark.usefixtures("own_folder")
 #: The clip's script, as far as it is said.
 CUT_S = 1.0
-
-
-@pytest.fixture(autouse=True)
-def _own_folder(monkeypatch):
-    """Faces of this test only."""
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(short_folder()))
 
 
 @pytest.fixture
@@ -53,20 +45,16 @@ def nothing_armed(monkeypatch):
 
 
 def answer(*arguments):
-    done = CliRunner().invoke(app, [str(each) for each in arguments])
-    assert done.exit_code == 0, done.output
+    done = lipservo(*arguments)
+    assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
-def refused(capsys, monkeypatch, *arguments):
+def refused(*arguments):
     """The one line with which a whole command line is refused, and its exit status."""
-    monkeypatch.setattr("sys.argv", ["lipservo", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        command_line.main()
-    told = capsys.readouterr().err.splitlines()
-    lines = [line for line in told if line.startswith("lipservo: ")]
-    assert len(lines) == 1, told
-    return lines[0], ended.value.code
+    done = lipservo(*arguments)
+    (line,) = [each for each in done.stderr.splitlines() if each.startswith("lipservo: ")]
+    return line, done.returncode
 
 
 @pytest.mark.usefixtures("_espeak")
@@ -77,19 +65,14 @@ def test_say_moves_the_mouth_by_the_phonemes_of_its_text():
 
 
 @pytest.mark.usefixtures("_espeak", "nothing_armed")
-@pytest.mark.parametrize("text", ["", "   ", "--- ..."])
-def test_a_text_in_which_nothing_can_be_spoken_is_refused(text, capsys, monkeypatch):
-    line, status = refused(capsys, monkeypatch, "say", "--mute", "--", text)
-    assert "write words" in line
-    assert status == 1
-
-
-@pytest.mark.usefixtures("_espeak", "nothing_armed")
-def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
-    line, status = refused(
-        capsys, monkeypatch, "say", "--mute", "hello", "--language", "klingonese"
-    )
-    assert "klingonese" in line
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(["--", text], "write words") for text in ("", "   ", "--- ...")]
+    + [(["hello", "--language", "klingonese"], "klingonese")],
+)
+def test_a_text_or_language_that_cannot_be_spoken_is_refused(arguments, said):
+    line, status = refused("say", "--mute", *arguments)
+    assert said in line
     assert status == 1
 
 
@@ -101,10 +84,7 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
         (["daemon", "--output", "x"], "--output: `sound.output:` in the face's YAML"),
         (["run", "--phonemes", "x.TextGrid"], "--phonemes needs --wav"),
         (["say", "hello", "--mute", "--output", "x"], "--mute or --output"),
-        (
-            ["daemon", "--listen", "none", "--sounds", "."],
-            "with --listen none leave out --sounds",
-        ),
+        (["daemon", "--listen", "none", "--sounds", "."], "with --listen none leave out --sounds"),
         (
             ["daemon", "--listen", "0.0.0.0:0", "--open-to-this-computer"],
             "0.0.0.0:0: can be reached from other computers",
@@ -121,26 +101,19 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
         (["daemon", "--listen", "nowhere"], "write HOST:PORT"),
         (["daemon", "--listen", "127.0.0.1:99999"], "write HOST:PORT"),
         (["daemon", "--token-file", "none.txt"], "none.txt"),
+        (["daemon", "--token-file", "empty"], "its first line is empty; write the token there"),
+        (["run", "--wav", CLIP_PATH, "--phonemes", "other.TextGrid"], "other.TextGrid"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused_in_one_line(
-    arguments, said, capsys, monkeypatch, tmp_path
+def test_options_that_cannot_be_or_not_together_are_refused_in_one_line(
+    arguments, said, monkeypatch, tmp_path
 ):
     monkeypatch.chdir(tmp_path)
-    line, status = refused(capsys, monkeypatch, *arguments)
+    (tmp_path / "empty").write_text("\n")
+    (tmp_path / "other.TextGrid").write_text("no TextGrid\n")
+    line, status = refused(*arguments)
     assert said in line
     assert status != 0
-
-
-@pytest.mark.usefixtures("nothing_armed")
-def test_a_token_file_without_a_token_is_refused(capsys, monkeypatch, tmp_path):
-    path = tmp_path / "token"
-    path.write_text("\n")
-    line, status = refused(
-        capsys, monkeypatch, "daemon", "--listen", "0.0.0.0:0", "--token-file", path
-    )
-    assert line.endswith("its first line is empty; write the token there")
-    assert status == 1
 
 
 def test_a_file_of_a_synthesiser_is_said_with_the_sound_beside_it(tmp_path):
@@ -156,20 +129,18 @@ def test_a_file_of_a_synthesiser_is_said_with_the_sound_beside_it(tmp_path):
 @pytest.mark.parametrize(
     ("content", "line"),
     [
-        ("[]", "no times of words, phonemes or visemes"),
         (
             '[{"audioOffset": 0, "visemeId": 99}]',
             "viseme 1 at 0.000 s: '99' is not a viseme of azure",
         ),
         ('[{"word": "b", "start": 2}, {"word": "a", "start": 1}]', "word 2 begins at 1.000 s"),
-        ("<speak>Hi</speak>", "line 1 is neither labels nor JSON"),
     ],
 )
-def test_a_file_that_cannot_be_said_is_one_line(capsys, monkeypatch, tmp_path, content, line):
+def test_a_file_that_cannot_be_said_is_one_line(tmp_path, content, line):
     (tmp_path / "line.json").write_text(content)
     soundfile.write(tmp_path / "line.wav", np.full(1600, 0.1), 16_000)
 
-    told, status = refused(capsys, monkeypatch, "say", "--mute", "--from", tmp_path / "line.json")
+    told, status = refused("say", "--mute", "--from", tmp_path / "line.json")
     assert line in told
     assert status == 1
 
@@ -184,29 +155,18 @@ def test_a_file_that_cannot_be_said_is_one_line(capsys, monkeypatch, tmp_path, c
         (("--from", "x.json"), "no sound beside it; put it there as x with .wav"),
     ],
 )
-def test_say_takes_a_text_or_a_file_that_has_its_sound(capsys, monkeypatch, arguments, line):
-    told, _ = refused(capsys, monkeypatch, "say", *arguments)
+def test_say_takes_a_text_or_a_file_that_has_its_sound(arguments, line):
+    told, _ = refused("say", *arguments)
     assert line in told
 
 
 @pytest.mark.usefixtures("_espeak", "nothing_armed")
 @pytest.mark.parametrize("arguments", [["run", "--play"], ["say", "hello"]])
-def test_without_any_loudspeaker_a_command_says_how_to_do_without_sound(
-    arguments, capsys, monkeypatch
-):
+def test_without_any_loudspeaker_a_command_says_how_to_do_without_sound(arguments, monkeypatch):
     install_sound_card(monkeypatch, [device(0, "mic", n_inputs=1)])
-    line, status = refused(capsys, monkeypatch, *arguments)
+    line, status = refused(*arguments)
     assert "no loudspeaker" in line
     assert "--mute" in line
-    assert status == 1
-
-
-@pytest.mark.usefixtures("nothing_armed")
-def test_phonemes_that_cannot_be_read_are_refused(capsys, monkeypatch, tmp_path):
-    path = tmp_path / "other.TextGrid"
-    path.write_text("no TextGrid\n")
-    line, status = refused(capsys, monkeypatch, "run", "--wav", CLIP_PATH, "--phonemes", path)
-    assert "other.TextGrid" in line
     assert status == 1
 
 
@@ -219,23 +179,21 @@ def test_a_sound_file_with_its_phonemes_moves_the_mouth_by_them(tmp_path):
     spoken = [each for each in script if each.start_s < CUT_S and each.phoneme != "SIL"]
     rows = [(each.phoneme, each.start_s, min(each.end_s, CUT_S)) for each in spoken]
     (tmp_path / "short.json").write_text(json.dumps({"phones": rows}))
-    told = answer(
-        *("run", "--wav", tmp_path / "short.wav"),
-        *("--phonemes", tmp_path / "short.json", "--json"),
-    )
+    spoken_by = ("--phonemes", tmp_path / "short.json", "--json")
+    told = answer("run", "--wav", tmp_path / "short.wav", *spoken_by)
     assert len(spoken) <= told["phonemes"] <= len(spoken) + 3
     assert len(spoken) >= 4
 
 
-def test_a_running_face_says_what_it_is_given_if_the_token_is_right(tmp_path, capsys, monkeypatch):
+def test_a_running_face_says_what_it_is_given_if_the_token_is_right(tmp_path):
     token = tmp_path / "token"
     token.write_text("open sesame\n")
     settings = AgentSettings(policy=Policy("open sesame"))
     with ServedFace(settings, has_voice=True) as face:
         told = ("say", "Good morning.", "--through", face.url)
-        done = CliRunner().invoke(app, [*told, "--token-file", str(token)])
-        assert (done.exit_code, done.stdout) == (0, "played to its end: 1.3 s\n"), done.output
-        line, status = refused(capsys, monkeypatch, *told)
+        done = lipservo(*told, "--token-file", token)
+        assert (done.returncode, done.stdout) == (0, "played to its end: 1.3 s\n"), done.stderr
+        line, status = refused(*told)
         heard = np.count_nonzero(face.sound.played()) / face.sound.rate_hz
     # The command returned when it was heard.
     assert heard == pytest.approx(1.3, abs=0.02)
@@ -247,7 +205,7 @@ def test_a_running_face_says_what_it_is_given_if_the_token_is_right(tmp_path, ca
 @pytest.mark.usefixtures("nothing_armed")
 @pytest.mark.parametrize("command", [("say", "Hi."), ("lines", "perform", "line.perf")])
 def test_what_a_running_face_cannot_obey_is_refused_before_it_is_told_anything(
-    tmp_path, capsys, monkeypatch, command
+    tmp_path, monkeypatch, command
 ):
     """Above all --dry-run: it must move nothing."""
     monkeypatch.chdir(tmp_path)
@@ -258,7 +216,7 @@ def test_what_a_running_face_cannot_obey_is_refused_before_it_is_told_anything(
     with ServedFace(AgentSettings(), has_voice=True) as face:
         for option in options:
             told = (*command, "--json", "--through", face.url, *option.split())
-            line, status = refused(capsys, monkeypatch, *told)
+            line, status = refused(*told)
             assert line.startswith(f"lipservo: {option.split()[0]}: not with --through")
             assert status == 2
     assert face.asked == []
@@ -279,10 +237,10 @@ def test_what_was_not_played_to_its_end_is_no_success(how):
 
         with ThreadPoolExecutor(1) as pool:
             cut = pool.submit(silenced)
-            done = CliRunner().invoke(app, ["say", text, "--through", face.url, *how])
+            done = lipservo("say", text, "--through", face.url, *how)
             cut.result(60.0)
-    assert done.exit_code == 1
-    assert re.search("not played to its end, only [01]\\.[0-9] s of it", str(done.exception))
+    assert done.returncode == 1
+    assert re.search("not played to its end, only [01]\\.[0-9] s of it", done.stderr)
     if how:
         told = json.loads(done.stdout)
         assert (told["finished"], told["is_whole"]) == (False, False)

@@ -27,6 +27,7 @@ from lipservo.runtime.motion_options import ChosenMotion, MotionOptions
 from lipservo.runtime.servos.assembly import assemble_face
 from lipsync.errors import UserError
 from lipsync.face.frame import Expression, Frame
+from lipsync.motion.finishing import Style
 from lipsync.output_file import OutputError
 from lipsync.phoneme_files.label_file import LabelFile
 from lipsync.phoneme_files.reader import read_phonemes
@@ -326,11 +327,13 @@ def test_both_faces_of_a_text_speak_the_same_utterance(spoken_face, tmp_path):
     assert (tmp_path / "language").read_text().split() == ["de"]
 
 
-def test_a_head_that_moves_tucks_its_lip_for_f_and_v_and_not_for_m():
+def test_a_head_that_moves_tucks_its_lip_for_f_and_v_and_not_for_m_and_shows_its_tongue_for_th():
     labels = LabelFile(CLIP_LABELS_PATH)
-    request = SpeechRequest(MotionOptions(), "face_sim", None, script=labels, head="face_head")
+    on_stage = MotionOptions(style=Style(stage=1.0))
+    request = SpeechRequest(on_stage, "face_sim", None, script=labels, head="face_head")
     with filmed(str(CLIP_PATH), request, 50) as motion:
         tucks = np.array([frame.expression.lip_tuck for frame in motion.frames])
+        tongues = np.array([frame.expression.tongue_dental for frame in motion.frames])
         assert motion.frames[0].expression.brow is not None
 
     for event in read_phonemes(CLIP_LABELS_PATH):
@@ -339,3 +342,7 @@ def test_a_head_that_moves_tucks_its_lip_for_f_and_v_and_not_for_m():
             assert around.max() > 0.45, event  # less where a B or M follows at once
         elif event.phoneme == "M":
             assert around.min() == 0.0, event
+        elif event.phoneme in ("TH", "DH"):
+            assert tongues[round(50 * event.start_s) : round(50 * event.end_s) + 1].max() > 0.5, (
+                event
+            )

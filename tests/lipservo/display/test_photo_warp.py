@@ -94,6 +94,15 @@ def test_the_wider_the_model_opens_the_darker_is_the_mouth():
     assert open_[y, x].mean() < closed[y, x].mean() - 40
 
 
+def test_a_raised_tongue_is_seen_in_an_open_mouth_and_not_in_a_shut_one():
+    tongue = Expression(tongue_alveolar=1.0)
+    for frame, is_seen in ((opened(1.5), True), (Frame(0.0, FACE.rest), False)):
+        without = twin().draw(frame).astype(int)
+        change = twin().draw(Frame(0.0, frame.coefficients, tongue)) - without
+        # It is redder than the dark of the mouth.
+        assert (change[..., 0].sum() > change[..., 2].sum()) == change.any() == is_seen
+
+
 def test_lips_that_overlap_in_the_model_meet_in_the_photograph():
     pressed = opened(-1.5)
     assert FACE.lip_gaps_mm(FACE.markers_mm(pressed.coefficients[None])).max() > 1.0

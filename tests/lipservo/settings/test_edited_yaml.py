@@ -3,11 +3,10 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from two_servo_face import FACE, load
+from two_servo_face import FACE
 
 from lipservo.settings.edited_yaml import edited
 from lipservo.settings.settings import parse_face
-from lipservo.settings.strict_yaml import SettingsError
 from lipsync.errors import UserError
 
 
@@ -87,18 +86,3 @@ def test_any_name_of_a_device_is_stored_as_it_is_or_refused(tmp_path_factory, de
     else:
         (told,) = parse_face(path.read_text("utf-8"), "f").sound.output_offset_ms.items()
         assert told == (device, pytest.approx(offset_ms, rel=1e-5))
-
-
-@pytest.mark.parametrize(
-    ("section", "message"),
-    [
-        ("sound: {ouput: x}", r"sound.ouput: unknown setting; did you mean output\?"),
-        ("sound: {output_offset_ms: {USB: 9000}}", r"USB: 9000 is outside -500\.\.2000"),
-        ("sound: {output_offset_ms: {USB: late}}", "'late' is not a number"),
-        ("sound: {output: ''}", "sound.output: is empty"),
-        ("sound: loud", "is not settings of its own"),
-    ],
-)
-def test_a_mistake_under_sound_is_told_in_one_line(tmp_path, section, message):
-    with pytest.raises(SettingsError, match=message):
-        load(tmp_path, f"{FACE}\n{section}\n")

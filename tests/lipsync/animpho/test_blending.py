@@ -39,13 +39,8 @@ def test_equation_3_takes_the_successor_that_moves_most_like_the_chosen_one():
 
 
 def test_translation_lays_the_first_frame_on_the_last_one_shown():
-    assert translate(column(2, 4, 6, 8, 9), np.array([10.0])).ravel().tolist() == [
-        10,
-        12,
-        14,
-        16,
-        17,
-    ]
+    laid = translate(column(2, 4, 6, 8, 9), np.array([10.0]))
+    assert laid.ravel().tolist() == [10, 12, 14, 16, 17]
 
 
 def test_equation_4_blends_from_the_connected_one_to_the_chosen_one():

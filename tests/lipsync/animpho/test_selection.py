@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lipservo_lab.evaluation.motion.worked_example import ENDS, SAYS, choices, example_units
 from small_model import small_model
 
 from lipsync.animpho.selection import (
@@ -16,15 +15,39 @@ from lipsync.animpho.selection import (
     chain_lengths,
     smoothness_energy,
 )
-from lipsync.animpho.units import AnimPhoUnits, IndexLists
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, IndexLists
+from lipsync.phonemes import PHONEMES
 
-_, _, THIRD = SAYS
+#: L: the AnimPhos of each phoneme, in the order in which the phonemes are heard.
+SAYS = {"B": (1, 2, 3), "IY": (4, 5, 6), "T": (7, 8)}
+#: T: who may follow whom.
+BEFORE, AFTER = (1, 2, 5), (4, 5, 8)
+#: The figures print no positions; in these 6, 5 and 7 are the smoothest where the text says so.
+#: Number 0 is none; 3 begins at rest.
+BEGINS = (1000.0, 5.0, 6.0, 0.0, 20.0, 12.0, 10.0, 30.0, 40.0)
+ENDS = (1000.0, 8.0, 9.0, 10.0, 25.0, 39.0, 30.0, 35.0, 45.0)
 
 
 @pytest.fixture
 def figure_units() -> AnimPhoUnits:
-    """The AnimPhos 1..8 of the figures under their own numbers."""
-    return example_units()
+    """The AnimPhos 1..8 of the figures under their own numbers, in one component."""
+    n, says = len(BEGINS), [(PHONEMES.index(p), a) for p, many in SAYS.items() for a in many]
+    follows = IndexLists.from_pairs(np.array(BEFORE), np.array(AFTER), n)
+    return AnimPhoUnits(
+        np.zeros(1),
+        np.linspace(BEGINS, ENDS, SAMPLES_PER_ANIMPHO).T[:, :, None],
+        follows,
+        follows.transposed(n),
+        IndexLists.from_pairs(*np.array(says).T, len(PHONEMES)),
+    )
+
+
+def choices(strategy, units, first, *others) -> list[Choice]:
+    """What a strategy chooses for phonemes that follow one another."""
+    chosen = [strategy.first(units, first)]
+    for phoneme in others:
+        chosen.append(strategy.following(units, phoneme, chosen[-1]))
+    return chosen
 
 
 def test_the_naive_strategy_takes_3_6_7_and_misses_twice(figure_units):
@@ -55,7 +78,7 @@ def test_a_fallback_of_another_phoneme_is_a_miss_even_when_it_is_connected(figur
     begins = np.array(figure_units.samples)
     begins[4, 0, 0] = ENDS[1]
     units = replace(figure_units, samples=begins)
-    choice = NaiveSelection().following(units, THIRD, Choice(1, False, np.empty(0)))
+    choice = NaiveSelection().following(units, "T", Choice(1, False, np.empty(0)))
     assert (choice.animpho, choice.missed) == (4, True)
 
 

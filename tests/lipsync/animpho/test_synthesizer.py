@@ -15,8 +15,10 @@ from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 SPOKEN = ("SIL", "M", "AA", "IY", "UW")
 
 
-def known(synthesizer: PublishedSynthesizer, *phones: tuple[str, float]) -> None:
+def saying(*phones: tuple[str, float], **options) -> PublishedSynthesizer:
+    synthesizer = PublishedSynthesizer(small_model().animphos, **options)
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, spoken(*phones)))
+    return synthesizer
 
 
 def around(synthesizer: PublishedSynthesizer, time_s: float) -> tuple[float, float, float]:
@@ -34,18 +36,14 @@ JOINTS_S = (0.58, 0.74, 0.79)
 @pytest.mark.parametrize("strategy", STRATEGIES.values(), ids=STRATEGIES.keys())
 @pytest.mark.parametrize("joint_s", JOINTS_S)
 def test_position_and_speed_are_continuous_at_every_joint(strategy, joint_s):
-    synthesizer = PublishedSynthesizer(small_model().animphos, strategy)
-    known(synthesizer, *CHAIN)
-    jump, before, after = around(synthesizer, joint_s)
+    jump, before, after = around(saying(*CHAIN, strategy=strategy), joint_s)
     assert abs(jump) < 1e-2
     assert after == pytest.approx(before, rel=1e-3, abs=0.5)
 
 
 def test_published_mode_keeps_the_derivative_per_sample_spacing():
     """AA 160 ms, then IY 50 ms: the same derivative per spacing is 3.2 times the speed."""
-    synthesizer = PublishedSynthesizer(small_model().animphos, published_derivatives=True)
-    known(synthesizer, *CHAIN)
-    jump, before, after = around(synthesizer, 0.74)
+    jump, before, after = around(saying(*CHAIN, published_derivatives=True), 0.74)
     assert abs(jump) < 1e-2
     assert abs(before) > 10.0
     assert after == pytest.approx(before * 0.16 / 0.05, rel=1e-2)
@@ -53,16 +51,14 @@ def test_published_mode_keeps_the_derivative_per_sample_spacing():
 
 def test_a_long_pause_ends_in_closed_lips():
     model = small_model()
-    synthesizer = PublishedSynthesizer(model.animphos)
-    known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("SIL", 1.0))
+    synthesizer = saying(("SIL", 0.4), ("AA", 0.2), ("SIL", 1.0))
     assert model.lip_gap_mm(synthesizer.frame_at(0.55).coefficients) > 5.0
     for time_s in (0.85, 1.2, 1.59, 30.0):
         np.testing.assert_allclose(synthesizer.frame_at(time_s).coefficients, model.rest, atol=1e-9)
 
 
 def test_a_short_silence_between_words_is_a_phoneme_like_any_other():
-    synthesizer = PublishedSynthesizer(small_model().animphos)
-    known(synthesizer, ("AA", 0.2), ("SIL", 0.2), ("AA", 0.2))
+    synthesizer = saying(("AA", 0.2), ("SIL", 0.2), ("AA", 0.2))
     synthesizer.frame_at(0.59)
     assert synthesizer.phonemes_planned == 3
 
@@ -76,8 +72,7 @@ def test_a_phone_that_goes_on_is_played_for_its_longest_time_and_then_held():
 
 
 def test_the_same_time_gives_the_same_face_also_after_a_look_back():
-    synthesizer = PublishedSynthesizer(small_model().animphos)
-    known(synthesizer, *CHAIN)
+    synthesizer = saying(*CHAIN)
     faces = {t: synthesizer.frame_at(t).coefficients for t in (0.60, 0.65, 0.80)}
     for time_s, face in faces.items():
         np.testing.assert_array_equal(face, synthesizer.frame_at(time_s).coefficients)
@@ -88,12 +83,9 @@ def test_what_was_shown_is_not_taken_back_and_what_comes_joins_on():
     first = (PhonemeEvent("SIL", 0.0, 0.5), PhonemeEvent("AA", 0.5, None))
     synthesizer.push(PhonemeUpdate(0.0, 0.9, 0.0, first))
     shown = synthesizer.frame_at(0.7).coefficients
-    other = (
-        PhonemeEvent("SIL", 0.0, 0.4),
-        PhonemeEvent("UW", 0.4, 0.72),
-        PhonemeEvent("M", 0.72, None),
-    )
-    synthesizer.push(PhonemeUpdate(0.0, 1.3, 0.0, other))
+    other = (("SIL", 0.0, 0.4), ("UW", 0.4, 0.72), ("M", 0.72, None))
+    events = tuple(PhonemeEvent(*each) for each in other)
+    synthesizer.push(PhonemeUpdate(0.0, 1.3, 0.0, events))
     np.testing.assert_array_equal(shown, synthesizer.frame_at(0.7).coefficients)
     jump, before, after = around(synthesizer, 0.85)
     assert abs(jump) < 1e-2
@@ -101,11 +93,9 @@ def test_what_was_shown_is_not_taken_back_and_what_comes_joins_on():
 
 
 def test_every_phoneme_of_the_inventory_moves_the_mouth():
-    for phoneme in PHONEMES:
-        if phoneme == "SIL":
-            continue
-        synthesizer = PublishedSynthesizer(small_model().animphos, NaiveSelection())
-        known(synthesizer, ("SIL", 0.4), (phoneme, 0.2), ("AA", 0.2), ("SIL", 0.5))
+    for phoneme in set(PHONEMES) - {"SIL"}:
+        said = (("SIL", 0.4), (phoneme, 0.2), ("AA", 0.2), ("SIL", 0.5))
+        synthesizer = saying(*said, strategy=NaiveSelection())
         frames = np.array([synthesizer.frame_at(0.4 + 0.01 * i).coefficients for i in range(20)])
         assert np.ptp(frames, axis=0).max() > 0.1, phoneme
 

@@ -27,8 +27,8 @@ def test_a_missing_portaudio_is_reported_with_the_command_that_installs_it(monke
         MicrophoneSource()
 
 
-def test_inputs_and_outputs_are_listed_apart_and_the_defaults_are_marked(monkeypatch):
-    install_sound_card(monkeypatch)
+@pytest.mark.usefixtures("card")
+def test_inputs_and_outputs_are_listed_apart_and_the_defaults_are_marked():
     told = {
         direction: [(d.index, d.lasting_name, d.n_channels, d.is_default) for d in found]
         for direction in ("input", "output")
@@ -40,22 +40,36 @@ def test_inputs_and_outputs_are_listed_apart_and_the_defaults_are_marked(monkeyp
     }
 
 
-@pytest.mark.parametrize("wanted", [3, "3", "HDMI", "HD"])
-def test_a_loudspeaker_is_named_by_number_or_by_part_of_its_name(monkeypatch, wanted):
-    install_sound_card(monkeypatch)
-    assert find_device(wanted, "output").index == 3
+@pytest.mark.usefixtures("card")
+def test_a_device_is_named_by_number_or_by_part_of_its_name():
+    assert {find_device(each, "output").index for each in (3, "3", "HDMI", "HD")} == {3}
+    assert {find_device(each, "input").index for each in (2, "2", "array")} == {2}
 
 
-def test_a_microphone_is_no_loudspeaker(monkeypatch):
-    install_sound_card(monkeypatch)
-    with pytest.raises(SoundError, match=r"no single loudspeaker 'array'; .*0 USB speaker.*3 HDMI"):
-        find_device("array", "output")
+@pytest.mark.usefixtures("card")
+@pytest.mark.parametrize(
+    ("wanted", "direction", "told"),
+    [
+        ("array", "output", r"no single loudspeaker 'array'; .*0 USB speaker.*3 HDMI"),
+        ("webcam", "input", r"no single microphone 'webcam'; .*1 USB mic.*; 2 array"),
+    ],
+)
+def test_an_unknown_device_is_refused_with_the_list_of_those_there_are(wanted, direction, told):
+    with pytest.raises(SoundError, match=told):
+        find_device(wanted, direction)
 
 
-def test_a_computer_without_a_loudspeaker_is_told_so(monkeypatch):
-    install_sound_card(monkeypatch, devices=[device(0, "array", n_inputs=4)])
-    with pytest.raises(SoundError, match="no loudspeaker: plug one in, or leave out --play"):
-        find_device(None, "output")
+@pytest.mark.parametrize(
+    ("direction", "has", "told"),
+    [
+        ("output", {"n_inputs": 4}, "no loudspeaker: plug one in, or leave out --play"),
+        ("input", {"n_outputs": 2}, "no microphone: plug one in"),
+    ],
+)
+def test_a_computer_without_such_a_device_is_told_so(monkeypatch, direction, has, told):
+    install_sound_card(monkeypatch, devices=[device(0, "array", **has)])
+    with pytest.raises(SoundError, match=told):
+        find_device(None, direction)
 
 
 def test_the_longest_name_that_is_part_of_the_device_says_its_offset():
@@ -65,9 +79,8 @@ def test_the_longest_name_that_is_part_of_the_device_says_its_offset():
     assert offset_ms_of("default", offsets_ms) == 0.0
 
 
-def test_portaudio_starts_again_only_while_no_stream_is_open(monkeypatch):
+def test_portaudio_starts_again_only_while_no_stream_is_open(card):
     """It would end the others'."""
-    card = install_sound_card(monkeypatch)
     with LoudspeakerOutput(clock=card.clock, is_watched=False):
         with MicrophoneSource(clock=card.clock, is_watched=False):
             assert not restart_portaudio()
@@ -76,8 +89,7 @@ def test_portaudio_starts_again_only_while_no_stream_is_open(monkeypatch):
     assert card.n_looks == 1
 
 
-def test_portaudio_that_does_not_start_is_tried_again_each_second(monkeypatch):
-    card = install_sound_card(monkeypatch)
+def test_portaudio_that_does_not_start_is_tried_again_each_second(card):
     with MicrophoneSource(clock=card.clock, is_watched=False) as microphone:
         card.inputs[0].active, card.refuses_to_run = False, True
         for _ in range(35):
@@ -90,9 +102,8 @@ def test_portaudio_that_does_not_start_is_tried_again_each_second(monkeypatch):
         assert not microphone.is_lost
 
 
-def test_portaudio_does_not_start_again_while_another_thread_opens_a_device(monkeypatch):
+def test_portaudio_does_not_start_again_while_another_thread_opens_a_device(card):
     """Between the making of a stream and its start it would be ended unseen."""
-    card = install_sound_card(monkeypatch)
     other = threading.Thread(target=restart_portaudio)
 
     def begin_to_list():

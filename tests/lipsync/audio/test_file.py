@@ -53,24 +53,6 @@ def test_the_declared_duration_is_where_the_last_block_ends(tmp_path, rate_hz, n
     assert source.blocks(math.inf)[-1].end_s == pytest.approx(source.duration_s, abs=1e-9)
 
 
-def test_channels_are_averaged(tmp_path):
-    left = tone(16_000)
-    soundfile.write(tmp_path / "stereo.wav", np.stack([left, 0 * left], axis=1), 16_000)
-
-    np.testing.assert_allclose(
-        all_samples(FileSource(tmp_path / "stereo.wav")), left / 2, atol=1e-4
-    )
-
-
-def test_samples_beyond_full_scale_are_clipped(tmp_path):
-    soundfile.write(tmp_path / "loud.wav", 4 * tone(16_000), 16_000, subtype="FLOAT")
-
-    samples, _ = read_sound(tmp_path / "loud.wav")
-
-    assert samples.min() == -1.0
-    assert samples.max() == 1.0
-
-
 def test_reading_keeps_the_files_own_rate(tmp_path):
     soundfile.write(tmp_path / "cd.wav", tone(44_100, 1.5), 44_100)
 

@@ -38,12 +38,6 @@ class Microphone:
     def __exit__(self, *exc): ...
 
 
-def stream_of(duration_s):
-    stream = PlayoutStream("a", RATE_HZ, RATE_HZ)
-    stream.push(np.full(round(duration_s * RATE_HZ), SAID, np.float32))
-    return stream
-
-
 class Robot:
     """The sound is heard as soon as it is committed, as nobody plays it late."""
 
@@ -61,13 +55,25 @@ class Robot:
             self.heard += [float(each.samples[0]) for each in self.playout.blocks(now_s)]
         return np.array(self.heard)
 
-    def ask(self, kind, stream=None):
-        self.playout.requests.append(PlayoutRequest(kind, stream))
+    def say(self, duration_s):
+        """Begin to say so much, and return the stream, which has not ended."""
+        stream = PlayoutStream("a", RATE_HZ, RATE_HZ)
+        stream.push(np.full(round(duration_s * RATE_HZ), SAID, np.float32))
+        self.playout.requests.append(PlayoutRequest("say", stream))
+        return stream
 
 
-def test_a_silent_robot_hears_its_microphone():
-    heard = Robot(Microphone()).run(1.0)
-    assert set(heard[10:]) == {np.float32(HEARD)}
+@pytest.fixture
+def robot():
+    """One that has listened for half a second."""
+    made = Robot(Microphone())
+    made.run(0.5)
+    return made
+
+
+def test_a_silent_robot_hears_its_microphone(robot):
+    assert set(robot.run(1.0)[10:]) == {np.float32(HEARD)}
+    assert (robot.playout.name, robot.playout.lost_blocks) == ("microphone", 3)
 
 
 def test_sound_that_comes_in_pieces_of_40_ms_is_heard_without_holes():
@@ -75,23 +81,16 @@ def test_sound_that_comes_in_pieces_of_40_ms_is_heard_without_holes():
     assert set(heard[15:]) == {np.float32(HEARD)}
 
 
-def test_while_it_speaks_it_hears_itself_alone_and_the_others_once_the_echo_is_over():
-    robot = Robot(Microphone())
-    robot.run(0.5)
-    stream = stream_of(0.4)
-    stream.end()
-    robot.ask("say", stream)
+def test_while_it_speaks_it_hears_itself_alone_and_the_others_once_the_echo_is_over(robot):
+    robot.say(0.4).end()
     heard = robot.run(2.0)
     assert set(heard[50:90]) == {np.float32(SAID)}
     assert not heard[91:120].any(), "0.3 s of echo"
     assert set(heard[130:]) == {np.float32(HEARD)}
 
 
-def test_pauses_of_its_own_speech_belong_to_nobody_else():
-    robot = Robot(Microphone())
-    robot.run(0.5)
-    stream = stream_of(0.2)
-    robot.ask("say", stream)
+def test_pauses_of_its_own_speech_belong_to_nobody_else(robot):
+    stream = robot.say(0.2)
     heard = robot.run(1.5)  # the stream has dried up
     assert set(heard[50:70]) == {np.float32(SAID)}
     assert not heard[70:].any()
@@ -99,12 +98,10 @@ def test_pauses_of_its_own_speech_belong_to_nobody_else():
     assert set(robot.run(2.5)[200:]) == {np.float32(HEARD)}
 
 
-def test_after_an_interruption_the_others_are_heard_once_the_echo_is_over():
-    robot = Robot(Microphone())
-    robot.run(0.5)
-    robot.ask("say", stream_of(5.0))
+def test_after_an_interruption_the_others_are_heard_once_the_echo_is_over(robot):
+    robot.say(5.0)
     robot.run(1.0)
-    robot.ask("interrupt")
+    robot.playout.requests.append(PlayoutRequest("interrupt"))
     heard = robot.run(2.0)
     assert not heard[101:129].any()
     assert set(heard[140:]) == {np.float32(HEARD)}
@@ -112,15 +109,9 @@ def test_after_an_interruption_the_others_are_heard_once_the_echo_is_over():
 
 def test_what_the_microphone_heard_while_the_robot_spoke_is_never_heard_later():
     """It held what was said to it then; that may have been the robot itself."""
-    while_it_spoke = (0.5, 1.0)
-    microphone = Microphone(
-        lambda time_s: SAID if while_it_spoke[0] <= time_s < while_it_spoke[1] else HEARD
-    )
-    robot = Robot(microphone)
+    robot = Robot(Microphone(lambda time_s: SAID if 0.5 <= time_s < 1.0 else HEARD))
     robot.run(0.5)
-    stream = stream_of(0.5)
-    stream.end()
-    robot.ask("say", stream)
+    robot.say(0.5).end()
     assert not np.any(robot.run(3.0)[101:] == np.float32(SAID))
 
 
@@ -136,8 +127,3 @@ def test_what_is_said_while_the_loop_stalls_is_heard_and_what_is_too_much_is_cou
     robot.microphone.now_s = 2.0  # half a second of it the timeline stood still
     robot.playout.blocks(1.51)
     assert robot.playout.lost_blocks == 3 + 43
-
-
-def test_its_name_and_its_losses_are_those_of_the_microphone():
-    robot = Robot(Microphone())
-    assert (robot.playout.name, robot.playout.lost_blocks) == ("microphone", 3)

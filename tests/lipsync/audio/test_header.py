@@ -1,6 +1,7 @@
 """Sound files that are refused, and what a header says that the file does not hold."""
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,73 +12,32 @@ from lipsync.audio.file import FileSource, read_sound
 from lipsync.audio.source import SoundError
 
 
-def write_nothing(path):
-    path.write_bytes(b"")
+def wav(samples, rate_hz=16_000, subtype=None):
+    return lambda path: soundfile.write(path, samples, rate_hz, subtype=subtype)
 
 
-def write_text(path):
-    path.write_text("this is not sound, whatever its name says" * 10)
-
-
-def write_no_samples(path):
-    soundfile.write(path, np.zeros(0), 16_000)
-
-
-def write_zeros(path):
-    soundfile.write(path, np.zeros(48_000), 48_000)
-
-
-def write_too_little(path):
-    soundfile.write(path, tone(16_000, 0.02), 16_000)
-
-
-def write_not_a_number(path):
+def wav_with(value, *places):
     samples = tone(16_000, 3.0)
-    samples[[8_000, 40_000]] = np.nan
-    soundfile.write(path, samples, 16_000, subtype="FLOAT")
-
-
-def write_infinity(path):
-    samples = tone(16_000)
-    samples[16] = np.inf
-    soundfile.write(path, samples, 16_000, subtype="FLOAT")
-
-
-def make_directory(path):
-    path.mkdir()
-
-
-def make_pipe(path):
-    os.mkfifo(path)
-
-
-def write_one_hertz(path):
-    soundfile.write(path, tone(16_000), 1)
-
-
-def write_a_megahertz(path):
-    soundfile.write(path, tone(16_000), 1_000_000)
-
-
-def write_33_channels(path):
-    soundfile.write(path, np.tile(tone(16_000)[:, None], 33), 16_000)
+    samples[list(places)] = value
+    return wav(samples, subtype="FLOAT")
 
 
 BAD_FILES = [
     (lambda _: None, "no such file"),
-    (make_directory, "is a directory"),
-    (write_nothing, "the file is empty"),
-    (write_text, "not a sound file"),
-    (write_no_samples, "has no sound"),
-    (write_zeros, "only digital silence"),
-    (write_too_little, "20.0 ms of sound is too short; at least 25 ms"),
-    (write_not_a_number, "2 samples are not numbers (NaN or infinite), the first at 0.5000 s"),
-    (make_pipe, "is a pipe or a device, not a file"),
-    (write_one_hertz, "a sample rate of 1 Hz is not possible here (4000 to 192000 Hz are)"),
-    (write_a_megahertz, "a sample rate of 1000000 Hz is not possible here"),
-    (write_33_channels, "33 channels are not possible here (up to 32 are)"),
-    (write_infinity, "1 samples are not numbers (NaN or infinite), the first at 0.0010 s"),
-]
+    (Path.mkdir, "is a directory"),
+    (os.mkfifo, "is a pipe or a device, not a file"),
+    (Path.touch, "the file is empty"),
+    (lambda path: path.write_text("this is not sound" * 10), "not a sound file"),
+    (wav(np.zeros(0)), "has no sound"),
+    (wav(np.zeros(48_000), 48_000), "only digital silence"),
+    (wav(tone(16_000, 0.02)), "20.0 ms of sound is too short; at least 25 ms"),
+    (wav(tone(16_000), 1), "a sample rate of 1 Hz is not possible here (4000 to 192000 Hz are)"),
+    (wav(tone(16_000), 1_000_000), "a sample rate of 1000000 Hz is not possible here"),
+    (wav(np.tile(tone(16_000)[:, None], 33)), "33 channels are not possible here (up to 32 are)"),
+    (wav_with(np.nan, 8_000, 40_000), "2 samples are not numbers (NaN or infinite), the first at "
+     "0.5000 s"),
+    (wav_with(np.inf, 16), "1 samples are not numbers (NaN or infinite), the first at 0.0010 s"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("read", [FileSource, read_sound])
@@ -110,18 +70,6 @@ def test_a_file_cut_short_is_read_as_far_as_it_goes_and_logged_once(
     assert FileSource(path).duration_s == pytest.approx(1.4, abs=0.01)
     (line,) = caplog.messages
     assert line.startswith(f"{path}: cut short: its header promises 4.00 s, the file holds 1.40")
-
-
-def test_nothing_is_logged_of_a_whole_file_or_of_a_size_that_was_not_known(tmp_path, caplog):
-    path = tmp_path / "piped.wav"
-    soundfile.write(path, tone(16_000), 16_000)
-    whole = bytearray(path.read_bytes())
-    FileSource(path)
-    whole[4:8] = whole[40:44] = b"\xff" * 4  # as ffmpeg writes it into a pipe
-    path.write_bytes(whole)
-
-    assert FileSource(path).duration_s == 0.5
-    assert caplog.messages == []
 
 
 def test_a_header_that_does_not_say_how_long_a_long_file_is_is_refused(tmp_path):

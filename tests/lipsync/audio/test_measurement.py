@@ -16,8 +16,8 @@ class Room:
 
     name, duration_s, is_live, lost_blocks = "room", None, True, 0
 
-    def __init__(self, speaker, later_s, begins_s=0.0, level=0.2):
-        self.speaker, self.later_s, self.begins_s, self.level = speaker, later_s, begins_s, level
+    def __init__(self, speaker, later_s, begins_s=0.0):
+        self.speaker, self.later_s, self.begins_s = speaker, later_s, begins_s
         self.now_s, self.n_blocks = begins_s, 0
 
     def clock(self):
@@ -42,17 +42,21 @@ class Room:
             heard = np.zeros(160)
             if len(left_s):
                 heard = np.interp(captured_s - self.later_s, left_s, samples, 0.0, 0.0)
-            heard = (self.level * heard).astype(np.float32)
+            heard = (0.2 * heard).astype(np.float32)
             found.append(AudioBlock(heard, self.n_blocks * 0.01))
             self.n_blocks += 1
         return found
 
 
+def measured(speaker, later_s=0.0, begins_s=0.0):
+    room = Room(speaker, later_s, begins_s)
+    return measure_delay(speaker, room, room.clock, room.sleep)
+
+
 @pytest.mark.parametrize("later_s", [0.0, 0.25, -0.04, 1.2])
 def test_what_the_loudspeaker_does_not_say_of_its_delay_is_found(later_s):
     speaker = SimulatedLoudspeaker(RATE_HZ, 0.1, 100e-6, 0.003, np.random.default_rng(2))
-    room = Room(speaker, later_s, begins_s=50.0)
-    found = measure_delay(speaker, room, room.clock, room.sleep)
+    found = measured(speaker, later_s, begins_s=50.0)
     assert found.median_s == pytest.approx(later_s, abs=1e-3)
     assert found.n_found == 7
 
@@ -60,22 +64,12 @@ def test_what_the_loudspeaker_does_not_say_of_its_delay_is_found(later_s):
 def test_a_loudspeaker_that_stalls_for_a_moment_is_measured_all_the_same():
     speaker = SimulatedLoudspeaker(RATE_HZ)
     speaker.stall(51.6, 51.9)
-    room = Room(speaker, 0.2, begins_s=50.0)
-    assert measure_delay(speaker, room, room.clock, room.sleep).median_s == pytest.approx(
-        0.2, abs=2e-3
-    )
+    found = measured(speaker, 0.2, begins_s=50.0)
+    assert found.median_s == pytest.approx(0.2, abs=2e-3)
 
 
 def test_a_loudspeaker_that_does_not_play_is_told_after_a_while():
     speaker = SimulatedLoudspeaker(RATE_HZ)
     speaker.stall(0.0, 1e6)
-    room = Room(speaker, 0.0)
     with pytest.raises(SoundError, match="the loudspeaker has not started to play"):
-        measure_delay(speaker, room, room.clock, room.sleep)
-
-
-def test_a_microphone_in_another_room_hears_nothing():
-    speaker = SimulatedLoudspeaker(RATE_HZ)
-    room = Room(speaker, 0.0, level=0.0)
-    with pytest.raises(SoundError, match="the microphone recorded no sound"):
-        measure_delay(speaker, room, room.clock, room.sleep)
+        measured(speaker)

@@ -10,8 +10,8 @@ RATE_HZ = 8_000
 BLOCK = RATE_HZ // 100
 
 
-def taken(ring, n, n_channels=1):
-    frames = np.full((n, n_channels), np.nan, dtype=np.float32)
+def taken(ring, n):
+    frames = np.full((n, 1), np.nan, dtype=np.float32)
     return frames, ring.take_into(frames)
 
 
@@ -38,13 +38,6 @@ def test_every_sample_comes_out_once_and_zeros_in_between_move_no_time(turns):
     heard = np.concatenate([*out, np.zeros(0)])
     np.testing.assert_array_equal(heard, numbers(0, ring.n_taken))
     assert ring.n_lost == 0
-
-
-def test_every_channel_gets_the_same():
-    ring = SampleRing(RATE_HZ)
-    ring.write(numbers(0, BLOCK))
-    frames, _ = taken(ring, BLOCK, n_channels=3)
-    np.testing.assert_array_equal(frames, np.repeat(numbers(0, BLOCK)[:, None], 3, axis=1))
 
 
 def test_what_waits_too_long_is_lost_and_counted_and_the_timeline_goes_on_behind_it():

@@ -42,9 +42,8 @@ def test_the_mouth_of_a_phone_is_drawn_as_its_shape(phoneme, shape):
 def test_lips_that_touch_in_speech_are_a_and_in_a_pause_x():
     opened = [median_face("AA")] * 30
     cues = drawn([MODEL.rest] * 20 + opened + [MODEL.rest] * 10 + opened + [MODEL.rest] * 40)
-    assert [(c.shape, c.start_cs) for c in cues if c.shape in "AX"] == [
-        ("X", 0), ("A", 50), ("X", 90),
-    ]  # fmt: skip
+    closed = [(cue.shape, cue.start_cs) for cue in cues if cue.shape in "AX"]
+    assert closed == [("X", 0), ("A", 50), ("X", 90)]
 
 
 def test_a_closure_of_one_frame_is_drawn_and_as_long_as_anything():

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import astuple
-from itertools import islice
 
 import numpy as np
 import pytest
@@ -21,12 +20,7 @@ NEUTRAL = Expression(*(0.0,) * 9)
 MOST_DEG_S2 = 4.0 * 2.0 * math.pi * 4.0 * 120.0
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
-voices = st.builds(
-    VoiceFrame,
-    *[anything] * 5,
-    st.booleans(),
-    *[anything] * 4,
-)
+voices = st.builds(VoiceFrame, *[anything] * 5, st.booleans(), *[anything] * 4)
 wild_cues = st.builds(
     ExpressionCue,
     time_s=anything,
@@ -72,23 +66,13 @@ def test_same_cues_and_seed_give_the_same_motion_and_another_seed_another():
     assert first != other
 
 
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 300), st.lists(wild_cues, min_size=1, max_size=20))
-def test_what_comes_later_changes_nothing_earlier(n_before, later):
-    before = list(islice(talk(2, 5.0), n_before))
-    source, other = LiveExpression(3), LiveExpression(3)
-    shown_before = played(source, before)
-    played(source, later)
-    assert played(other, [*before, *later])[:n_before] == shown_before
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(wild_cues, st.integers(1, 40)), min_size=1, max_size=8))
 def test_whatever_a_cue_says_motion_is_finite_and_within_its_limits(cues):
     source = LiveExpression(1)
     expressions = [source.step(cue) for cue, n in cues for _ in range(n)]
-    assert {each.lip_tuck for each in expressions} == {None}  # the mouth's own
-    values = np.array([astuple(each)[:-1] for each in expressions])
+    assert {own for each in expressions for own in astuple(each)[9:]} == {None}  # the mouth's
+    values = np.array([astuple(each)[:9] for each in expressions])
     least = [-15, -25, -10, -25, -35, -0.4, -0.4, 0, -1]
     most = [15, 25, 10, 25, 35, 1, 1, 1, 1]
     assert np.isfinite(values).all()

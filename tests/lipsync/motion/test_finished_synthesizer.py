@@ -115,3 +115,34 @@ def test_the_lower_lip_is_tucked_for_f_and_not_for_m_nor_in_a_mouth_kept_closed(
     assert most_tucked("F") == most_tucked("V") == 1.0
     assert most_tucked("M") == 0.0
     assert most_tucked("F", strength=0.0) == 0.0
+
+
+def said(*phonemes, strength=1.0):
+    """Frames of so many phones of 0.12 s between vowels, by the published strategy."""
+    phones = (("SIL", 0.4), ("AA", 0.2), *((each, 0.12) for each in phonemes), *PHONES[3:])
+    made = FinishedSynthesizer(MODEL, PublishedSynthesizer(MODEL.animphos), strength=strength)
+    made.push(PhonemeUpdate(0.0, math.inf, math.inf, spoken(*phones)))
+    return [made.frame_at(tick * TICK_S) for tick in range(150)]
+
+
+def most(frames, name):
+    return max(getattr(frame.expression, name) or 0.0 for frame in frames)
+
+
+@pytest.mark.parametrize(("strength", "share"), [(0.0, 0.0), (0.5, 0.5), (1.5, 1.0)])
+def test_the_tip_of_the_tongue_is_between_the_teeth_for_th_and_raised_for_l(strength, share):
+    for phonemes, between, raised in (
+        (("TH", "DH"), share, 0.0), (("L", "N", "T", "D"), 0.0, share), (("K", "S"), 0.0, 0.0),
+    ):  # fmt: skip
+        for phoneme in phonemes:
+            frames = said(phoneme, strength=strength)
+            assert most(frames, "tongue_dental") == pytest.approx(between), phoneme
+            assert most(frames, "tongue_alveolar") == pytest.approx(raised), phoneme
+            assert most(frames[120:], "tongue_dental") == 0.0, "at rest it is down"
+
+
+def test_no_tongue_is_seen_behind_lips_that_touch():
+    frames = said("P", "TH")
+    touching = [f for f in frames[60:] if MODEL.lip_gap_mm(f.coefficients) <= 0.75]
+    assert touching
+    assert most(touching[:6], "tongue_dental") < 0.05 < most(frames, "tongue_dental")

@@ -15,7 +15,7 @@ from lipsync.expectation.expectation import track_of
 from lipsync.markers import PointLayout
 from lipsync.motion.finishing import Style
 from lipsync.motion.live_synthesizer import LiveSynthesizer
-from lipsync.motion.rounding import ROUNDED_SHARE, is_rounded, lip_width_of
+from lipsync.motion.rounding import ROUNDED, ROUNDED_SHARE, is_due, lip_width_of
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeUpdate
 
@@ -75,10 +75,10 @@ def test_a_smile_draws_the_corners_apart_and_up_and_sadness_the_other_way():
 
 def test_lips_begin_to_round_before_the_sound_as_far_as_it_is_known():
     track = track_of(spoken(("SIL", 0.4), ("T", 0.1), ("UW", 0.2), ("T", 0.1)))
-    assert not is_rounded(track, 0.39, 0.6)
-    assert is_rounded(track, 0.41, 0.6)
-    assert not is_rounded(track, 0.41, 0.45), "not known yet"
-    assert not is_rounded(track, 0.66, 0.75), "spreads before the vowel ends"
+    assert not is_due(ROUNDED, track, 0.39, 0.6)
+    assert is_due(ROUNDED, track, 0.41, 0.6)
+    assert not is_due(ROUNDED, track, 0.41, 0.45), "not known yet"
+    assert not is_due(ROUNDED, track, 0.66, 0.75), "spreads before the vowel ends"
 
 
 def test_a_face_without_points_of_the_lips_has_no_corners():

@@ -30,6 +30,16 @@ def sound(tmp_path):
     return path
 
 
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "line.perf"
+
+
+@pytest.fixture
+def plain(sound):
+    return performance(performed_sound(sound, included=True))
+
+
 def performance(sound):
     """Return a performance of two faces, 10 ms apart, in AA and silence, with this sound."""
     return Performance(
@@ -46,42 +56,30 @@ def sound_of(path):
         return file.read_bytes()
 
 
-def test_what_is_written_is_read_with_its_sound(sound, tmp_path):
-    path = tmp_path / "line.perf"
-    write_performance(performance(performed_sound(sound, included=True)), path)
+def test_what_is_written_is_read_with_its_sound(sound, path, plain):
+    write_performance(plain, path)
     sound.unlink()
 
     found = read_performance(path)
 
-    assert found.phonemes == performance(None).phonemes
-    assert found.coefficients.tolist() == performance(None).coefficients.tolist()
+    assert found.phonemes == plain.phonemes
+    assert found.coefficients.tolist() == plain.coefficients.tolist()
     assert sound_of(path) == b"RIFF and so on"
     assert found.duration_s == pytest.approx(0.01)
     found.check_face(MODEL, str(path))
 
 
-def test_head_and_eyes_are_read_back_and_a_file_without_them_has_none(sound, tmp_path):
-    path = tmp_path / "line.perf"
+def test_head_and_eyes_are_read_back_but_not_what_a_later_lipservo_stores(path, plain):
     moved = {"neck_yaw_deg": np.float32([1.5, -2.5]), "brow": np.float32([0.0, 0.25])}
-    plain = performance(performed_sound(sound, included=True))
-    write_performance(replace(plain, expression=moved), path)
+    later = {**moved, "ears": np.float32([1.0, 1.0])}
+    write_performance(replace(plain, expression=later), path)
 
-    found = read_performance(path)
-    assert {name: values.tolist() for name, values in found.expression.items()} == {
-        "neck_yaw_deg": [1.5, -2.5],
-        "brow": [0.0, 0.25],
+    found = read_performance(path).expression
+    assert {name: values.tolist() for name, values in found.items()} == {
+        name: values.tolist() for name, values in moved.items()
     }
     write_performance(plain, path)
     assert read_performance(path).expression == {}
-
-
-def test_of_head_and_eyes_what_a_later_lipservo_stores_is_left_alone(sound, tmp_path):
-    path = tmp_path / "line.perf"
-    moved = {"brow": np.float32([0.0, 0.25]), "ears": np.float32([1.0, 1.0])}
-    plain = performance(performed_sound(sound, included=True))
-    write_performance(replace(plain, expression=moved), path)
-
-    assert list(read_performance(path).expression) == ["brow"]
 
 
 def test_a_pipe_or_a_folder_in_its_place_is_refused_at_once(tmp_path):
@@ -92,9 +90,7 @@ def test_a_pipe_or_a_folder_in_its_place_is_refused_at_once(tmp_path):
             read_performance(path)
 
 
-def test_what_would_be_refused_is_not_written(sound, tmp_path, monkeypatch):
-    path = tmp_path / "line.perf"
-    plain = performance(performed_sound(sound, included=True))
+def test_what_would_be_refused_is_not_written(path, plain, monkeypatch):
     with pytest.raises(PerformanceError, match="longer than 10 minutes"):
         write_performance(replace(plain, coefficients=np.zeros((60_002, 5), np.float32)), path)
     monkeypatch.setattr(performance_file, "_MOST_SOUND_BYTES", 10)
@@ -103,8 +99,7 @@ def test_what_would_be_refused_is_not_written(sound, tmp_path, monkeypatch):
     assert not path.exists()
 
 
-def test_a_sound_that_is_named_is_found_beside_and_known_again(sound, tmp_path):
-    path = tmp_path / "line.perf"
+def test_a_sound_that_is_named_is_found_beside_and_known_again(sound, path):
     write_performance(performance(performed_sound(sound, included=False)), path)
 
     assert sound_of(path) == b"RIFF and so on"
@@ -116,9 +111,8 @@ def test_a_sound_that_is_named_is_found_beside_and_known_again(sound, tmp_path):
         sound_of(path)
 
 
-def test_another_face_is_refused(sound):
-    made = performance(performed_sound(sound, included=True))
-    other = Performance("0" * 16, made.coefficients, made.phonemes, made.sound, made.method)
+def test_another_face_is_refused(plain):
+    other = Performance("0" * 16, plain.coefficients, plain.phonemes, plain.sound, plain.method)
 
     with pytest.raises(PerformanceError, match="rendered for face model 0000000000000000"):
         other.check_face(MODEL, "line.perf")
@@ -130,10 +124,7 @@ def rewritten(path, **changes):
         arrays = dict(archive)
     about = json.loads(arrays["about"].tobytes())
     for key, value in changes.items():
-        if key in arrays:
-            arrays[key] = value
-        else:
-            about[key] = value
+        (arrays if key in arrays else about)[key] = value
     arrays["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
     with path.open("wb") as file:
         np.savez(file, **arrays)
@@ -151,8 +142,7 @@ def rewritten(path, **changes):
         ({"sound": {"name": "../x.wav", "sha256": "0", "included": False}}, "sound name"),
     ],
 )
-def test_what_cannot_be_played_is_told_in_one_line(tmp_path, changes, message):
-    path = tmp_path / "line.perf"
+def test_what_cannot_be_played_is_told_in_one_line(path, changes, message):
     write_performance(performance(PerformedSound("line.wav", "0", None)), path)
     rewritten(path, **changes)
 
@@ -164,8 +154,7 @@ def test_what_cannot_be_played_is_told_in_one_line(tmp_path, changes, message):
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"no zip at all", b"\x93NUMPY\x01\x00"])
-def test_a_damaged_file_is_refused(tmp_path, content):
-    path = tmp_path / "line.perf"
+def test_a_damaged_file_is_refused(path, content):
     path.write_bytes(content)
 
     with pytest.raises(PerformanceError, match="damaged or not a performance") as raised:

@@ -5,7 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from speech import CLIP_LABELS_PATH
 
@@ -63,10 +63,13 @@ def refusal(content):
     return str(raised.value)
 
 
+def mark(time, viseme):
+    return json.dumps({"time": time, "type": "viseme", "value": viseme})
+
+
 def test_polly_tells_starts_of_visemes_in_ms():
-    assert read(POLLY) == [
-        *(("SIL", 0, 6), ("P", 6, 73), ("EH", 73, 180), ("R", 180, 292), ("IY", 292, 373))
-    ]
+    visemes = [("P", 6, 73), ("EH", 73, 180), ("R", 180, 292), ("IY", 292, 373)]
+    assert read(POLLY) == [("SIL", 0, 6), *visemes]
 
 
 def test_one_speech_mark_alone_is_polly_too():
@@ -74,16 +77,12 @@ def test_one_speech_mark_alone_is_polly_too():
     assert read('{"time":0,"type":"viseme","value":"p"}') == [("P", 0, 100)]
 
 
-@pytest.mark.parametrize(
-    "spelling",
-    [
-        ("audioOffset", "visemeId"),
-        ("AudioOffset", "VisemeId"),
-        ("audio_offset", "viseme_id"),
-    ],
-)
+SPELLINGS = ("audioOffset visemeId", "AudioOffset VisemeId", "audio_offset viseme_id")
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
 def test_azure_tells_ticks_of_100_ns_in_three_spellings(spelling):
-    rows = [dict(zip(spelling, row.values(), strict=True)) for row in AZURE]
+    rows = [dict(zip(spelling.split(), row.values(), strict=True)) for row in AZURE]
     expected = [("SIL", 0, 50), ("P", 50, 125), ("EH", 125, 200)]
 
     assert read(rows) == expected
@@ -124,15 +123,8 @@ def test_head_tts_tells_starts_and_durations():
             {"phoneme": "AY1", "duration": 0.25},
             {"phoneme": "CH", "duration": 0.05},
         ],
-        {
-            "tokens": [
-                {"phonemes": "m", "start_ts": 0.1},
-                {"phonemes": "aɪ", "start_ts": 0.2},
-                {"phonemes": "tʃ", "start_ts": 0.45, "end_ts": 0.5},
-            ]
-        },
     ],
-    ids=["start and end", "samples", "durations", "starts"],
+    ids=["start and end", "samples", "durations"],
 )
 def test_rows_of_a_phoneme_each_in_ipa_or_arpabet(content):
     assert read(content) == [("SIL", 0, 100), ("M", 100, 200), ("AY", 200, 450), ("CH", 450, 500)]
@@ -168,28 +160,16 @@ def test_a_file_with_the_mark_of_its_encoding_is_read(tmp_path):
         ("", "file: the file is empty; docs/text.md"),
         ("hello", "file: line 1 is neither labels nor JSON"),
         (POLLY + "nonsense", "file: line 9 is neither labels nor JSON"),
-        (
-            POLLY + '{"time":380,"type":"viseme","value":"Q"}',
-            "viseme 6 at 0.380 s: 'Q' is not a viseme of polly",
-        ),
-        (POLLY + '{"time":272,"type":"viseme","value":"p"}', "viseme 6 begins at 0.272 s, before"),
-        (
-            POLLY + '{"time":"372","type":"viseme","value":"p"}',
-            "line 9: time '372' is not a number",
-        ),
-        (
-            [*AZURE, {"audioOffset": 3000000, "visemeId": 22}],
-            "viseme 5 at 0.300 s: '22' is not a viseme of azure",
-        ),
+        (POLLY + mark(380, "Q"), "viseme 6 at 0.380 s: 'Q' is not a viseme of polly"),
+        (POLLY + mark(272, "p"), "viseme 6 begins at 0.272 s, before"),
+        (POLLY + mark("372", "p"), "line 9: time '372' is not a number"),
+        ([*AZURE, {"audioOffset": 3000000, "visemeId": 22}], "viseme 5 at 0.300 s: '22' is not"),
         ([*AZURE, {"audioOffset": -1, "visemeId": 1}], "[4]: time -1 must be 0"),
         ([*AZURE, {"audioOffset": 1e99, "visemeId": 1}], "[4]: time 1e+99 must be 0"),
         ([*AZURE, {"audioOffset": True, "visemeId": 1}], "[4]: time True is not a number"),
         (HEAD_TTS | {"vtimes": [1]}, "its lists differ in length: [6, 1, 6]"),
         (HEAD_TTS | {"vtimes": 1}, "its lists differ in length: [6, 1, 6]"),
-        (
-            HEAD_TTS | {"visemes": ["PP"] * 5 + ["X"]},
-            "viseme 6 at 0.350 s: 'X' is not a viseme of ovr",
-        ),
+        (HEAD_TTS | {"visemes": ["PP"] * 5 + ["X"]}, "viseme 6 at 0.350 s: 'X' is not a viseme of"),
         ({"phones": [["AH", 2, 1]]}, "phones: ends at 1.000 s, before it begins"),
         ({"phones": [["AH", 0]]}, "phones: each row must be [label"),
         ({"phones": []}, "no times of words, phonemes"),
@@ -215,26 +195,15 @@ def test_words_alone_are_refused_where_phonemes_are_needed(tmp_path):
         read_phonemes(path)
 
 
-def test_a_file_that_cannot_be_read_is_one_line(tmp_path):
-    for path, complaint in ((tmp_path, "cannot be read"), (tmp_path / "absent", "no such file")):
-        with pytest.raises(LabelError, match=complaint):
-            read_phonemes(path)
-
-
 NUMBERS = st.one_of(st.integers(-5, 2000), st.floats(), st.none(), st.text(max_size=3))
+NUMBERED = ("time", "audioOffset", "VisemeId", "start", "end", "duration", "num_samples")
 ROWS = st.fixed_dictionaries(
     {},
     optional={
-        "time": NUMBERS,
+        **dict.fromkeys(NUMBERED, NUMBERS),
         "type": st.sampled_from(["viseme", "word", 3]),
         "value": st.one_of(st.sampled_from(["p", "sil", "E"]), NUMBERS),
-        "audioOffset": NUMBERS,
-        "VisemeId": NUMBERS,
         "phoneme": st.one_of(st.text(max_size=4), st.none()),
-        "start": NUMBERS,
-        "end": NUMBERS,
-        "duration": NUMBERS,
-        "num_samples": NUMBERS,
     },
 )
 LISTS = st.lists(st.one_of(st.sampled_from(["PP", "aa"]), NUMBERS), max_size=4)
@@ -261,15 +230,15 @@ def check_read_or_refused(content):
     ScriptedPhonemes(events)
 
 
-def test_the_phones_of_one_label_follow_each_other_to_the_last_bit():
-    check_read_or_refused(b'[{"type": "viseme", "phoneme": "??A", "start": 1}]')
+TRACKS = st.from_regex(r"([0-9.]{1,4}\s[0-9.]{1,4}\s[A-Z]{1,2}\n){1,4}")
 
 
-@given(content=st.binary(max_size=200))
+@given(content=st.binary(max_size=200) | (st.text(max_size=120) | TRACKS).map(str.encode))
 def test_no_bytes_break_the_reader(content):
     check_read_or_refused(content)
 
 
+@example(document=[{"type": "viseme", "phoneme": "??A", "start": 1}])
 @given(document=DOCUMENTS)
 def test_no_document_breaks_the_reader(document):
     check_read_or_refused(json.dumps(document).encode())

@@ -127,6 +127,21 @@ def test_after_a_pause_a_blip_of_50_ms_wakes_nobody():
     assert len(frames_of_speech(silence_then_speech(0.999, 5), asleep_never)) == 5
 
 
+def test_with_patience_an_onset_is_told_as_early_and_settled_the_same():
+    """Frame 40 is known to be speech at frame 47, whether 7 or 9 frames settle it."""
+    frames = silence_then_speech(0.999, 30)
+    told = {}
+    for delay in (7, 9):
+        decoder = ViterbiDecoder(PosteriorFormat(PHONEMES, (2, 7)), delay, SMOOTH)
+        for n, frame in enumerate(frames):
+            settled, later = decoder.push(decoder.scores(frame))
+            path = [] if settled is None else [settled, *later]
+            for place, number in enumerate(path):
+                if PHONEMES[number] == "AA":
+                    told.setdefault(delay, (n, n - delay + place))
+    assert told == {7: (47, 40), 9: (47, 40)}
+
+
 def test_what_is_hardly_likelier_than_silence_has_to_last():
     """ln(.8 / .2) is 1.4 a frame: eight for switching and waking take six frames."""
     frames = frames_of_speech(silence_then_speech(0.8, 30))

@@ -45,9 +45,16 @@ def test_a_program_without_times_has_its_text_told(tts):
     assert [unit.label for unit in spoken.units.units] == ["Thumbs up."]
 
 
-@pytest.mark.parametrize("subtype", ["PCM_16", "PCM_24", "FLOAT", "DOUBLE"])
-def test_sound_is_as_loud_whatever_its_samples_are(tmp_path, subtype):
-    soundfile.write(tmp_path / "said.wav", np.full(800, 0.1), 16_000, subtype=subtype)
+@pytest.mark.parametrize(
+    ("subtype", "said"),
+    [
+        *((subtype, [0.1]) for subtype in ("PCM_16", "PCM_24", "FLOAT", "DOUBLE")),
+        ("FLOAT", [0.1 * 32767.0]),  # whole numbers in floats
+        ("PCM_16", [0.1, -0.1]),  # channels that cancel each other
+    ],
+)
+def test_sound_from_the_output_is_as_loud_whatever_its_samples_are(tmp_path, subtype, said):
+    soundfile.write(tmp_path / "said.wav", np.full((800, len(said)), said), 16_000, subtype=subtype)
     spoken = speak(f"cat {tmp_path}/said.wav")
 
     assert np.abs(spoken.samples).max() == pytest.approx(0.1, abs=1e-3)
@@ -61,19 +68,6 @@ def test_samples_that_are_no_number_or_too_large_neither_wrap_nor_fail(tmp_path)
     np.testing.assert_allclose(spoken, [0.0, 1.0, -1.0, 1.0, 0.5], atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("said", "subtype"),
-    [(0.1 * 32767.0, "FLOAT"), (np.array([0.1, -0.1]), "PCM_16")],
-    ids=["whole numbers in floats", "channels that cancel each other"],
-)
-def test_odd_sound_is_taken_as_that_of_a_file(tmp_path, said, subtype):
-    samples = np.full((800, 2), said) if np.ndim(said) else np.full(800, said)
-    soundfile.write(tmp_path / "said.wav", samples, 16_000, subtype=subtype)
-    spoken = speak(f"cat {tmp_path}/said.wav")
-
-    assert np.abs(spoken.samples).max() == pytest.approx(0.1, abs=1e-3)
-
-
 def test_a_program_that_cannot_seek_back_to_write_the_size_is_heard(tmp_path):
     soundfile.write(tmp_path / "said.wav", np.full(800, 0.1), 16_000)
     said = bytearray((tmp_path / "said.wav").read_bytes())
@@ -82,10 +76,6 @@ def test_a_program_that_cannot_seek_back_to_write_the_size_is_heard(tmp_path):
     (tmp_path / "said.wav").write_bytes(said)
 
     assert len(speak(f"cat {tmp_path}/said.wav").samples) == 800
-
-
-def test_sound_may_come_from_the_standard_output(tts):
-    assert len(speak(f"cat {tts.split()[1]}").samples) == 8000
 
 
 def test_the_text_comes_by_standard_input_and_never_as_a_command(tts, tmp_path):
@@ -108,10 +98,8 @@ def test_words_with_times_are_told_with_them(tts):
     rows = {"words": ["Thumbs", "up"], "start": [0.0, 0.25], "end": [0.2, 0.5]}
     spoken = speak(with_words(tts, rows))
 
-    assert [(unit.label, unit.start_sample) for unit in spoken.units.units] == [
-        ("Thumbs", 0),
-        ("up", 4000),
-    ]
+    told = [(unit.label, unit.start_sample) for unit in spoken.units.units]
+    assert told == [("Thumbs", 0), ("up", 4000)]
 
 
 def test_times_in_milliseconds_are_refused_as_longer_than_the_sound(tts):
@@ -159,13 +147,10 @@ def test_another_language_needs_its_place_in_the_command(tts):
     assert len(speak(f"sh -c 'test {{language}} = de; {tts}'", language="de").samples)
 
 
-def test_sound_at_an_impossible_rate_is_one_line(tmp_path):
+def test_no_sound_and_sound_at_an_impossible_rate_are_one_line(tmp_path):
     soundfile.write(tmp_path / "slow.wav", np.full(100, 0.1), 1000)
     with pytest.raises(SynthesisError, match="1000 Hz"):
         speak(f"cp {tmp_path}/slow.wav {{wav}}")
-
-
-def test_silence_is_no_speech(tmp_path):
     soundfile.write(tmp_path / "empty.wav", np.zeros(0), 16_000)
     with pytest.raises(UnspeakableTextError, match="made no sound"):
         speak(f"cp {tmp_path}/empty.wav {{wav}}")
@@ -180,7 +165,7 @@ def test_a_program_that_writes_without_end_is_stopped(monkeypatch):
     process.close()
 
 
-def test_a_program_that_hangs_is_killed_with_all_that_it_started(monkeypatch, tmp_path):
+def test_a_program_that_hangs_is_killed_with_all_that_it_started(monkeypatch, tts, tmp_path):
     pid = tmp_path / "pid"
     with monkeypatch.context() as hurried:
         hurried.setattr(voice_process, "LONGEST_S", 1.0)
@@ -188,7 +173,7 @@ def test_a_program_that_hangs_is_killed_with_all_that_it_started(monkeypatch, tm
             speak(f"sh -c 'sleep 600 & echo $! > {pid}; wait'")
 
     wait_until_gone(int(pid.read_text()))
-    assert speak(f"sh -c 'cat {make_sound(tmp_path)}'").phonemes == ()
+    assert speak(tts).phonemes == ()
 
 
 SPEAKER = """
@@ -234,12 +219,6 @@ def test_the_end_of_a_face_does_not_wait_for_a_sentence_that_is_being_made(tmp_p
     wait_until_gone(int(pid.read_text()))
 
 
-def make_sound(folder):
-    path = folder / "sound.wav"
-    soundfile.write(path, np.full(1600, 0.1), 16_000)
-    return path
-
-
 def wait_until_gone(pid):
     give_up_s = time.monotonic() + PATIENCE_S
     while Path(f"/proc/{pid}").exists() and "Z" not in state_of(pid):
@@ -267,9 +246,8 @@ def test_piper_tells_its_phonemes_to_be_followed_in_its_sound():
 
     assert (spoken.phonemes, spoken.sample_rate_hz) == ((), 22_050)
     assert 0.7 < spoken.duration_s < 2.5
-    assert [unit.label for unit in spoken.units.units] == [
-        *("TH", "AH", "M", "Z", "AH", "P", "SIL", "B", "AA", "B", "SIL")
-    ]
+    phones = " ".join(unit.label for unit in spoken.units.units)
+    assert phones == "TH AH M Z AH P SIL B AA B SIL"
 
 
 def test_a_model_that_is_none_is_one_line(tmp_path):
@@ -277,10 +255,7 @@ def test_a_model_that_is_none_is_one_line(tmp_path):
     (tmp_path / "joe.onnx").write_text("no model")
     (tmp_path / "joe.onnx.json").write_text("{}")
 
-    for model, error in (
-        ("absent.onnx", "does not exist"),
-        ("joe.onnx", "cannot be loaded by Piper"),
-    ):
+    for model, error in (("absent.onnx", "does not exist"), ("joe.onnx", "cannot be loaded by")):
         with pytest.raises(SynthesisError, match=error) as raised:
             Piper().speak("Hi.", Voice(name=str(tmp_path / model)))
         assert "\n" not in str(raised.value)

@@ -65,18 +65,17 @@ def test_each_word_of_any_script_is_told_once(espeak, language, text, words):
     assert spoken.words[-1].end_s > spoken.duration_s - 0.5
 
 
-def test_a_phoneme_that_sounds_within_the_one_before_has_a_share_of_it(espeak):
-    """espeak-ng gives the L of "twelve" and the V the same sample."""
-    assert phonemes(espeak.speak("twelve")) == "T W EH L V SIL"
-
-
-def test_another_language_has_its_own_phonemes_and_ours(espeak):
-    assert phonemes(espeak.speak("über Köln", Voice("de"))) == "UW B ER K AO L N SIL"
-
-
-def test_a_switch_of_language_within_a_text_is_no_phoneme(espeak):
-    said = phonemes(espeak.speak("le weekend", Voice("fr-fr")))
-    assert said == "L AH W IY K EH N D SIL"
+@pytest.mark.parametrize(
+    ("text", "language", "said"),
+    [
+        # espeak-ng gives the L of "twelve" and the V the same sample: V has a share of it.
+        ("twelve", "en-us", "T W EH L V SIL"),
+        ("über Köln", "de", "UW B ER K AO L N SIL"),
+        ("le weekend", "fr-fr", "L AH W IY K EH N D SIL"),  # a switch of language is no phoneme
+    ],
+)
+def test_every_language_has_its_own_phonemes_in_ours(espeak, text, language, said):
+    assert phonemes(espeak.speak(text, Voice(language))) == said
 
 
 def test_a_slower_voice_takes_longer_and_a_higher_one_sounds_otherwise(espeak):
@@ -232,10 +231,6 @@ def test_every_phoneme_of_every_language_is_in_the_table(espeak):
 
 WITHOUT_DEBIANS = """
 import ctypes
-import os
-import signal
-import subprocess
-import sys
 system = ctypes.CDLL
 def without(name, *rest, **options):
     if name == "libespeak-ng.so.1":
@@ -243,7 +238,6 @@ def without(name, *rest, **options):
     return system(name, *rest, **options)
 ctypes.CDLL = without
 from lipsync.text_to_speech.espeak import Espeak
-from lipsync.text_to_speech.espeak_process import EspeakProcess
 print(" ".join(each.phoneme for each in Espeak().speak("Thumbs up!").phonemes))
 """
 

@@ -29,10 +29,6 @@ def test_a_word_outside_the_dictionary_is_guessed():
     assert word.pronunciations[0][:3] == ("L", "IH", "P")
 
 
-def test_marks_of_ssml_and_emoji_are_not_said():
-    assert labels('<speak>Hello <break time="1s"/> 😀 there</speak>') == ["hello", "there"]
-
-
 @pytest.mark.parametrize("text", ["", "  ", "😀🎉", "--- ...", "\x00\ud800"])
 def test_a_text_without_words_has_none(text):
     assert pronounced(text) == ()
@@ -55,11 +51,6 @@ def test_another_language_is_pronounced_by_espeak():
     phones = {phone for word in words for phone in word.pronunciations[0]}
     assert phones <= set(VISEME_OF) - {SILENCE}
     assert words[2].pronunciations[0][0] == "M"
-
-
-def test_a_language_that_no_voice_speaks_is_refused_in_one_line():
-    with pytest.raises(PronunciationError, match="does not speak 'xx'"):
-        pronounced("hello", "xx")
 
 
 def test_gruut_is_loaded_by_no_process_that_moves_a_mouth():

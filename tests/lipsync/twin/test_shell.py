@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -28,10 +30,10 @@ def grid(width=1.0, curved=(0.0, 0.0)):
 
 @pytest.fixture(scope="module")
 def head():
-    """Return half an ellipsoid with a slit for a mouth, symmetric about x = 0.
+    """Half an ellipsoid with a slit for a mouth, symmetric about x = 0.
 
-    Vertices, triangles, number of each vertex's mirror image, handles round the mouth, anchors at
-    the rim.
+    Its vertices, number of each one's mirror image, handles round the mouth, anchors at the rim,
+    stiffness, and the weights of the handles.
     """
     vertices, triangles = grid(70.0, curved=(0.006, 0.004))
     number = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
@@ -59,7 +61,16 @@ def head():
     chin, cheeks = number[row - 6, [16, 20, 24]], number[row + 5, [10, 30]]
     handles = np.concatenate([upper_lip, lower_lip, chin, cheeks])
     anchors = np.flatnonzero(np.abs(vertices[:, :2]).max(axis=1) > 62.0)
-    return vertices, triangles, mirror, handles, anchors
+    stiffness = shell_stiffness(vertices, triangles)
+    return SimpleNamespace(
+        vertices=vertices,
+        mirror=mirror,
+        handles=handles,
+        anchors=anchors,
+        held=np.concatenate([handles, anchors]),
+        stiffness=stiffness,
+        weights=influence(stiffness, handles, anchors),
+    )
 
 
 def test_the_laplacian_of_a_paraboloid_is_four():
@@ -88,81 +99,61 @@ def test_a_clamped_disc_bends_as_plate_theory_says():
 
 
 def test_handles_go_where_they_are_told_and_anchors_stay(head):
-    vertices, triangles, _, handles, anchors = head
-
-    weights = influence(shell_stiffness(vertices, triangles), handles, anchors)
-
-    np.testing.assert_array_equal(weights[handles], np.eye(len(handles)))
-    np.testing.assert_array_equal(weights[anchors], 0.0)
-    assert weights.min() > -0.5
-    assert weights.max() < 1.6
+    np.testing.assert_array_equal(head.weights[head.handles], np.eye(len(head.handles)))
+    np.testing.assert_array_equal(head.weights[head.anchors], 0.0)
+    assert head.weights.min() > -0.5
+    assert head.weights.max() < 1.6
 
 
 def test_what_is_solved_leaves_no_force_where_nothing_holds(head):
-    vertices, triangles, _, handles, anchors = head
-    stiffness = shell_stiffness(vertices, triangles)
-
-    weights = influence(stiffness, handles, anchors)
-
-    free = np.setdiff1d(np.arange(len(vertices)), np.concatenate([handles, anchors]))
-    force = np.abs((stiffness @ weights)[free]).max()
-    assert force < 1e-9 * np.abs(stiffness @ weights).max()
+    free = np.setdiff1d(np.arange(len(head.vertices)), head.held)
+    forces = np.abs(head.stiffness @ head.weights)
+    assert forces[free].max() < 1e-9 * forces.max()
 
 
 def test_moving_all_that_holds_moves_all(head):
-    vertices, triangles, _, handles, anchors = head
-    held = np.concatenate([handles, anchors])
-    shift = np.tile([3.0, -2.0, 1.0], (len(held), 1))
+    shift = np.array([3.0, -2.0, 1.0])
 
-    moved = spread(shell_stiffness(vertices, triangles), held, shift)
+    moved = spread(head.stiffness, head.held, np.tile(shift, (len(head.held), 1)))
 
-    np.testing.assert_allclose(moved, np.tile(shift[0], (len(vertices), 1)), atol=1e-6)
+    np.testing.assert_allclose(moved, np.tile(shift, (len(head.vertices), 1)), atol=1e-6)
 
 
 def test_displacements_are_linear_and_nothing_moves_when_nothing_is_moved(head):
-    vertices, triangles, _, handles, anchors = head
-    stiffness = shell_stiffness(vertices, triangles)
-    weights = influence(stiffness, handles, anchors)
-    random = np.random.default_rng(0)
-    moves = random.normal(size=(len(handles), 3))
-    held = np.concatenate([handles, anchors])
-    given = np.vstack([moves, np.zeros((len(anchors), 3))])
+    moves = np.random.default_rng(0).normal(size=(len(head.handles), 3))
+    given = np.vstack([moves, np.zeros((len(head.anchors), 3))])
 
-    np.testing.assert_allclose(weights @ moves, spread(stiffness, held, given), atol=1e-9)
-    np.testing.assert_array_equal(spread(stiffness, held, 0 * given), 0.0)
+    moved = spread(head.stiffness, head.held, given)
+    np.testing.assert_allclose(head.weights @ moves, moved, atol=1e-9)
+    np.testing.assert_array_equal(spread(head.stiffness, head.held, 0 * given), 0.0)
 
 
 def test_a_face_that_moves_alike_on_both_sides_stays_alike(head):
-    vertices, triangles, mirror, handles, anchors = head
-    weights = influence(shell_stiffness(vertices, triangles), handles, anchors)
-    moves = np.random.default_rng(1).normal(size=(len(handles), 3))
-    position = {int(vertex): at for at, vertex in enumerate(handles)}
-    partner = [position[int(mirror[vertex])] for vertex in handles]
+    moves = np.random.default_rng(1).normal(size=(len(head.handles), 3))
+    position = {int(vertex): at for at, vertex in enumerate(head.handles)}
+    partner = [position[int(head.mirror[vertex])] for vertex in head.handles]
     moves = (moves + moves[partner] * (-1.0, 1.0, 1.0)) / 2
 
-    moved = weights @ moves
+    moved = head.weights @ moves
 
     # The diagonals of the triangles are not mirrored, so neither is the last digit.
-    np.testing.assert_allclose(moved[mirror] * (-1.0, 1.0, 1.0), moved, atol=0.02)
+    np.testing.assert_allclose(moved[head.mirror] * (-1.0, 1.0, 1.0), moved, atol=0.02)
 
 
 def test_lips_on_one_another_move_apart(head):
-    vertices, triangles, _, handles, anchors = head
-    weights = influence(shell_stiffness(vertices, triangles), handles, anchors)
-    lower_lip_down = np.zeros((len(handles), 3))
+    lower_lip_down = np.zeros((len(head.handles), 3))
     lower_lip_down[3:9, 1] = -10.0
 
-    moved = weights @ lower_lip_down
+    moved = head.weights @ lower_lip_down
 
-    middle_of_upper, middle_of_lower = handles[1], handles[4]
-    np.testing.assert_allclose(vertices[middle_of_upper], vertices[middle_of_lower])
-    assert moved[middle_of_upper, 1] - moved[middle_of_lower, 1] == 10.0
+    upper, lower = head.handles[1], head.handles[4]
+    np.testing.assert_allclose(head.vertices[upper], head.vertices[lower])
+    assert moved[upper, 1] - moved[lower, 1] == 10.0
 
 
 def test_a_handle_that_stands_twice_is_refused(head):
-    vertices, triangles, _, handles, anchors = head
     with pytest.raises(ValueError, match="twice"):
-        influence(shell_stiffness(vertices, triangles), [*handles, handles[0]], anchors)
+        influence(head.stiffness, [*head.handles, head.handles[0]], head.anchors)
 
 
 def test_a_part_that_hangs_on_nothing_is_refused():

@@ -5,12 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_model import small_model
+from unpacked_head import unpack
 
 from lipsync.face.head_motion import fit_similarity
 from lipsync.face.model import load_face
 from lipsync.markers import INNER_LIP, MARKERS_47, OUTER_LIP, PointLayout
 from lipsync.twin.head_surface import LEFT_BROW, LEFT_EYE, RIGHT_EYE, head_surface, load_mean_face
-from lipsync.twin.packed import pack, unpack, vertex_normals
+from lipsync.twin.packed import pack, vertex_normals
 from lipsync.twin.parts import jaw_displacements, jaw_modes, jaw_motion
 from lipsync.twin.twin import TwinError, make_twin, skin_morphs
 
@@ -162,6 +163,48 @@ def test_a_tucked_lower_lip_goes_behind_the_upper_teeth_and_the_upper_lip_shows_
     assert outer_mm[0, 1] > 3.0  # rolled in: its outer edge rises more than its inner one
     corners = drawn["skin"]["morphs"]["lip_tuck"][[INNER_LIP[0], INNER_LIP[10]]]
     assert np.abs(corners).max() < 1e-3
+
+
+#: The jaw drops by so much in TH, and in L: its front teeth, in films on a stage.
+DROPS_MM = {"tongue_dental": 2.4, "tongue_alveolar": 5.7}
+
+
+def tongue_mm(drawn, target, amount=1.0):
+    """Places of the tongue with its tip raised, and of all upper and lower front teeth, mm."""
+    jaw = drawn["teeth_lower"]["morphs"]["c0"][:, 1]
+    coefficients = FACE.rest.copy()
+    coefficients[0] -= DROPS_MM[target] / jaw.mean()
+    parts = [shown(drawn[n], coefficients) for n in ("teeth_upper", "teeth_lower")]
+    front = [each[np.abs(each[:, 0]) < 8.0] for each in parts]
+    return shown(drawn["tongue"], coefficients, **{target: amount}), *front
+
+
+def test_for_th_the_tip_of_the_tongue_is_between_the_teeth_and_for_l_behind_the_upper_ones(drawn):
+    dental, upper, lower = tongue_mm(drawn, "tongue_dental")
+    tip = dental[dental[:, 2].argmax()]
+    assert tip[2] > upper[:, 2].max()
+    assert lower[:, 1].max() < tip[1] < upper[:, 1].min()
+
+    alveolar, upper, _ = tongue_mm(drawn, "tongue_alveolar")
+    tip = alveolar[alveolar[:, 2].argmax()]
+    assert tip[2] < upper[:, 2].max() - 5.0  # so thick are the teeth
+    assert tip[1] > upper[:, 1].min()
+
+
+def test_a_tongue_at_rest_lies_behind_the_lower_teeth(drawn):
+    places, teeth = (shown(drawn[name], FACE.rest) for name in ("tongue", "teeth_lower"))
+    assert places[:, 1].max() < teeth[:, 1].max()
+    assert places[:, 2].max() < teeth[:, 2].max()
+
+
+@pytest.mark.parametrize("target", DROPS_MM)
+def test_no_triangle_of_a_tongue_that_rises_turns_over(drawn, target):
+    def ways(amount):
+        corners = tongue_mm(drawn, target, amount)[0][drawn["tongue"]["triangles"]]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    for amount in (0.25, 0.5, 0.75, 1.0):
+        assert (np.sum(ways(amount) * ways(amount - 0.25), axis=1) >= -1e-9).all()
 
 
 def test_each_part_of_the_head_is_whole(twin):

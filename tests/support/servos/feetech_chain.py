@@ -3,7 +3,7 @@
 import math
 from types import SimpleNamespace
 
-import yaml
+from hobby_bus import face_yaml
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.feetech.bus import FeetechBus
@@ -17,20 +17,8 @@ RATE = 1_000_000
 
 def on_feetech(face, model="STS3215", **bus):
     """The YAML of a face with the joints of another, as if their servos were Feetech's."""
-    servos = {
-        joint.name: {
-            "id": n,
-            "model": model,
-            "positive": "opens",
-            "min_deg": joint.min_deg,
-            "max_deg": joint.max_deg,
-            "max_speed_deg_s": min(joint.max_speed_deg_s, 260.0),
-        }
-        for n, joint in enumerate(face.joints(), start=1)
-    }
     bus = {"kind": "feetech", "port": "/dev/x"} | bus
-    face = {"name": "feetech", "rate_hz": 50, "bus": bus, "servos": servos}
-    return yaml.safe_dump(face, sort_keys=False)
+    return face_yaml(face, bus, lambda n: {"id": n + 1, "model": model}, fastest_deg_s=260.0)
 
 
 def four_servos(model="STS3215") -> list[MountedServo]:

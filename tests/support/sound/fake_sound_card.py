@@ -14,13 +14,8 @@ class FakeStream:
     """PortAudio's clock starts anywhere, and here it is a thousand seconds before the monotonic."""
 
     def __init__(self, card, *, samplerate, channels, callback, **settings):
-        self.card, self.rate_hz, self.n_channels, self.callback = (
-            card,
-            samplerate,
-            channels,
-            callback,
-        )
-        self.settings = settings
+        self.card, self.callback, self.settings = card, callback, settings
+        self.rate_hz, self.n_channels = samplerate, channels
         self.active, self.is_closed = False, False
         self.latency = 0.06
         card.while_opening()

@@ -35,13 +35,9 @@ class SpeakingSide:
         self.n_held = 0
         self._channel = MemoryTargetChannel()
         synthesizer = make_synthesizer(self.face.model, MotionOptions())
+        heard_by = recognizer or Deaf()
         self.side = make_speech_side(
-            self.face,
-            self.playout,
-            recognizer or Deaf(),
-            synthesizer,
-            self._channel,
-            start_s=0.0,
+            self.face, self.playout, heard_by, synthesizer, self._channel, start_s=0.0
         )
         self.delay = self.side.speech.delay
 

@@ -5,8 +5,7 @@ part of a name that is defined (`n_told`, `SentOn`), or as a word of a docstring
 out: their names are sentences.
 
 `array_docstrings`: of the public functions and methods that take or return an array, those whose
-docstring has a NumPy section (Parameters, Returns, Yields) and names a shape or a unit;
-`array_shapes`: those that name one in any form.
+docstring has a NumPy section (Parameters, Returns, Yields) and names a shape or a unit.
 
 `pages`: words of README.md and of its first sentence, words of docs/ without decisions (code blocks
 count, they are read too), links and paths that lead nowhere, and figures of README.md, a number
@@ -53,7 +52,7 @@ def word_figures(root: Path) -> dict[str, Any]:
     """Return all figures of a checkout; lists are of strings that say where."""
     names: list[str] = []
     docstrings: list[str] = []
-    n_arrays, n_shaped, bare = 0, 0, []
+    n_arrays, bare = 0, []
     for path in _sources(root):
         file, tree = path.relative_to(root).as_posix(), ast.parse(path.read_text("utf-8"))
         names += [f"{file}:{line} {name}" for line, name in _dialect_names(tree)]
@@ -61,7 +60,6 @@ def word_figures(root: Path) -> dict[str, Any]:
         for function in _array_functions(tree):
             docstring = ast.get_docstring(function) or ""
             n_arrays += 1
-            n_shaped += bool(_SHAPE_OR_UNIT.search(docstring))
             if not (_SECTION.search(docstring) and _SHAPE_OR_UNIT.search(docstring)):
                 bare.append(f"{file}:{function.lineno} {function.name}")
     return {
@@ -69,7 +67,6 @@ def word_figures(root: Path) -> dict[str, Any]:
         "dialect_docstrings": docstrings,
         "array_functions": n_arrays,
         "array_docstrings": round(1 - len(bare) / max(n_arrays, 1), 3),
-        "array_shapes": round(n_shaped / max(n_arrays, 1), 3),
         "array_docstrings_missing": bare,
         "pages": page_figures(root),
     }

@@ -168,6 +168,23 @@ def tone(duration_s, rate_hz=RATE_HZ):
     return (8_000 * np.sin(2 * np.pi * 211 * time_s)).astype("<i2").tobytes()
 
 
+def distinct(duration_s, seed=0):
+    """Samples (int16) without a zero: what is lost or doubled of them is seen."""
+    rng = np.random.default_rng(seed)
+    return rng.integers(1, 30_000, round(duration_s * RATE_HZ)).astype("<i2")
+
+
+def heard(face):
+    """What left a face's loudspeaker, as int16, without the silence between."""
+    samples = np.rint(face.sound.played() * 32_768).astype(int)
+    return samples[samples != 0]
+
+
+def sounding_s(face):
+    """How many seconds of it were no silence."""
+    return np.count_nonzero(face.sound.played()) / RATE_HZ
+
+
 def until(condition):
     """Wait for what other threads do."""
     give_up_s = time.monotonic() + PATIENCE_S
@@ -191,6 +208,18 @@ class RawClient:
         """Start a stream; the answer."""
         await self.say("start", stream=stream, **{"sample_rate": RATE_HZ, **fields})
         return await self.next("ready", "error")
+
+    async def begin(self, duration_s, stream="s"):
+        """Start a stream with so much sound, and wait until it is heard."""
+        await self.start(stream)
+        await self.send(tone(duration_s))
+        await self.next("started")
+
+    async def finish(self, duration_s):
+        """Send so much sound and the end of its stream; what is told when it was heard."""
+        await self.send(tone(duration_s))
+        await self.say("end")
+        return await self.next("finished")
 
     async def send(self, data):
         await self.socket.send(data)

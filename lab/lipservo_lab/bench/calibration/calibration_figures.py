@@ -20,7 +20,7 @@ from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm
 from calibration.fit.procedure import Procedure
-from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM, nearest_poses_deg
+from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM, RobotMouth
 from calibration.fit.servo_response import identify, lag_between_s
 from calibration.mouth_servos import JointRange, MouthServos
 from calibration.run.compensation import BacklashCompensation, LagCompensation
@@ -278,11 +278,11 @@ def _score_shapes(
     def truth(output_deg: Array) -> Array:
         return true_markers_mm(draw, output_deg)
 
-    limits = servos.limits_deg
     targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
     shape_features, lips = fit.names.shape_features, list(MARKERS_47.lips)
 
-    nearest_deg = nearest_poses_deg(truth, shape_features.of(targets_mm), shape_features, limits)
+    mouth = RobotMouth(truth, fit.names, servos.limits_deg)
+    nearest_deg = mouth.nearest_deg(shape_features.of(targets_mm))
     robot = SimulatedRobot(draw)
     backlash = BacklashCompensation(fit.face.backlash_deg)
     shown_mm = np.empty_like(targets_mm)
@@ -325,7 +325,7 @@ def _guided_apart_mm(
     gaps_mm = scale * fit.names.shape_features.gaps_mm(shown_mm)
     gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
     wanted = fit.names.shape_features.of(neutral_mm + scale * (shown_mm - closed_mm), gaps_mm)
-    nearest_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, servos.limits_deg)
+    nearest_deg = RobotMouth(truth, fit.names, servos.limits_deg).nearest_deg(wanted)
     is_jaw = np.array([joint.name == JAW for joint in servos.joints])
     calibration = guided_by_eye(model, servos, nearest_deg, is_jaw, seed)
     angles_deg = np.array([calibration.positions_deg(frame) for frame in fit.held_out])

@@ -37,6 +37,7 @@ from lipservo_lab.bench.calibration.shown_motion import (
     wanted_shapes,
 )
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 N_POSES = 60
@@ -44,6 +45,7 @@ N_FRAMES = 400
 _GOOD_GRADE = (0.8, 1.3)
 #: How often what suffices is little force.
 _ENOUGH_FORCE = 4.0
+_NONE = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,18 +69,22 @@ class RobotScore:
     contact_called: bool
 
 
-def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None) -> RobotScore:
+def score_robot(
+    model: FaceWithAnimPhos, seed: int, n_servos: int | None = None, *, tracker_turn: Array = _NONE
+) -> RobotScore:
     """Calibrate the elastic robot of a seed, from capture to grade; return its scores.
 
-    n_servos: None: drawn by the seed, too. Raises CalibrationError where the robot is refused.
+    n_servos: None: drawn by the seed, too; tracker_turn: (3, 3), how the tracker stands. Raises
+    CalibrationError where the robot is refused.
     """
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
     face = ElasticFace(draw)
-    robot = SimulatedRobot(face, noise_seed=seed)
+    simulated = SimulatedRobot(face, noise_seed=seed)
+    robot = Robot(simulated.move, lambda: simulated.measure() @ tracker_turn.T)
     procedure = Procedure(model, servos.joints, N_POSES, seed=seed, positive=servos.positive)
-    capture = procedure.capture(MARKERS_47.names, Robot(robot.move, robot.measure))
+    capture = procedure.capture(MARKERS_47.names, robot)
     fit = fit_measured(model, capture, servos)
-    fit = take_grade(fit, servos, MARKERS_47.names, Robot(robot.move, robot.measure))
+    fit = take_grade(fit, servos, MARKERS_47.names, robot)
     assert fit.calibration.grade is not None
     closing = fit.calibration.closing
     frames = split_frames(model, 0)[1][:N_FRAMES]

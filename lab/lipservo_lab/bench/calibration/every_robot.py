@@ -15,6 +15,11 @@ from threadpoolctl import threadpool_limits
 
 from calibration.calibration import CalibrationError
 from calibration.simulated.robot_family import RobotFamily
+from lipservo_lab.bench.calibration.attitude_figures import (
+    AskewRobot,
+    askew_robot,
+    attitude_figures,
+)
 from lipservo_lab.bench.calibration.calibration_figures import OwnRobot, own_figures, own_robot
 from lipservo_lab.bench.calibration.closing_figures import (
     N_OPEN_MOUTHS,
@@ -30,10 +35,12 @@ from lipservo_lab.bench.calibration.elastic_figures import (
 from lipservo_lab.bench.calibration.hard_captures import fault_figures
 from lipservo_lab.bench.calibration.killed_captures import killed_captures, resumed_figures
 from lipservo_lab.bench.calibration.shipped_ways import hobby_over_positions, way_figures
+from lipservo_lab.bench.calibration.unit_figures import UnitErrors, unit_errors, unit_figures
 from lipservo_lab.worker_pool import worker_pool
 from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
 
-_Outcome = OwnRobot | ElasticRobot | TriedMouth | dict[str, dict[str, float | str]]
+_Robot = OwnRobot | ElasticRobot | AskewRobot | TriedMouth | UnitErrors
+_Outcome = _Robot | dict[str, dict[str, float | str]]
 _Task = Callable[[FaceWithAnimPhos, int], _Outcome]
 _Kept = TypeVar("_Kept")
 
@@ -59,7 +66,8 @@ def bench_figures(
 ) -> dict[str, object]:
     """Run all tasks of `bench calibration`; return their figures.
 
-    Healthy robots of each seed and family, robots with faults, and mouths that cannot close. With
+    Healthy robots of each seed and family, robots with faults or seen askew, mouths that cannot
+    close. With
     both families, the figures of the second are in `elastic`, but `refused`, `faults_named` and
     `faults_misnamed` count both. ways: also calibrate the first seed's robots in every shipped way.
     kills: also kill and resume so many captures with each of three trackers. advance: called with
@@ -71,6 +79,8 @@ def bench_figures(
     }
     tasks = [(task_of_family[family], seed) for seed in seeds for family in families]
     tasks += [(tried_mouth, seed) for seed in range(N_OPEN_MOUTHS)]
+    if RobotFamily.ELASTIC in families:
+        tasks += [(task, seed) for seed in seeds for task in (unit_errors, askew_robot)]
     tasks += [(way_figures, seeds[0])] if ways else []
     outcomes = _worked_off(tasks, advance)
     own, elastic = _outcomes_of(OwnRobot, outcomes), _outcomes_of(ElasticRobot, outcomes)
@@ -83,6 +93,10 @@ def bench_figures(
         figures["elastic"] = family_figures[1]
         figures |= fault_figures([robot.faults for robot in own] + [r.faults for r in elastic])
         figures["refused"] = sum(int(str(each["refused"])) for each in family_figures)
+    if askew := _outcomes_of(AskewRobot, outcomes):
+        figures |= attitude_figures(askew, elastic)
+    if sisters := _outcomes_of(UnitErrors, outcomes):
+        figures |= unit_figures(sisters)
     figures |= closing_figures(_outcomes_of(TriedMouth, outcomes))
     if ways:
         figures["ways"] = way_errors = outcomes[-1]

@@ -24,7 +24,7 @@ from calibration.capture.dots import NAMES_FILE, DotsFolder
 from calibration.capture.marker_files import read_capture, write_plan
 from calibration.fit.guided import landmark_poses
 from calibration.fit.measured import fit_measured, split_frames
-from calibration.fit.retargeting import nearest_poses_deg
+from calibration.fit.retargeting import RobotMouth
 from calibration.mouth_servos import MouthServos
 from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.robot import SimulatedRobot
@@ -169,8 +169,8 @@ def _calibrate_by_eye(task: _Task) -> Calibration:
     """Return a guided calibration: a person finds the poses that look most like the speaker's."""
     frames = np.array([pose.coefficients for pose in landmark_poses(task.model)])
     wanted = wanted_shapes(task.model, task.face, task.servos, frames)
-    shape_features, limits = NAMES.shape_features, task.servos.limits_deg
-    nearest_deg = nearest_poses_deg(task.face.markers_mm, wanted.features, shape_features, limits)
+    mouth = RobotMouth(task.face.markers_mm, NAMES, task.servos.limits_deg)
+    nearest_deg = mouth.nearest_deg(wanted.features)
     is_jaw = np.arange(len(task.servos.joints)) == task.face.draw.jaw
     return guided_by_eye(task.model, task.servos, nearest_deg, is_jaw, task.seed)
 

@@ -32,10 +32,10 @@ from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.retargeting import (
     NEUTRAL_WEIGHT_MM_PER_DEG,
     MarkersOf,
+    RobotMouth,
     ShapeFeatures,
     bounded_minimum,
     correspond,
-    nearest_poses_deg,
     shape_slopes,
 )
 from calibration.mouth_servos import MouthServos
@@ -78,7 +78,7 @@ def converged_poses_deg(
 ) -> Array:
     """Return the poses nearest to wanted shapes, found by damped Gauss-Newton steps from neutral.
 
-    The cost is that of `nearest_poses_deg`.
+    The cost is that of `RobotMouth.nearest_deg`.
 
     Parameters
     ----------
@@ -350,4 +350,4 @@ def rival_poses_deg(capture: Capture, servos: MouthServos, features: Array, degr
     def markers_of(angles_deg: Array) -> Array:
         return np.asarray(fitted_model.predict(angles_deg)).reshape(len(angles_deg), -1, 3)
 
-    return nearest_poses_deg(markers_of, features, NAMES.shape_features, servos.limits_deg)
+    return RobotMouth(markers_of, NAMES, servos.limits_deg).nearest_deg(features)

@@ -1,21 +1,17 @@
-"""Films by what is in their files: how fast they are made, sound against picture, and their pixels.
+"""Films by what is in their files: sound against picture, and their pixels.
 
 The pixels are looked at by the tracker that imports video, as if the film were one of a talker.
 """
 
 import json
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import soundfile
 
 from lipservo.display.film import Display, film, write_film
-from lipservo.display.filmed_faces import FilmRequest, make_film
-from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.terminal.output import Advance
 from lipservo_lab.corpus.utterance import Utterance
 from lipservo_lab.evaluation.readability.readers import (
@@ -32,7 +28,6 @@ from lipservo_lab.evaluation.readability.reading_scores import (
 )
 from lipservo_lab.video.face_track import RIGID
 from lipsync.arrays import Array
-from lipsync.audio.file import read_sound
 from lipsync.face.frame import Frame
 from lipsync.face.head_motion import apply_similarity, fit_similarity, refine_mean
 from lipsync.face.model import FaceModel
@@ -42,7 +37,6 @@ from lipsync.video.video_file import video_pictures, video_sound
 
 _RATE_HZ = 25
 _SYNC_SIZE, _SYNC_PICTURES, _FLASHES = (320, 240), 100, (10, 33, 57, 84)
-_LONG_S = 60.0
 #: Still pictures before the first sentence of a film, from which the tracker's zero is taken.
 _STILL = 5
 _EYES, _EYE_DISTANCE_MM = (RIGID.index(33), RIGID.index(263)), 90.0
@@ -68,28 +62,6 @@ def film_sync_ms() -> float:
     # Times of the loud samples; a click is loudest half a millisecond after its beginning.
     clicks_s = np.flatnonzero(np.abs(film_sound.samples) > 0.2) / 16_000 + film_sound.begins_s
     return max(1e3 * float(np.abs(clicks_s - flash_s - 0.0005).min()) for flash_s in flashes_s)
-
-
-def film_times() -> dict[str, float]:
-    """Return seconds, and seconds of processor time, that a film of 60 s takes to be made.
-
-    Recognition is included. The sound is the bundled clip, repeated.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        sound = Path(folder) / "minute.wav"
-        with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-            samples, rate_hz = read_sound(clip)
-        minute = np.resize(samples, round(_LONG_S * rate_hz))
-        soundfile.write(sound, minute, rate_hz)
-        request = FilmRequest(
-            str(sound), Path(folder) / "film.mp4", "twin", (640, 480), _RATE_HZ, "face_sim", None
-        )
-        cpu_s, began_s = time.process_time(), time.perf_counter()
-        make_film(request, ChosenMotion(), lambda *_: None)
-        return {
-            "film_60_s": round(time.perf_counter() - began_s, 1),
-            "film_60_cpu_s": round(time.process_time() - cpu_s, 1),
-        }
 
 
 def tracked_film(

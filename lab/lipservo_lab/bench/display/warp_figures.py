@@ -1,4 +1,4 @@
-"""The warp of a photograph without a tracker: rest, markers and folds, on faces that are known.
+"""The warp of a photograph without a tracker: markers and folds, on faces that are known.
 
 Three faces of different size and framing: the twin's own picture, the talker of grid_s1 by the
 corpus's landmarks, and a small narrow face that looks aside. Motion: every recorded frame of
@@ -8,6 +8,7 @@ corpus's landmarks, and a small narrow face that looks aside. Motion: every reco
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,13 +65,13 @@ def warp_figures(
     Returns
     -------
     dict[str, object]
-        rest_error_px, marker_error_px: as `_rest_error_px` and `_marker_error_px` return them; the
-        latter is the largest of some 40 frames. folds: triangles that turned over in all frames.
+        marker_error_px: the largest that `_marker_error_px` finds in some 40 frames. folds:
+        triangles that turned over in all frames.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name, (size, landmarks) in faces.items():
         blank = np.full((size[1], size[0], 3), 128, dtype=np.uint8)
-        display = PhotoDisplay(photo_face(*(framed_photo := framed(blank, landmarks, SIZE)), face))
+        display = PhotoDisplay(photo_face(*framed(blank, landmarks, SIZE), face))
         folds, marker_errors_px = 0, [0.0]
         for number, motion in enumerate(motions.values()):
             advance(name, number, len(motions))
@@ -81,15 +82,13 @@ def warp_figures(
         rows.append(
             {
                 "face": name,
-                "face_px": round(float(np.ptp([at[0] for at in framed_photo[1].values()])), 1),
-                "rest_error_px": round(_rest_error_px(display, framed_photo[1]), 3),
                 "marker_error_px": round(max(marker_errors_px), 3),
                 "folds": folds,
                 "frames": sum(map(len, motions.values())),
             }
         )
-    worst_px = {key: max(row[key] for row in rows) for key in ("rest_error_px", "marker_error_px")}  # type: ignore[type-var]
-    return {**worst_px, "folds": sum(int(str(row["folds"])) for row in rows), "faces": rows}
+    worst = {"marker_error_px": max(row["marker_error_px"] for row in rows)}
+    return {**worst, "folds": sum(row["folds"] for row in rows), "faces": rows}
 
 
 def _count_folds(display: PhotoDisplay, frame: Frame) -> int:
@@ -98,23 +97,6 @@ def _count_folds(display: PhotoDisplay, frame: Frame) -> int:
     before = areas_px2(mesh.rest_px, mesh.triangles)
     after = areas_px2(display.warp.moved(frame)[0], mesh.triangles)
     return int((np.sign(after) != np.sign(before)).sum())
-
-
-def _rest_error_px(display: PhotoDisplay, landmarks: Landmarks) -> float:
-    """Return the largest error at a landmark while the photograph is warped into its own pose, px.
-
-    Of two errors: of the mesh's vertex from the landmark, and of the place that the landmark's
-    pixel is sampled from.
-    """
-    frame = Frame(0.0, display.own)
-    moved = display.warp.moved(frame)[0]
-    numbers = [n for n in landmarks if n < N_SKIN and display.warp.vertex_of(n) >= 0]
-    at = np.stack([moved[display.warp.vertex_of(n)] for n in numbers])
-    wanted_px = np.stack([landmarks[n][:2] for n in numbers])
-    moved_px = _sampled_from(display, moved, wanted_px) - wanted_px
-    return float(
-        max(np.linalg.norm(at - wanted_px, axis=1).max(), np.linalg.norm(moved_px, axis=1).max())
-    )
 
 
 def _marker_error_px(display: PhotoDisplay, face: FaceModel, coefficients: Array) -> float:
@@ -132,20 +114,6 @@ def _marker_error_px(display: PhotoDisplay, face: FaceModel, coefficients: Array
             model_px.append(display.warp.mesh.rest_px[vertex] + move)
             drawn_px.append(moved[vertex])
     return float(np.linalg.norm(np.array(model_px) - drawn_px, axis=1).mean())
-
-
-def _sampled_from(display: PhotoDisplay, moved: Array, at_px: Array) -> Array:
-    """Return where in the photograph the pixels of a warped picture come from, (n, 2) px.
-
-    moved: vertices of the warped mesh. at_px: (n, 2), the pixels; interpolated between whole ones.
-    """
-    from scipy.ndimage import map_coordinates
-
-    maps = display.source_of(moved)
-    inside = at_px - display.corner_px
-    return np.stack(
-        [map_coordinates(layer, inside.T[::-1], order=1, mode="nearest") for layer in maps], axis=1
-    )
 
 
 def _corpus_landmarks(corpus: Path) -> Landmarks:

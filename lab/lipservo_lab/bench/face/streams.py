@@ -5,7 +5,6 @@ which writes its live board and answers at a control socket. The dashboard is th
 process of its own, and so are its clients.
 """
 
-import json
 import os
 import subprocess
 import sys
@@ -178,32 +177,19 @@ sys.exit(1)
 
 
 @contextmanager
-def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
-    """Run `n` clients of a stream in a process; yield a function: the bytes/s of one client.
-
-    The function returns NaN until the block has ended.
-    """
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "lipservo_lab.bench.face.stream_clients",
-        address,
-        path,
-        str(n),
-    ]
+def clients(address: str, n: int, path: str) -> Iterator[None]:
+    """Run `n` clients of a stream, in a process of their own, until the block ends."""
+    module = "lipservo_lab.bench.face.stream_clients"
+    command = [sys.executable, "-P", "-m", module, address, path, str(n)]
     pipe = subprocess.PIPE
-    received = [float("nan")]
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         process.stdout.readline()  # they are connected
         try:
-            yield lambda: received[0]
+            yield
         finally:
             process.stdin.close()
-            line = process.stdout.readline()
-            received[0] = float(json.loads(line)["bytes_s"]) if line else float("nan")
 
 
 def _wait_until_at_rest(face: BenchedFace, pid: int) -> None:

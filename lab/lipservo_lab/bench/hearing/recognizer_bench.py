@@ -21,6 +21,7 @@ from lipservo_lab.corpus.transcribed import (
     read_speakers,
     read_transcribed,
 )
+from lipservo_lab.counted_progress import counting
 from lipsync.errors import UserError
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
@@ -54,13 +55,8 @@ def aligned(
     cache: folder from which alignments are read, and in which new ones are kept; None: no cache.
     n_processes: None: one for each core. advance: called with progress.
     """
-    names: list[str] = []
-
-    def count(name: str) -> None:
-        names.append(name)
-        advance("aligning", len(names), len(utterances))
-
     n_processes = n_processes or os.cpu_count() or 1
+    count = counting(advance, "aligning", len(utterances))
     return align_corpus(utterances, cache, n_processes=n_processes, progress=count)
 
 

@@ -1,25 +1,28 @@
 """Voices whose text is known: how well it is followed in their sound, by their own phoneme times.
 
 Nothing but the words is given, without times, before the sound; what the recogniser settles is
-compared with the voice's own times. A language that no other program here speaks is espeak-ng's
-own, at a rate and a pitch of its own for each sentence, and its phonemes as espeak-ng says them at
-the usual rate are given.
+compared with the voice's own times. Languages are espeak-ng's own, at a rate and a pitch of its own
+for each sentence, and the phonemes given are those that espeak-ng says at the usual rate.
 """
 
 import difflib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 import soxr
+import yaml
 
-from lipservo_lab.bench.hearing.spoken_languages import VOICE_OF, language_sentences
 from lipservo_lab.corpus.alignment_cache import PHONEME_INDEX
 from lipservo_lab.evaluation.recognition.recognition_scores import Score
 from lipservo_lab.evaluation.recognition.stream_observers import Labels, UpdateLog
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
+from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.streaming import RecognizerStream, blocks_of
@@ -39,6 +42,46 @@ _TAIL_S: Final = 0.5
 _CLOSING: Final = ("P", "B", "M")
 #: Of the rates and pitches of the languages.
 _RATES_WPM, _PITCHES = (140, 210), (20, 80)
+#: espeak-ng's name of a language, where it is another: its `zh` reads characters, and lacks most.
+_VOICE_OF: Final = MappingProxyType({"zh": "cmn-latn-pinyin"})
+
+
+class LanguageError(UserError):
+    """A language of which no sentences are kept; the message is one line."""
+
+
+@cache
+def language_sentences() -> Mapping[str, tuple[str, ...]]:
+    """Return the sentences of each language, by its tag, such as "de"."""
+    text = (files("lipservo_lab.bench.hearing") / "language_sentences.yaml").read_text("utf-8")
+    return MappingProxyType(
+        {tag: tuple(sentences) for tag, sentences in yaml.safe_load(text).items()}
+    )
+
+
+def read_languages(listed: str) -> tuple[str, ...]:
+    """Return the language tags of a list with commas between; an empty list means all.
+
+    Raises LanguageError for a language without sentences.
+    """
+    known = language_sentences()
+    chosen = tuple(tag.strip() for tag in listed.split(",") if tag.strip())
+    for tag in chosen:
+        if tag not in known:
+            raise LanguageError(
+                f"--languages {tag}: there are no sentences in it; use {', '.join(known)}"
+            )
+    return chosen or tuple(known)
+
+
+def sentences_of(tag: str) -> list[tuple[str, Voice]]:
+    """Return a language's sentences, and the voice of espeak-ng that says each."""
+    sentences = []
+    for number, text in enumerate(language_sentences()[tag]):
+        rng = np.random.default_rng([0, number])
+        rate_wpm, pitch = int(rng.integers(*_RATES_WPM)), int(rng.integers(*_PITCHES))
+        sentences.append((text, Voice(_VOICE_OF.get(tag, tag), "", rate_wpm, pitch)))
+    return sentences
 
 
 @dataclass(slots=True)
@@ -95,21 +138,21 @@ class Followed:
 
 def followed_voice(
     synthesizer: str,
-    voice: Voice,
-    texts: Iterable[str],
+    sentences: Iterable[tuple[str, Voice]],
     make: Callable[[], NetworkRecognizer],
     *,
     tells: bool = True,
     progress: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """Recognise texts spoken by a synthesiser's voice; return how well their phones are found.
+    """Recognise texts spoken by a synthesiser; return how well their phones are found.
 
-    make: makes a recogniser for each text. tells: give it the text beforehand; else the sound
-    alone. progress: called before each text. Texts that the voice cannot speak are left out. Raises
-    SynthesisError where the voice is missing or reports no times; PronunciationError.
+    sentences: each text, and the voice that says it. make: makes a recogniser for each text. tells:
+    give it the text beforehand; else the sound alone. progress: called before each text. Texts that
+    the voice cannot speak are left out. Raises SynthesisError where the voice is missing or reports
+    no times; PronunciationError.
     """
     speaker, counted = synthesizer_for(synthesizer), Followed()
-    for text in texts:
+    for text, voice in sentences:
         progress()
         try:
             spoken = speaker.speak(text, voice)
@@ -118,29 +161,6 @@ def followed_voice(
         if not spoken.phonemes:
             raise SynthesisError(f"{synthesizer} gives no phoneme times; use espeak")
         words = pronounced(text, voice.language) if tells else ()
-        counted.add(_recognize_live(make(), spoken, words), spoken.phonemes)
-    return counted
-
-
-def followed_language(
-    tag: str,
-    make: Callable[[], NetworkRecognizer],
-    *,
-    tells: bool = True,
-    progress: Callable[[], None] = lambda: None,
-) -> Followed:
-    """Recognise a language's sentences, spoken by espeak-ng at drawn rates and pitches.
-
-    tag: of the language. The rest as in `followed_voice`.
-    """
-    speaker, counted = synthesizer_for("espeak"), Followed()
-    language = VOICE_OF.get(tag, tag)
-    for number, text in enumerate(language_sentences()[tag]):
-        progress()
-        rng = np.random.default_rng([0, number])
-        rate_wpm, pitch = int(rng.integers(*_RATES_WPM)), int(rng.integers(*_PITCHES))
-        spoken = speaker.speak(text, Voice(language, "", rate_wpm, pitch))
-        words = pronounced(text, language) if tells else ()
         counted.add(_recognize_live(make(), spoken, words), spoken.phonemes)
     return counted
 

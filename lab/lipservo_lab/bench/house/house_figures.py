@@ -10,9 +10,8 @@ in another. Calls within a file, comprehensions, and libraries are none.
 write that clears the register of torque: the server and the owner of the control socket as
 `stop_path` follows them, then the loop's thread from the beginning of the tick in which it comes.
 
-`loaded`: modules of ours, and their code lines, that `lipservo run --wav FILE` has loaded when it
-waits for its first tick; its `processor_s`: user and system time until then. `processor_s`: that of
-a whole process, least of some.
+`processor_s`: user and system time of whole processes, least of some; of `run`, the time until
+`lipservo run --wav FILE` waits for its first tick.
 
 `installed_mb`: of the disk, by what is installed: wheel and client, with the page, client alone.
 """
@@ -31,7 +30,7 @@ import lipservo
 from firmware_bridge.stopping import StopLevel
 from lipservo.terminal.output import Advance
 from lipservo_lab.bench.house import traced_ticks
-from lipservo_lab.bench.house.code_lines import budgets, code_lines, house_table, room_lines
+from lipservo_lab.bench.house.code_lines import budgets, house_table, room_lines
 from lipservo_lab.bench.house.installed import installed_mb
 from lipservo_lab.bench.stops.stop_path import register_files
 from lipsync.errors import UserError
@@ -62,8 +61,8 @@ def house_figures(advance: Advance = lambda _what, _n_done, _n_all: None) -> dic
     advance("house", 0, 4)
     figures["ticks"] = {name: tick_figures(name) for name in table["ticks"]}
     advance("house", 1, 4)
-    figures["loaded"] = loaded_figures()
     figures["processor_s"] = {name: processor_s(line) for name, line in COMMANDS.items()}
+    figures["processor_s"]["run"] = first_tick_s()
     advance("house", 2, 4)
     figures["stop_files"] = len(register_files(StopLevel.LIMP))
     advance("house", 3, 4)
@@ -80,7 +79,6 @@ def above_bars(figures: dict[str, Any]) -> list[str]:
     rows = [("stop_files", figures["stop_files"], table["stop_files"])]
     for name, bars in table["ticks"].items():
         rows += [(f"{name} {key}", figures["ticks"][name][key], bar) for key, bar in bars.items()]
-    rows += [(f"loaded {key}", figures["loaded"][key], bar) for key, bar in table["loaded"].items()]
     rows += [
         (f"{kind} {key}", figures[kind][key], bar)
         for kind in ("processor_s", "installed_mb")
@@ -100,21 +98,11 @@ def tick_figures(face: str) -> dict[str, Any]:
     return found
 
 
-def loaded_figures() -> dict[str, float]:
-    """Start a `run` of the bundled clip; return what it has loaded when its first tick is due.
-
-    Number of our modules, their lines and code lines, and the processor time until then, s.
-    """
+def first_tick_s() -> float:
+    """Start a `run` of the bundled clip; return its processor time until its first tick, s."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        found = _traced("loaded", "run", "--wav", str(clip), "--quiet")
-    modules: dict[str, str] = found["modules"]
-    texts = [Path(file).read_text("utf-8") for file in modules.values()]
-    return {
-        "modules": len(modules),
-        "lines": sum(len(text.splitlines()) for text in texts),
-        "code_lines": sum(code_lines(text) for text in texts),
-        "processor_s": found["processor_s"],
-    }
+        found: float = _traced("first_tick", "run", "--wav", str(clip), "--quiet")
+    return found
 
 
 def processor_s(arguments: Sequence[str]) -> float:
@@ -141,8 +129,8 @@ def _process_time_s(arguments: Sequence[str], environment: dict[str, str], folde
 def _traced(what: str, *arguments: str) -> Any:
     """Run a `lipservo` command in a process that `traced_ticks` observes; return the result.
 
-    what: "ticks" or "loaded". arguments: of the command. Raises RuntimeError with what the process
-    wrote to standard error, where there is no result.
+    what: "ticks" or "first_tick". arguments: of the command. Raises RuntimeError with what the
+    process wrote to standard error, where there is no result.
     """
     with tempfile.TemporaryDirectory(prefix="lipservo-bench-") as folder:
         output = Path(folder) / "traced.json"

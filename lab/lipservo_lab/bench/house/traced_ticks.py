@@ -1,6 +1,6 @@
-"""What a tick passes and what is loaded for it, seen from inside of a process; started as a script.
+"""What a tick passes, and what the first one costs, seen from inside a process; run as a script.
 
-`python traced_ticks.py ROOT OUTPUT ticks|loaded ARGUMENT...` runs `lipservo ARGUMENT...` in a
+`python traced_ticks.py ROOT OUTPUT ticks|first_tick ARGUMENT...` runs `lipservo ARGUMENT...` in a
 process of its own. A tick is what its main thread does from the end of a clock's `sleep_until` to
 the next call of one: bridge and speech side in a `run` or `replay`. Waiting threads are left out.
 """
@@ -87,11 +87,8 @@ class _FirstTick(BaseException):
     """Unwinds a command at its first tick."""
 
 
-def loaded_modules(root: str) -> dict[str, Any]:
-    """Run the command line of this process until its first tick.
-
-    Returns our loaded modules with their files, and the processor time until then, s.
-    """
+def first_tick_s() -> float:
+    """Run the command line of this process to its first tick; return its processor time, s."""
     from firmware_bridge import clock
     from lipservo.__main__ import main
 
@@ -102,15 +99,12 @@ def loaded_modules(root: str) -> dict[str, Any]:
     with contextlib.suppress(_FirstTick):
         main()
     used = resource.getrusage(resource.RUSAGE_SELF)
-    prefixes = tuple(os.path.join(root, each) + os.sep for each in _PACKAGES)
-    found = {name: getattr(module, "__file__", None) or "" for name, module in sys.modules.items()}
-    our_modules = {name: file for name, file in found.items() if file.startswith(prefixes)}
-    return {"modules": our_modules, "processor_s": round(used.ru_utime + used.ru_stime, 3)}
+    return round(used.ru_utime + used.ru_stime, 3)
 
 
 if __name__ == "__main__":
     _root, _output, _what, *_arguments = sys.argv[1:]
     sys.path[0] = _root
     sys.argv[1:] = _arguments
-    _found = traced_ticks(_root) if _what == "ticks" else loaded_modules(_root)
+    _found = traced_ticks(_root) if _what == "ticks" else first_tick_s()
     Path(_output).write_text(json.dumps(_found), "utf-8")

@@ -189,26 +189,24 @@ class SpeechTiming:
 def speech_timing(
     texts: Sequence[SynthesizedSpeech],
     *,
-    knows: bool,
     kind: UnitKind | None = None,
     performances: Sequence[Performance] | None = None,
-    loudspeaker_seed: int = 0,
 ) -> SpeechTiming:
     """Let a simulated robot speak each text; return how late its lips close and part.
 
-    knows: the text's phonemes come with the sound; else the robot recognises them. kind: of the
-    units sent beside the stream; None: none. performances: rendered motion of the texts, which is
-    played instead.
+    kind: of the units sent beside the stream, while the robot recognises phonemes; None: the text's
+    phonemes come with the sound. performances: rendered motion of the texts, which is played
+    instead.
 
-    Loudspeakers are drawn by `loudspeaker_seed`: latency 20 to 120 ms, a clock up to 200 parts in a
-    million off, reports up to 5 ms off.
+    Loudspeakers are drawn: latency 20 to 120 ms, a clock up to 200 parts in a million off, reports
+    up to 5 ms off.
     """
     performance_of_text = [None] * len(texts) if performances is None else performances
-    rng = np.random.default_rng(loudspeaker_seed)
+    rng = np.random.default_rng(0)
     errors_s: list[Array] = []
     n_wanted = n_unmatched = n_closures = n_hits = 0
     for text, performance in zip(texts, performance_of_text, strict=True):
-        watched, sound_s = _speak_text(text, _loudspeaker(rng), performance, knows=knows, kind=kind)
+        watched, sound_s = _speak_text(text, _loudspeaker(rng), performance, kind)
         times_s = watched.times_s - sound_s
         wanted, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
         for wanted_s, seen_s in (
@@ -238,18 +236,15 @@ def _speak_text(
     text: SynthesizedSpeech,
     loudspeaker: SimulatedLoudspeaker,
     performance: Performance | None,
-    *,
-    knows: bool,
     kind: UnitKind | None,
 ) -> tuple[Watched, float]:
     """Let a robot speak a text; return what it did, and when the text's first sample was played, s.
 
-    performance: rendered motion to play; None: motion is made live, from known phonemes (knows) or
-    recognised ones.
+    performance: rendered motion to play; None: motion is made live. kind: as in `speech_timing`.
     """
-    robot = SpeakingRobot(loudspeaker, is_listening=not knows, performance=performance)
+    robot = SpeakingRobot(loudspeaker, is_listening=kind is not None, performance=performance)
     if performance is None:
-        stream = spoken_stream(text, robot.playout, knows=knows, kind=kind)
+        stream = spoken_stream(text, robot.playout, knows=kind is None, kind=kind)
     else:
         stream = performed_stream(text, performance, robot.playout)
     robot.playout.requests.append(PlayoutRequest("say", stream))

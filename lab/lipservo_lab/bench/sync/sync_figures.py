@@ -11,20 +11,16 @@ import numpy as np
 
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.runtime.motion_options import (
-    LOW_LATENCY_LOOKAHEAD_S,
-    LOW_LATENCY_S,
     MotionOptions,
     make_synthesizer,
 )
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.speech_side import make_speech_side
 from lipservo.terminal.output import Advance
-from lipservo_lab.bench.sync.microphone_latency import clip_to_bus_s
 from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf, SimulatedLoudspeaker
 from lipservo_lab.bench.sync.speech_timing import SpeechTiming, performances_of, speech_timing
 from lipservo_lab.bench.sync.stream_timing import barge_in, first_seen, stuck_open_s
 from lipsync.audio.playout import Playout
-from lipsync.motion.finishing import Style
 from lipsync.spoken_text import UnitKind
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
@@ -85,7 +81,6 @@ _OPENINGS: Final = ("Apples are here.", "My name is Bob.", "Open the door.", "He
 _RATES_HZ: Final = (30.0, 100.0)
 #: Of the first sentence, so long after its beginning: vowels, with the lips open.
 _INTERRUPTED_AFTER_S: Final = (0.35, 0.62, 0.9, 1.3, 1.6)
-_N_MICROPHONE: Final = 20
 
 
 def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
@@ -97,42 +92,33 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
     voice = synthesizer_for()
     sentences = SENTENCES[:3] if quick else SENTENCES
     spoken_texts = [voice.speak(sentence) for sentence in sentences]
-    steps = 8
+    steps = 6
     advance("known phonemes", 0, steps)
-    known = speech_timing(spoken_texts, knows=True)
-    advance("recognised phonemes", 1, steps)
-    recognized = speech_timing(spoken_texts, knows=False)
-    advance("what is told", 2, steps)
+    known = speech_timing(spoken_texts)
+    advance("what is told", 1, steps)
     kinds: tuple[UnitKind, ...] = ("phoneme", "word", "text")
-    by_kind = {kind: speech_timing(spoken_texts, knows=False, kind=kind) for kind in kinds}
-    advance("performances", 3, steps)
-    performed = speech_timing(spoken_texts, knows=True, performances=performances_of(spoken_texts))
-    advance("drift", 4, steps)
+    by_kind = {kind: speech_timing(spoken_texts, kind=kind) for kind in kinds}
+    advance("performances", 2, steps)
+    performed = speech_timing(spoken_texts, performances=performances_of(spoken_texts))
+    advance("drift", 3, steps)
     minutes_s = 60.0 if quick else _DRIFT_DURATION_S
     drifts_s = [drift_s(skew, minutes_s) for skew in (-_SKEW, _SKEW)]
-    advance("microphone", 5, steps)
-    low_latency = MotionOptions(
-        style=Style(LOW_LATENCY_LOOKAHEAD_S), recognizer_latency_s=LOW_LATENCY_S
-    )
-    microphone_s = clip_to_bus_s(low_latency, 4 if quick else _N_MICROPHONE)
-    advance("streams", 6, steps)
+    advance("streams", 4, steps)
     first_seen_times = [first_seen(voice.speak(opening)) for opening in _OPENINGS]
     barge_ins = [
         barge_in(spoken_texts[0], after_s, rate_hz)
         for rate_hz in _RATES_HZ
         for after_s in _INTERRUPTED_AFTER_S
     ]
-    advance("jitter", 7, steps)
+    advance("jitter", 5, steps)
     stuck_s, opening_s, n_underruns = stuck_open_s(spoken_texts, np.random.default_rng(0))
     return {
         **_timing_figures("playback", known),
-        **_timing_figures("recognized", recognized),
         **_timing_figures("stream_phonemes", by_kind["phoneme"]),
         **_timing_figures("stream_words", by_kind["word"]),
         **_timing_figures("stream_text", by_kind["text"]),
         **_timing_figures("performed", performed),
         "drift_10min_ms": _ms(max(drifts_s)),
-        "mic_to_bus_p95_ms": _ms(np.percentile(microphone_s, 95)),
         "stream_first_motion_ms": _ms(max(each.motion_s for each in first_seen_times)),
         "stream_first_sound_ms": _ms(max(each.sound_s for each in first_seen_times)),
         "barge_in_ms": _ms(max(each.closed_s for each in barge_ins)),

@@ -1,6 +1,9 @@
 """`lipservo bench NAME`: the figures that this project claims, measured here and now.
 
-`lipservo bench replay`: how much faster than sound a file is replayed.
+`replay`: how much faster than sound a file is replayed. `cost`: what a face's speech process costs
+at rest and speaking. `fleet`: many faces at once. `cluster`: lines while workers die. `inputs`: odd
+files and texts of every kind, and what becomes of each. `study`: whether the figures of a study
+hold the truth, by simulated studies.
 """
 
 import tempfile
@@ -9,14 +12,16 @@ from collections.abc import Callable
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
 from calibration.simulated.robot_family import RobotFamily
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import MESSAGES, progress_bar
+from lipservo.commands.run.dashboard import check_dashboard
+from lipservo.terminal.output import MESSAGES, RESULTS, progress_bar
 from lipservo_lab.commands.bench.printing import print_figures
+from lipservo_lab.commands.options import Inverted, Lazy
 from lipsync.errors import UserError, check_extra
 
 #: What the replay figure replays: a sentence of 3 s and an utterance of 20 s.
@@ -204,20 +209,13 @@ def house(as_json: Json = False, quiet: Quiet = False) -> None:
 
 def endurance(
     cycles: Annotated[int, typer.Option(min=1_000, help="Ticks of the servo loop.")] = 100_000,
-    resume: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="File that keeps the results so far; the same command continues from it.",
-        ),
-    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Drive simulated servos for hours of virtual time; count memory, open files, wrong goals.
 
-    Ctrl-C ends the run with the figures so far; with --resume the same command continues it. Exit
-    status 1 if a servo got a goal, a speed or torque that it must not get.
+    Ctrl-C ends the run with the figures so far. Exit status 1 if a servo got a goal, a speed or
+    torque that it must not get.
     """
     from firmware_bridge.stop_signals import SignalCounter
     from lipservo_lab.campaigns.endurance import endurance_figures, what_went_wrong
@@ -228,7 +226,6 @@ def endurance(
             cycles,
             lambda n_done: advance("cycles", n_done, cycles),
             lambda: signals.count > 0,
-            resume,
         )
     print_figures(figures, as_json=as_json, began_s=began_s)
     wrong = what_went_wrong(figures)
@@ -305,3 +302,143 @@ def replay(
         replayed = sound or repeated(clip, Path(folder) / "welcome.wav")
         figures = {"replay_speed": replay_speed([replayed], times)}
     print_figures(figures, as_json=as_json)
+
+
+def cost(
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of another checkout to compare with; its servo goals must be equal.",
+        ),
+    ] = None,
+    config: Annotated[str, typer.Option(help="Name of a shipped face.")] = "face_sim",
+    listens: Annotated[
+        bool, typer.Option("--listens", help="Let the face listen to a recording, not speak.")
+    ] = False,
+    cycles: Annotated[int, typer.Option(min=1, help="Number of cycles of speech and rest.")] = 5,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure the processor time of a face's speech process, speaking and at rest.
+
+    The process runs on a virtual clock; a cycle has 3 s of speech and 8 s of rest. Exit status 1 if
+    servo goals differ from those of --against by .005 degrees, or their times by a microsecond.
+    """
+    from lipservo_lab.bench.cost.cost_figures import cost_figures
+
+    if against is not None and not (against / "lipservo" / "runtime").is_dir():
+        raise UserError(f"--against {against}: holds no lipservo; give the folder of a checkout")
+    began_s = time.perf_counter()
+    with progress_bar(quiet=quiet) as advance:
+        figures = cost_figures(
+            None if against is None else against.resolve(),
+            config,
+            "file" if listens else "voice",
+            cycles,
+            partial(advance, "turns"),
+        )
+    print_figures(figures, as_json=as_json, began_s=began_s)
+    if figures.get("goals_apart_deg", 0.0) >= 0.005 or figures.get("goals_apart_s", 0.0) >= 1e-6:
+        raise typer.Exit(1)
+
+
+#: Of all faces that are asked so many are real or answer as such.
+_N_FACES = 100
+
+
+def fleet(
+    daemons: Annotated[
+        int, typer.Option(min=1, max=_N_FACES, help="Real daemons among the 100 faces.")
+    ] = 12,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how soon 100 faces answer status and stop, beside five more that are dead or hung.
+
+    --daemons are real faces; servers that give the same answers stand for the others. Exit status 1
+    unless all 100 faces confirm the stop and the command names the other five.
+    """
+    check_dashboard()
+    from lipservo_lab.bench.fleet_figures import fleet_figures
+
+    with progress_bar(quiet=quiet) as advance:
+        figures = fleet_figures(daemons, _N_FACES - daemons, advance)
+    print_figures(figures, as_json=as_json)
+    if figures["confirmed"] < 1.0 or figures["named"] < figures["dead_and_hung"]:
+        raise typer.Exit(1)
+
+
+def cluster(
+    lines: Annotated[int, typer.Option(min=10, help="Number of short lines to render.")] = 2000,
+    kill_every_s: Annotated[
+        float, typer.Option(min=1.0, help="Seconds between kills of a worker.")
+    ] = 60.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Count scripted lines that are lost or rendered twice while processes of a cluster are killed.
+
+    `lines render-folder` runs on a Dask cluster of this computer; workers are killed again and
+    again, the scheduler once. Exit status 1 if a line is lost.
+    """
+    for library in ("distributed", "joblib"):
+        check_extra(library, "bench cluster")
+    from lipservo_lab.campaigns.cluster_campaign import cluster_figures
+
+    with progress_bar(quiet=quiet) as advance:
+        figures = cluster_figures(lines, kill_every_s, advance)
+    print_figures(figures, as_json=as_json)
+    if figures["lost"]:
+        raise typer.Exit(1)
+
+
+def inputs(
+    each: Annotated[int, typer.Option(min=1, help="Number of inputs of each kind.")] = 84,
+    seed: Annotated[int, typer.Option(help="Random seed of the inputs.")] = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Feed odd labels, sounds, ranges, texts, markers, photographs and names to their readers.
+
+    Each input is generated together with the right answer. Exit status 1 if an input made its
+    reader raise a traceback or hang, or was read wrongly without a message.
+    """
+    for library in ("ezc3d", "PIL"):
+        check_extra(library, "bench inputs")
+    from lipservo_lab.bench.inputs.input_figures import input_figures
+
+    began_s = time.perf_counter()
+    with progress_bar(quiet=quiet) as advance:
+        figures = input_figures(each, seed, advance)
+    wrong = {} if as_json else cast("dict[str, list[object]]", figures.pop("wrong"))
+    print_figures(figures, as_json=as_json, began_s=began_s)
+    for kind, lines in wrong.items():
+        for line in lines:
+            RESULTS.print(f"{kind}: {line}", soft_wrap=True, highlight=False, markup=False)
+    if any(figures[name] for name in ("tracebacks", "hangs", "silently_wrong")):
+        raise typer.Exit(1)
+
+
+def study(
+    studies: Annotated[int, typer.Option(min=1, max=100_000, help="Studies to simulate.")] = 200,
+    honest: Annotated[int, typer.Option(min=2, max=1000, help="Number of careful raters.")] = 16,
+    lazy: Lazy = 1,
+    inverted: Inverted = 1,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate studies with raters of known preferences, evaluated like a study with people.
+
+    The result `coverage` is the share of 95 % intervals that contain the true value, over ratings,
+    pairs and words read.
+    """
+    from lipservo_lab.study.rehearsal import Crew, coverage_figures
+    from lipservo_lab.study.sheets import Size
+
+    began_s = time.perf_counter()
+    with progress_bar(quiet=quiet) as advance:
+        found = coverage_figures(
+            studies, Crew(honest, lazy, lazy, lazy, inverted), Size(), partial(advance, "studies")
+        )
+    print_figures(found, as_json=as_json, began_s=began_s)

@@ -32,7 +32,7 @@ def display(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure fold-overs and errors of warped photographs, and speed and sync of films.
+    """Measure fold-overs and errors of warped photographs, and the sync of films.
 
     Three faces show every recorded frame of random_test, a list of sentences in splits.json.
     Without --track no face tracker is needed.
@@ -44,7 +44,6 @@ def display(
     from lipservo.display.shipped_faces import twin_face
     from lipservo_lab.bench.display.film_figures import (
         film_sync_ms,
-        film_times,
         held_out,
         seen_figures,
         tracked_film,
@@ -68,7 +67,7 @@ def display(
         by_name = {each.name: each for each in recorded}
         motions = {name: face.coefficients(by_name[name].markers_mm) for name in test}
         figures = warp_figures(face, known_faces(corpus), motions, advance)
-        figures |= {"film_sync_ms": round(film_sync_ms(), 2), **film_times()}
+        figures |= {"film_sync_ms": round(film_sync_ms(), 2)}
         if tracker is not None:
             shown = PhotoDisplay(twin_face(face, SIZE))
             tracks = tracked_film(shown, face, motions, tracker, advance)

@@ -5,7 +5,6 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -83,9 +82,6 @@ _MOTION_HEADINGS = {
     "miss_rate": "misses",
     "frames": "frames",
 }
-
-#: What rendering a line, and making its model of a whole folder, costs.
-_RENDERING = ("seconds_per_sentence", "build_s", "build_processor_s", "build_mb")
 
 
 def motion(
@@ -224,7 +220,7 @@ def _answer(
     skip_bad: bool,
     with_offline: bool,
 ) -> dict[str, Any]:
-    """Return rows of figures, the paper's tables and self-correction; draw pictures on the way.
+    """Return rows of figures and self-correction; draw pictures on the way.
 
     plots: folder of the pictures; None: none are drawn.
     """
@@ -262,9 +258,6 @@ def _answer(
         seen = seen_in_training(given, sentences.utterances)
         if seen:
             MESSAGES.print(f"too good: the model has learned {len(seen)} of these sentences")
-    bars.tell("the paper's tables")
-    # One method alone is a quick question, and the tables are a comparison.
-    paper = measure.paper_rows(model, unseen, sentences) if question.compares else None
     bars.tell("self-correction")
     recovery = measure.recovery(model, unseen, sentences, question)
     if plots is not None:
@@ -281,10 +274,8 @@ def _answer(
             draw_lines(plots, model, states, training, shown[0], question.methods, rows)
     return {
         "results": rows,
-        "paper": paper,
         "recovery": recovery,
         "skipped": list(sentences.skipped),
-        **({} if rendering is None else _rendering(rendering, folder, model, skip_bad=skip_bad)),
     }
 
 
@@ -344,35 +335,8 @@ def _measure_left_out(
     print_json(with_machine(answer, began_s))
 
 
-def _rendering(
-    rendering: "OfflineModels", folder: Path, model: "TrainedModel", *, skip_bad: bool
-) -> dict[str, Any]:
-    """Return what rendering a sentence costs, and what training an offline model costs.
-
-    Without the latter where the folder is too small for a model.
-    """
-    from lipservo_lab.bench.motion_figures import BenchError
-    from lipservo_lab.bench.offline_models import building_cost
-    from lipsync.offline.line_methods import DEFAULT_METHOD
-
-    seconds = rendering.seconds_per_sentence()
-    figures = {
-        "seconds_per_sentence": seconds.get(DEFAULT_METHOD),
-        "seconds_per_sentence_by_strategy": seconds,
-    }
-    try:
-        return figures | asdict(building_cost(folder, model, skip_bad=skip_bad))
-    except BenchError as error:
-        MESSAGES.print(f"no offline model of the whole folder: {error}", soft_wrap=True)
-        return figures
-
-
 def _print_answer(answer: Mapping[str, Any]) -> None:
     print_table(answer["results"], _MOTION_HEADINGS, title="Motion")
-    if "seconds_per_sentence" in answer:
-        print_table([{name: answer.get(name) for name in _RENDERING}], title="Rendering")
-    for name, rows in (answer["paper"] or {}).items():
-        print_table(rows, title=f"The paper's {name.replace('_', ' ')}")
     print_table(answer["recovery"], title="Left of a phoneme, in itself and in those after it")
 
 
@@ -390,9 +354,9 @@ def figures(
 ) -> None:
     """Print the tables and draw the figures of Wei and Deng's paper: our values beside theirs.
 
-    Scored are the sentences of the corpus that --model has not learned; times are processor times.
-    For the sentences that the model has learned, the command also prints the tables of Edge, Hilton
-    and Jackson's paper. Both papers: docs/motion.md, docs/scripted-lines.md.
+    Scored are the sentences of the corpus that --model has not learned. For the sentences that the
+    model has learned, the command also prints the tables of Edge, Hilton and Jackson's paper. Both
+    papers: docs/motion.md, docs/scripted-lines.md.
     """
     from lipservo.terminal.pictures import check_folder
     from lipservo_lab.bench import motion_figures as measure

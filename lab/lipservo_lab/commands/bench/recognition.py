@@ -2,27 +2,23 @@
 
 `lipservo bench texts`: how well `align` distinguishes spoken texts from others.
 
-`lipservo bench languages`: closures and openings heard in other languages than English.
-
 `lipservo bench voices`: how well the text of a synthesiser is followed in its sound.
 """
 
-import itertools
-import tempfile
-from collections.abc import Iterator, Sequence
+from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 import typer
 
 from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
-from lipservo.terminal.output import MESSAGES, Advance, print_json, progress_bar
+from lipservo.terminal.output import MESSAGES, print_json, progress_bar
 from lipservo_lab.commands.bench.printing import print_figures, print_table, with_machine
 from lipservo_lab.commands.options import Cache, LatencyMs, Limit, Speakers, TextCorpus
+from lipservo_lab.commands.work_bars import work_bars
+from lipservo_lab.counted_progress import counting
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
-
-_Item = TypeVar("_Item")
 
 
 def recognition(
@@ -106,18 +102,13 @@ def recognition(
     groups_of = speaker_groups(by, corpus, groups)
     with progress_bar(quiet=quiet) as advance:
         alignments = aligned(utterances, cache, jobs, advance)
-        heard: list[str] = []
-
-        def count(name: str) -> None:
-            heard.append(name)
-            advance("listening", len(heard), len(utterances))
-
+        count = counting(advance, "listening", len(utterances))
         texts = known_texts(utterances, text)
         figures = measure(
             utterances, alignments, make, condition, count, groups_of, lambda u: texts[u.name]
         ).as_dict()
         if text == "another":
-            heard.clear()
+            count = counting(advance, "leaving", len(utterances))
             figures |= leaving_figures(utterances, alignments, make, count)
     if yardstick is not None:
         names = fix_alignments(yardstick, alignments.values())
@@ -155,91 +146,45 @@ def listening(
     limit: Limit = None,
     cache: Cache = None,
     model: Model = None,
-    hours: Annotated[
-        float, typer.Option(min=0.0, help="Hours of speech without a pause to recognise as well.")
-    ] = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure phonemes found in silence, processor time of an audio block, delays of the mouth.
+    """Measure the processor time of an audio block, and how late the mouth closes.
 
-    The delays need --corpus: how late the mouth closes when a voice stops, and how soon it leaves
-    rest when a voice starts.
+    The latter, counted from the end of a voice, needs --corpus.
     """
     import numpy as np
 
-    from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
-    from lipservo_lab.evaluation.recognition.benchmark import (
-        block_costs_s,
-        false_speech,
-        own_servo_figures,
-        quiet_sounds,
-    )
+    from lipservo_lab.bench.hearing.recognizer_bench import aligned, measured_recognizer, selected
+    from lipservo_lab.evaluation.recognition.benchmark import block_costs_s
     from lipsync.audio.file import read_speech
 
-    utterances = None
-    if corpus is not None:
-        from lipservo_lab.bench.hearing.recognizer_bench import aligned, selected
-
-        utterances = selected(corpus, speakers, limit=limit)
+    utterances = None if corpus is None else selected(corpus, speakers, limit=limit)
     recognizer = measured_recognizer(engine, latency_ms / 1e3, weights)()
-    figures: dict[str, object] = {
-        f"false_speech_{name}": false_speech(recognizer, sound)
-        for name, sound in quiet_sounds(np.random.default_rng(0)).items()
-    }
-    figures |= own_servo_figures(measured_recognizer(engine, latency_ms / 1e3, weights))
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         speech = read_speech(clip)
     text = (resources.files("lipservo.clips") / "welcome.txt").read_text(encoding="utf-8")
-    costs_s = {
-        "": block_costs_s(recognizer, speech),
-        "_with_text": block_costs_s(recognizer, speech, text),
-    }
-    for name, percent in itertools.product(costs_s, (50, 99)):
-        value_s = float(np.percentile(costs_s[name], percent))
-        figures[f"block_ms_p{percent}_least_of_5{name}"] = 1e3 * value_s
+    figures: dict[str, object] = {}
+    for name, known in {"": "", "_with_text": text}.items():
+        costs_s = block_costs_s(recognizer, speech, known)
+        for percent in (50, 99):
+            value_s = float(np.percentile(costs_s, percent))
+            figures[f"block_ms_p{percent}_least_of_5{name}"] = 1e3 * value_s
     if utterances is not None:
-        from lipservo_lab.evaluation.recognition.closing_times import (
-            ClosingBench,
-            closing_figures,
-            waking_figures,
-        )
+        from lipservo_lab.evaluation.recognition.closing_times import ClosingBench, closing_figures
         from lipservo_lab.learning.motion.trained_model import load_trained_model
         from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 
         bench = ClosingBench(recognizer, load_trained_model(model), DEFAULT_LOOKAHEAD_S)
-        with progress_bar(quiet=quiet) as advance:
-            alignments = aligned(utterances, cache, None, advance)
+        with work_bars(quiet=quiet) as bars:
+            alignments = aligned(utterances, cache, None, bars.advance)
             usable = [u for u in utterances if not alignments[u.name].error]
-            for what, measured in (("closing", closing_figures), ("waking", waking_figures)):
-                recordings = (
-                    (read_speech(u.sound), alignments[u.name].phones)
-                    for u in _counted(usable, what, advance)
-                )
-                figures |= measured(bench, recordings, np.random.default_rng(0))
-    if hours > 0.0:
-        from lipservo.runtime.summary import resident_mb
-        from lipservo_lab.evaluation.recognition.stream_observers import endure, without_pauses
-
-        speech = without_pauses(recognizer, speech)
-        with progress_bar(quiet=quiet) as advance:
-            endured = endure(
-                recognizer,
-                speech,
-                hours * 3600.0,
-                resident_mb,
-                lambda done, whole: advance("enduring", done, whole),
+            recordings = (
+                (read_speech(u.sound), alignments[u.name].phones)
+                for u in bars.track("closing", usable)
             )
-        figures |= endured.as_dict()
+            figures |= closing_figures(bench, recordings, np.random.default_rng(0))
     print_figures({**figures, "engine": engine}, as_json=as_json)
-
-
-def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_Item]:
-    """The items one after the other, on a progress bar."""
-    for number, item in enumerate(items):
-        advance(what, number, len(items))
-        yield item
-    advance(what, len(items), len(items))
 
 
 def texts(
@@ -265,59 +210,6 @@ def texts(
             scores.append(each)
             advance("aligning", number, len(utterances))
     print_figures({**text_figures(scores), "weights": weights}, as_json=as_json)
-
-
-#: What is printed of a language.
-_LANGUAGE_HEADINGS = {
-    "language": "language",
-    "closure_recall": "closure recall",
-    "closure_precision": "closure precision",
-    "opening_recall": "opening recall",
-    "opening_precision": "opening precision",
-    "viseme_speech": "visemes of speech",
-}
-
-
-def languages(
-    languages: Annotated[
-        str, typer.Option(help="Languages: de,fr,es,pt,zh,ja; default: all.", show_default=False)
-    ] = "",
-    engine: MeasuredEngineChoice = "network",
-    latency_ms: LatencyMs = 95.0,
-    weights: WeightsChoice = DEFAULT_WEIGHTS,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Measure how well the recogniser works for other languages, spoken by espeak-ng.
-
-    There are ten sentences of each language; espeak-ng's own phoneme times are the truth. Phonemes
-    that English lacks count as the English ones that look alike on the lips.
-    """
-    from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
-    from lipservo_lab.bench.hearing.spoken_languages import (
-        language_scores,
-        language_sentences,
-        read_languages,
-    )
-
-    chosen = read_languages(languages)
-    make = measured_recognizer(engine, latency_ms / 1e3, weights)
-    n_sentences = sum(len(language_sentences()[tag]) for tag in chosen)
-    n_done = 0
-    with progress_bar(quiet=quiet) as advance, tempfile.TemporaryDirectory() as folder:
-
-        def count() -> None:
-            nonlocal n_done
-            n_done += 1
-            advance("speaking", n_done, n_sentences)
-
-        scores = language_scores(chosen, make, Path(folder), count)
-    figures = {tag: score.figures() for tag, score in scores.items()}
-    if as_json:
-        settings = {"engine": engine, "weights": weights, "latency_ms": latency_ms}
-        print_json(with_machine({"languages": figures, **settings}))
-        return
-    print_table([{"language": tag, **row} for tag, row in figures.items()], _LANGUAGE_HEADINGS)
 
 
 #: What is printed of a voice.
@@ -361,35 +253,30 @@ def voices(
     are the beginnings of the phones that were found.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import selected
-    from lipservo_lab.bench.hearing.spoken_languages import language_sentences, read_languages
-    from lipservo_lab.bench.hearing.told_voices import followed_language, followed_voice
+    from lipservo_lab.bench.hearing.told_voices import (
+        followed_voice,
+        read_languages,
+        sentences_of,
+    )
     from lipsync.recognition.network_recognizer import NetworkRecognizer
     from lipsync.text_to_speech.synthesis import Voice
 
     texts = [each.text.lower() for each in selected(corpus, speakers, limit=limit)]
-    tags = read_languages(languages)
-    learned = find_weights(weights)
-    chosen = [each.strip().partition(":") for each in spoken_by.split(",") if each.strip()]
-    n_sentences = len(texts) * len(chosen) + sum(len(language_sentences()[tag]) for tag in tags)
-    n_done = 0
+    make = partial(NetworkRecognizer, find_weights(weights))
+    sentences_by = {}
+    for each in filter(None, map(str.strip, spoken_by.split(","))):
+        synthesizer, _, name = each.partition(":")
+        voice = Voice(name) if synthesizer == "espeak" else Voice(name=name)
+        sentences_by[f"{synthesizer}:{name}"] = synthesizer, [(text, voice) for text in texts]
+    sentences_by |= {tag: ("espeak", sentences_of(tag)) for tag in read_languages(languages)}
+    n_sentences = sum(len(sentences) for _, sentences in sentences_by.values())
     figures: dict[str, dict[str, float]] = {}
     with progress_bar(quiet=quiet) as advance:
-
-        def count() -> None:
-            nonlocal n_done
-            n_done += 1
-            advance("speaking", n_done, n_sentences)
-
-        def make() -> NetworkRecognizer:
-            return NetworkRecognizer(learned)
-
-        for synthesizer, _, name in chosen:
-            voice = Voice(name) if synthesizer == "espeak" else Voice(name=name)
-            figures[f"{synthesizer}:{name}"] = followed_voice(
-                synthesizer, voice, texts, make, tells=not heard, progress=count
+        count = counting(advance, "speaking", n_sentences)
+        for label, (synthesizer, sentences) in sentences_by.items():
+            figures[label] = followed_voice(
+                synthesizer, sentences, make, tells=not heard, progress=count
             ).figures()
-        for tag in tags:
-            figures[tag] = followed_language(tag, make, tells=not heard, progress=count).figures()
     if as_json:
         settings = {"told": not heard, "weights": weights}
         print_json(with_machine({"voices": figures, "sentences": len(texts), **settings}))

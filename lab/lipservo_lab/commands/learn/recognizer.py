@@ -84,24 +84,6 @@ def train_recognizer(
         float, typer.Option(min=0.0, help="Peak learning rate; give less with --start-from.")
     ] = 3e-3,
     copies: Annotated[int, typer.Option(min=0, help="Noisy copies of each recording to use.")] = 10,
-    channels: Annotated[
-        int | None,
-        typer.Option(
-            min=8,
-            max=1024,
-            help="Channels of the network: 192 by default; with --start-from as many as there, or "
-            "more.",
-        ),
-    ] = None,
-    dilations: Annotated[
-        str,
-        typer.Option(
-            metavar="D,D,...",
-            help="Dilations of the layers; their sum times 20 ms is the past sound used. Default: "
-            "1,2,4,8,1,2,4,8; with --start-from its own, and others may follow.",
-            show_default=False,
-        ),
-    ] = "",
     delays: Annotated[
         str,
         typer.Option(
@@ -119,23 +101,12 @@ def train_recognizer(
             "targets too, and texts that it does not find in the sound are left out.",
         ),
     ] = None,
-    soft_share: Annotated[
-        float,
-        typer.Option(
-            min=0.0,
-            max=1.0,
-            help="Share of the --teacher's probabilities in the loss; the labels have the rest.",
-        ),
-    ] = 0.5,
     visible_weight: Annotated[
         float, typer.Option(min=0.0, help="Weight in the loss of each mm of visible error.")
     ] = 0.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue the run in --folder, if there is one.")
     ] = False,
-    nice: Annotated[
-        int, typer.Option(min=0, max=19, help="Niceness of the process; 19 is the lowest priority.")
-    ] = 0,
     jobs: Jobs = None,
     quiet: Quiet = False,
 ) -> None:
@@ -163,14 +134,13 @@ def train_recognizer(
         n_steps=steps,
         peak_rate=rate,
         n_threads=n_jobs,
-        soft_share=soft_share,
         visible_weight=visible_weight,
     )
     if start is not None:
         plan = plan.shaped_as(start)
-    plan = plan.shaped(channels, _numbers(dilations, 1, 64), _numbers(delays, 0, 200))
-    if start is not None and start_share and plan != plan.shaped_as(start):
-        raise UserError("leave out --start-share, or --channels, --dilations and --delays")
+    plan = plan.with_delays(_delays(delays) or plan.delays)
+    if start is not None and start_share and plan.delays != start.delays:
+        raise UserError("leave out --start-share or --delays")
     run = TrainingRun(
         corpora=tuple(corpora),
         folder=folder,
@@ -188,27 +158,19 @@ def train_recognizer(
         n_processes=n_jobs,
         plan=plan,
     )
-    os.nice(nice)
     with progress_bar(quiet=quiet) as advance:
         weights = run_training(run, advance)
     save_weights(weights, output)
     MESSAGES.print(f"{output}: done; run log: {folder / 'log.jsonl'}", soft_wrap=True)
 
 
-def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
-    """Return the whole numbers in a list with commas; empty for an empty list.
-
-    Raises UserError for anything else, and for numbers out of range.
-    """
-    try:
-        numbers = tuple(int(number) for number in listed.split(",") if number.strip())
-    except ValueError:
-        numbers = (least - 1,)
-    if not all(least <= number <= most for number in numbers):
-        raise UserError(
-            f"--dilations, --delays: {listed!r}: give numbers from {least} to {most}, like 1,2,4"
-        )
-    return numbers
+def _delays(listed: str) -> tuple[int, ...]:
+    """Return the delays in a list with commas, which may be empty. Raises UserError."""
+    listed_texts = filter(None, map(str.strip, listed.split(",")))
+    numbers = [int(text) if text.isdecimal() else -1 for text in listed_texts]
+    if not all(0 <= number <= 200 for number in numbers):
+        raise UserError(f"--delays {listed}: give numbers from 0 to 200, like 2,7,12")
+    return tuple(numbers)
 
 
 def plot_training(

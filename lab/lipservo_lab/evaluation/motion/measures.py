@@ -74,20 +74,18 @@ _FINE = slice(4, 8)
 _FINE_NUMBERS = range(_FINE.start + 1, _FINE.stop + 1)
 
 #: Names of a sentence's sums, in their order. free: errors less the sentence's mean error. fine: of
-#: each of the finer components its sum and sum of squares, synthesised (made) and recorded;
-#: fine_free: of all of them the squares about the sentence's own mean.
+#: each of the finer components its sum and sum of squares, synthesised (made) and recorded.
 SUMS = (
     "frames", "squared_mm2", "squared_lips_mm2", "reference_mm2",
     "gap", "gap_recorded", "gap2", "gap_recorded2", "gap_product",
     "closures", "closure_hits", "labiodentals", "labiodental_hits",
     "open_frames", "false_closures", "recorded_false_closures",
-    "peaks", "peak_ratio", "acceleration2", "recorded_acceleration2",
+    "acceleration2", "recorded_acceleration2",
     "free_mm2", "free_lips_mm2",
     *(f"{name}_error_mm2" for name in LIP_SHAPE[1:]),
     *(f"{name}_free_mm2" for name in LIP_SHAPE),
     *(f"fine_{whose}{power}_{n}" for whose in ("made", "recorded") for power in ("", "2")
       for n in _FINE_NUMBERS),
-    "fine_free_made2", "fine_free_recorded2",
 )  # fmt: skip
 
 
@@ -139,7 +137,6 @@ def sentence_sums(
     times_s = np.arange(len(gap)) / utterance.frame_rate_hz
     is_far = _far_from_closure(utterance, times_s)
     lip_error = error2[:, lips].sum() / n_lips
-    has_peak = len(r) > 0 and r.max() > CLOSED_GAP_MM
     return np.array(
         [
             scored.sum(), error2.sum() / n_points, lip_error, reference_error / n_points,
@@ -148,15 +145,12 @@ def sentence_sums(
             is_far.sum(),
             (is_far & (gap <= CLOSED_GAP_MM)).sum(),
             (is_far & (gap_recorded <= CLOSED_GAP_MM)).sum(),
-            float(has_peak), g.max() / r.max() if has_peak else 0.0,
             _acceleration2(made.coefficients, scored),
             _acceleration2(recorded.coefficients, scored),
             free2.sum() / n_points, free2[:, lips].sum() / n_lips,
             *(shape_mm[:, 1:] ** 2).sum(axis=0),
             *(_without_mean(shape_mm) ** 2).sum(axis=0),
             *_fine_sums(made.coefficients[scored]), *_fine_sums(recorded.coefficients[scored]),
-            *((_without_mean(motion.coefficients[scored][:, _FINE]) ** 2).sum()
-              for motion in (made, recorded)),
         ],
         dtype=np.float64,
     )  # fmt: skip
@@ -281,7 +275,6 @@ def figures(sums: Array) -> dict[str, float]:
         "labiodental_hits": _share(s["labiodental_hits"], s["labiodentals"]),
         "false_closures": _share(s["false_closures"], s["open_frames"]),
         "false_closures_ratio": _share(s["false_closures"], s["recorded_false_closures"]),
-        "peak_opening_ratio": _share(s["peak_ratio"], s["peaks"]),
         "acceleration_ratio": _root_of(s["acceleration2"], s["recorded_acceleration2"]),
         "rmse_free_mm": _root_of(s["free_mm2"], n),
         "rmse_lips_free_mm": _root_of(s["free_lips_mm2"], n),
@@ -291,7 +284,6 @@ def figures(sums: Array) -> dict[str, float]:
         "protrusion_rmse_mm": _root_of(s["protrusion_error_mm2"], n),
         "protrusion_free_rmse_mm": _root_of(s["protrusion_free_mm2"], n),
         "fine_deviation": _root_of(_fine_variance(s, "made"), _fine_variance(s, "recorded")),
-        "fine_deviation_free": _root_of(s["fine_free_made2"], s["fine_free_recorded2"]),
     }
 
 

@@ -4,9 +4,9 @@ They are trained on the same sentences as the face model that is scored. Those o
 sound of each sentence too.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -30,50 +30,32 @@ from lipsync.offline.offline_model import OfflineModel
 from lipsync.recognition.network import load_shipped_weights
 from lipsync.recognition.posteriors import whole_posteriors
 
-Train = Callable[[TrainedModel], OfflineModel]
 _Key = tuple[str, tuple[str, ...]]
+_Made = TypeVar("_Made")
 
 
 @dataclass(slots=True)
-class OfflineModels:
-    """The offline model of each face model that is scored, trained at the first use.
+class OncePerModel(Generic[_Made]):
+    """What is made of the sentences that trained a face model, once for each face model.
 
-    train: trains the offline model on the sentences of a face model.
+    make: makes it at the first use.
     """
 
-    train: Train
-    _made: dict[_Key, OfflineModel] = field(default_factory=dict)
-    _line_s: dict[str, list[float]] = field(default_factory=dict)
+    make: Callable[[TrainedModel], _Made]
+    _made: dict[_Key, _Made] = field(default_factory=dict)
 
-    def of(self, model: TrainedModel) -> OfflineModel:
-        """Return the offline model of a face model; trains it at the first call."""
-        key = _key(model)
+    def of(self, model: TrainedModel) -> _Made:
+        """Return what belongs to a face model; made at the first call."""
+        # Models may have equal checksums and other training sentences.
+        key = model.checksum, tuple(model.training_sentences)
         if key not in self._made:
-            self._made[key] = self.train(model)
+            self._made[key] = self.make(model)
         return self._made[key]
 
-    def count(self, name: str, seconds: float) -> None:
-        """Note the processor time, s, that a method took for a sentence."""
-        self._line_s.setdefault(name, []).append(seconds)
 
-    def seconds_per_sentence(self) -> dict[str, float]:
-        """Return the median processor time of a sentence, s, by method; loading is not in it."""
-        return {name: float(np.median(seconds)) for name, seconds in self._line_s.items()}
-
-
-@dataclass(slots=True)
-class RecordedVisemes:
-    """The recorded phones of each face model's training sentences, collected at the first use."""
-
-    gather: Callable[[TrainedModel], ContextVisemes]
-    _gathered: dict[_Key, ContextVisemes] = field(default_factory=dict)
-
-    def of(self, model: TrainedModel) -> ContextVisemes:
-        """Return the recorded phones of a face model's training sentences."""
-        key = _key(model)
-        if key not in self._gathered:
-            self._gathered[key] = self.gather(model)
-        return self._gathered[key]
+#: Offline models, and recorded phones with their faces.
+OfflineModels = OncePerModel[OfflineModel]
+RecordedVisemes = OncePerModel[ContextVisemes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,18 +122,9 @@ class OfflineMethod:
         posteriors = whole_posteriors(load_shipped_weights(), samples) if heard.updates else None
         line = Line(joined_phones(heard.events, duration_s), samples, posteriors)
         speaker = Speaker(model, model.expectation, offline, model.soft)
-        start_s = time.process_time()
         if self.name == "model-based":
             n_frames = int(np.ceil(duration_s * rate_hz - 1e-6))
             made = model_based_line(speaker, line, n_frames).faces
             frames_s = np.arange(n_frames) / rate_hz
-            faces = np.stack([np.interp(times_s, frames_s, each) for each in made.T], axis=1)
-        else:
-            faces = shown_faces(line_synthesizer(speaker, line, self.name)[0], times_s)
-        self.models.count(self.name, time.process_time() - start_s)
-        return faces
-
-
-def _key(model: TrainedModel) -> _Key:
-    """Return what distinguishes face models: checksum, and names of training sentences."""
-    return model.checksum, tuple(model.training_sentences)
+            return np.stack([np.interp(times_s, frames_s, each) for each in made.T], axis=1)
+        return shown_faces(line_synthesizer(speaker, line, self.name)[0], times_s)

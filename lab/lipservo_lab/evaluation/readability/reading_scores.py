@@ -154,7 +154,13 @@ def _draws(n_sentences: int, seed: int) -> Array:
 
 
 def percentiles(samples: Array) -> tuple[float, float]:
-    """Return the ends of the 95 % interval of bootstrap samples."""
+    """Return the ends of the 95 % interval of bootstrap samples.
+
+    Parameters
+    ----------
+    samples : Array
+        (n,), the figure in each sample.
+    """
     low, high = np.percentile(samples, [2.5, 97.5])
     return float(low), float(high)
 

@@ -14,13 +14,9 @@ from lipservo_lab.corpus.alignment_cache import LABELLED, PHONEME_INDEX, Aligned
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
 from lipservo_lab.evaluation.recognition.conditions import (
     Condition,
-    encoder_readings_deg,
-    servo_noise,
 )
-from lipservo_lab.evaluation.recognition.half_duplex import half_duplex_false_speech
 from lipservo_lab.evaluation.recognition.recognition_scores import Score, phone_sequence
 from lipservo_lab.evaluation.recognition.stream_observers import label_frames, time_to_leave
-from lipservo_lab.learning.recognition import noise
 from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.phonemes import SILENCE, LiveRecognizer
@@ -39,8 +35,6 @@ from lipsync.text_to_speech.pronunciation import PronunciationError
 _N_VOICES = 20
 #: Passes over a sound whose processor time is measured.
 _N_PASSES = 5
-#: Number of robots whose servos are recognised alone.
-_N_ROBOTS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,12 +63,11 @@ class Figures:
 
     def as_dict(self) -> dict[str, object]:
         """Return the figures by the keys of `lipservo bench recognition`, for JSON."""
-        lowest, median, highest = self.score.agreement()
         grouped: dict[str, object] = {
             name: {
                 **score.figures(),
                 "closures": score.bilabials.n_spoken,
-                "utterances": len(score.phone_all_by_utterance),
+                "utterances": score.n_utterances,
             }
             for name, score in sorted(self.groups.items())
         }
@@ -94,7 +87,6 @@ class Figures:
             "failed_alignments": self.n_failed,
             "block_ms_p50": 1e3 * self.block_cost_p50_s,
             "block_ms_p99": 1e3 * self.block_cost_p99_s,
-            "agreement_min_median_max": [lowest, median, highest],
             **({"groups": grouped} if grouped else {}),
         }
 
@@ -202,47 +194,6 @@ def false_speech(
     """
     labels = label_frames(recognizer, samples.astype(np.float32), servos_deg)[0].labels
     return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
-
-
-def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str, float]:
-    """Return the share of frames recognised as speech while a robot's servos move without speech.
-
-    20 s at -36 dBFS, 10 dB below usual speech: without servo positions; with them (`..._told`),
-    after half a minute of other moves to learn from; and the same for a half-duplex robot with a
-    microphone. Means of four robots.
-    """
-    without_speeds, with_speeds, half_duplex = [], [], []
-    level = np.float32(10.0 ** (-36 / 20))
-    for robot in range(_N_ROBOTS):
-        rng, recognizer = np.random.default_rng(0), make_recognizer()
-        learned, learned_speeds = servo_noise(rng, 30 * SAMPLE_RATE_HZ, robot)
-        sound, speeds = servo_noise(rng, 20 * SAMPLE_RATE_HZ, robot)
-        without_speeds.append(false_speech(recognizer, level * sound))
-        false_speech(recognizer, level * learned, encoder_readings_deg(learned_speeds))
-        servos_deg = encoder_readings_deg(speeds)
-        with_speeds.append(false_speech(recognizer, level * sound, servos_deg))
-        # A new recogniser: the other one has learned from this sound already.
-        listener = make_recognizer()
-        half_duplex_false_speech(listener, level * learned, encoder_readings_deg(learned_speeds))
-        half_duplex.append(half_duplex_false_speech(listener, level * sound, servos_deg))
-    return {
-        "own_servos_speech_share": float(np.mean(without_speeds)),
-        "own_servos_speech_share_told": float(np.mean(with_speeds)),
-        "own_servos_speech_share_half_duplex": float(np.mean(half_duplex)),
-    }
-
-
-def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return sounds without speech of half a minute each, by name with their level."""
-    n = 30 * SAMPLE_RATE_HZ
-    white = noise.white(rng, n)
-    return {
-        "digital_silence": np.zeros(n, np.float32),
-        "white_-80_dbfs": white * np.float32(10.0 ** (-80 / 20)),
-        "white_-50_dbfs": white * np.float32(10.0 ** (-50 / 20)),
-        "white_-26_dbfs": white * np.float32(10.0 ** (-26 / 20)),
-        "music_-26_dbfs": noise.band(rng, n) * np.float32(10.0 ** (-26 / 20)),
-    }
 
 
 def block_costs_s(recognizer: LiveRecognizer, samples: np.ndarray, text: str = "") -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How soon the mouth closes when a voice stops, and how soon it leaves rest when one begins.
+"""How soon the mouth closes when a voice stops.
 
 Recordings are cut off in the middle of a vowel, or silence is inserted before a stop consonant,
 where the mouth should not close; recogniser and synthesiser run as they do live. All times are
@@ -6,9 +6,8 @@ sound time: the face that belongs to an instant of the sound. It is shown a cons
 (`ClosingBench.delay_s`), which contains the look-ahead; so a mouth may begin to close before the
 voice stops.
 
-For leaving rest, each recording is played after a pause to a mouth at rest. A mouth that looks
-ahead leaves rest before the onset that it prepares for. Everything is measured once with digital
-silence in the pauses and once with room noise 40 dB below the speech throughout.
+Everything is measured once with digital silence in the pauses and once with room noise 40 dB below
+the speech throughout.
 """
 
 import math
@@ -24,7 +23,7 @@ from lipsync.arrays import Array
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
 from lipsync.motion.finishing import Style, lip_gap_of
 from lipsync.motion.live_synthesizer import LiveSynthesizer
-from lipsync.phonemes import SILENCE, LiveRecognizer
+from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 
 Samples = NDArray[np.float32]
@@ -272,35 +271,3 @@ def closing_times(opening_mm: Array) -> tuple[float, float] | None:
     n_open = int(still_open[-1]) + 1
     complete_s = math.inf if n_open == len(opening_mm) else n_open * BLOCK_S
     return (widest + int(is_falling.argmax())) * BLOCK_S, complete_s
-
-
-#: Pause before the recording, and how much of it is played after its first phone begins, s.
-_PAUSE_S, _PLAYED_S = 0.6, 1.5
-
-
-def waking_figures(
-    bench: ClosingBench, recordings: Iterable[tuple[Samples, Phones]], rng: np.random.Generator
-) -> dict[str, float]:
-    """Return how long after the first phone's onset the mouth leaves rest: median and p95, ms.
-
-    Negative: before the onset. A mouth that never leaves rest counts as infinitely late.
-    """
-    waking_ms: list[float] = []
-    for samples, phones in recordings:
-        onset_s = next((first * BLOCK_S for phone, first, _ in phones if phone != SILENCE), None)
-        if onset_s is None:
-            continue
-        pause = np.zeros(round(_PAUSE_S * SAMPLE_RATE_HZ), np.float32)
-        played = samples[: round((onset_s + _PLAYED_S) * SAMPLE_RATE_HZ)]
-        sound = np.concatenate((pause, played))
-        noise = room_noise(rng, samples, len(sound))
-        for noisy in (sound, sound + noise):
-            awake = np.flatnonzero(~bench.watch(noisy, 0.0).is_resting)
-            awake_s = float(awake[0]) * BLOCK_S if len(awake) else math.inf
-            waking_ms.append(1e3 * (awake_s - onset_s - _PAUSE_S))
-    all_ms = np.array(waking_ms or [math.nan])
-    return {
-        "waking_ms_p50": float(np.percentile(all_ms, 50, method="higher")),
-        "waking_ms_p95": float(np.percentile(all_ms, 95, method="higher")),
-        "waking_onsets": len(waking_ms),
-    }

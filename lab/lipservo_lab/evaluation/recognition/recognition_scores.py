@@ -28,7 +28,7 @@ _FRAME_MS = 10.0
 
 @dataclass(slots=True)
 class HeardClosures:
-    """Counts of one kind of closure, or of openings, added up over utterances.
+    """Counts of one kind of closure, added up over utterances.
 
     n_spoken: closures in the reference; n_found: of these recognised. n_reported: closures that the
     recogniser reported; n_true: of these spoken. onset_errors_ms: of each one found, how much later
@@ -97,8 +97,6 @@ _SILENCE_INDEX = PHONEMES.index(SILENCE)
 _SILENT_CLASS = VISEME_OF[SILENCE]
 #: Viseme classes of touching lips, and of the lower lip at the teeth.
 _CLOSED_CLASS, _BITTEN_CLASS = VISEME_OF["P"], VISEME_OF["F"]
-#: Vowels for which the jaw comes down.
-_OPEN_CLASSES = tuple(VISEME_OF[vowel] for vowel in ("EH", "AA", "AO"))
 
 
 @dataclass(slots=True)
@@ -106,21 +104,18 @@ class Score:
     """Counts, added up over utterances; every figure is a quotient of two of them.
 
     confusion: (n_visemes, n_visemes) frames by class of reference and of hypothesis. bilabials: P B
-    M; labiodentals: F V; openings: vowels that lower the jaw, of the classes of EH, AA and AO.
-    n_edits: edit distance of phone sequences.
+    M; labiodentals: F V. n_edits: edit distance of phone sequences.
     """
 
     n_frames: int = 0
     n_speech: int = 0
     n_phones_right: int = 0
     n_speech_phones_right: int = 0
-    n_slack_right: int = 0
     n_phones: int = 0
     n_edits: int = 0
     bilabials: HeardClosures = field(default_factory=HeardClosures)
     labiodentals: HeardClosures = field(default_factory=HeardClosures)
-    openings: HeardClosures = field(default_factory=HeardClosures)
-    phone_all_by_utterance: list[float] = field(default_factory=list)
+    n_utterances: int = 0
     confusion: NDArray[np.int64] = field(
         default_factory=lambda: np.zeros((len(VISEME_CLASSES),) * 2, np.int64)
     )
@@ -138,25 +133,20 @@ class Score:
         self.n_speech += int(is_speech.sum())
         self.n_phones_right += int(is_right.sum())
         self.n_speech_phones_right += int(is_right[is_speech].sum())
-        self.n_slack_right += int(_right_nearby(hypothesis_class, true_class)[is_speech].sum())
         np.add.at(self.confusion, (true_class, hypothesis_class), 1)
         self.bilabials.add(hypothesis_class == _CLOSED_CLASS, true_class == _CLOSED_CLASS)
         self.labiodentals.add(hypothesis_class == _BITTEN_CLASS, true_class == _BITTEN_CLASS)
-        self.openings.add(
-            np.isin(hypothesis_class, _OPEN_CLASSES), np.isin(true_class, _OPEN_CLASSES)
-        )
         found_phones, spoken_phones = phone_sequence(hypothesis), phone_sequence(reference)
         self.n_phones += len(spoken_phones)
         self.n_edits += edit_distance(found_phones, spoken_phones)
-        self.phone_all_by_utterance.append(float(is_right.mean()))
+        self.n_utterances += 1
 
     def figures(self) -> dict[str, float]:
         """Return how accurate the recognition is, by figure's name; 0 where nothing was counted.
 
         phone_, viseme_: share of frames recognised right, of all frames or those of speech.
-        slack20: right if the viseme class is spoken within 20 ms. closure_ (P B M), labiodental_
-        (F V), opening_: see `HeardClosures.figures`. per: phone error rate. visible_error_mm: mean
-        distance between the lip shapes recognised and spoken.
+        closure_ (P B M), labiodental_ (F V): see `HeardClosures.figures`. per: phone error rate.
+        visible_error_mm: mean distance between the lip shapes recognised and spoken.
         """
         visemes_right = np.diag(self.confusion)
         return {
@@ -166,20 +156,11 @@ class Score:
             "viseme_speech": _share(
                 int(visemes_right.sum() - visemes_right[_SILENT_CLASS]), self.n_speech
             ),
-            "viseme_speech_slack20": _share(self.n_slack_right, self.n_speech),
             **self.bilabials.figures("closure"),
             **self.labiodentals.figures("labiodental"),
-            **self.openings.figures("opening"),
             "per": _share(self.n_edits, self.n_phones),
             "visible_error_mm": visible_error_mm(self.confusion),
         }
-
-    def agreement(self) -> tuple[float, float, float]:
-        """Return least, median and most phone accuracy of an utterance: figure 1 of the paper."""
-        if not self.phone_all_by_utterance:
-            return 0.0, 0.0, 0.0
-        ordered = self.phone_all_by_utterance
-        return min(ordered), float(np.median(ordered)), max(ordered)
 
 
 def phone_sequence(labels: Labels) -> list[int]:
@@ -198,14 +179,6 @@ def edit_distance(found: Sequence[int], spoken: Sequence[int]) -> int:
         # Deletions go along the row: the least of any cost to the left plus the steps from there.
         costs = np.minimum.accumulate(without_deletions - steps) + steps
     return int(costs[-1])
-
-
-def _right_nearby(hypothesis: Labels, reference: Labels) -> NDArray[np.bool_]:
-    """Return whether each class of the hypothesis, (n,), is in the reference within the slack."""
-    padded = np.pad(reference, SLACK_FRAMES, constant_values=-1)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * SLACK_FRAMES + 1)
-    nearby: NDArray[np.bool_] = (windows == hypothesis[:, None]).any(axis=1)
-    return nearby
 
 
 def _share(part: int, whole: int) -> float:

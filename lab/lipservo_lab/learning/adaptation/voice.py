@@ -15,6 +15,7 @@ from lipservo_lab.corpus.alignment_cache import (
     align_corpus,
 )
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
+from lipservo_lab.counted_progress import counting
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipservo_lab.learning.recognition.training_data import read_labelled
 from lipsync.arrays import Array32
@@ -105,12 +106,7 @@ def read_voice(
     """
     samples_of = {each.name: read_speech(each.sound) for each in utterances}
     check_length(sum(len(samples) for samples in samples_of.values()) / SAMPLE_RATE_HZ)
-    done_names: list[str] = []
-
-    def count(name: str) -> None:
-        done_names.append(name)
-        advance("aligning", len(done_names), len(utterances))
-
+    count = counting(advance, "aligning", len(utterances))
     aligned = align_corpus(utterances, None, n_processes=n_processes, progress=count)
     _refuse_bad_labels(utterances, aligned)
     left_out = {

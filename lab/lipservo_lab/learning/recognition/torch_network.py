@@ -139,7 +139,7 @@ def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
     is_larger = plan.channels >= channels and plan.dilations[:n_old] == dilations
     if not is_larger or weights.delays != plan.delays:
         raise TrainingError(
-            "--start-from does not fit --channels, --dilations or --delays: a network may only "
+            "the weights to start from do not fit: a network may only "
             f"grow from {channels} channels, dilations {','.join(map(str, dilations))} (more may "
             f"follow) and delays {','.join(map(str, weights.delays))}"
         )

@@ -333,23 +333,12 @@ class TrainingPlan:
             channels=len(weights.entry.bias),
         )
 
-    def shaped(
-        self, channels: int | None, dilations: tuple[int, ...], delays: tuple[int, ...]
-    ) -> "TrainingPlan":
-        """Return the plan for another shape; None or an empty tuple keeps what is set.
-
-        With other delays than the default, all heads weigh alike.
-        """
-        delays, weights = delays or self.delays, self.head_weights
+    def with_delays(self, delays: tuple[int, ...]) -> "TrainingPlan":
+        """Return the plan with other delays; if they are not the default, all heads weigh alike."""
+        weights = self.head_weights
         if delays != TrainingPlan().delays:
-            weights = tuple(1.0 / len(delays) for _ in delays)
-        return replace(
-            self,
-            channels=channels or self.channels,
-            dilations=dilations or self.dilations,
-            delays=delays,
-            head_weights=weights,
-        )
+            weights = (1.0 / len(delays),) * len(delays)
+        return replace(self, delays=delays, head_weights=weights)
 
 
 def draw_windows(

@@ -16,6 +16,7 @@ from lipservo_lab.corpus.transcribed import (
     read_transcribed,
     without_names,
 )
+from lipservo_lab.counted_progress import counting
 from lipservo_lab.learning.recognition import noise
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipservo_lab.learning.recognition.network_training import SCORE, STATE, train_network
@@ -225,17 +226,11 @@ def _aligned(
     ]
     utterances = list(of_speakers(tuple(utterances), frozenset(), run.limit))
     utterances += _synthetic_utterances(run, utterances, advance)
-    done_names: list[str] = []
-
-    def count(name: str) -> None:
-        done_names.append(name)
-        advance("aligning", len(done_names), len(utterances))
-
     alignments = align_corpus(
         tuple(utterances),
         run.folder / "alignments.jsonl",
         n_processes=run.n_processes,
-        progress=count,
+        progress=counting(advance, "aligning", len(utterances)),
     )
     return utterances, alignments
 
@@ -261,13 +256,7 @@ def _synthetic_utterances(
         if utterance.speaker not in run.validation and len(utterance.text) in _TEXT_CHARACTERS
     ]
     spoken: list[TranscribedUtterance] = []
-    n_done = 0
-
-    def count() -> None:
-        nonlocal n_done
-        n_done += 1
-        advance("speaking", n_done, len(run.voices) * run.n_texts_each)
-
+    count = counting(advance, "speaking", len(run.voices) * run.n_texts_each)
     for number, voice in enumerate(run.voices):
         share = texts[number :: len(run.voices)][: run.n_texts_each]
         folder = run.folder / "synthetic"

@@ -162,11 +162,12 @@ function mouth(warp, flat, places, layer, uvOf, map) {
   };
   const ring = places(2 * pairs);
   const dark = layer(flat(ring, null, strip(2, [0])), { color: 0xffffff });
-  const parts = [warp.lower, warp.upper].map((part) => {
+  const own = Object.fromEntries(warp.components.map((name, k) => [name, warp.own[k]]));
+  const parts = warp.layers.map((part) => {
     const geometry = flat(places(part.places.length / 3), null, part.triangles);
     const colours = Float32Array.from(part.colours, (each) => each / 255);
     geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
-    return { part, mesh: layer(geometry, { vertexColors: true }) };
+    return { part, mesh: layer(geometry, { vertexColors: true }, !part.raised_by) };
   });
   const shadow = flat(places(2 * pairs), null, strip(2, [0]));
   shadow.setAttribute("color", new THREE.BufferAttribute(new Float32Array(8 * pairs), 4));
@@ -227,16 +228,18 @@ function mouth(warp, flat, places, layer, uvOf, map) {
       const share = THREE.MathUtils.smoothstep(widest, darkPx, lightPx);
       const light = warp.least_light + (1 - warp.least_light) * share;
       dark.material.color.setRGB(...warp.darkness.map((each, k) => (light * toned[k] * each) / 255));
-      const jaw = [0, 0, 0];
-      warp.components.forEach((name, k) => {
-        const by = amounts[name] - warp.own[k];
-        warp.jaw_px[name]?.forEach((way, axis) => (jaw[axis] += by * way));
-      });
       for (const { part, mesh } of parts) {
-        mesh.visible = widest > 0;
+        // A tongue comes up from below, and out of the dark.
+        const shown = amounts[part.raised_by] ?? 1;
+        mesh.visible = widest > 0 && shown > 0;
         if (!mesh.visible) continue;
+        mesh.material.opacity = shown;
         const points = new Float64Array(part.places);
-        if (part === warp.lower) for (let i = 0; i < points.length; i += 1) points[i] += jaw[i % 3];
+        const by = [0, 0, 0];
+        for (const [name, way] of Object.entries(part.moves_px)) {
+          way.forEach((each, axis) => (by[axis] += (amounts[name] - (own[name] ?? 1)) * each));
+        }
+        for (let i = 0; i < points.length; i += 1) points[i] += by[i % 3];
         turn(points, pose);
         const { position } = mesh.geometry.attributes;
         for (let i = 0; 3 * i < points.length; i += 1) position.setXY(i, points[3 * i], points[3 * i + 1]);

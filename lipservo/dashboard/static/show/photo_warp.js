@@ -13,7 +13,7 @@ export function readWarp(readPacked, buffer) {
   const read = (where) => array(where);
   for (const name of ["places", "own_px", "rest_px", "triangles"]) header[name] = read(header[name]);
   for (const [name, where] of Object.entries(header.targets)) header.targets[name] = read(where);
-  for (const part of [header.upper, header.lower]) {
+  for (const part of header.layers) {
     for (const name of ["places", "colours", "triangles"]) part[name] = read(part[name]);
   }
   header.areas = areasOf(header, header.rest_px);

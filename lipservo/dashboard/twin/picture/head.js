@@ -14,11 +14,12 @@ const MOUTH_AT_MM = [0, -84, 5];
 const NEAR_MM = 205;
 /** Light inside the mouth: the least share, and the lip gaps between which it rises to 1. */
 const MOUTH_LIGHT = { least: 0.12, fromMm: 0.9, toMm: 5 };
-const IN_MOUTH = ["teeth_upper", "teeth_lower", "mouth"];
+const IN_MOUTH = ["teeth_upper", "teeth_lower", "tongue", "mouth"];
 const MATERIALS = {
   skin: { roughness: 0.62 },
   teeth_upper: { roughness: 0.35 },
   teeth_lower: { roughness: 0.35 },
+  tongue: { roughness: 0.5 },
   mouth: { roughness: 0.8, side: THREE.DoubleSide },
   lids_left: { roughness: 0.7, side: THREE.DoubleSide },
   lids_right: { roughness: 0.7, side: THREE.DoubleSide },

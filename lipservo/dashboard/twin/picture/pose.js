@@ -31,7 +31,9 @@ export function poseOf(frame, asset) {
   }
   targets.brow = within(expressionOf("brow"), BROW);
   targets.smile = within(expressionOf("smile"), SMILE);
-  targets.lip_tuck = within(expressionOf("lip_tuck"), [0, 1]);
+  for (const name of ["lip_tuck", "tongue_dental", "tongue_alveolar"]) {
+    targets[name] = within(expressionOf(name), [0, 1]);
+  }
   return {
     targets,
     neckDeg: {

@@ -39,15 +39,3 @@ def test_by_hand_the_same_registers_are_written():
         )
         assert abs(one - other) <= 1
         assert ours[4 * channel : 4 * channel + 2] == by_hand[4 * channel : 4 * channel + 2]
-
-
-@pytest.mark.slow
-def test_the_figures_have_the_names_that_are_promised(monkeypatch):
-    monkeypatch.setattr(bench, "_WARM_UP_BLOCKS", 1)
-    monkeypatch.setattr(bench, "_BLOCKS", 2)
-
-    figures = bench.pulse_tick_ratios()
-
-    for bus in ("maestro", "pca9685"):
-        assert {f"cpu_pulses_{bus}_ratio", f"cpu_tick_{bus}_ratio"} <= {*figures}
-    assert all(value > 0.0 for value in figures.values())

@@ -4,8 +4,15 @@ import struct
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.bus import bus_figures as bus_cpu_figures
-from lipservo_lab.bench.bus import tick_cpu_figures
+
+pytest.importorskip("smbus2")
+
+from lipservo_lab.bench.bus import (
+    bus_figures,
+    feetech_tick_figures,
+    pulse_tick_figures,
+    tick_cpu_figures,
+)
 from lipservo_lab.bench.bus.canned_peer import CannedServos
 from lipservo_lab.bench.bus.servo_clients import AnswerLost, SdkClient, canned_peer
 from lipservo_lab.bench.bus.tick_cpu_figures import OthersTick, own_tick
@@ -82,21 +89,33 @@ def test_the_others_decode_every_servo(places, told):
 
 
 @pytest.mark.slow
-def test_the_figures_of_a_tick_have_the_names_that_are_promised(monkeypatch):
-    monkeypatch.setattr(tick_cpu_figures, "_WARM_UP_BLOCKS", 1)
-    monkeypatch.setattr(tick_cpu_figures, "_BLOCKS", 2)
+@pytest.mark.parametrize(
+    ("shortened", "ratios", "promised"),
+    [
+        (tick_cpu_figures, tick_cpu_figures.tick_ratios, "cpu_tick_ratio cpu_tick_ratio_median"),
+        (
+            pulse_tick_figures,
+            pulse_tick_figures.pulse_tick_ratios,
+            "cpu_pulses_maestro_ratio cpu_tick_maestro_ratio "
+            "cpu_pulses_pca9685_ratio cpu_tick_pca9685_ratio",
+        ),
+        (
+            pulse_tick_figures,
+            feetech_tick_figures.feetech_tick_ratios,
+            "cpu_goals_feetech_ratio cpu_tick_feetech_ratio",
+        ),
+        (
+            bus_figures,
+            bus_figures.cpu_ratios,
+            "cpu_sync_write_ratio cpu_sync_read_ratio cpu_cycle_ratio",
+        ),
+    ],
+)
+def test_the_figures_have_the_names_that_are_promised(monkeypatch, shortened, ratios, promised):
+    counts = {"_WARM_UP_BLOCKS": 1, "_BLOCKS": 2}
+    for name, n in ({"_ROUNDS": 1, "_CALLS": 2} if shortened is bus_figures else counts).items():
+        monkeypatch.setattr(shortened, name, n)
+    figures = ratios()
 
-    figures = tick_cpu_figures.tick_ratios()
-
-    assert {"cpu_tick_ratio", "cpu_tick_ratio_median"} <= {*figures}
+    assert set(promised.split()) <= figures.keys()
     assert all(value > 0.0 for value in figures.values())
-
-
-@pytest.mark.slow
-def test_the_figures_of_the_bare_line_have_kept_their_names(monkeypatch):
-    monkeypatch.setattr(bus_cpu_figures, "_ROUNDS", 1)
-    monkeypatch.setattr(bus_cpu_figures, "_CALLS", 2)
-
-    figures = bus_cpu_figures.cpu_ratios()
-
-    assert {"cpu_sync_write_ratio", "cpu_sync_read_ratio", "cpu_cycle_ratio"} <= {*figures}

@@ -23,7 +23,6 @@ def test_a_warp_by_the_model_has_no_fold_and_its_markers_lie_where_the_model_has
     faces = {"twin": (TWIN_SIZE, twin_landmarks())}
     found = warp_figures(face, faces, {"a": mouths[:2], "b": mouths[2:]}, quiet)
     assert found["folds"] == 0
-    assert found["rest_error_px"] < 0.5
     assert 0.0 < found["marker_error_px"] < 2.5
     assert found["faces"][0]["frames"] == 4
 

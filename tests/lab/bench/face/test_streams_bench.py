@@ -1,23 +1,23 @@
 """The measurements of `lipservo bench face` that concern the dashboard."""
 
+import os
 import time
 from pathlib import Path
 
 import pytest
 from lipservo_lab.bench.face.face_figures import browser, page_ready_s
 from lipservo_lab.bench.face.streams import clients
-from lipservo_lab.seen_processes import processor_s
+from lipservo_lab.seen_processes import child_of, processor_s
 from served_dashboard import served
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", ["/api/twin", "/api/state"])
-def test_what_one_of_several_clients_is_sent_a_second(path):
-    """About thirty messages of a hundred bytes, whatever the computer does besides."""
+def test_clients_read_a_stream_until_their_block_ends():
+    module = "lipservo_lab.bench.face.stream_clients"
     with served() as dashboard:
-        with clients(dashboard.address, 2, path) as received:
-            time.sleep(1.0)
-        assert 500.0 < received() < 8000.0
+        with clients(dashboard.address, 2, "/api/twin"):
+            assert child_of(os.getpid(), module) is not None
+        assert child_of(os.getpid(), module) is None
 
 
 def test_processor_time_is_what_the_kernel_says():

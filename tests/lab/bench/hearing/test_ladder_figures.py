@@ -5,11 +5,11 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 from lipservo_lab.bench.hearing.ladder_figures import Load, Ticks, figures_of
+from lipservo_lab.seen_processes import children_of, state_of
 from places import short_folder
 
 PATIENCE_S = 60.0
@@ -66,29 +66,10 @@ def test_ending_the_bench_ends_its_load_and_its_face(number):
         bench.send_signal(number)
         bench.wait(PATIENCE_S)
         said = bench.stderr.read().decode()
-    until(lambda: not any(is_alive(pid) for pid in started))
+    until(lambda: not any(map(state_of, started)))
     if number == signal.SIGTERM:
         assert said.strip() == "lipservo: stopped before the end: no figures"
         assert list(folder.iterdir()) == []
-
-
-def children_of(pid):
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            after_name = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(after_name[1]) == pid:
-            found.append(int(stat.parent.name))
-    return found
-
-
-def is_alive(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def until(condition):

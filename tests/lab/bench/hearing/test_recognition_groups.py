@@ -53,9 +53,3 @@ def test_without_by_there_are_no_groups_and_with_a_table_the_tables(corpus, tmp_
     done = bench(corpus, "--by", "group", "--groups", str(table))
     assert set(json.loads(done.stdout)["groups"]) == {"adult", "f", "adult f"}
     assert "groups" not in json.loads(bench(corpus).stdout)
-
-
-def test_groups_without_a_table_are_refused_in_one_line(corpus):
-    done = bench(corpus, "--by", "group")
-    assert done.exit_code == 1
-    assert "speakers.csv: no such file; --by group needs a table" in str(done.exception)

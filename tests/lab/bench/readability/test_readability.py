@@ -167,17 +167,6 @@ def test_words_left_out_are_read_of_no_given_model(folder, models):
     assert "leave out --words and --models" in " ".join(done.output.split())
 
 
-def test_a_table_is_printed(folder, models):
-    typed = ["--strategy", "mean-face", "--phonemes", "true", "--no-robot", "-q"]
-    done = CliRunner().invoke(
-        app,
-        ["bench", "readability", "--corpus", str(folder), "--models", str(models), *typed],
-    )
-    assert done.exit_code == 0, done.output
-    assert "mean-face" in done.stdout
-    assert "new_a" in done.stdout
-
-
 def test_what_the_robot_shows_is_in_the_headline_as_the_reader_of_lips_reads_it():
     row = {"split": "known", "phonemes": "recognized", "strategy": "animpho"}
     row |= {"lookahead_ms": 100, "face": "face_sim"}
@@ -206,20 +195,11 @@ def test_methods_of_render_are_read_too(folder, models):
     ]  # fmt: skip
 
 
-def test_no_model_is_made_where_no_method_of_render_is_asked_for():
-    asked = reading_question("expected", "0,200", "true", robot=False)
-
-    assert with_line_methods(asked, lambda: pytest.fail("was made")) is asked
-
-
-def test_look_aheads_are_checked_without_a_live_method():
-    with pytest.raises(BenchError, match="0 to 1000 ms"):
-        reading_question("heard", "5000", "true", robot=False)
-
-
 def test_what_cannot_be_asked_says_why(folder, models):
     with pytest.raises(BenchError, match="unknown strategy 'x'"):
         reading_question("expected,x", "100", "true", robot=False)
+    with pytest.raises(BenchError, match="0 to 1000 ms"):
+        reading_question("heard", "5000", "true", robot=False)
     with pytest.raises(BenchError, match="--phonemes heard: use one of"):
         reading_question("expected", "100", "true,heard", robot=False)
     corpus = read_grid(folder)

@@ -24,7 +24,7 @@ def texts():
 @pytest.mark.parametrize("is_rendered", [False, True], ids=["said", "performed"])
 def test_lips_close_and_part_with_the_sound_of_two_short_sentences(texts, is_rendered):
     performances = performances_of(texts) if is_rendered else None
-    timing = speech_timing(texts, knows=True, performances=performances)
+    timing = speech_timing(texts, performances=performances)
     assert timing.n_wanted >= 4
     assert timing.n_unmatched == 0
     assert np.abs(timing.errors_s).max() <= NOTICED_S

@@ -19,7 +19,6 @@ MOST = {
     "performed_p95_ms": 45.0,
     "performed_unmatched": 0.02,
     "drift_10min_ms": 5.0,
-    "mic_to_bus_p95_ms": 150.0,
     "stream_first_motion_ms": 300.0,
     "stream_first_sound_ms": 300.0,
     "barge_in_ms": 200.0,

@@ -106,19 +106,6 @@ def test_a_file_that_is_no_sound_is_named(adapt, voice, tmp_path):
     assert "s3.flac" in told(*adapt(folder))
 
 
-def test_ten_seconds_are_too_few(adapt, tmp_path):
-    shutil.copy(CLIP_PATH, tmp_path / "one.flac")
-    (tmp_path / "one.txt").write_text("hello")
-
-    assert "needs at least 2 minutes of speech, has 9 s" in told(*adapt(tmp_path))
-
-
-def test_a_folder_that_is_not_there_is_told_before_the_work(adapt, voice, tmp_path):
-    done, written = adapt(voice, output=tmp_path / "none" / "my.npz")
-
-    assert "there is no folder" in told(done, written)
-
-
 def test_without_torch_the_extra_is_named(adapt, voice, monkeypatch):
     monkeypatch.setattr("lipsync.errors.find_spec", lambda _library: None)
 

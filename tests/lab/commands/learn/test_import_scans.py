@@ -79,18 +79,6 @@ def test_scans_of_other_units_or_axes_are_told_with_the_option_to_give(
     assert re.search(told, err)
 
 
-def test_folders_without_motion_are_refused(tmp_path, capsys):
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    one = tmp_path / "one"
-    write_scan(one / "1.ply", TEMPLATE.vertices_mm)
-
-    assert "holds no scan" in refused(capsys, tmp_path, empty, "-o", tmp_path / "c")
-    assert "holds one scan" in refused(capsys, tmp_path, one, "-o", tmp_path / "c")
-    absent = refused(capsys, tmp_path, tmp_path / "x", "-o", tmp_path / "c")
-    assert "x: cannot be read: No such file or directory" in absent
-
-
 def test_what_is_wrong_beside_the_scans_is_told(tmp_path, capsys):
     folder = write_folder(tmp_path / "scans")
     corpus = tmp_path / "c"
@@ -104,21 +92,6 @@ def test_what_is_wrong_beside_the_scans_is_told(tmp_path, capsys):
     (folder / "take.markers.csv").unlink()
     (folder / "take.wav").unlink()
     assert "no sound take.wav" in refused(capsys, tmp_path, folder, "-o", corpus, "--rate-hz", 5)
-
-
-def test_damaged_scans_and_what_is_no_face_are_refused(tmp_path, capsys):
-    folder = tmp_path / "scans"
-    for number in range(2):
-        write_scan(folder / f"{number}.ply", TEMPLATE.vertices_mm)
-        whole = (folder / f"{number}.ply").read_bytes()
-        (folder / f"{number}.ply").write_bytes(whole[:-1000])
-    assert "damaged" in refused(capsys, tmp_path, folder, "-o", tmp_path / "m.npz")
-    box = trimesh.creation.box((150.0, 200.0, 90.0))
-    for number in range(2):
-        write_scan(folder / f"{number}.ply", box.vertices, box.faces)
-    assert "no face, or much beside it" in refused(
-        capsys, tmp_path, folder, "-o", tmp_path / "m.npz"
-    )
 
 
 def test_a_folder_that_is_there_is_not_written_over(tmp_path, capsys):

@@ -53,12 +53,6 @@ def test_where_nothing_is_usable_the_status_is_not_0_and_nothing_is_written(tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["nobody.mkv"]
 
 
-def test_bench_motion_wants_a_corpus_or_video(capsys):
-    status, _, err = lipservo(capsys, "bench", "motion")
-    assert status == 2
-    assert "give --corpus FOLDER or --video FOLDER" in err
-
-
 @pytest.mark.slow
 def test_bench_motion_compares_our_mouth_with_the_filmed_one(tmp_path, capsys):
     write_clip(tmp_path / "good.mkv")

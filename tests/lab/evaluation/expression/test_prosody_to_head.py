@@ -6,6 +6,7 @@ from lipservo_lab.evaluation.expression.expression_figures import (
     NAMES,
     ShownExpression,
     cues_of,
+    expression_figures,
     lag_ms,
     shown,
 )
@@ -65,3 +66,8 @@ def test_the_live_head_goes_with_this_voice_and_not_with_any(live):
     shifts = np.random.default_rng(0).integers(500, len(moves) - 500, 20)
     elsewhere = [canonical_correlation(np.roll(voice, s, axis=0), moves) for s in shifts]
     assert np.mean(elsewhere) < 0.1
+
+
+def test_a_voice_without_a_frame_measures_nothing():
+    with pytest.raises(ValueError, match="0 frames"):
+        expression_figures(lambda: None, [])

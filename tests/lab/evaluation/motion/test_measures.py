@@ -36,16 +36,13 @@ from lipsync.recognition.network import LATENCY_S
 
 
 def measured(utterance: Utterance, faces: np.ndarray) -> dict[str, float]:
-    return figures(sums_of(utterance, faces))
-
-
-def sums_of(utterance: Utterance, faces: np.ndarray) -> np.ndarray:
     model = small_model()
     motion = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))
     made = Motion(model.markers_mm(faces), faces)
     rest = np.repeat(model.rest[None], len(faces), axis=0)
     reference = Motion(model.markers_mm(rest), rest)
-    return sentence_sums(model, utterance, speech_frames(utterance), motion, made, reference)
+    scored = speech_frames(utterance)
+    return figures(sentence_sums(model, utterance, scored, motion, made, reference))
 
 
 def test_the_recording_itself_scores_perfectly():
@@ -54,7 +51,6 @@ def test_the_recording_itself_scores_perfectly():
     assert found["rmse_mm"] < 1e-5
     assert found["gap_r"] == pytest.approx(1.0)
     assert found["acceleration_ratio"] == pytest.approx(1.0)
-    assert found["peak_opening_ratio"] == pytest.approx(1.0)
 
 
 def test_figures_are_those_computed_directly():
@@ -118,24 +114,6 @@ def test_half_the_motion_of_the_finer_components_has_half_their_deviation():
     halved[:, 4] = 5.0 + 0.5 * faces[:, 4]
     assert measured(moving, halved)["fine_deviation"] == pytest.approx(0.5)
     assert measured(moving, faces)["fine_deviation"] == pytest.approx(1.0)
-
-
-def test_a_sentence_s_own_place_is_no_deviation_of_its_own():
-    """Two sentences far apart, each moved by half: half in each, nearly all of it in both."""
-    utterance, model = recorded(), small_model()
-    faces = model.coefficients(utterance.markers_mm)
-    faces[:, 4] = np.random.default_rng(7).normal(0.0, 1.0, len(faces))
-    totals = 0.0
-    for place in (-50.0, 50.0):
-        recorded_faces, made = faces.copy(), faces.copy()
-        recorded_faces[:, 4] += place
-        made[:, 4] = place + 0.5 * faces[:, 4]
-        markers_mm = model.markers_mm(recorded_faces)
-        moving = Utterance("u", markers_mm, 25.0, Path(), utterance.phones, ())
-        totals = totals + sums_of(moving, made)
-    found = figures(totals)
-    assert found["fine_deviation_free"] == pytest.approx(0.5)
-    assert found["fine_deviation"] > 0.95
 
 
 def test_a_mouth_glued_shut_hits_every_closure_and_is_found_out():

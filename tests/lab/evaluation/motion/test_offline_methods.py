@@ -1,10 +1,11 @@
-"""The methods of `render` among those that are compared."""
+"""The methods of `render` among those that are compared, and their pictures."""
 
 import numpy as np
 import pytest
 from lipservo_lab.bench.offline_models import models_of, visemes_of
+from lipservo_lab.bench.pictures.line_plots import LINE_PICTURES, draw_lines, laid_out
 from lipservo_lab.corpus.grid import read_grid
-from lipservo_lab.evaluation.motion.methods import Heard
+from lipservo_lab.evaluation.motion.methods import REFERENCE, Heard, all_methods
 from lipservo_lab.evaluation.motion.motion_scores import Scores, add_scores, true_phonemes
 from lipservo_lab.evaluation.motion.offline_methods import (
     ContextVisemeMethod,
@@ -16,6 +17,7 @@ from lipservo_lab.learning.offline.offline_training import train_offline
 from lipservo_lab.learning.offline.state_training import Recipe
 from small_corpus import write_corpus
 
+from lipservo.terminal.pictures import is_picture
 from lipsync.offline.offline_model import OfflineModelError
 
 
@@ -43,9 +45,6 @@ def test_both_are_scored_and_the_model_is_made_once(corpus, model, models):
     for method in methods:
         assert scores.row(method.name, 100) == scores.row(method.name, 200)
         assert scores.row(method.name, 100)["sentences"] == 2
-    seconds = models.seconds_per_sentence()
-    assert set(seconds) == {"model-based", "heard"}
-    assert all(each > 0.0 for each in seconds.values())
     assert models.of(model) is models.of(model)
 
 
@@ -85,3 +84,34 @@ def test_a_face_of_other_sentences_gets_no_model_of_another_face(corpus, model):
 
     with pytest.raises(OfflineModelError):
         models_of(strangers, "a test").of(model)
+
+
+@pytest.mark.slow
+def test_all_pictures_are_drawn(tmp_path, corpus, model, models):
+    methods = [
+        all_methods()[REFERENCE],
+        ContextVisemeMethod(visemes_of(corpus)),
+        OfflineMethod("model-based", models),
+        OfflineMethod("heard", models),
+    ]
+    scores = Scores()
+    add_scores(scores, model, corpus.utterances[:2], methods, [200])
+    about = {"split": "given", "lookahead_ms": 200}
+    rows = [{**about, "strategy": m.name, **scores.row(m.name, 200)} for m in methods]
+
+    training, states = corpus.utterances, models.of(model).states
+    draw_lines(tmp_path, model, states, training, training[1], methods, rows)
+
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(LINE_PICTURES)
+    for name in LINE_PICTURES:
+        assert is_picture((tmp_path / name).read_bytes())
+
+
+def test_the_same_frames_lie_in_the_same_place(corpus, model, models):
+    states = models.of(model).states
+
+    places, of_state, again = laid_out(states, corpus.utterances, corpus.utterances[0])
+
+    assert len(places) == len(of_state) == sum(len(u.markers_mm) for u in corpus.utterances)
+    np.testing.assert_array_equal(of_state, states.states)
+    np.testing.assert_allclose(again, places[: len(again)], atol=1e-6)

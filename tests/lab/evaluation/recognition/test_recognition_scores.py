@@ -44,38 +44,9 @@ def test_a_worked_example():
     assert figures["viseme_all"] == pytest.approx(6 / 10)
     assert figures["phone_speech"] == pytest.approx(2 / 8)
     assert figures["viseme_speech"] == pytest.approx(4 / 8)
-    # With two frames of slack only the third frame, silence amid P, and S as silence: hits beside.
-    assert figures["viseme_speech_slack20"] == pytest.approx(8 / 8)
     assert figures["closure_recall"] == figures["closure_precision"] == 1.0
     # P AA T S against P AA D: one substitution, one deletion.
     assert figures["per"] == pytest.approx(2 / 4)
-
-
-def test_vowels_for_which_the_jaw_comes_down_are_openings():
-    """AA and AW are one opening, EH another; UW is none. One of two is heard, and one too many."""
-    score = Score()
-    score.add(
-        labels("SIL AA AA SIL SIL SIL SIL UW UW SIL SIL SIL OW"),
-        labels("SIL AA AW SIL SIL UW UW EH EH SIL SIL SIL SIL"),
-    )
-    figures = score.figures()
-    assert (figures["opening_recall"], figures["opening_precision"]) == (1 / 2, 1 / 2)
-
-
-def test_a_closure_three_frames_beside_is_missed_and_false():
-    score = Score()
-    score.add(labels("M AA AA AA AA"), labels("AA AA AA M M"))
-
-    assert score.figures()["closure_recall"] == 0.0
-    assert score.figures()["closure_precision"] == 0.0
-
-
-def test_agreement_is_least_median_and_most_of_the_utterances():
-    score = Score()
-    for heard in ("AA AA", "AA T", "T T"):
-        score.add(labels(heard), labels("AA AA"))
-
-    assert score.agreement() == (0.0, 0.5, 1.0)
 
 
 def test_nothing_heard_is_no_division_by_zero():

@@ -39,7 +39,3 @@ def test_everything_is_there_as_often_as_it_counts(n, weight):
     assert (np.diff(chosen) >= 0).all()
     if len(chosen) > 1:
         assert times.max() - times.min() <= 1
-
-
-def test_a_weight_of_one_changes_nothing():
-    assert counted(7, 1.0).tolist() == list(range(7))

@@ -1,12 +1,11 @@
 """A corpus of dense scans: any number of points, and a face that has some of them."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from lipservo_lab.corpus.grid import read_grid
-from lipservo_lab.corpus.utterance import Corpus, Utterance
+from lipservo_lab.corpus.utterance import Corpus
 from lipservo_lab.learning.motion.face_training import train
 from lipservo_lab.learning.offline.offline_training import train_offline
 from lipservo_lab.learning.offline.state_training import BuildingError, Recipe, build_states
@@ -15,7 +14,6 @@ from small_corpus import write_corpus
 from lipsync.audio.file import read_speech
 from lipsync.markers import MARKERS_47, PointLayout
 from lipsync.offline.line_methods import Line, Speaker, model_based_line
-from lipsync.phonemes import PhonemeEvent
 
 pytest.importorskip("dtaidistance", reason="the model-based method needs the extra `offline`")
 
@@ -97,25 +95,3 @@ def test_a_corpus_without_a_point_of_the_face_and_too_many_components_are_refuse
         train_offline(replace(corpus, layout=few, utterances=lips), face, RECIPE)
     with pytest.raises(BuildingError, match=r"119 at most \(--components\)"):
         train_offline(corpus, face, Recipe(n_components=500, n_states=12))
-
-
-@pytest.mark.slow
-def test_5000_points_of_1000_frames_are_built():
-    rng = np.random.default_rng(0)
-    modes = (rng.normal(size=(12, 15_000)) / 100.0).astype(np.float32)
-    path = np.cumsum(rng.normal(size=(1000, 12)), axis=0).astype(np.float32)
-    frames = (path @ modes).reshape(10, 100, 5000, 3)
-    said = (
-        PhonemeEvent("SIL", 0.0, 1.0),
-        PhonemeEvent("AA", 1.0, 3.0),
-        PhonemeEvent("SIL", 3.0, 4.0),
-    )
-    sentences = [
-        Utterance(f"s{i}", each, 25.0, Path("none"), said, ()) for i, each in enumerate(frames)
-    ]
-
-    states = build_states(sentences, [rng.normal(size=(100, 13)) for _ in sentences])
-
-    assert states.basis.shape == (10, 15_000)
-    assert states.basis @ states.basis.T == pytest.approx(np.eye(10), abs=1e-9)
-    assert len(np.unique(states.states)) == 100

@@ -191,34 +191,18 @@ def test_the_exported_weights_say_what_torch_says(torch_network, plan, small_arr
     assert np.abs(StreamingNetwork(weights).push(features) - expected).max() < 1e-5
 
 
-def test_a_run_that_was_interrupted_ends_with_the_same_weights(
-    training, plan, small_arrays, tmp_path
-):
-    arrays, scale = small_arrays
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    whole.mkdir()
-    parts.mkdir()
-
-    class KilledError(Exception):
-        pass
-
-    def kill(step):
-        if step == 5:
-            raise KilledError
-
-    expected = training.train_network(arrays, scale, plan, folder=whole)
-    with pytest.raises(KilledError):
-        training.train_network(arrays, scale, plan, folder=parts, after_step=kill)
-    resumed = training.train_network(arrays, scale, plan, folder=parts)
-
-    assert np.array_equal(resumed.output, expected.output)
-    assert np.array_equal(resumed.residuals[1].kernel, expected.residuals[1].kernel)
-    log = [json.loads(line) for line in (whole / "log.jsonl").read_text().splitlines()]
-    assert [record["step"] for record in log] == [2, 4, 6]
+class KilledError(Exception):
+    """A run is killed."""
 
 
-def test_a_run_that_is_stopped_ends_after_the_step_and_goes_on_to_the_same_bits(
-    training, plan, small_arrays, tmp_path
+def killed(step):
+    if step == 5:
+        raise KilledError
+
+
+@pytest.mark.parametrize("ends", [killed, lambda step: step == 3], ids=["killed", "stopped"])
+def test_a_run_that_ends_early_goes_on_to_the_same_bits(
+    training, plan, small_arrays, tmp_path, ends
 ):
     """Stopped between two lines of the log: what it says of the interval must be whole as well."""
     arrays, scale = small_arrays
@@ -226,21 +210,19 @@ def test_a_run_that_is_stopped_ends_after_the_step_and_goes_on_to_the_same_bits(
     whole.mkdir()
     parts.mkdir()
     expected = training.train_network(arrays, scale, plan, folder=whole)
-    steps = []
-    with pytest.raises(training.TrainingStoppedError, match=r"after step 3 of 6; .*--resume"):
-        training.train_network(
-            arrays,
-            scale,
-            plan,
-            folder=parts,
-            after_step=lambda n: steps.append(n) or n == 3,
-        )
-    resumed = training.train_network(arrays, scale, plan, folder=parts, after_step=steps.append)
+    with pytest.raises((KilledError, training.TrainingStoppedError)) as ended:
+        training.train_network(arrays, scale, plan, folder=parts, after_step=ends)
+    if ends is not killed:
+        assert "after step 3 of 6; " in str(ended.value)
+        assert "--resume" in str(ended.value)
+    resumed = training.train_network(arrays, scale, plan, folder=parts)
 
-    assert steps == [1, 2, 3, 4, 5, 6]
     assert np.array_equal(resumed.output, expected.output)
     assert np.array_equal(resumed.entry.kernel, expected.entry.kernel)
-    assert (parts / "log.jsonl").read_text() == (whole / "log.jsonl").read_text()
+    assert np.array_equal(resumed.residuals[1].kernel, expected.residuals[1].kernel)
+    log = (whole / "log.jsonl").read_text()
+    assert (parts / "log.jsonl").read_text() == log
+    assert [json.loads(record)["step"] for record in log.splitlines()] == [2, 4, 6]
 
 
 def test_a_log_that_is_ahead_of_the_state_is_taken_back(training, plan, small_arrays, tmp_path):
@@ -365,22 +347,25 @@ def test_the_visible_term_costs_what_is_seen(training, plan):
     assert costs_mm("P", "B") == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_grown_network_says_what_the_small_one_said_and_can_learn(
-    torch_network, training, plan, small_arrays, tmp_path
+@pytest.mark.parametrize(
+    ("shape", "most_off"),
+    [({}, 1e-3), ({"channels": 12, "dilations": (1, 2, 4)}, 0.02)],
+    ids=["the same", "grown"],
+)
+def test_a_network_started_from_weights_says_what_they_say_and_can_learn(
+    torch_network, training, plan, small_arrays, tmp_path, shape, most_off
 ):
     arrays, scale = small_arrays
     small = random_weights(n_channels=8, dilations=(1, 2), delays=(2, 7))
-    small = replace(small, scale=scale)
-    large = replace(plan, channels=12, dilations=(1, 2, 4))
-    network = torch_network.started_from(small, arrays, large)
-    weights = torch_network.exported(network, scale, large)
+    small, plan = replace(small, scale=scale), replace(plan, **shape)
+    weights = torch_network.exported(torch_network.started_from(small, arrays, plan), scale, plan)
     features = arrays[0].features[:80].astype(np.float32)
     expected = StreamingNetwork(small).push(features)
 
-    assert len(weights.entry.bias) == 12
-    assert np.abs(StreamingNetwork(weights).push(features) - expected).max() < 0.02
-    learned = training.train_network(arrays, scale, large, folder=tmp_path, start=small)
-    assert np.abs(learned.residuals[2].kernel - weights.residuals[2].kernel).max() > 1e-4
+    assert len(weights.entry.bias) == plan.channels
+    assert np.abs(StreamingNetwork(weights).push(features) - expected).max() < most_off
+    learned = training.train_network(arrays, scale, plan, folder=tmp_path, start=small)
+    assert np.abs(learned.residuals[-1].kernel - weights.residuals[-1].kernel).max() > 1e-4
 
 
 def test_taught_frames_keep_their_labels_and_posteriors_in_every_copy(
@@ -418,20 +403,8 @@ def test_learning_lowers_the_loss(training, plan, small_arrays, tmp_path):
     assert log[-1]["loss"] < log[0]["loss"]
 
 
-def test_a_network_started_from_weights_says_what_they_say(torch_network, plan, small_arrays):
-    arrays, scale = small_arrays
-    weights = random_weights(n_channels=8, dilations=(1, 2), delays=(2, 7))
-    weights = replace(weights, scale=scale)
-    network = torch_network.started_from(weights, arrays, plan)
-    again = torch_network.exported(network, scale, plan)
-    features = arrays[0].features[:80].astype(np.float32)
-
-    expected = StreamingNetwork(weights).push(features)
-    assert np.abs(StreamingNetwork(again).push(features) - expected).max() < 1e-3
-
-
 def test_weights_of_another_shape_are_no_start(torch_network, plan, small_arrays):
-    with pytest.raises(TrainingError, match="does not fit --channels"):
+    with pytest.raises(TrainingError, match="do not fit: a network may only"):
         torch_network.started_from(random_weights(n_channels=16), small_arrays[0], plan)
 
 

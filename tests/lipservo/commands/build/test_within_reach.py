@@ -53,38 +53,24 @@ def test_the_first_steps_are_not_counted():
 @pytest.mark.parametrize(
     ("cost", "rate_hz", "n_cores", "said"),
     [
-        (
-            FaceCost(0.2, 0.002), 100.0, 4,
-            [
-                (GOOD, "takes 0.20 s a second, measured now: within reach"),
-                (GOOD, "takes 0.20 s a second at 100 Hz: up to 200 Hz are within reach"),
-                (GOOD, "a page with one viewer takes about"),
-            ],
-        ),
-        (
-            FaceCost(0.9, 0.01), 100.0, 4,
-            [
-                (WARNING, "takes 0.90 s a second, measured now: little is left"),
-                (WARNING, "takes 1.00 s a second at 100 Hz: too much"),
-                (GOOD, "within reach"),
-            ],
-        ),
-        (
-            FaceCost(1.6, 0.01), 30.0, 2,
-            [
-                (WARNING, "takes 1.60 s a second, measured now: too much; where the recogniser"),
-                (GOOD, "takes 0.30 s a second at 30 Hz: up to 70 Hz are within reach"),
-                (WARNING, "too much beside them"),
-            ],
-        ),
-        (
-            FaceCost(0.5, 0.004), 50.0, None,
-            [
-                (GOOD, "within reach"),
-                (GOOD, "within reach"),
-                (WARNING, "too much beside them"),
-            ],
-        ),
+        (FaceCost(0.2, 0.002), 100.0, 4, [
+            (GOOD, "takes 0.20 s a second, measured now: within reach"),
+            (GOOD, "takes 0.20 s a second at 100 Hz: up to 200 Hz are within reach"),
+            (GOOD, "a page with one viewer takes about"),
+        ]),
+        (FaceCost(0.9, 0.01), 100.0, 4, [
+            (WARNING, "takes 0.90 s a second, measured now: little is left"),
+            (WARNING, "takes 1.00 s a second at 100 Hz: too much"),
+            (GOOD, "within reach"),
+        ]),
+        (FaceCost(1.6, 0.01), 30.0, 2, [
+            (WARNING, "takes 1.60 s a second, measured now: too much; where the recogniser"),
+            (GOOD, "takes 0.30 s a second at 30 Hz: up to 70 Hz are within reach"),
+            (WARNING, "too much beside them"),
+        ]),
+        (FaceCost(0.5, 0.004), 50.0, None, [
+            (GOOD, "within reach"), (GOOD, "within reach"), (WARNING, "too much beside them"),
+        ]),
     ],
 )  # fmt: skip
 def test_what_is_within_reach_is_said_of_each_process_and_of_all(cost, rate_hz, n_cores, said):

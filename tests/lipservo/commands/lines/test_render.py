@@ -49,6 +49,14 @@ def one(made, number=0):
     return corpus / "audio" / f"s{number}.flac", corpus / "labels" / f"s{number}.TextGrid"
 
 
+def folder_of(made, folder, n_lines):
+    """A folder of the first lines, each with its labels."""
+    folder.mkdir()
+    for path in (path for number in range(n_lines) for path in one(made, number)):
+        shutil.copy(path, folder / path.name)
+    return folder
+
+
 def test_what_was_learned_is_told_and_read_back(made):
     _, face, offline, figures = made
     model = load_offline_model(offline)
@@ -94,19 +102,8 @@ def test_a_corpus_may_have_more_points_than_the_face_but_not_fewer(made, tmp_pat
 def test_a_line_becomes_a_performance(made, tmp_path, method):
     sound, labels = one(made)
     output = tmp_path / "line.perf"
-    done = invoke(
-        "lines",
-        "render",
-        sound,
-        "--textgrid",
-        labels,
-        "-o",
-        output,
-        "--method",
-        method,
-        "--json",
-        *of(made),
-    )
+    asked = ["--textgrid", labels, "-o", output, "--method", method, "--json"]
+    done = invoke("lines", "render", sound, *asked, *of(made))
     said = json.loads(done.stdout)
     found = read_performance(output)
 
@@ -133,17 +130,11 @@ def test_the_channel_that_was_rendered_is_the_one_that_is_played(made, tmp_path)
 
 @pytest.mark.slow
 def test_a_folder_on_all_cores_is_the_same_as_one_by_one(made, tmp_path):
-    lines = tmp_path / "lines"
-    lines.mkdir()
-    for number in range(3):
-        for path in one(made, number):
-            shutil.copy(path, lines / path.name)
+    lines = folder_of(made, tmp_path / "lines", 3)
     both = [tmp_path / "serial", tmp_path / "parallel"]
     for folder, jobs in zip(both, (1, 2), strict=True):
-        done = invoke(
-            "lines", "render-folder", lines, "-o", folder, "--jobs", jobs, "--json", "-q", *of(made)
-        )
-        assert json.loads(done.stdout)["rendered"] == 3
+        asked = ["lines", "render-folder", lines, "-o", folder, "--jobs", jobs, "--json", "-q"]
+        assert json.loads(invoke(*asked, *of(made)).stdout)["rendered"] == 3
 
     for number in range(3):
         name = f"s{number}.perf"
@@ -153,11 +144,7 @@ def test_a_folder_on_all_cores_is_the_same_as_one_by_one(made, tmp_path):
 @pytest.fixture
 def folder(made, tmp_path):
     """Two lines, rendered; and how they are rendered again: what is told, and the files' times."""
-    lines, output = tmp_path / "lines", tmp_path / "out"
-    lines.mkdir()
-    for number in range(2):
-        for path in one(made, number):
-            shutil.copy(path, lines / path.name)
+    lines, output = folder_of(made, tmp_path / "lines", 2), tmp_path / "out"
 
     def again(*options):
         asked = ["lines", "render-folder", lines, "-o", output, "--jobs", 1, "--json", "-q"]
@@ -256,23 +243,11 @@ def test_a_folder_on_a_cluster_of_two_workers_is_the_same_as_one_by_one(
     made, tmp_path, monkeypatch
 ):
     distributed = pytest.importorskip("distributed", reason="pip install 'lipservo-lab[cluster]'")
-    lines = tmp_path / "lines"
-    lines.mkdir()
-    for number in range(5):
-        for path in one(made, number):
-            shutil.copy(path, lines / path.name)
+    lines = folder_of(made, tmp_path / "lines", 5)
     (lines / "broken.wav").write_bytes(b"no sound")
     monkeypatch.chdir(tmp_path)  # where no worker is
-    asked = [
-        "lines",
-        "render-folder",
-        "lines",
-        "--json",
-        "-q",
-        "--expression",
-        "face_head",
-        *of(made),
-    ]
+    asked = ["lines", "render-folder", "lines", "--json", "-q", "--expression", "face_head"]
+    asked += of(made)
     invoke(*asked, "-o", "serial", "--jobs", 1)
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
@@ -301,35 +276,11 @@ def test_head_and_eyes_are_stored_when_a_face_is_named(made, tmp_path):
     np.testing.assert_array_equal(found.coefficients, read_performance(plain).coefficients)
 
 
-def test_a_cluster_that_is_not_there_leaves_no_folder(made, tmp_path):
-    lines, output = tmp_path / "lines", tmp_path / "out"
-    lines.mkdir()
-    shutil.copy(one(made)[0], lines)
-
-    assert "write HOST:PORT" in refusal(
-        "lines", "render-folder", lines, "-o", output, "--dask", "nowhere"
-    )
-    assert not output.exists()
-
-
 def test_a_bad_line_is_told_and_leaves_the_others(made, tmp_path):
-    lines = tmp_path / "lines"
-    lines.mkdir()
-    for path in one(made):
-        shutil.copy(path, lines / path.name)
+    lines = folder_of(made, tmp_path / "lines", 1)
     (lines / "broken.wav").write_bytes(b"no sound")
-    done = invoke(
-        "lines",
-        "render-folder",
-        lines,
-        "-o",
-        tmp_path / "out",
-        "--jobs",
-        1,
-        "--json",
-        "-q",
-        *of(made),
-    )
+    asked = ["lines", "render-folder", lines, "-o", tmp_path / "out", "--jobs", 1, "--json", "-q"]
+    done = invoke(*asked, *of(made))
 
     assert done.exit_code != 0
     assert "broken.wav" in str(done.exception)
@@ -348,43 +299,22 @@ def refusal(*arguments):
 def test_mistakes_are_told_in_one_line_and_leave_no_file(made, tmp_path):
     sound, labels = one(made)
     output = tmp_path / "line.perf"
-    long, silent = tmp_path / "long.wav", tmp_path / "silent.wav"
+    long, silent, short = (tmp_path / f"{name}.wav" for name in ("long", "silent", "short"))
     soundfile.write(long, np.full(310 * 8_000, 0.1, np.float32), 8_000)
     soundfile.write(silent, np.zeros(16_000, np.float32), 16_000)
-    short = tmp_path / "short.wav"
     soundfile.write(short, np.full(1600, 0.1, np.float32), 16_000)
 
-    assert "at most 300 s" in refusal("lines", "render", long, "-o", output, *of(made))
-    assert "no words" in refusal("lines", "render", sound, "--text", " ", "-o", output, *of(made))
-    assert "silen" in refusal("lines", "render", silent, "-o", output, *of(made))
-    both = ["--text", "hello", "--textgrid", labels]
-    assert "give --text or --textgrid" in refusal(
-        "lines", "render", sound, *both, "-o", output, *of(made)
-    )
-    assert "give the labels of this sound" in refusal(
-        "lines", "render", short, "--textgrid", labels, "-o", output, *of(made)
-    )
-    assert "made for face model" in refusal(
-        "lines", "render", sound, "-o", output, "--textgrid", labels, "--offline", made[2]
-    )
-    assert not output.exists()
+    def refused(*asked):
+        return refusal("lines", "render", "-o", output, *of(made), *asked)
 
-
-def test_a_text_that_was_not_said_is_refused(made, tmp_path):
-    sound, _ = one(made)
-    output = tmp_path / "line.perf"
-
-    refusal(
-        "lines",
-        "render",
-        sound,
-        "--text",
-        "the quick brown fox jumps over it",
-        "-o",
-        output,
-        *of(made),
-    )
-
+    assert "at most 300 s" in refused(long)
+    assert "no words" in refused(sound, "--text", " ")
+    assert "silen" in refused(silent)
+    assert "give --text or --textgrid" in refused(sound, "--text", "hello", "--textgrid", labels)
+    assert "give the labels of this sound" in refused(short, "--textgrid", labels)
+    assert refused(sound, "--text", "the quick brown fox jumps over it")
+    of_shipped_face = ["lines", "render", "-o", output, sound, "--offline", made[2]]
+    assert "made for face model" in refusal(*of_shipped_face, "--textgrid", labels)
     assert not output.exists()
 
 

@@ -2,10 +2,13 @@
 
 import re
 import shlex
+from importlib import resources
 
+import numpy as np
 import pytest
 import typer
 
+from calibration.files.calibration_file import parse_calibration
 from lipservo.cli import app
 from lipservo.dashboard.pages.calibrate_page import (
     PULSE_STEPS,
@@ -14,6 +17,7 @@ from lipservo.dashboard.pages.calibrate_page import (
     steps_of,
 )
 from lipservo.dashboard.pages.pages import COMMAND
+from lipsync.face.model import load_face
 
 
 def test_the_calibration_of_a_shipped_face_is_read():
@@ -22,6 +26,20 @@ def test_the_calibration_of_a_shipped_face_is_read():
     assert trouble is None
     assert told["fits_the_face"] is True
     assert told["file"] == "face_sim.calibration.yaml"
+
+
+@pytest.mark.parametrize("config", ["face_head", "face_jaw", "face_lips"])
+def test_a_pose_that_a_page_gets_with_its_lip_gap_is_that_of_a_face_with_this_gap(config):
+    told, _ = read_calibration(config)
+    lips, path = told["lip_gap"], resources.files("lipservo.config") / told["file"]
+    calibration, model = parse_calibration(path.read_text(), told["file"]), load_face()
+    wide, shut = (lips["gaps_mm"].index(end(lips["gaps_mm"])) for end in (max, min))
+
+    assert tuple(lips["servos"]) == calibration.servo_names
+    assert lips["gaps_mm"][wide] > 8.0 > 2.0 > lips["gaps_mm"][shut]
+    at_rest_deg = calibration.positions_deg(model.rest)
+    far_deg = np.abs(np.array(lips["poses_deg"]) - at_rest_deg).sum(axis=1)
+    assert far_deg[wide] > far_deg[shut]
 
 
 @pytest.mark.parametrize(

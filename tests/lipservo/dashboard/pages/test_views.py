@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from lipservo.dashboard.pages.calibrate_page import read_calibration
 from lipsync.face.model import load_face
 
 #: A minute of a real browser; CI runs it once.
@@ -92,6 +93,47 @@ def test_without_webgl_the_twin_is_drawn_simply_and_says_so(chromium, address, f
 
         assert page.evaluate("twin.kind") == "canvas"
         assert "WebGL is not available" in page.inner_text(".twin-note")
+
+
+def test_the_last_minute_is_plotted_by_a_library_that_is_loaded_only_then(opened, face):
+    page = opened()
+    loaded = (
+        "performance.getEntriesByType('resource').map((each) => [each.name, each.encodedBodySize])"
+    )
+    face.encoders_deg["jaw"] = 12.5  # its goals are where it is
+    settled(page, "window.twin?.ready && plots.samples.length > 5")
+    before = dict(page.evaluate(loaded))
+
+    page.locator("face-plots summary").click()
+    settled(page, "window.plots.charts.length === 5")
+    page.locator("face-plots select").select_option("jaw")
+    last = "plots.charts.map(c => c.getOption().series.map(s => s.data.at(-1)[1]))"
+    settled(page, f"{last}[1][1] === 12.5")
+
+    library = {url: n for url, n in page.evaluate(loaded) if n > 100_000 and url not in before}
+    assert len(library) == 1
+    (wanted_mm, reached_mm), joint, _temperature, _load, delay_ms = page.evaluate(last)
+    assert joint == [12.5, 12.5]
+    assert delay_ms == [227.0]
+    assert wanted_mm == pytest.approx(page.evaluate("twin.gapMm"), abs=0.1)
+    lips = read_calibration("face_head")[0]["lip_gap"]
+    poses_deg = np.array(lips["poses_deg"])
+    off_deg = poses_deg - [face.encoders_deg[name] for name in lips["servos"]]
+    weights = (np.sum((off_deg / np.ptp(poses_deg, axis=0)) ** 2, axis=1) + 0.0006) ** -3.0
+    assert reached_mm == pytest.approx(weights @ lips["gaps_mm"] / weights.sum(), abs=0.01)
+
+
+def test_samples_of_a_minute_are_kept_ten_a_second(module_page):
+    script = """async () => {
+      const { keep } = await import("/static/live/plots.js");
+      const samples = [];
+      for (let n = 0; n < 30 * 90; n += 1) keep(samples, { timeS: n / 30 });
+      return [samples.length, samples[0].timeS, keep(samples, { timeS: 0 }).length];
+    }"""
+    n_kept, first_s, after_restart = module_page.evaluate(script)
+    assert 590 <= n_kept <= 601
+    assert first_s >= 29.9
+    assert after_restart == 1, "the dashboard was started again"
 
 
 def received(page, seconds):

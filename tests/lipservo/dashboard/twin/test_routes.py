@@ -6,11 +6,12 @@ import httpx
 import numpy as np
 import pytest
 from fastapi import FastAPI
+from unpacked_head import unpack
 
 from lipservo.dashboard.twin.element import HEAD_PATH, PackedHead, twin_routes
 from lipsync import errors
 from lipsync.face.model import load_face
-from lipsync.twin.packed import pack, unpack
+from lipsync.twin.packed import pack
 from lipsync.twin.twin import make_twin
 
 

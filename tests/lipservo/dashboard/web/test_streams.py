@@ -46,7 +46,7 @@ def test_the_twin_is_told_names_once_and_then_frames(dashboard):
     assert json.loads(hello)["phonemes"] == list(LAYOUT.phonemes)
     numbers = [number(frame) for frame in frames]
     assert numbers == list(range(numbers[0], numbers[0] + 10))
-    assert {len(frame) for frame in frames} <= set(range(103, 112))
+    assert {len(frame) for frame in frames} <= set(range(107, 116))
     assert all(frame[10] == 1 | 16 for frame in frames)
 
 

@@ -9,12 +9,13 @@ from lipservo.runtime.speech.expression import PerformedExpression
 from lipsync.expression.cue import CUE_PERIOD_S
 from lipsync.face.frame import NO_EXPRESSION, Expression
 
-LIVE = Expression(-3.0, 8.0, 1.0, 2.0, -5.0, 0.1, 0.1, 0.2, 0.7, 0.0)
+LIVE = Expression(-3.0, 8.0, 1.0, 2.0, -5.0, 0.1, 0.1, 0.2, 0.7, 0.0, 0.0, 0.0)
 STORED = Expression(
     neck_pitch_deg=6.0, neck_yaw_deg=-12.0, eye_yaw_deg=9.0, lid_left=1.0, lid_right=1.0
 )
 #: As fast as each may go: a saccade's 300, a blink's 15 a second; the rest slower.
-FASTEST_PER_S = {"neck": 60.0, "eye": 300.0, "lid": 15.0, "brow": 5.0, "smile": 0.0, "lip": 0.0}
+FASTEST_PER_S = {"neck": 60.0, "eye": 300.0, "lid": 15.0, "brow": 5.0, "smile": 0.0, "lip": 0.0,
+                 "tongue": 0.0}  # fmt: skip
 
 
 def shown(performed, seconds, stored, amount=1.0):
