@@ -128,19 +128,29 @@ def set_limits(page):
         row = page.locator(f".turn[data-servo={name}]")
         for end, by_deg in (("max", high), ("min", low - high)):
             before = row.locator("output").inner_text()
-            for _ in range(abs(by_deg) // 10):
+            for _ in range(abs(by_deg) // 10 - 1):
                 row.locator(f'[data-hand="{10 if by_deg > 0 else -10}"]').click()
-            wanted = high if end == "max" else low
-            page.wait_for_function(
-                "([name, deg]) => Math.abs(parseFloat(document.querySelector("
-                "`.turn[data-servo=${name}] output`).textContent) - deg) < 1.5",
-                arg=[name, wanted],
-            )
+            turn_to(page, row, name, high if end == "max" else low, by_deg)
             assert row.locator("output").inner_text() != before
             row.locator(".why:empty").wait_for(state="attached")
             set_end(row, end)
     page.click("[data-do=write]")
     page.locator(".ways").wait_for()
+
+
+def turn_to(page, row, name, wanted_deg, by_deg):
+    """Turn by 10 degrees until the joint is there: a busy computer may lose a turn."""
+    for _ in range(PATIENCE_MS // SPOKEN_MS):
+        row.locator(f'[data-hand="{10 if by_deg > 0 else -10}"]').click()
+        with contextlib.suppress(sync_api.TimeoutError):
+            page.wait_for_function(
+                "([name, deg]) => Math.abs(parseFloat(document.querySelector("
+                "`.turn[data-servo=${name}] output`).textContent) - deg) < 1.5",
+                arg=[name, wanted_deg],
+                timeout=SPOKEN_MS,
+            )
+            return
+    raise AssertionError(f"{name} is not at {wanted_deg} degrees: {row.inner_text()}")
 
 
 def set_end(row, end):
