@@ -26,14 +26,12 @@ _LEAST_SPEECH_S: Final = 5.0
 _FADED: Final = 40
 #: Bounds between the conditions of docs/benchmarks.md, by ten validation talkers in each: share of
 #: clipped samples; treble and signal to noise, dB; decay, s; level, dB; echo's share.
-_CLIPPED, _MUFFLED_DB, _NOISY_DB, _REVERBERANT_S, _FAINT_DB, _ECHO = (
-    0.02,
-    -25.0,
-    22.0,
-    0.34,
-    -45,
-    0.1,
-)
+_CLIPPED, _MUFFLED_DB, _NOISY_DB = 0.02, -25.0, 22.0
+_REVERBERANT_S, _FAINT_DB, _ECHO = 0.34, -45.0, 0.1
+#: The network's head that decides, by its delay, frames; a probability of silence below is speech.
+_HEAD, _SPEECH = 7, 0.5
+#: Samples within so much of the loudest count as clipped, where many are.
+_AT_TOP: Final = 0.985
 #: The level of steady noise spreads less, dB (of all between its 20th and 60th percentile).
 _STEADY_DB: Final = 0.8
 #: Mel bands of 0.5 to 4 kHz, of 1 to 3, and above 4.5.
@@ -76,8 +74,8 @@ def findings(samples: Array32, weights: NetworkWeights) -> Iterator[Finding]:
     levels_db = _levels_db(samples[: n * HOP])
     bands_db = LogMelStream().push(samples)[:n] * _DB_PER_NAT
     heard = whole_posteriors(weights, samples)
-    head = heard.delays.index(7)
-    spoken = np.flatnonzero(heard.values[7:, head, SILENCE_INDEX][:n] < 0.5)
+    head = heard.delays.index(_HEAD)
+    spoken = np.flatnonzero(heard.values[_HEAD:, head, SILENCE_INDEX][:n] < _SPEECH)
     speech_s = len(spoken) / FRAMES_PER_S
     last = np.concatenate(([-1], spoken))[np.searchsorted(spoken, np.arange(n), "right")]
     quiet_db = levels_db[np.arange(n) - last > _FADED]
@@ -91,7 +89,7 @@ def findings(samples: Array32, weights: NetworkWeights) -> Iterator[Finding]:
         )
         return
     speech_db = 10.0 * math.log10(float(np.mean(10.0 ** (levels_db[spoken] / 10.0))))
-    clipped = float(np.mean(np.abs(samples) >= 0.985 * np.abs(samples).max()))
+    clipped = float(np.mean(np.abs(samples) >= _AT_TOP * np.abs(samples).max()))
     treble_db = float(np.diff([bands_db[spoken, s].mean() for s in (_MIDDLE, _TREBLE)])[0])
     decay_s, (echo_s, echo) = _decay_s(_smooth(bands_db[:, _VOICE].mean(axis=1), 3)), _echo(samples)
     noise = "white" if spread_db < _STEADY_DB else "babble, music or servos"
